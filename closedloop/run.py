@@ -25,7 +25,7 @@ from closedloop.base.errors import (
 )
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
-from closedloop.command.cautions import warn_of_gains, warn_of_other_texts
+from closedloop.command.cautions import warn_of_gains, warn_of_no_surface, warn_of_other_texts
 from closedloop.command.help import list_of_sections, scenario_parser
 from closedloop.command.job import Job, halved, simulated, without_stabiliser
 from closedloop.command.lists import list_of_scenarios, versions
@@ -77,6 +77,7 @@ def _run_into(results: Results, job: Job, options: Namespace) -> int:
         warn_of_other_texts(options.scenario, job.earlier, {options.law or "": job.digest, **job.members})
     if job.law is None:
         warn_of_gains(job.scenario, job.model)
+        warn_of_no_surface(job.scenario)
     with without_stabiliser(job, not options.no_figures) as unstabilised:
         run, failure = simulated(job, progress=not options.json)
         if options.halve:

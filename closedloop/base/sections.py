@@ -31,6 +31,13 @@ def _number(value: Any) -> Any:
         raise ValueError("must be a number below 1e308") from None
 
 
+def _nothing(value: Any) -> Any:
+    """Refuse a number that says something where there is nothing that it could be of."""
+    if _number(value) != 0.0:
+        raise ValueError("must be left out")
+    return 0.0
+
+
 def _boolean(value: Any) -> Any:
     if not isinstance(value, bool):
         raise ValueError("must be true or false")
@@ -90,6 +97,7 @@ class Unit:
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0.0)]
 NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0.0)]
+Nothing = Annotated[float, BeforeValidator(_nothing), Unit("")]
 Instant = Annotated[NotNegative, Unit("s")]
 Restitution = Annotated[float, BeforeValidator(_number), Field(ge=0.0, le=1.0), Unit("")]
 Flag = Annotated[bool, BeforeValidator(_boolean)]

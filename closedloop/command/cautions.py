@@ -20,6 +20,14 @@ def warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:
             print(f"closedloop: the text of {name} is not the one that {file} was made with", file=sys.stderr)
 
 
+def warn_of_no_surface(scenario: Scenario) -> None:
+    """Say which sections are about the tip's contact, where there is no surface for it."""
+    idle = [name for name in ("friction", "compliance", "surface_motion") if getattr(scenario, name).kind != "none"]
+    if idle and not scenario.has_surface:
+        named = " and ".join(f"[{name}]" for name in idle)
+        print(f"closedloop: warning: {named}: there is no [surface], so nothing acts at the tip", file=sys.stderr)
+
+
 def warn_of_gains(scenario: Scenario, model: Any) -> None:
     """Say before anything is simulated that the step does not carry or resolve the gains; contact may: no refusal."""
     from closedloop.scenario.arm import robot_of

@@ -152,8 +152,9 @@ def contact_changes(run: Run) -> bool:
 
 
 def tip_is_idle(run: Run) -> bool:
-    """Tell whether links are in contact instead of the tip, which never is."""
-    return bool(run.scenario.contact) and bool(np.all(run.mode == FREE))
+    """Tell whether there is no surface for the tip, or links are in contact instead of it, which never is."""
+    scenario = run.scenario
+    return not scenario.has_surface or (bool(scenario.contact) and bool(np.all(run.mode == FREE)))
 
 
 def _draw_bands(axes: Axes, run: Run, begin: float, end: float) -> None:

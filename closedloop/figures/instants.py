@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from closedloop.base.families import Absent
 from closedloop.control.reference.force import StepForceSection
-from closedloop.control.reference.path import tip_path
+from closedloop.control.reference.path import path_normal, tip_path
 from closedloop.loop.events.table import IMPACT, REVERSAL
-from closedloop.mechanics.surface.plane import unit
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 
@@ -41,7 +40,7 @@ def motion(scenario: Scenario) -> tuple[float, float] | None:
     """
     if isinstance(scenario.reference, Absent):
         return None
-    segments = tip_path(scenario.reference, np.zeros(3), unit(scenario.surface.normal, "surface.normal")).segments
+    segments = tip_path(scenario.reference, np.zeros(3), path_normal(scenario.reference, scenario.surface)).segments
     return (segments[0].start, segments[-1].stop) if segments else None
 
 

@@ -52,20 +52,29 @@ def force_control(run: Run) -> Figure:
     """Draw f − f_des, the tip's errors along the path, across it and along the normal, and the path in the surface.
 
     The path is seen from above the surface: where it should be, and where the tip was, coloured by the contact force.
+    Without a surface there is no force to draw, and without a law nothing that the tip was to do.
     """
     seen, wanted = _seen_from_above(run)
     wide = float(np.ptp(wanted[:, 1])) > WIDE * float(np.ptp(wanted[:, 0]))
-    figure = new_figure(height=7.6 if wide else 6.2)
-    grid = figure.add_gridspec(3, 1, height_ratios=[1.0, 1.0, 1.9 if wide else 0.8])
-    above = figure.add_subplot(grid[0])
-    middle, below = figure.add_subplot(grid[1], sharex=above), figure.add_subplot(grid[2])
-    _draw_force_error(above, run)
-    above.set_xlabel("")
-    above.tick_params(labelbottom=False)
-    _draw_tip_errors(middle, run)
-    _draw_path(below, run, seen, wanted, wide)
+    over_time = [_draw_force_error] * run.scenario.has_surface + [_draw_tip_errors] * is_led(run)
+    figure = new_figure(height=(7.6 if wide else 6.2) - 1.7 * (2 - len(over_time)))
+    grid = figure.add_gridspec(len(over_time) + 1, 1, height_ratios=[*[1.0] * len(over_time), 1.9 if wide else 0.8])
+    first: Axes | None = None
+    for row, draw in enumerate(over_time):
+        axes = figure.add_subplot(grid[row], sharex=first)
+        first = first or axes
+        draw(axes, run)
+        if row < len(over_time) - 1:
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+    _draw_path(figure.add_subplot(grid[-1]), run, seen, wanted, wide)
     explain_contact(figure, run)
     return figure
+
+
+def is_led(run: Run) -> bool:
+    """Tell whether a law, the scenario's or another, was to lead the tip along a path."""
+    return run.scenario.has_law or run.law != "scenario"
 
 
 def _draw_force_error(axes: Axes, run: Run) -> None:
@@ -124,11 +133,13 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
     across, unit = (1e3, "mm") if wide else length_unit(max(float(np.max(np.abs(seen[:, 1]))), THIN * length))
     rows = np.unique(np.linspace(0, len(run) - 1, min(len(run), MOST_PIECES)).astype(int))
     x, y = 1e3 * seen[rows, 0], across * seen[rows, 1]
-    axes.plot(1e3 * wanted[:, 0], across * wanted[:, 1], color="0.8", linewidth=4.0, solid_capstyle="round",
-              label="desired")  # fmt: skip
+    if is_led(run):
+        axes.plot(1e3 * wanted[:, 0], across * wanted[:, 1], color="0.8", linewidth=4.0, solid_capstyle="round",
+                  label="desired")  # fmt: skip
     free = run.mode[rows] == FREE
     if np.any(free):
-        axes.plot(np.where(free, x, np.nan), np.where(free, y, np.nan), ":", color="0.35", label="free")
+        stroke, told = (":", "free") if run.scenario.has_surface else ("-", "tip")
+        axes.plot(np.where(free, x, np.nan), np.where(free, y, np.nan), stroke, color="0.35", label=told)
     pressed = np.flatnonzero(~free[:-1] & ~free[1:])
     if pressed.size:
         points = np.stack((x, y), axis=1)
@@ -144,7 +155,7 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
         axes.get_figure(root=True).colorbar(  # type: ignore[union-attr]
             pieces, ax=axes, label="f [N]", extend="both", pad=0.02
         )
-    axes.set_title("Path, seen from above the surface")
+    axes.set_title(f"Path, seen {'from above the surface' if run.scenario.has_surface else 'along surface.normal'}")
     axes.set_xlabel("along [mm]")
     axes.set_ylabel(f"across [{unit}]")
     if wide:

@@ -71,7 +71,8 @@ def panels(run: Run) -> list[Panel]:
     links = [_links(run)] if run.scenario.contact else []
     loops = [_loops(run)] if run.model.loops else []
     closure, friction = ([_closure(run)], [_friction(run)]) if Ground(run).there else ([], [])
-    return [_force(run), *links, *closure, *loops, _tip(run), _torque(run), *friction]
+    force = [_force(run)] if run.scenario.has_surface or not links else []
+    return [*force, *links, *closure, *loops, _tip(run), _torque(run), *friction]
 
 
 def main_panel(run: Run) -> Panel:

@@ -22,7 +22,7 @@ from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.added import from_text
-from closedloop.record.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, Column, columns_there
+from closedloop.record.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, SURFACE_COLUMNS, Column, columns_there
 from closedloop.record.halved import checked_comparison
 from closedloop.record.run import Run
 from closedloop.record.save import (
@@ -112,7 +112,8 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     allowed = [*json.loads(found["not_finite"]), *absent]
     added = from_text(found[ADDED]) if ADDED in found else {}
     contacts = len(scenario.contact or ())
-    _check_columns(columns, added, _sizes(model, contacts), allowed)
+    needed = (*(CONTACT_COLUMNS if contacts else ()), *(SURFACE_COLUMNS if scenario.has_surface else ()))
+    _check_columns(columns, added, _sizes(model, contacts), allowed, needed)
     # A run that was stopped may have events in the step that it did not finish.
     _check_events(columns, model.n + contacts, scenario.time.step if found["stopped"] else 0.0)
     return Run(
@@ -139,7 +140,7 @@ def _sizes(model: RobotModel, contacts: int) -> dict[str, int]:
 
 def _add_plane(columns: dict[str, NDArray[Any]], scenario: Scenario) -> None:
     """Add what a file from before there were other surfaces than a plane at rest does not have."""
-    if "surface_normal" in columns or np.shape(columns["velocity"])[1:] != (3,):
+    if "surface_normal" in columns or not scenario.has_surface or np.shape(columns["velocity"])[1:] != (3,):
         return
     n, v = unit(scenario.surface.normal, "surface.normal"), columns["velocity"]
     columns["surface_normal"] = np.tile(n, (len(v), 1))
@@ -154,12 +155,12 @@ def _verify(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> No
 
 
 def _check_columns(
-    columns: Mapping[str, NDArray[Any]], added: Mapping[str, Column], known: dict[str, int], allowed: list[str]
-) -> None:
+    columns: Mapping[str, NDArray[Any]], added: Mapping[str, Column], known: dict[str, int], allowed: list[str],
+    needed: tuple[str, ...],
+) -> None:  # fmt: skip
     sizes = {"time": columns["time"].size, "axis": 3, "event": columns["event_time"].size}
     sizes |= known | {"contact_tangent": 2 * known["contact"]}
-    needed = CONTACT_COLUMNS if known["contact"] else {}
-    for name, spec in (columns_there(columns, "coordinate" in known) | needed | dict(added)).items():
+    for name, spec in (columns_there({*columns, *needed}, "coordinate" in known) | dict(added)).items():
         column = columns[name]
         own = column.shape[-1] if column.ndim == 2 else 0  # a column of one's own has as many parts as it has
         shape = tuple(sizes.get(dim, own) for dim in spec.dims)

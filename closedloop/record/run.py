@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.mechanics.loops.reactions import LoopReactions
+from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.by_contact import columns_by_contact
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, reactions_of
 from closedloop.record.columns.events import Event, events_of
-from closedloop.record.columns.recorded import Column, columns_there
+from closedloop.record.columns.recorded import COLUMNS, SURFACE_COLUMNS, Column, columns_there
 from closedloop.record.report.summary import summarise
 from closedloop.record.save import attributes, save_run
 from closedloop.scenario.arm import robot_of
@@ -53,7 +54,8 @@ DRAWN_BY = {
 class Run:
     """The record of a simulation, and what produced it.
 
-    Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute: `run.time`
+    Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute, those of
+    `SURFACE_COLUMNS` without a surface too, but they are in no file then: `run.time`
     (N,), `run.q` (N, nq), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
     (`closedloop.loop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
     `closedloop.record.columns.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
@@ -116,6 +118,8 @@ class Run:
         if name in there:
             column: NDArray[Any] = there[name]
             return column
+        if there and name in SURFACE_COLUMNS and not self.scenario.has_surface:
+            return self._without_surface(name)
         if name in DERIVED:
             column = self.__dict__[name] = DERIVED[name].of(self)  # once: then it is found without asking here
             column.setflags(write=False)
@@ -125,6 +129,15 @@ class Run:
             part: NDArray[Any] = there[base][:, k]
             return part
         raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join((*there, *DERIVED))}")
+
+    def _without_surface(self, name: str) -> NDArray[Any]:
+        """Return what stands for a column of the tip's contact where there is none: no force, and `surface.normal`."""
+        normal = name == "surface_normal"
+        shape = (len(self), 3) if "axis" in COLUMNS[name].dims else (len(self),)
+        value = unit(self.scenario.surface.normal, "surface.normal") if normal else 0.0
+        column = np.full(shape, value, dtype=np.int8 if name == "mode" else np.float64)
+        column.setflags(write=False)
+        return column
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self.specs, *columns_by_contact(self.scenario.contact or ()), *DERIVED]

@@ -20,7 +20,7 @@ from closedloop.base.families import KEEP_ABSENT, Family
 from closedloop.scenario.file import absolute, robot_file, scenario_text
 from closedloop.scenario.messages import explain, variant_keys
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.scenario.tables import ALL, families_in, table_type, tables_of
+from closedloop.scenario.tables import ALL, families_in, names_of_members, table_type, tables_of
 from robot_models.described import names_a_file
 from robot_models.toml_text import toml_tables
 
@@ -112,6 +112,8 @@ def _override(data: dict[str, Any], key: str, value: Any) -> None:
     section, _, name = key.partition(".")
     if name and (table_of := table_type(section)):
         tables, rest = tables_of(data, key)
+        if one := names_of_members(table_of).get(rest):
+            value = one.named(value, key)
         for table in tables:
             _set(table, rest.split("."), deepcopy(value), key, families_in(table_of))
     else:

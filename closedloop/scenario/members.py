@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Absent, Member, how_to_name
 from closedloop.jit.user_code import source_digest
+from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.tables import names_of_members
 
 
 def members_of_users(scenario: Scenario) -> dict[str, str]:
@@ -19,6 +21,8 @@ def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key in families():
         section, _, name = key.partition(".")
         yield key, str(getattr(getattr(scenario, section), name))
+    for i, contact in enumerate(scenario.contact or ()):
+        yield f"contact.{i}.restitution_law", contact.restitution_law
 
 
 def refuse_absent(scenario: Scenario) -> None:
@@ -42,6 +46,8 @@ def member_digests(scenario: Scenario) -> dict[str, str]:
 
 def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
     """Return the class of a member that a scenario has, None if it is absent."""
+    if key not in families():  # of a table of a list
+        return names_of_members(ContactSection)[key.rpartition(".")[2]].get(name)
     section = getattr(scenario, key.partition(".")[0])
     if isinstance(section, Member | Absent):  # its own class, whatever else was given this name since
         return type(section) if isinstance(section, Member) else None

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from closedloop.base.families import Family, OneOf
+from closedloop.base.families import Absent, Family, OneOf
 from closedloop.base.sections import Section
 from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import NO_ENCODER, EncoderSection, encoder_kind
@@ -46,7 +46,8 @@ class Scenario(Section):
     description: str = Field("", description="one line for --list")
     robot: RobotSection = Field(RobotSection(), description="the arm, its tip, and joints held rigid")
     surface: Annotated[Surface, SURFACES] = Field(
-        default_factory=lambda: SURFACES["plane"](), description="the surface, and whether the tip may leave it"
+        default_factory=lambda: SURFACES["none"](),
+        description="the surface, and whether the tip may leave it; without it the tip touches nothing",
     )
     surface_motion: Annotated[SurfaceMotion, MOTIONS] = Field(
         default_factory=lambda: MOTIONS["none"](), description="how the surface moves"
@@ -63,9 +64,13 @@ class Scenario(Section):
     )
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
     reference: Annotated[paths.Path, paths.PATHS] = Field(
-        default_factory=lambda: paths.PATHS["hold"](), description="the path that the tip is to follow"
+        default_factory=lambda: paths.PATHS["hold"](),
+        description="the path that the tip is to follow; without it a law holds the start",
     )
-    law: Annotated[ControlLaw, LAWS] = Field(description="the control law, its gains, and the force to press with")
+    law: Annotated[ControlLaw, LAWS] = Field(
+        default_factory=lambda: LAWS["none"](),
+        description="the control law, its gains, and the force to press with; without it there is no torque",
+    )
     compensation: Annotated[Compensation, COMPENSATIONS] = Field(
         default_factory=lambda: COMPENSATIONS["none"](), description="the controller's compensation of friction"
     )
@@ -95,6 +100,23 @@ class Scenario(Section):
             chosen = "rk4" if self.surface.contact == "unilateral" and not stiff else "semi_implicit_euler"
             self.__dict__["time"] = self.time.model_copy(update={"integrator": chosen})
         return self
+
+    @model_validator(mode="after")
+    def _press_on_something(self) -> Self:
+        """Let a law press with no force, where there is no surface and no force was asked for."""
+        if not self.has_surface and "force" not in self.law.model_fields_set and not isinstance(self.law, Absent):
+            self.__dict__["law"] = self.law.model_copy(update={"force": 0.0})
+        return self
+
+    @property
+    def has_surface(self) -> bool:
+        """Whether there is a surface that the tip may touch."""
+        return self.surface.kind != "none"
+
+    @property
+    def has_law(self) -> bool:
+        """Whether the scenario says a law of control."""
+        return self.law.kind != "none"
 
     @property
     def rubs_in_joints(self) -> bool:

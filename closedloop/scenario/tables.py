@@ -12,7 +12,7 @@ from functools import cache
 from typing import Any, get_args
 
 from closedloop.base.errors import ScenarioError
-from closedloop.base.families import Family
+from closedloop.base.families import Family, OneOf
 from closedloop.base.sections import Section
 from closedloop.scenario.scenario import Scenario, families
 from robot_models.errors import shown
@@ -40,6 +40,13 @@ def families_in(table: type[Section]) -> dict[str, Family[Any]]:
         for each in getattr(part, "__metadata__", ())
         if isinstance(each, Family)
     }
+
+
+@cache
+def names_of_members(table: type[Section]) -> dict[str, OneOf]:
+    """Return the keys of a table whose value is the name of a member, as time.integrator is in a section."""
+    fields = table.model_fields.items()
+    return {name: each for name, field in fields for each in field.metadata if isinstance(each, OneOf)}
 
 
 def names_in(section: str, tables: Sequence[Any]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.added import state_columns
-from closedloop.record.columns.recorded import POSITIONS
+from closedloop.record.columns.recorded import POSITIONS, SURFACE_COLUMNS
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.scenario.arm import without_tools
@@ -69,6 +69,9 @@ def as_run(
         columns |= {name: recorded(rows, n, name, contacts, problem.row_states) for name in CONTACT_RECORDED}
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
+    if not problem.scenario.has_surface:
+        for name in SURFACE_COLUMNS:
+            del columns[name]
     columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
     columns |= positions_told(problem, columns)
     return Run(

@@ -227,7 +227,7 @@ def run_loop(
         make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
     connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
     step, many = driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
-    answers = Answers(problem, loop, interim)
+    answers = Answers(problem, loop, interim, lambda: isinstance(kernel, Interim) and kernel.interpreting)
 
     def finish(done: int) -> None:
         call = partial(call_now, complete_record, loop_memory) if interim else complete_record

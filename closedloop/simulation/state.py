@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import ArmRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.record.columns.events import Event, events_of
 from robot_models.coordinates import with_quaternions
 
@@ -109,8 +112,9 @@ class StepState:
 
     @property
     def gap(self) -> float:
-        """Closure error e = n·r − d, m; off the surface the gap."""
-        return float(self._part("closure_error"))
+        """Closure error e = n·r − d, m; off the surface the gap; inf without a surface."""
+        gap = float(self._part("closure_error"))
+        return gap if gap < 0.5 * NoSurface.distance else math.inf
 
     @property
     def gap_rate(self) -> float:

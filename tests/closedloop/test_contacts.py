@@ -276,7 +276,6 @@ def test_what_is_wrong_with_a_contact_is_said_in_one_line(change, said):
     ("key", "value"),
     [
         ("stabiliser.kind", "projection"),
-        ("compliance", {"kind": "kelvin_voigt", "stiffness": 1e4, "damping": 10.0}),
         ("surface.edge_radius", 0.1),
     ],
 )

@@ -13,11 +13,11 @@ from robot_models import load
 LONG = {"wam_bounce": 0.9, "wam_liftoff": 0.4, "wam_touchdown": 0.4, "planar2_drop": 0.4, "wam_edge": 0.6}
 # What has a section that does not go with `[[contact]]`, whatever else is asked for; see "Limits" in docs/contacts.md.
 NEVER_BESIDE = (
-    "joint_friction", "panda_polish", "panda_wipe", "soft_table", "wam_hybrid_friction", "wam_slide_friction",
-    "wam_stick_slip",
+    "joint_friction", "panda_polish", "panda_wipe", "wam_hybrid_friction", "wam_slide_friction", "wam_stick_slip",
 )  # fmt: skip
-# Where a far contact does change the run, beyond rounding; see docs/limits.md.
-NOT_YET = ("delta", "stewart")
+# With a contact `dop853` looks for events, and closes the loops of a mechanism once more before its last row: a
+# velocity that is nothing but rounding, 1e-30 rad/s, is then another of that size.
+CLOSED_AGAIN = 1e-24
 LAWS = ("newton", "poisson", "stronge")
 SCHEMES = ("semi_implicit_euler", "rk4", "dop853")
 
@@ -53,7 +53,10 @@ def assert_same(alone, beside):
         one, other = (np.asarray(getattr(run, column)) for run in (alone, beside))
         if one.ndim == 2 and other.shape[1:] != one.shape[1:]:  # of the contacts, the far one's last
             other = other[:, : one.shape[1]]
-        assert np.array_equal(one, other, equal_nan=True), column
+        if alone.model.loops and alone.scenario.time.integrator == "dop853":
+            np.testing.assert_allclose(other, one, rtol=0.0, atol=CLOSED_AGAIN, err_msg=column)
+        else:
+            assert np.array_equal(one, other, equal_nan=True), column
     assert alone.stopped == beside.stopped
     assert not np.any(beside.link_modes[:, -1])
     assert np.all(beside.link_gaps[:, -1] > 40.0)
@@ -72,7 +75,7 @@ def test_untouched_contact_changes_nothing(name, changes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in cl.shipped_scenarios() if name not in NOT_YET])
+@pytest.mark.parametrize("name", cl.shipped_scenarios())
 def test_untouched_contact_changes_nothing_anywhere(name):
     """Every shipped scenario with every law of restitution where it may bounce, friction and integrator."""
     scenario = cl.load_scenario(name)

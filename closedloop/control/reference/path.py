@@ -20,6 +20,8 @@ from closedloop.control.reference.orientation import Held
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.jit.user_code import of_users
 from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.surface import Surface
 
 Array = NDArray[np.float64]
 
@@ -84,6 +86,22 @@ def tip_path(section: Path, origin: Array, normal: Array) -> TipPath:
     return path
 
 
+def path_normal(section: Path, surface: Surface) -> Array:
+    """Return the unit normal (3,) of the plane that a path is drawn in, base frame: that of the surface at the start.
+
+    Without a surface a path may have any direction: of the normals across it, it is the nearest to `surface.normal`.
+    """
+    normal = unit(surface.normal, "surface.normal")
+    direction = getattr(section, "direction", None)
+    if surface.kind != "none" or direction is None:
+        return normal
+    along = unit(direction, "reference.direction")
+    across = normal - (normal @ along) * along
+    size = float(np.linalg.norm(across))
+    found: Array = across / size if size > 1e-6 else contact_frame(along)[1]
+    return found
+
+
 def path_on(section: Path, origin: Array, surface: PlacedSurface, duration: float) -> TipPath:
     """Return the path from `origin` (3,), m, base frame, laid onto a surface for a run of `duration`, s.
 
@@ -92,7 +110,7 @@ def path_on(section: Path, origin: Array, surface: PlacedSurface, duration: floa
     ScenarioError
         As `tip_path`, or if the surface does not lie under the path, or the path leaves it.
     """
-    path = tip_path(section, origin, surface.normal)
+    path = tip_path(section, origin, path_normal(section, surface.section))
     if section.on_surface == "no" or (surface.fixed_plane and section.in_plane):
         return path
     return on_surface(path, surface, duration, geodesic=section.on_surface == "geodesic")

@@ -80,6 +80,8 @@ class Ground:
     @property
     def there(self) -> bool:
         """Whether it is part of what is seen: the tip touches it, or comes near it."""
+        if not self.run.scenario.has_surface:
+            return False
         return bool(np.any(self.run.mode != FREE)) or float(np.min(self.run.closure_error)) < FAR
 
     def place(self, row: int) -> tuple[Array, Array]:

@@ -106,7 +106,9 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
     if state.events >= events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
-    if state.contacts != 0 and (state.together != 0 or w.contact_margin < 0.0):
+    # The instant may be a rounding before the one at which a contact closes.
+    closes = w.contact_margin < 0.0 or (state.mode == FREE and w.contact_margin <= min(w.gap, TOUCHING))
+    if state.contacts != 0 and (state.together != 0 or closes):
         return apply_contact_event(w, constants, state, events)
     if state.mode == FREE and state.surface != 0 and w.inside < 0.0:  # there is no surface to touch
         state.beside = 1

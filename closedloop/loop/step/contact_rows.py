@@ -19,6 +19,7 @@ from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.mechanics.contacts.given_modes import mobility_of
 from closedloop.mechanics.contacts.memory import LINE, OFF, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import HOVERING
+from closedloop.mechanics.contacts.soft import write_soft_forces
 from closedloop.mechanics.loops.memory import loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.mechanics.loops.solve import leave_free
@@ -66,6 +67,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         c.kind[0] = LINE
         for i in range(2):
             c.along[0, i], c.viscous[1 + i] = w.c[i], w.viscous[i]
+    write_soft_forces(links, c)
     return int(OK)
 
 

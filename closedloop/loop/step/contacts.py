@@ -30,6 +30,7 @@ from closedloop.mechanics.contacts.given_modes import (
 from closedloop.mechanics.contacts.impact import RESTING, STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
 from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, ContactLinks, Contacts, contacts_at
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
+from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.impact import energy_lost
 
@@ -122,15 +123,15 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
         if c.F[i] == 0.0:
             continue
         w.contact_power += c.F[i] * (c.u[i] + c.carried[i])
-        if state.stages == 1:
-            growth = c.a[i]
-            for j in range(3 * k):
-                growth += c.W[i, j] * c.F[j]
-            w.contact_power_rate += c.F[i] * (growth - c.turning[i])
         for j in range(n):
             w.contact_torque[j] += c.G[i, j] * c.F[i]
             w.y[j] += c.X[i, j] * c.F[i]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
+    for i in range(3, 3 * k if state.stages == 1 else 0):
+        growth = c.drift[i] - c.turning[i]
+        for j in range(n):
+            growth += c.G[i, j] * w.qdd[j]
+        w.contact_power_rate += c.F[i] * growth
     return status
 
 
@@ -201,7 +202,7 @@ def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
         if c.mode[i] == FREE:
             least = min(least, open_margin(c, i))
             continue
-        least = min(least, c.rigid[n] + c.rounding)
+        least = min(least, c.rigid[n] + c.rounding if c.soft[i] == 0.0 else soft_margin(c, i))
         if c.mode[i] == STUCK:
             left = c.mu[i] * c.rigid[n] - math.hypot(c.rigid[n + 1], c.rigid[n + 2])
             least = min(least, left + c.rounding)
@@ -222,6 +223,8 @@ def striking_alone(links: ContactLinks, c: Contacts) -> int:
     """Return the contact that strikes while no other is closed or closes, −1 if there is none such."""
     alone = -1
     for i in range(links.k):
+        if c.soft[i] != 0.0:
+            continue
         if c.kind[i] == LINE or (touches(links, c, i) and (alone >= 0 or c.mode[i] != FREE)):
             return -1
         if touches(links, c, i):

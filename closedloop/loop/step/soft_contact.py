@@ -13,10 +13,9 @@ from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
 from closedloop.loop.step.tip_friction import turn_with_slip
 from closedloop.mechanics.closure.contact_force import STUCK, accelerate, baumgarte_acceleration, stuck_tangentially
+from closedloop.mechanics.contacts.soft import AS_FORCE
 from closedloop.mechanics.surface.compliance import Compliance
 
-# N/m by which a gap becomes a force, for the event function alone: its sign decides.
-AS_FORCE = 1e6
 # Gauss and Legendre's rule with eight points, on −1 to 1: half of the points, and their weights.
 POINTS = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
 WEIGHTS = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)

@@ -272,6 +272,9 @@ def inside_cones(c: Contacts, k: int, F: Array) -> bool:
 def share_forces(c: Contacts, k: int, p: int) -> None:
     """Replace `rigid` and F, which are not unique, by the shortest that do the same."""
     m = 3 * k
+    for i in range(k):  # what soft contacts carry is known
+        if c.soft[i] != 0.0:
+            return
     span_rows(c, k, p)
     for i in range(m):
         c.trial[i] = c.F[i] - c.rigid[i]

@@ -62,7 +62,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         c.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
         if c.kind[i] != LINE:
             c.kind[i] = OFF
-            if touches(links, c, i):
+            if touches(links, c, i) and c.soft[i] == 0.0:
                 c.kind[i] = CONE if c.mu[i] > 0.0 else RAY
         c.along[i, 0], c.along[i, 1] = 0.0, 0.0
         if c.kind[i] != OFF and c.kind[i] != LINE and c.mode[i] == FREE and c.u[3 * i] < -RESTING:

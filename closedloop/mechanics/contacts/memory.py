@@ -36,6 +36,7 @@ class ContactLinks(Block):
     k: int  # contacts, the tip's and the stops of joints among them
     stops: int  # how many of them, the last, are stops
     surfaces: int  # address of the entry and the memory of the surface of each, 0 of a plane at rest; 0: all are such
+    compliances: int  # address of the same of the compliance of each, 0 of a rigid one; 0: all are rigid
     rows: int  # address of the memory of their rows, see `closedloop.mechanics.loops.memory`
     loop: int  # and of the loop that they are for; 0: none
     undecided: int  # 1 until the modes after an event, or at the start, are found
@@ -51,6 +52,7 @@ class Contacts(Block, sizes=("n", "k")):
 
     mu: Annotated[Array, K]
     restitution: Annotated[Array, K]
+    soft: Annotated[Array, K]  # 1 of a surface that gives way, see `closedloop.mechanics.contacts.soft`
     joint: Annotated[Array, K]  # of a stop, as the next
     side: Annotated[Array, K]  # 1 of a lower stop, −1 of an upper
     mode: Annotated[Array, K]  # see `closedloop.mechanics.closure.contact_force`

@@ -86,7 +86,9 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
         if c.kind[i] == LINE:
             continue
         c.kind[i], c.along[i, 0], c.along[i, 1] = OFF, 0.0, 0.0
-        if not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > PARTING):
+        if not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > PARTING and c.soft[i] == 0.0):
+            continue
+        if c.soft[i] != 0.0 and c.located[at] >= 0.0 and c.u[at] > 0.0:
             continue
         u1, u2 = c.u[at + 1], c.u[at + 2]
         speed = math.hypot(u1, u2)
@@ -154,7 +156,7 @@ def remove_motion(c: Contacts, k: int) -> int:
         c.start_slip[i] = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) if c.kind[i] == RAY else 0.0
         c.along[i, 0], c.along[i, 1] = 0.0, 0.0
     for i in range(3 * k):
-        c.before[i] = c.u[i]
+        c.before[i] = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]
     stopping_impulses(c, k)
     write_after(c, k)
     c.energy_lost = c.energy_rested = -energy_gained(c, k)

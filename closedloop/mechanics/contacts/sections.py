@@ -18,10 +18,12 @@ from closedloop.base.sections import (
     Size,
 )
 from closedloop.mechanics.impact.restitution import RESTITUTIONS
+from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import SURFACES, Surface
 
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
+AS_IMPACT = "impact"
 RestitutionName = Annotated[str, OneOf(RESTITUTIONS)]
 
 
@@ -69,7 +71,13 @@ class ContactSection(Section):
     motion: Annotated[SurfaceMotion, MOTIONS] | None = Field(
         None, description="its motion in the frame against, with the keys of [surface_motion]; at rest if left out"
     )
+    compliance: Annotated[Compliance, COMPLIANCES] | None = Field(
+        None, description="how it gives way, as [compliance] says it; not at all if left out"
+    )
     friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
     restitution: Restitution = Field(
-        0.0, description="coefficient of restitution, 0 to 1: of impact.law alone, Newton's with others"
+        0.0, description="coefficient of restitution, 0 to 1: of its law alone, Newton's with others"
+    )
+    restitution_law: Annotated[str, OneOf(RESTITUTIONS, words=(AS_IMPACT,))] = Field(
+        AS_IMPACT, description=f"law of restitution where it strikes alone; {AS_IMPACT}: that of impact.law"
     )

@@ -61,6 +61,8 @@ def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:
     for key, each in (("surface", surface), ("motion", motion)):
         if is_users(each):
             raise ScenarioError(f"{where}: {key}.kind = {each.kind!r}: must be one of the package's own kinds")
+    if surface.kind == "none":
+        raise ScenarioError(f"{where}: surface.kind = 'none': must be a surface: leave the contact out")
     said = {*Surface.model_fields, "point", "offset"} - {"kind"}
     for key in said & surface.model_fields_set:
         if getattr(surface, key) != type(surface).model_fields[key].default:

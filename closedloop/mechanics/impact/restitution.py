@@ -42,18 +42,18 @@ class Restitution(Member):
 RESTITUTIONS = Family(Restitution)
 
 
-def coefficient_at(law: type[Restitution], restitution: float, speed: float) -> float:
-    """Return ε of an impact at a speed along the normal, m/s.
+def coefficient_at(law: type[Restitution], restitution: float, speed: float, key: str = "impact.law") -> float:
+    """Return ε of an impact at a speed along the normal, m/s; `key` is what names the law, for messages.
 
     Raises
     ------
     ScenarioError
         If a user's law gives none from 0 to 1.
     """
-    with of_users(law, "impact.law"):
+    with of_users(law, key):
         given = float(law.coefficient(restitution, speed))
         if not 0.0 <= given <= 1.0:
             raise ScenarioError(
-                f"impact.law = {law.member_name()}: its coefficient at {speed:g} m/s is {given:g}: must be from 0 to 1"
+                f"{key} = {law.member_name()}: its coefficient at {speed:g} m/s is {given:g}: must be from 0 to 1"
             )
         return given

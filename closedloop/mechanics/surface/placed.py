@@ -31,6 +31,7 @@ from closedloop.mechanics.surface.contact import (
     surface_entry,
 )
 from closedloop.mechanics.surface.geometry import Pose, Touch
+from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.motion import SurfaceMotion
 from closedloop.mechanics.surface.motions.none import NoMotion
@@ -109,8 +110,10 @@ class PlacedSurface:
 
     @property
     def fixed_plane(self) -> bool:
-        """Whether it is a plane at rest without an edge: its frame is constant then, and the loop does not ask."""
-        return isinstance(self.section, PlaneSurface) and not self.moves and not self.ends
+        """Whether it is a plane at rest without an edge, or none: its frame is constant, and the loop does not ask."""
+        return isinstance(self.section, NoSurface) or (
+            isinstance(self.section, PlaneSurface) and not self.moves and not self.ends
+        )
 
     @property
     def ends(self) -> bool:

@@ -83,8 +83,15 @@ CONTACT_COLUMNS: dict[str, Column] = {
 }
 SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
 
+# What it has if there is a surface that its tip may touch; without one a `Run` answers with zeros.
+SURFACE_COLUMNS = (
+    "surface_normal", "slip_velocity", "contact_force", "stabiliser_force", "friction_force", "closure_error",
+    "closure_rate", "mode", "residual_closure",
+)  # fmt: skip
+
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 ALL_COLUMNS = COLUMNS | SOMETIMES
+_NOT_ALWAYS = {*SURFACE_COLUMNS, *SOMETIMES}
 POSITIONS = ("q", "reference_position")
 
 
@@ -95,11 +102,12 @@ def in_order(columns: Iterable[str]) -> list[str]:
 
 
 def columns_there(columns: Iterable[str], turns_freely: bool = False) -> dict[str, Column]:
-    """Return `COLUMNS`, and those of `SOMETIMES` that are among the columns of a run.
+    """Return `COLUMNS`, but of `SURFACE_COLUMNS` and `SOMETIMES` only those that are among the columns of a run.
 
     A robot that turns freely has other positions than velocities, see `robot_models.coordinates`.
     """
-    found = COLUMNS | {name: spec for name, spec in SOMETIMES.items() if name in columns}
+    there = set(columns)
+    found = {name: spec for name, spec in ALL_COLUMNS.items() if name in there or name not in _NOT_ALWAYS}
     if turns_freely:
         found |= {name: found[name]._replace(dims=("time", "coordinate")) for name in POSITIONS}
     return found

@@ -90,7 +90,7 @@ def _friction(at_tip: NDArray[np.float64], in_joints: NDArray[np.float64]) -> st
 
 def _rows_of_the_closure(run: Record) -> str:
     if np.all(run.mode == FREE):
-        return "no row: the tip is free"
+        return "no row: the tip is free" if run.scenario.has_surface else "no row: there is no surface"
     if np.any(run.mode == STUCK):
         return "three rows while the tip sticks"
     return f"one row, met to {np.max(run.residual_closure):.0e}"
@@ -100,7 +100,7 @@ def _contact(run: Record) -> str:
     """Return what decides whether contact was kept: how long the tip was off the surface, else the lowest force."""
     touching = run.mode != FREE
     if not np.any(touching):
-        return "free from start to end"
+        return "free from start to end" if run.scenario.has_surface else "there is no surface"
     held = np.where(touching, run.contact_force, np.inf)
     lowest = int(np.argmin(held))
     if np.all(touching) or not held[lowest] > 0.0:

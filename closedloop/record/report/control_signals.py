@@ -68,7 +68,8 @@ def signals_of(
 
     Contact is commanded where f_des > 0 (on a surface that can pull, where f_des is not zero), but for where the
     paper's law is led off the surface again by its path: by more than `RELEASE` from where it was nearest until
-    then. Where links have contacts and the tip never had one, nothing is commanded of the tip: its force moves the arm.
+    then. Without a surface, and where links have contacts and the tip never had one, nothing is commanded of the tip:
+    its force moves the arm.
 
     Parameters
     ----------
@@ -94,8 +95,8 @@ def signals_of(
         commanded = commanded & (gap <= nearest + RELEASE)
         tenth = min(max(1, len(gap) // 10), len(gap) - 1)
         approaching = bool(gap[-1] > RELEASE and nearest[-1] < nearest[-1 - tenth])
-    if scenario.contact and not np.any(touching):
-        commanded, led = np.zeros(len(force), dtype=bool), False
+    if (scenario.contact or not scenario.has_surface) and not np.any(touching):
+        commanded, led = np.zeros(len(force), dtype=bool), led and not scenario.contact
     sparse = scenario.time.integrator in ADAPTIVE and h > SPARSE
     return Signals(
         h, force, wanted, touching, commanded, approaching, off if led else None, tip, touching | (wanted == 0.0),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.contacts.soft import is_soft
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.contact_names import names_of
@@ -28,7 +29,7 @@ class ContactFaults(NamedTuple):
     cone : (k,) array
         The largest |F_t| − μ f, and −f, N; not below zero.
     complementarity : (k,) array
-        The largest |f| times the gap, N m.
+        The largest |f| times the gap, N m; zero of a soft one.
     """
 
     names: tuple[str, ...]
@@ -43,9 +44,10 @@ def contact_faults(run: Record) -> ContactFaults | None:
         return None
     f, rub = run.link_forces, run.link_frictions.reshape(len(run), len(sections), 2)
     mu = np.array([section.friction for section in sections])
+    soft = np.array([is_soft(section) for section in sections])
     outside = np.maximum(np.hypot(rub[..., 0], rub[..., 1]) - mu * f, -f)
     return ContactFaults(
-        names_of(sections), np.max(np.maximum(outside, 0.0), axis=0), np.max(np.abs(f * run.link_gaps), axis=0)
+        names_of(sections), np.max(np.maximum(outside, 0.0), axis=0), np.max(np.abs(f * run.link_gaps * ~soft), axis=0)
     )
 
 

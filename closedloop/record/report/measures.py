@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from closedloop.scenario.scenario import Scenario
+
 # The force has settled where it stays within this share of the largest f_des of the run.
 SETTLED = 0.02
 
@@ -50,6 +52,19 @@ MEASURES: dict[str, Measure] = {
     "step_error_position": Measure("m", "how far the step leaves the tip uncertain; none where it is not known"),
     "force_chatter": Measure("1", "share of the contact force that alternates from row to row"),
 }
+
+_OF_THE_TIP = (
+    "final_contact_force", "peak_contact_force", "min_contact_force", "max_stabiliser_force", "max_abs_closure_error",
+    "final_closure_error", "max_abs_closure_rate", "min_normal_mobility", "deepest_penetration", "time_in_contact",
+    "max_friction_force", "rms_force_error", "force_settled_at", "start_closure_error", "force_chatter",
+)  # fmt: skip
+
+
+def absent_measures(scenario: Scenario, own_law: bool = False) -> tuple[str, ...]:
+    """Return the measures that do not exist: without a surface those of the contact, without a law that of the path."""
+    without_law = ("rms_path_error",) if not (scenario.has_law or own_law) else ()
+    return without_law if scenario.has_surface else (*_OF_THE_TIP, *without_law)
+
 
 # Of each joint, in the robot's order; for a prismatic joint read m, m/s and N.
 JOINT_MEASURES: dict[str, Measure] = {

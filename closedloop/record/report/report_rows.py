@@ -32,7 +32,10 @@ def report_rows(run: Record) -> list[Row]:
     time = run.scenario.time
     scheme = scheme_of(time.integrator)
     step = "steps of its own" if time.integrator in ADAPTIVE else f"step {time.step:g} s"
-    return [
+    where_to = "along the surface" if run.scenario.has_surface else "across surface.normal"
+    has_law = run.scenario.has_law or run.law != "scenario"
+    path = [("path error, RMS", _shown(facts["rms_path_error"], ".2g"), "m", where_to)] if has_law else []
+    tip: list[Row] = [
         (
             "contact force f at the end",
             _shown(facts["final_contact_force"], ".9g"),
@@ -43,7 +46,7 @@ def report_rows(run: Record) -> list[Row]:
         *_undetermined_rows(facts),
         *_direction_rows(facts),
         ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "while it touches"),
-        ("path error, RMS", _shown(facts["rms_path_error"], ".2g"), "m", "along the surface"),
+        *path,
         ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
         (
             "closure error |e|" if run.scenario.compliance.kind == "none" else "depth in the surface |e|",
@@ -52,6 +55,9 @@ def report_rows(run: Record) -> list[Row]:
             f"{_shown(end, '.1g')} m at the end" if touching[-1] else f"a gap of {_shown(end, '.3g')} m at the end",
         ),
         ("closure rate |ė|", _shown(facts["max_abs_closure_rate"], ".2g"), "m/s", ""),
+    ]
+    return [
+        *(tip if run.scenario.has_surface else path),
         ("residual of Eq. 24", _shown(facts["max_kkt_residual"], ".1g"), "relative", "rounding is 1e-16"),
         (
             "energy unaccounted for",
@@ -179,10 +185,11 @@ def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
     if run.scenario.surface.contact == "bilateral":
         return rows
     cut = facts["largest_rate_cut"] or 0.0
-    rows += [
-        ("time in contact", _shown(facts["time_in_contact"], ".4g"), "s", f"of {run.time[-1]:g} s"),
-        ("deepest penetration", _shown(facts["deepest_penetration"], ".2g"), "m", ""),
-    ]
+    if run.scenario.has_surface:
+        rows += [
+            ("time in contact", _shown(facts["time_in_contact"], ".4g"), "s", f"of {run.time[-1]:g} s"),
+            ("deepest penetration", _shown(facts["deepest_penetration"], ".2g"), "m", ""),
+        ]
     if facts["events"]["impact"] or facts["events"]["touchdown"]:
         what = f"bounce cut: {cut:.2g} m/s" if cut > 0.0 else "no bounce was cut"
         if rested := facts["energy_taken_at_rest"]:

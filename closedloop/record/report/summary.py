@@ -18,7 +18,7 @@ from closedloop.record.report.control_signals import limited_joints, run_signals
 from closedloop.record.report.control_verdict import judge_control
 from closedloop.record.report.friction_direction import friction_off_slip
 from closedloop.record.report.halved import measured_step_error
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import Scale, energy_left, torque_power
 from closedloop.record.report.run_values import columns_of, run_values
@@ -167,7 +167,7 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
         found["step_error_force"] = found["step_error_position"] = None
     elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]):
         found["step_error_force"] = None
-    return found
+    return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
 
 
 def energy_balance(run: Record) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.measured import EVENTS_AT, FAILED_AT, WIDTH
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.step_error import why_not_known
 from closedloop.record.report.verdict import Facts, judge, names_of, outside_by_the_run, outside_by_the_scenario
@@ -46,8 +46,8 @@ def verdict_of(
     return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 
 
-def forget_step_error(scenario: Scenario, values: Array) -> None:
-    """Write NaN for the errors of the step where they are not known."""
-    if why_not_known(scenario, singular=False):
-        for name in ("step_error_force", "step_error_position"):
-            values[_AT[name]] = math.nan
+def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:
+    """Write NaN for the measures that do not exist, and for the errors of the step where they are not known."""
+    unknown = ("step_error_force", "step_error_position") if why_not_known(scenario, singular=False) else ()
+    for name in (*unknown, *absent_measures(scenario, own_law)):
+        values[_AT[name]] = math.nan

@@ -128,7 +128,7 @@ def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:
     """Return the names of the paper's assumptions that the scenario itself, with its robot, gives up.
 
     Friction at the tip gives up freedom from it, and, since a tip may stick with three rows, the one row; friction in
-    the joints the former; a unilateral contact that contact is kept.
+    the joints the former; a unilateral contact that contact is kept. Without a surface the tip closes no loop.
     """
     outside = set()
     if scenario.friction.kind != "none":
@@ -137,6 +137,8 @@ def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:
         outside.add("frictionless")
     if scenario.surface.contact == "unilateral":
         outside.add("contact_kept")
+    if not scenario.has_surface:
+        outside |= {"one_loop", "nonsingular"}
     return outside
 
 
@@ -219,7 +221,7 @@ def _energy(facts: Facts) -> dict[str, Any] | None:
 
 
 def _chatter(facts: Facts) -> dict[str, Any] | None:
-    force = _number(facts.measures["force_chatter"])
+    force = _number(facts.measures["force_chatter"]) if facts.scenario.has_surface else 0.0
     joints = [_number(share) for share in facts.joints["torque_chatter"]]
     said, time = [], facts.scenario.time
     own_steps = time.integrator in ADAPTIVE and time.step > NOMINAL_STEP
@@ -239,7 +241,7 @@ def _chatter(facts: Facts) -> dict[str, Any] | None:
 
 def _closure(facts: Facts) -> dict[str, Any] | None:
     m = facts.measures
-    if facts.scenario.compliance.kind != "none":
+    if facts.scenario.compliance.kind != "none" or not facts.scenario.has_surface:
         return None  # a soft surface gives way
     bound = CLOSURE_BOUND + abs(m["start_closure_error"] or 0.0)
     error, depth = _number(m["max_abs_closure_error"]), _number(m["deepest_penetration"])

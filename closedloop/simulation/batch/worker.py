@@ -28,12 +28,13 @@ from closedloop.jit.simd8 import WIDE
 from closedloop.loop.step.record_row import Row, recorded
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
+from closedloop.record.columns.recorded import SURFACE_COLUMNS
 from closedloop.record.report.limited import count_limited
 from closedloop.record.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
 from closedloop.record.report.step_error import resolution_of
-from closedloop.record.report.tabled import forget_step_error, verdict_of
+from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.modes import unresolved
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import positions_told
@@ -218,7 +219,7 @@ class Worker:
         rows = lane_runs.rows(lane)
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
-        forget_step_error(scenario, values)
+        forget_absent(scenario, values)
         verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
         control = control_in_lanes(lane_runs, lane, scenario)
         return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
@@ -237,7 +238,7 @@ class Worker:
                 robot, (work, np.empty(Tally.count(n))), rows, wanted, problem.h,
                 joint_limits(problem.robot.model), events, values,
             )  # fmt: skip
-            forget_step_error(problem.scenario, values)
+            forget_absent(problem.scenario, values, self.law is not None)
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
         columns = {
@@ -245,6 +246,8 @@ class Worker:
             for name in self._keep
         }
         columns |= positions_told(problem, columns)
+        if not problem.scenario.has_surface:
+            columns |= {name: np.full_like(columns[name], math.nan) for name in SURFACE_COLUMNS if name in columns}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
         if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
             values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was

@@ -13,6 +13,7 @@ from closedloop.jit.pointers import address_of
 from closedloop.mechanics.contacts.memory import ContactMemory, make_contact_memory
 from closedloop.mechanics.contacts.modes import HOVERING
 from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.contacts.soft import compliances_of, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.loops.bind import link_poses
@@ -44,6 +45,11 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
     contacts.joint[points:] = stops
     if isinstance(scenario.friction, SurfaceCoulomb) and scenario.surface.contact == "unilateral":
         contacts.mu[0] = scenario.friction.coefficient
+    compliances = compliances_of(scenario.compliance, sections, names_of(sections), points + len(stops))
+    if compliances.members:
+        contacts.soft[list(compliances.members)] = 1.0
+        links.compliances = address_of(compliances.addresses)
+        links.keep_alive(compliances=compliances)
     if surfaces := surfaces_of(sections, names_of(sections)):
         asked = contact_surfaces(surfaces, points + len(stops))
         links.surfaces = address_of(asked.addresses)
@@ -116,10 +122,10 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
         if section.link == section.against:
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
     sides = rows_of(sections, robot).links.kept["bound"].sides.reshape(4, -1)[:, ::3]
-    for i, (name, gap) in enumerate(zip(names, start_gaps(sections, robot, q), strict=True)):
+    for i, (name, section, gap) in enumerate(zip(names, sections, start_gaps(sections, robot, q), strict=True)):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
-        if gap < -HOVERING:
+        if gap < -HOVERING and not is_soft(section):
             raise ScenarioError(
                 f"contact {name!r}: the point starts {-gap:.4g} m inside the surface: start it outside, or move the "
                 "surface with through"
@@ -150,7 +156,6 @@ def _refuse_together(scenario: Scenario) -> None:
     kind = scenario.friction.kind
     tip = scenario.friction.sticks == "elastic" if bilateral else kind in ("none", "coulomb")
     for key, wrong, right in (
-        ("compliance.kind", scenario.compliance.kind != "none", "none"),
         (f"friction.kind = {kind!r}", not tip, "none or one without sticking" if bilateral else "none or coulomb"),
         ("joint_friction.kind", scenario.joint_friction.sticks == "rigid", "none, or one that sticks as a spring"),
         ("stabiliser.kind", scenario.stabiliser.kind in ("projection", "both"), "baumgarte or none"),

@@ -25,9 +25,11 @@ from closedloop.loop.step.record_row import ContactRow
 from closedloop.loop.step.seen import read_joints
 from closedloop.loop.step.soft_contact import compliance_entry
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.contacts.sections import AS_IMPACT
 from closedloop.mechanics.friction.law import Slip
 from closedloop.mechanics.friction.laws.none import NoFriction
-from closedloop.mechanics.impact.restitution import coefficient_at
+from closedloop.mechanics.impact import RATIOS
+from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.simulation.engines.bind_contacts import contact_memory, starts_closed
@@ -125,6 +127,7 @@ class Problem(ScenarioNumbers):
         if loop.state.contacts_at != 0:
             links = loop.w.kept["contacts"].links
             entries += [contacts_in_step, *(links.kept["surfaces"].entries() if links.surfaces != 0 else [])]
+            entries += links.kept["compliances"].entries() if links.compliances != 0 else []
         return entries
 
     def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
@@ -166,13 +169,15 @@ class Problem(ScenarioNumbers):
             links = loop.w.kept["contacts"].links
             if links.surfaces != 0:
                 links.kept["surfaces"].connect(address)
+            if links.compliances != 0:
+                links.kept["compliances"].connect(address)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:
             user_law(compiled)
 
     def set_restitution(self, loop: Loop) -> None:
-        """Write into a loop's memory the coefficient of restitution of the impact at which it stands.
+        """Write into a loop's memory the law and the coefficient of restitution of the impact at which it stands.
 
         Raises
         ------
@@ -180,10 +185,14 @@ class Problem(ScenarioNumbers):
             If a user's law gives none.
         """
         i, t = int(loop.state.striking), float(loop.w.time)
-        given = self.scenario.impact.restitution
+        given, law, where = self.scenario.impact.restitution, self.restitution, "impact.law"
         if loop.state.together and i > 0:
-            given = (self.scenario.contact or ())[i - 1].restitution
+            contact = (self.scenario.contact or ())[i - 1]
+            given = contact.restitution
+            if contact.restitution_law != AS_IMPACT:
+                law, where = RESTITUTIONS[contact.restitution_law], f"contact.{i - 1}.restitution_law"
+        loop.state.impact_law = RATIOS[law.ratio_of]
         try:
-            loop.constants.restitution = coefficient_at(self.restitution, given, -float(loop.w.before[0]))
+            loop.constants.restitution = coefficient_at(law, given, -float(loop.w.before[0]), where)
         except ScenarioError as error:
             raise LawError(f"stopped at t = {t:.6g} s: {error}", t) from error.__cause__

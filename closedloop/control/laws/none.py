@@ -1,0 +1,35 @@
+"""[law] kind = "none": no torque, so that gravity and what touches the bodies move them."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.base.sections import Nothing
+from closedloop.control.law import ControlLaw
+from closedloop.control.law_input import LawInput
+
+Array = NDArray[np.float64]
+
+
+class NoLaw(ControlLaw):
+    """[law] kind = "none": no torque on any joint, Q = 0."""
+
+    states: ClassVar[tuple[str, ...]] = ()
+
+    force: Nothing = Field(0.0, description="left out: nothing presses")
+    force_feedback: Nothing = Field(0.0, description="left out: nothing is controlled")
+    force_integral: Nothing = Field(0.0, description="left out: nothing is controlled")
+
+    @staticmethod
+    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
+        """Write zeros."""
+        for j in range(torque.shape[0]):
+            torque[j] = 0.0
+
+    @staticmethod
+    def rates(x: LawInput, par: Any, z: Any, f: float, torque: Array, dz: Any) -> None:
+        """Write nothing: it has no states."""

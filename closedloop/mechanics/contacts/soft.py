@@ -1,0 +1,130 @@
+"""Contacts whose surface gives way: f is a function of depth and speed (`closedloop.mechanics.surface.compliance`).
+
+In the problems of several contacts such a contact is like any other, but that its normal row is its own: with f known,
+its part of all other rows is in their free acceleration, and
+
+    u̇_n = −w f_known + w f
+
+so that every method finds f = f_known, with friction in the cone of that f. There is no impulse along its normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.base.families import is_users
+from closedloop.jit.calls import Entry, call_at
+from closedloop.jit.kernel import kernel
+from closedloop.jit.parameters import pack, parameter_block
+from closedloop.jit.pointers import address_of, integers_at, vector_at
+from closedloop.jit.user_code import function_of, member_entry
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.contacts.memory import LINE, ContactLinks, Contacts
+from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.surface.compliance import Compliance
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# What stands before the parameters of a compliance: depth, m, its rate, m/s, and the force, N, that the entry writes.
+ASKED = 3
+# N/m by which a gap becomes a force, for the event function alone: its sign decides.
+AS_FORCE = 1e6
+
+
+@cache
+def depth_entry(member: type[Compliance]) -> Entry:
+    """Return the entry of a compliance at an address of `ASKED` numbers and its parameters."""
+    Parameters, force = parameter_block(member), function_of(member, "force")
+    size = ASKED + Parameters.count(1)
+
+    def entry(address: int, what: int) -> int:
+        asked = vector_at(address, size)
+        asked[2] = force(asked[0], asked[1], Parameters(asked[3:], 1))
+        return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_depth_{member.__name__}"
+    return member_entry(entry, member)
+
+
+class ContactCompliances(NamedTuple):
+    """The compliances of k contacts as the loop reads them: addresses of entry and memory, and what they are of."""
+
+    addresses: IntArray  # (2 k,), zero of a rigid one
+    members: dict[int, tuple[Compliance, Array]]  # by the number of the contact
+
+    def entries(self) -> list[Any]:
+        """Return the entry kernels of the compliances."""
+        return [depth_entry(type(section)) for section, _ in self.members.values()]
+
+    def connect(self, address: Callable[[Any], int]) -> None:
+        """Write where the entries are, by what gives the address of one."""
+        for i, (section, memory) in self.members.items():
+            self.addresses[2 * i : 2 * i + 2] = address(depth_entry(type(section))), address_of(memory)
+
+
+def is_soft(section: ContactSection) -> bool:
+    """Whether the surface of a contact gives way."""
+    return section.compliance is not None and section.compliance.kind != "none"
+
+
+def compliances_of(
+    tip: Compliance, sections: tuple[ContactSection, ...], names: tuple[str, ...], k: int
+) -> ContactCompliances:
+    """Return the compliances of k contacts, that of the tip's the first.
+
+    Raises
+    ------
+    ScenarioError
+        If one is of a class of the user's own.
+    """
+    members: dict[int, tuple[Compliance, Array]] = {}
+    places = ["compliance", *(f"contact {name!r}: compliance" for name in names)]
+    for i, (own, where) in enumerate(zip((tip, *(each.compliance for each in sections)), places, strict=True)):
+        if own is None or own.kind == "none":
+            continue
+        if is_users(own):
+            raise ScenarioError(f"{where}.kind = {own.kind!r}: must be one that ships, beside several contacts")
+        members[i] = own, np.concatenate([np.zeros(ASKED), pack(own, 1, where)])
+    return ContactCompliances(np.zeros(2 * k, dtype=np.int64), members)
+
+
+@kernel
+def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
+    """Write f of the soft contacts that touch, of their gaps and rates, and make their normal rows their own.
+
+    Mobility W, free acceleration a and what the stabiliser asks for, b, are those of all contacts before.
+    """
+    if links.compliances == 0:
+        return
+    m, where = 3 * links.k, integers_at(links.compliances, 2 * links.k)
+    for i in range(links.k):
+        if c.soft[i] == 0.0:
+            continue
+        n, f = 3 * i, 0.0
+        if c.mode[i] != FREE or c.located[n] <= 0.0:
+            asked = vector_at(where[2 * i + 1], ASKED)
+            asked[0], asked[1] = -c.located[n], -c.u[n]
+            call_at(where[2 * i], where[2 * i + 1], 0)
+            f = asked[2] if c.kind[i] == LINE else max(asked[2], 0.0)
+        own = max(c.W[n, n], c.W[n + 1, n + 1], c.W[n + 2, n + 2])
+        for j in range(m):
+            c.a[j] += c.W[j, n] * f
+            c.W[j, n], c.W[n, j] = 0.0, 0.0
+        c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
+
+
+@kernel
+def soft_margin(c: Contacts, i: int) -> float:
+    """Return what is left until a soft contact ends, in N: it does where its depth does.
+
+    Just after it began the gap may be a rounding above zero: what moves into the surface is in contact.
+    """
+    left = -AS_FORCE * c.located[3 * i]
+    return float(left if c.u[3 * i] > 0.0 else max(left, 0.0))

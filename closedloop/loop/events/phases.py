@@ -50,9 +50,9 @@ RESTING = 1e-11
 RAPID, MAX_RAPID = 1e-12, 20
 MAX_IN_STEP = 2000
 OUTPACED = 100
-# In runs with contacts of links a step is divided if a joint is faster than the first, rad/s (m/s), and would turn by more
-# than the second in it, rad (m). A body on three revolute joints turns them fast where two of their axes are nearly parallel;
-# the bounds keep its energy to 1e-9 with rk4.
+# In runs with contacts of links a step is divided where a joint is faster than the first, rad/s (m/s), and would turn
+# by more than the second in it, rad (m): a body on three revolute joints turns them fast where two of their axes are
+# nearly parallel, and rk4 is to leave its energy to 1e-9.
 FAST, LARGEST_TURN = 20.0, 0.02
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36

@@ -156,7 +156,10 @@ def run_to(problem: Problem, row: int) -> Instant:
     values = {name: np.array(getattr(w, name)) for name in KEPT}
     if state.encoder != NO_ENCODER and state.phase == MEASURED:
         values |= {"q": np.array(w.true_q), "v": np.array(w.true_v)}
-    z = {name: np.array(w.z[where]) for name, where in parts_of(problem).items()}
+    before = np.array(w.z)
+    if row == 0 and state.states_at != 0:  # the law's states as it has started them, which the row has
+        before[: state.law_states] = stepper.rows[0, state.states_at : state.states_at + state.law_states]
+    z = {name: before[where] for name, where in parts_of(problem).items()}
     return Instant(row * h, int(state.mode), values, z, float(w.measured), force)
 
 

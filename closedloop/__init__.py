@@ -11,6 +11,7 @@ Simulate
     Simulator, StepState                          the same step by step, driven from outside
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, what happened to the contact, a run file
+    compare                                       several laws or scenarios under the same variations
     linearise                                     the force loop as a linear system: poles, margins, the port
     figures, lab                                  what of a run can be drawn; a page with sliders on which it answers
 Build
@@ -82,6 +83,7 @@ if TYPE_CHECKING:
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
     from closedloop.studies.analysis.linearise import linearise as linearise
+    from closedloop.studies.comparison.compare import compare as compare
     from closedloop.studies.sweep import sweep_plot as sweep_plot
 
 _HOME = {
@@ -114,6 +116,7 @@ _HOME = {
     "SurfaceMotion": "mechanics.surface.motion",
     "StepState": "simulation.state",
     "Terms": "mechanics.robot.pinocchio",
+    "compare": "studies.comparison.compare",
     "figures": "figures",
     "halve": "simulation.halve",
     "lab": "lab.start",

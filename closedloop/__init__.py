@@ -11,6 +11,8 @@ Simulate
     Simulator, StepState                          simulate step by step, from your own program
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, a change of the contact, read a run file
+    Run, Event, load_run                          the record, what happened to the contact, a run file
+    compare                                       several laws or scenarios under the same variations
     linearise                                     the force loop as a linear system: poles, margins, the port
     figures, lab                                  figures of a run; a page with sliders that simulates again
 Build
@@ -86,6 +88,7 @@ if TYPE_CHECKING:
     from closedloop.studies.analysis.linearise import linearise as linearise
     from closedloop.studies.identify.identify import identify as identify
     from closedloop.studies.identify.log import Log as Log
+    from closedloop.studies.comparison.compare import compare as compare
     from closedloop.studies.sweep import sweep_plot as sweep_plot
 
 _HOME = {
@@ -119,6 +122,7 @@ _HOME = {
     "SurfaceMotion": "mechanics.surface.motion",
     "StepState": "simulation.state",
     "Terms": "mechanics.robot.pinocchio",
+    "compare": "studies.comparison.compare",
     "figures": "figures",
     "halve": "simulation.halve",
     "identify": "studies.identify.identify",

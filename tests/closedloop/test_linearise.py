@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
+from scipy.linalg import expm
 
 import closedloop as cl
 from closedloop.simulation.prepare import prepare
@@ -129,6 +130,23 @@ def test_a_rigid_surface_answers_with_the_laws_stiffness():
     assert not any(state.part == "contact" for state in loop.states)
 
 
+def test_delay_and_sampling():
+    """With the plant's exact hold P(z) the poles are the roots of (z − 1) z^d + K h P(z), d the delay and a sample."""
+    h, delayed, K = 0.002, 3, 15.0
+    loop = cl.linearise(mass_on_a_spring(gain=K, time__step=h, sensor__delay=delayed * h, law__sample_period=h))
+    both = np.zeros((3, 3))
+    both[:2] = [[0.0, 1.0, 0.0], [-STIFFNESS / MASS, -DAMPING / MASS, 1.0 / MASS]]
+    step, c = expm(h * both), np.array([[STIFFNESS, DAMPING]])
+    den = np.poly(step[:2, :2])
+    num = np.poly(step[:2, :2] - step[:2, 2:] @ c) - den  # c adj(z − A) b = det(z − A + b c) − det(z − A)
+    found = sorted_by([pole.z for pole in normal_poles(loop)])
+    for late, same in ((delayed + 1, True), (delayed, False)):
+        characteristic = np.polyadd(np.polymul(np.append([1.0, -1.0], np.zeros(late)), den), K * h * num)
+        wanted = sorted_by(np.roots(characteristic))
+        assert (found.size == wanted.size and np.allclose(found, wanted, rtol=0, atol=1e-9)) is same
+
+
+@pytest.mark.slow
 def test_delay_and_sampling_against_python_control():
     """The sampled loop with a delay, built of the plant's exact hold and of shifts: the same poles and margins."""
     control = pytest.importorskip("control")
@@ -148,7 +166,8 @@ def test_delay_and_sampling_against_python_control():
     assert margins.gain == pytest.approx(gain, rel=1e-4)
     assert margins.phase == pytest.approx(phase, rel=1e-4)
     assert 2 * math.pi * margins.phase_at == pytest.approx(at_phase, rel=1e-4)
-    assert margins.peak_sensitivity == pytest.approx(1.0 / control.stability_margins(cut)[2], rel=1e-3)
+    at = np.exp(2j * math.pi * h * np.linspace(margins.peak_at - 1.0, margins.peak_at + 1.0, 2001))
+    assert margins.peak_sensitivity == pytest.approx(1.0 / np.min(np.abs(1.0 + cut(at))), rel=1e-6)
     whole = loop.to_control()
     np.testing.assert_allclose(sorted_by(whole.poles())[-3:], sorted_by(np.linalg.eigvals(loop.A))[-3:])
     assert whole.input_labels == [each.name for each in loop.inputs]
@@ -212,13 +231,19 @@ def test_small_steps_of_the_run(case):
     assert np.max(np.abs(seen)) > 0.5
 
 
-@pytest.mark.parametrize("name", ["soft_table", "wam_hybrid_friction"])
-def test_a_run_that_goes_on_is_the_run(name):
-    """What is run on from an instant is the rest of the run, to the last bit."""
+@pytest.mark.parametrize(("name", "row"), [("soft_table", 1200), ("wam_hybrid_friction", 1200), ("joint_friction", 0)])
+def test_a_run_that_goes_on_is_the_run(name, row):
+    """What is run on from an instant is the rest of the run, to the last bit; at t = 0 the law has started."""
     scenario = cl.load_scenario(name, {"time.duration": 7.0, "law.force_integral": 10.0})
     problem = prepare(scenario)
-    on = run_on(problem, instant_of(scenario, problem, 1.2), 50)
-    assert np.array_equal(on, cl.simulate(scenario, progress=False).contact_force[1200:1250])
+    on = run_on(problem, instant_of(scenario, problem, row * 0.001), 50)
+    assert np.array_equal(on, cl.simulate(scenario, progress=False).contact_force[row : row + 50])
+
+
+def test_a_tip_that_has_all_but_stopped_has_no_linear_loop():
+    """Friction that is about to turn has no derivative, at a slip of 1e-10 m/s: it is refused, not made up."""
+    with pytest.raises(cl.SimulationError, match="the contact is about to change, or friction to turn"):
+        cl.linearise(cl.load_scenario("wam_hybrid_friction"), at=8.0)
 
 
 def test_a_torque_that_disturbs_the_run():

@@ -40,8 +40,13 @@ KEPT = (
 PARTS = ("law", "compensation", "filter", "friction", "joint friction", "transmission")
 
 
+# Two steps whose differences are further apart than this share, at the best, show a function that has no derivative: of
+# those that have one they are nearer than a millionth. A first step whose differences are so near is short enough.
+KINK, NEAR = 1e-2, 1e-6
+
+
 class EventHere(Exception):
-    """The contact changes its mode at the state that was evaluated."""
+    """The contact changes its mode at the state that was evaluated, or the forces have no derivative there."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +156,10 @@ def run_to(problem: Problem, row: int) -> Instant:
     values = {name: np.array(getattr(w, name)) for name in KEPT}
     if state.encoder != NO_ENCODER and state.phase == MEASURED:
         values |= {"q": np.array(w.true_q), "v": np.array(w.true_v)}
-    z = {name: np.array(w.z[where]) for name, where in parts_of(problem).items()}
+    before = np.array(w.z)
+    if row == 0 and state.states_at != 0:  # the law's states as it has started them, which the row has
+        before[: state.law_states] = stepper.rows[0, state.states_at : state.states_at + state.law_states]
+    z = {name: before[where] for name, where in parts_of(problem).items()}
     return Instant(row * h, int(state.mode), values, z, float(w.measured), force)
 
 
@@ -392,7 +400,7 @@ def derivative(function: Any, step: float, value: dict[str, Array], most: int = 
     Raises
     ------
     EventHere
-        If no step stays clear of a change of mode.
+        If no step stays clear of a change of mode, or there is no derivative.
     """
     best, least = None, np.inf
     for _ in range(most):
@@ -408,10 +416,10 @@ def derivative(function: Any, step: float, value: dict[str, Array], most: int = 
             apart = max(apart, float(np.max(np.abs(x - wide[name]), initial=0.0)) / (size + rounding / 1e-7 + 1e-300))
         if apart < least:
             best, least = {name: (4.0 * x - wide[name]) / 3.0 for name, x in near.items()}, apart
-        if apart < 1e-6:
+        if apart < NEAR:
             break
         step *= 0.1
-    if best is None:
+    if best is None or least > KINK:
         raise EventHere
     return best
 

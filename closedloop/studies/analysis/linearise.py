@@ -107,8 +107,8 @@ def loop_at(problem: Problem, instant: Instant, free: bool = False) -> LinearLoo
         return _Assembly(problem, instant, free).loop()
     except EventHere:
         raise SimulationError(
-            f"linearise: the contact is about to change at t = {instant.time:g} s, where there is no linear loop; take "
-            "another instant",
+            f"linearise: at t = {instant.time:g} s the contact is about to change, or friction to turn: there is no "
+            "linear loop; take another instant",
             instant.time,
         ) from None
 

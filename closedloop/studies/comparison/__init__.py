@@ -1,0 +1,1 @@
+"""Several scenarios under the same variations: one table, one figure."""

@@ -1,0 +1,157 @@
+"""Several laws, or tunings, or scenarios side by side, each run under the same variations.
+
+The variations are the same for all, value by value and seed by seed, so that two laws meet the same friction, the same
+surface and the same noise, and differences of a row are differences of the laws.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from closedloop.base.errors import ScenarioError
+from closedloop.scenario.load import load_scenario
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.batch.simulate_batch import simulate_batch
+from closedloop.simulation.engines.loops import COMPILED
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+# Values of the summary that are compared, if none are named.
+OF = ("rms_force_error", "peak_contact_force", "rms_path_error", "force_chatter", "max_joint_torque")
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What came of a comparison.
+
+    Attributes
+    ----------
+    runs : DataFrame
+        A row for each run: `scenario`, the keys that vary, status, both verdicts, and the values compared.
+    of : tuple of str
+        The values compared.
+    units : dict of str to str
+        Their units.
+    """
+
+    runs: pd.DataFrame
+    of: tuple[str, ...]
+    units: dict[str, str]
+
+    def table(self) -> pd.DataFrame:
+        """Return a row for each scenario: how many runs it has, how many are good, the median and the worst values.
+
+        Good is a run that is done with both verdicts good. The worst is the largest; a run without a value has none.
+        """
+        rows = {}
+        for name, runs in self.runs.groupby("scenario", sort=False):
+            good = (runs["status"] == "done") & (runs["verdict"] == "good") & (runs["control_verdict"] == "good")
+            row: dict[str, Any] = {"runs": len(runs), "good": int(good.sum())}
+            for each in self.of:
+                values = runs[each]
+                row[f"{each}, median"], row[f"{each}, worst"] = values.median(), values.max()
+            rows[name] = row
+        import pandas as pd
+
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("scenario")
+
+    def figure(self) -> Figure:
+        """Return a figure: for each value a point a run, the scenarios beside one another, and a bar at the median."""
+        import matplotlib as mpl
+
+        from closedloop.figures.style import MANY, STYLE, new_figure
+
+        names = list(dict.fromkeys(self.runs["scenario"]))
+        with mpl.rc_context(cast(Any, STYLE)):
+            figure = new_figure(1.0 + 1.3 * len(self.of))
+            panels = np.atleast_1d(figure.subplots(len(self.of), 1, sharex=True))
+            for axes, each in zip(panels, self.of, strict=True):
+                for place, name in enumerate(names):
+                    values = self.runs.loc[self.runs["scenario"] == name, each].to_numpy()
+                    spread = place + np.linspace(-0.25, 0.25, values.size) if values.size > 1 else [place]
+                    axes.plot(spread, values, "o", color=MANY[place % len(MANY)], markersize=3)
+                    if np.any(np.isfinite(values)):
+                        axes.plot([place - 0.3, place + 0.3], [np.nanmedian(values)] * 2, "k-", linewidth=1.6)
+                unit = self.units.get(each, "")
+                axes.set_ylabel(f"{each}\n[{unit}]" if unit else each, fontsize=8)
+            panels[-1].set_xticks(range(len(names)), names)
+            panels[0].set_title("each point a run, under the same variations; bars: medians")
+        return figure
+
+
+def compare(
+    scenarios: Mapping[str, Scenario] | Sequence[Scenario | str],
+    over: Mapping[str, Sequence[Any]] | None = None,
+    *,
+    of: Sequence[str] = OF,
+    engine: str = COMPILED,
+    workers: int | None = None,
+) -> Comparison:
+    """Run several scenarios under the same variations and return what came of them.
+
+    Parameters
+    ----------
+    scenarios : mapping, or sequence
+        Scenarios by the names that they are to have, or scenarios and names for `load_scenario`.
+    over : mapping of str to sequence, optional
+        Keys and their values, every one with every other, such as ``{"friction.coefficient": [0.2, 0.4, 0.6],
+        "sensor.seed": [0, 1, 2]}``; once as they are if left out.
+    of : sequence of str
+        Values of `Run.summary`; of one that is a number for each joint, the largest in size is compared.
+    engine, workers
+        See `simulate_batch`.
+
+    Raises
+    ------
+    ScenarioError
+        If there are none, two have one name, a key is unknown to one of them, or there is no such value.
+    """
+    import pandas as pd
+
+    named = _named(scenarios)
+    tables = []
+    units: dict[str, str] = {}
+    for name, scenario in named.items():
+        changes = dict(over) if over else {"time.duration": [scenario.time.duration]}
+        try:
+            table = simulate_batch(scenario, changes, grid=True, engine=engine, workers=workers)
+        except ScenarioError as error:
+            raise ScenarioError(f"compare: {error}") from None
+        if lacking := [each for each in of if each not in table.column_names]:
+            raise ScenarioError(f"compare: of = {', '.join(lacking)}: no value of a run's summary")
+        units |= {each: ((table.schema.field(each).metadata or {}).get(b"units") or b"").decode() for each in of}
+        frame = table.select([*(over or ()), "status", "verdict", "control_verdict", "reason", *of]).to_pandas()
+        for each in of:
+            frame[each] = [_one_number(value) for value in frame[each]]
+        frame.insert(0, "scenario", name)
+        tables.append(frame)
+    return Comparison(pd.concat(tables, ignore_index=True), tuple(of), units)
+
+
+def _one_number(value: Any) -> float:
+    """Return a value as a number; NaN where there is none."""
+    if value is None:
+        return math.nan
+    return float(np.max(np.abs(value))) if np.ndim(value) else float(value)
+
+
+def _named(scenarios: Mapping[str, Scenario] | Sequence[Scenario | str]) -> dict[str, Scenario]:
+    if isinstance(scenarios, Mapping):
+        found = dict(scenarios)
+    else:
+        loaded = [load_scenario(each) if isinstance(each, str) else each for each in scenarios]
+        found = {each.name: each for each in loaded}
+        if len(found) < len(loaded):
+            raise ScenarioError(
+                "compare: two of the scenarios have one name; give a mapping, such as {'paper': ..., 'hybrid': ...}"
+            )
+    if not found:
+        raise ScenarioError("compare: there are no scenarios to compare")
+    return found

@@ -1,0 +1,78 @@
+"""Several scenarios under the same variations."""
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+
+OVER = {"friction.coefficient": [0.1, 0.3], "law.force": [8.0, 10.0]}
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    """Return the comparison of two laws over friction and force."""
+    both = {
+        name: cl.load_scenario(
+            "wam_slide", {"time.duration": 1.0, "friction.kind": "coulomb", "friction.coefficient": 0.2, **changes}
+        )
+        for name, changes in {"paper": {}, "integral": {"law.force_integral": 50.0}}.items()
+    }
+    return cl.compare(both, OVER)
+
+
+def test_all_meet_the_same_variations(comparison):
+    """Each has every value of a key with every other, and its runs are those of `simulate`."""
+    runs = comparison.runs
+    assert list(runs["scenario"]) == ["paper"] * 4 + ["integral"] * 4
+    assert [tuple(row) for row in runs[list(OVER)].to_numpy()[:4]] == [(0.1, 8.0), (0.1, 10.0), (0.3, 8.0), (0.3, 10.0)]
+    assert np.array_equal(runs[list(OVER)].to_numpy()[:4], runs[list(OVER)].to_numpy()[4:])
+    alone = cl.simulate(
+        cl.load_scenario("wam_slide", {
+            "time.duration": 1.0, "friction.kind": "coulomb", "friction.coefficient": 0.3, "law.force": 8.0,
+            "law.force_integral": 50.0,
+        }), progress=False, engine="compiled",
+    )  # fmt: skip
+    assert runs["rms_force_error"][6] == pytest.approx(alone.summary()["rms_force_error"], rel=1e-9)
+
+
+def test_table_and_figure(comparison):
+    """A row each with the median and the worst, and a panel for each value with a point a run."""
+    table = comparison.table()
+    assert list(table.index) == ["paper", "integral"]
+    mine = comparison.runs[comparison.runs["scenario"] == "integral"]["rms_force_error"]
+    assert table.loc["integral", "rms_force_error, worst"] == mine.max()
+    assert table.loc["integral", "rms_force_error, median"] == mine.median()
+    assert list(table["runs"]) == [4, 4]
+    figure = comparison.figure()
+    assert len(figure.axes) == len(comparison.of)
+    assert comparison.units["peak_contact_force"] == "N"
+    assert "[N]" in figure.axes[1].get_ylabel()
+
+
+def test_once_as_they_are():
+    """Without variations each runs once, under its own name."""
+    runs = cl.compare(["planar2_slide"], of=["rms_force_error"]).runs
+    assert list(runs["scenario"]) == ["planar2_slide"]
+    run = cl.simulate(cl.load_scenario("planar2_slide"), progress=False, engine="compiled")
+    assert runs["rms_force_error"][0] == pytest.approx(run.summary()["rms_force_error"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("scenarios", "over", "of", "why"),
+    [
+        ([], None, ["rms_force_error"], "compare: there are no scenarios to compare"),
+        (["planar2_slide"] * 2, None, ["rms_force_error"], "compare: two of the scenarios have one name"),
+        (
+            ["planar2_slide"],
+            {"law.nothing": [1.0]},
+            ["rms_force_error"],
+            "compare: planar2_slide: unknown key 'law.nothing'",
+        ),
+        (["planar2_slide"], None, ["beauty"], "compare: of = beauty: no value of a run's summary"),
+    ],
+)
+def test_what_cannot_be_compared(scenarios, over, of, why):
+    """Each is one line."""
+    with pytest.raises(cl.ScenarioError) as caught:
+        cl.compare(scenarios, over, of=of)
+    assert str(caught.value).startswith(why)

@@ -17,7 +17,7 @@ TERMS = ("viscous", "dry", "offset", "stribeck", "drive_inertia")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop identify", _main, arguments)
+    return run_command("closedloop", _main, arguments)
 
 
 def _main(words: list[str]) -> int:

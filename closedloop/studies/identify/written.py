@@ -135,7 +135,7 @@ def torque_figure(found: Identification) -> Figure:
         axes[j].plot(found.time, unsure[:, j] * found.measured[:, j], color="0.75", lw=2.5, label="not counted")
         axes[j].set_ylabel("torque, N m")
         axes[j].set_title(f"{name}: {100 * found.held_out[j]:.1f} % where not fitted")
-    axes[0].legend(ncol=4, fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncol=4, fontsize=8)
     axes[-1].set_xlabel("time, s")
     return figure
 

@@ -11,7 +11,6 @@ Simulate
     Simulator, StepState                          simulate step by step, from your own program
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, a change of the contact, read a run file
-    Run, Event, load_run                          the record, what happened to the contact, a run file
     compare                                       several laws or scenarios under the same variations
     linearise                                     the force loop as a linear system: poles, margins, the port
     figures, lab                                  figures of a run; a page with sliders that simulates again
@@ -86,9 +85,9 @@ if TYPE_CHECKING:
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
     from closedloop.studies.analysis.linearise import linearise as linearise
+    from closedloop.studies.comparison.compare import compare as compare
     from closedloop.studies.identify.identify import identify as identify
     from closedloop.studies.identify.log import Log as Log
-    from closedloop.studies.comparison.compare import compare as compare
     from closedloop.studies.sweep import sweep_plot as sweep_plot
 
 _HOME = {

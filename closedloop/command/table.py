@@ -39,6 +39,7 @@ COMMANDS = (
     Command("sweep", "run a scenario many times, into a table", "closedloop.command.sweep:as_process", "scenario"),
     Command("study", "run a study: drift, controllers", "closedloop.command.study:main"),
     Command("analyse", "margins, poles and limits of the force loop", "closedloop.command.analyse:main", "scenario"),
+    Command("identify", "find a robot's parameters from a log", "closedloop.command.identify:main"),
     Command("validate", "compare the simulator with other engines", "validation.run:main"),
     Command("robots", "list the robots, or show one: joints, frames", "closedloop.command.robots:main", "robot"),
     Command("scenarios", "list the scenarios of the package", "closedloop.command.lists:scenarios"),

@@ -34,9 +34,9 @@ from validation.measured.judged import Judged, add_parameters, add_torques
 Array = NDArray[np.float64]
 
 STEP = 0.004  # s
-RATIOS = np.array([1798 / 7, 1872 / 7, 757 / 3, 221.0, 5032 / 21, 206793 / 1340])
-MOTORS = np.array([0.00923, 0.0118, 0.0118, 0.00173, 0.00173, 0.00173])  # kg m², published
-START = np.array([0.0, -np.pi / 2.0, np.pi / 2.0, 0.0, 0.0, 0.0])  # where the angles of the log are zero
+RATIOS: Array = np.array([1798 / 7, 1872 / 7, 757 / 3, 221.0, 5032 / 21, 206793 / 1340])
+MOTORS: Array = np.array([0.00923, 0.0118, 0.0118, 0.00173, 0.00173, 0.00173])  # kg m², published
+START: Array = np.array([0.0, -np.pi / 2.0, np.pi / 2.0, 0.0, 0.0, 0.0])  # where the angles of the log are zero
 CUTOFF = 6.0  # Hz
 SLOW = 0.02
 RUNS = ("A", "B")
@@ -79,7 +79,9 @@ def judge(given: Path | None = None) -> Judged:
 
 def _log(read: dict[str, Array], run: str) -> Log:
     q: Array = read["act_pos_mot_deg"] * (np.pi / 180.0) + START
-    return Log(np.arange(len(q)) * STEP, q, read["act_torque_abs_nm"] * RATIOS, source=f"kr300_{run}.npz")
+    return Log(
+        np.linspace(0.0, STEP * (len(q) - 1), len(q)), q, read["act_torque_abs_nm"] * RATIOS, source=f"kr300_{run}.npz"
+    )
 
 
 def _stiffness(judged: Judged, result: Identification, runs: list[dict[str, Array]]) -> None:

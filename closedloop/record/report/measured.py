@@ -47,8 +47,8 @@ FAILED_AT = EVENTS_AT + len(KINDS)
 WIDTH = FAILED_AT + len(NAMES)
 _NONSINGULAR = NAMES.index("nonsingular")
 # In steady motion a run with a scheme of order one lags by half a step; one of a higher order by far less, but what
-# only follows, as a closure or a surface that breathes, it still gets wrong in that proportion: by half of it at most,
-# in 1300 combinations of keys. A tip whose pose is off by a radian presses with another force altogether, and posture
+# only follows, as a closure or a surface that breathes, it still gets wrong in that proportion: half of
+# it is assumed. A tip whose pose is off by a radian presses with another force altogether, and posture
 # and weight both count: four times the force itself. Rounding is a share of the force, and of the metre that an arm is
 # long, `RESIDUAL_TOLERANCE`.
 LAG, HIGHER, POSE = 0.5, 0.5, 4.0

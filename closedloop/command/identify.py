@@ -1,0 +1,116 @@
+"""The command ``closedloop identify LOG --robot NAME|FILE``: parameters of a robot from a log of its motion.
+
+Exit status: 0 done; 2 the input is at fault (one line on standard error).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from closedloop.base.errors import ModelError, OutputError
+from closedloop.command.border import DONE, Parser, run_command
+
+TERMS = ("viscous", "dry", "offset", "stribeck", "drive_inertia")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop", _main, arguments)
+
+
+def _main(words: list[str]) -> int:
+    options = _parser().parse_args(words)
+    import robot_models
+    from closedloop.base.files import probe_folder, reason_of
+    from closedloop.studies.identify.identify import identify
+    from closedloop.studies.identify.read import read_log
+    from closedloop.studies.identify.written import report, write
+
+    terms = [term.strip() for term in options.terms.split(",") if term.strip()]
+    if unknown := [term for term in terms if term not in TERMS]:
+        raise ModelError(f"--terms {options.terms}: {unknown[0]!r} is none of {', '.join(TERMS)}")
+    gain = [_number(entry, "--gain") for entry in options.gain.split(",")]
+    folder = Path(options.out)
+    try:
+        probe_folder(folder)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"--out {options.out!r}: cannot be written: {reason_of(error)}") from None
+    robot = robot_models.load(options.robot)
+    if len(gain) not in (1, robot.n):
+        raise ModelError(f"--gain {options.gain}: {len(gain)} numbers: one, or {robot.n}, one for each joint")
+    mapped = dict(options.columns)
+    logs = [read_log(path, robot, columns=mapped, degrees=options.degrees, gain=gain) for path in options.logs]
+    found = identify(
+        logs, robot,
+        friction=[term for term in terms if term in ("viscous", "dry", "offset")],
+        drive_inertia="drive_inertia" in terms,
+        stribeck_speed="fit" if "stribeck" in terms else None,
+        coupled=options.coupled, cutoff=options.cutoff, slow=options.slow, held_out=options.held_out,
+        method=options.method,
+    )  # fmt: skip
+    print("\n".join(report(found)))
+    paths = write(found, folder, f"closedloop identify {' '.join(options.logs)}")
+    print(f"\nwrote {folder}/: {', '.join(path.name for path in paths)}")
+    return DONE
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="closedloop identify",
+        description="Identify base inertial parameters, friction and drive inertia of a robot from a log: positions "
+        "and torques of all joints over time, as CSV, Parquet, NetCDF, or a run.nc of this simulator. Every value has "
+        "a 95 % interval; what the log does not tell is named, with a motion that would.",
+        cure="such as: closedloop identify log.csv --robot ur10",
+    )
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="one log, or several that are fitted together")
+    parser.add_argument(
+        "--robot", required=True, metavar="NAME|FILE", help="its kinematics: a robot, a URDF or an MJCF"
+    )
+    parser.add_argument("--out", metavar="DIR", default="out/identify", help="where results go (default: out/identify)")
+    parser.add_argument(
+        "--columns", action="append", default=[], type=_mapped, metavar="WHAT=NAME",
+        help="which columns are time, q, v, torque, with {} for the joint: torque='effort_{}'; or all, with commas",
+    )  # fmt: skip
+    parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
+    parser.add_argument(
+        "--gain", default="1", metavar="N,...", help="what torques are multiplied by, one or a joint each"
+    )
+    parser.add_argument("--terms", default="viscous,dry,offset,drive_inertia", help=f"of {', '.join(TERMS)}")
+    parser.add_argument(
+        "--coupled", action="append", default=[], type=_pair, metavar="A,B",
+        help="two joints whose second motor turns with both, such as the wrist of a Staeubli TX",
+    )  # fmt: skip
+    parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass (default: ten times the motion's)")
+    parser.add_argument(
+        "--slow",
+        type=float,
+        default=0.01,
+        metavar="SHARE",
+        help="of a joint's top speed: below it torques do not count",
+    )
+    parser.add_argument("--held-out", type=float, default=0.25, metavar="SHARE", help="of the log that judges the rest")
+    parser.add_argument("--method", choices=("ls", "iv"), default="ls", help="least squares, or instrumental variables")
+    return parser
+
+
+def _mapped(word: str) -> tuple[str, str]:
+    what, _, name = word.partition("=")
+    if not name:
+        raise argparse.ArgumentTypeError(f"{word!r}: must be WHAT=NAME, such as torque='effort_{{}}'")
+    return what, name
+
+
+def _pair(word: str) -> tuple[str, str]:
+    names = word.split(",")
+    if len(names) != 2:
+        raise argparse.ArgumentTypeError(f"{word!r}: must be two joints with a comma between")
+    return names[0], names[1]
+
+
+def _number(word: str, what: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ModelError(f"{what} {word!r}: must be a number") from None

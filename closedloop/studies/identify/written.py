@@ -1,0 +1,191 @@
+"""What an identification writes: a robot file, the friction section of a scenario, a report, figures."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ModelError
+from closedloop.base.files import write_whole
+from closedloop.studies.identify.physical import physical
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from closedloop.studies.identify.identify import Identification
+
+
+Array = NDArray[np.float64]
+
+
+def report(found: Identification) -> list[str]:
+    """Return what was found, as lines for a reader."""
+    names = found.robot.joint_names
+    lines = [
+        f"{found.robot.name}: {int(found.solution.told.sum())} of {len(found.estimates)} base parameters, "
+        f"{len(found.time)} windows, low-pass {found.motion.cutoff:.3g} Hz, condition {found.solution.condition:.3g}",
+        "",
+        f"  {'joint':24}{'fitted':>9}{'not fitted':>12}{'over noise':>12}{'white':>10}{'used':>8}",
+    ]
+    for j, name in enumerate(names):
+        lines.append(
+            f"  {name:24}{100 * found.relative_error[j]:7.1f} %{100 * found.held_out[j]:10.1f} %"
+            f"{found.above_noise[j]:12.3g}{found.whiteness[j]:10.2g}{100 * found.used[:, j].mean():6.0f} %"
+        )
+    lines += [
+        "  (RMS error of the torque over its RMS; residual over the torque's noise; probability of a white residual)"
+    ]
+    if found.misses:
+        lines.append(
+            f"  the model misses something in {', '.join(found.misses)}: the intervals allow for it, the values may not"
+        )
+    lines += ["", f"  {'parameter':30}{'value':>12}  {100 * found.confidence:.0f} % interval"]
+    for e in found.estimates:
+        if e.why:
+            lines.append(f"  {e.name:30}{'-':>12}  not identifiable: {e.why}")
+        else:
+            made = f"   = {e.grouping}" if e.grouping != e.name else ""
+            lines.append(f"  {e.name:30}{e.value:12.5g}  {e.low:.5g} to {e.high:.5g} {e.unit}{made}")
+    return lines
+
+
+def friction_section(found: Identification) -> str:
+    """Return the [joint_friction] section of a scenario, with what is not known as 0 and said so."""
+    lines = ["# Friction identified from a log; intervals are in report.txt."]
+    rows = {}
+    for key, kind in (("kinetic", "dry"), ("viscous", "viscous")):
+        if kind not in found.regressor.terms.friction:
+            rows[key] = [0.0] * found.robot.n
+            continue
+        values = found.joints(kind)
+        rows[key] = [0.0 if e.why or e.value < 0.0 else float(f"{e.value:.6g}") for e in values]
+        for e in values:
+            if e.why or e.value < 0.0:
+                lines.append(f"# {e.name} is 0 here: {e.why or f'{e.value:.3g} was found, which no friction can be'}")
+    if "offset" in found.regressor.terms.friction:
+        offsets = ", ".join("?" if e.why else f"{e.value:.4g}" for e in found.joints("offset"))
+        lines.append(f"# No law of friction has an offset; found were, N m: {offsets}")
+    lines += ["[joint_friction]", 'kind = "coulomb_viscous"', *(f"{key} = {row}" for key, row in rows.items())]
+    return "\n".join(lines) + "\n"
+
+
+def robot_files(found: Identification, parameters: Array, source: str) -> tuple[str, str]:
+    """Return a URDF with the inertia of parameters (p,), all of the regressor's, and its sidecar, as texts.
+
+    What is fixed to a link is part of it, as it was in the log, and has no inertia of its own any more.
+
+    Raises
+    ------
+    ModelError
+        If the robot is no URDF, or joints of it are locked.
+    """
+    robot = found.robot
+    if robot.format != "urdf" or robot.locked:
+        what = "is an MJCF" if robot.format != "urdf" else f"has locked joints ({', '.join(robot.locked)})"
+        raise ModelError(f"{robot.name} {what}: a robot file is written of a URDF of which all joints move")
+    root = ET.fromstring(robot.text)
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    for link in root.findall("link"):
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+    for j, name in enumerate(robot.joint_names):
+        m, hx, hy, hz, xx, xy, yy, xz, yz, zz = parameters[10 * j : 10 * j + 10]
+        c = np.array([hx, hy, hz]) / m
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (c @ c * np.eye(3) - np.outer(c, c))
+        link = next(each for each in root.findall("link") if each.get("name") == joints[name].find("child").get("link"))  # type: ignore[union-attr]
+        inertial = ET.SubElement(link, "inertial")
+        ET.SubElement(inertial, "mass", value=repr(float(m)))
+        ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in c), rpy="0 0 0")
+        entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+        ET.SubElement(inertial, "inertia", {key: repr(float(inertia[at])) for key, at in entries.items()})
+    ET.indent(root)
+    drives = {
+        joint: max(0.0, float(parameters[found.regressor.names.index(f"drive_inertia_{joint}")]))
+        for joint in robot.joint_names
+        if found.regressor.terms.drive_inertia
+    }
+    sidecar = {
+        "description": f"{robot.name}, with inertia identified from a log",
+        "source": source,
+        **({"tip": robot.tip} if robot.tip else {}),
+        "home": dict(zip(robot.joint_names, map(float, robot.home), strict=True)),
+        **({"drive_inertia": drives} if drives else {}),
+    }
+    return ET.tostring(root, encoding="unicode") + "\n", tomli_w.dumps(sidecar)
+
+
+def torque_figure(found: Identification) -> Figure:
+    """Draw the torque of each joint, measured and predicted, and what is left."""
+    from closedloop.figures.style import COLOURS, new_figure
+
+    n = found.robot.n
+    figure = new_figure(1.5 * n + 0.6)
+    axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
+    unsure = np.where(found.used, np.nan, 1.0)
+    for j, name in enumerate(found.robot.joint_names):
+        axes[j].plot(found.time, found.measured[:, j], color="0.3", label="measured")
+        axes[j].plot(found.time, found.predicted[:, j], color=COLOURS[1], lw=0.9, label="predicted")
+        axes[j].plot(found.time, found.solution.residual[:, j], color=COLOURS[0], lw=0.8, label="residual")
+        axes[j].plot(found.time, unsure[:, j] * found.measured[:, j], color="0.75", lw=2.5, label="not counted")
+        axes[j].set_ylabel("torque, N m")
+        axes[j].set_title(f"{name}: {100 * found.held_out[j]:.1f} % where not fitted")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncol=4, fontsize=8)
+    axes[-1].set_xlabel("time, s")
+    return figure
+
+
+def interval_figure(found: Identification) -> Figure:
+    """Draw every parameter that is known with its interval, each over its size."""
+    from closedloop.figures.style import COLOURS, new_figure
+
+    known = [e for e in found.estimates if not e.why]
+    figure = new_figure(0.16 * len(known) + 1.0)
+    axes = figure.subplots()
+    for k, e in enumerate(known):
+        size = max(abs(e.value), (e.high - e.low) / 2.0)
+        axes.plot([e.low / size, e.high / size], [k, k], color=COLOURS[0], lw=2)
+        axes.plot(e.value / size, k, "o", ms=3, color=COLOURS[1])
+    axes.axvline(0.0, color="0.5", lw=0.8)
+    axes.set_yticks(range(len(known)), [e.name for e in known], fontsize=6)
+    axes.set_xlabel("value and interval, over the larger of both")
+    axes.invert_yaxis()
+    return figure
+
+
+def write(found: Identification, folder: Path, source: str) -> list[Path]:
+    """Write all that was found into a folder that is there; return the paths.
+
+    report.txt, identified.json, friction.toml, torque and intervals as figures; and, of a URDF, robot.urdf and
+    robot.toml, whose inertia is that of bodies that can be (`closedloop.studies.identify.physical`).
+    """
+    import matplotlib as mpl
+
+    from closedloop.figures.files import write_figure
+    from closedloop.figures.style import STYLE
+
+    lines, texts = report(found), {}
+    if found.robot.format == "urdf" and not found.robot.locked:
+        body = physical(found)
+        texts["robot.urdf"], texts["robot.toml"] = robot_files(found, body.parameters, source)
+        errors = ", ".join(f"{100 * x:.1f}" for x in body.relative_error)
+        lines += [
+            "",
+            f"robot.urdf has bodies that can be, {body.distance:.2f} standard deviations (RMS) from the values above; "
+            f"their torque errs by {errors} %",
+        ]
+    texts |= {
+        "report.txt": "\n".join(lines) + "\n",
+        "identified.json": json.dumps(found.summary(), indent=2, allow_nan=False) + "\n",
+        "friction.toml": friction_section(found),
+    }
+    paths = [write_whole(folder / name, text.encode()) for name, text in texts.items()]
+    with mpl.rc_context(cast(Any, STYLE)):
+        paths.append(write_figure(torque_figure(found), folder / "torque"))
+        paths.append(write_figure(interval_figure(found), folder / "intervals"))
+    return paths

@@ -1,0 +1,141 @@
+"""`closedloop identify`: logs of several formats, a robot file that can be loaded, bad input in one line."""
+
+import json
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pytest
+from identified import simulated, true_base
+
+import closedloop as cl
+import robot_models
+from closedloop.command.identify import main
+from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.physical import physical, pseudo_inertia
+from closedloop.studies.identify.read import log_of_run, read_log
+
+
+@pytest.fixture(scope="module")
+def log():
+    """A log of planar2 with noise."""
+    return simulated("planar2", count=3000, noise=(2e-5, 0.1))[0]
+
+
+def frame(log, q="q {} [rad]", torque="effort_{}", number=False):
+    """Return a log as a table, with its columns named so."""
+    columns = {"time": log.time}
+    for j, name in enumerate(log.joint_names):
+        label = j if number else name
+        columns[q.format(label)] = log.q[:, j]
+        columns[torque.format(label)] = log.torque[:, j]
+    return pd.DataFrame(columns)
+
+
+def test_the_command_writes_a_robot_with_the_parameters_of_the_log(log, tmp_path, capsys):
+    """robot.urdf and its sidecar load, and have the base parameters found; friction.toml is a section of a scenario."""
+    frame(log).to_csv(tmp_path / "log.csv", index=False)
+    assert main([str(tmp_path / "log.csv"), "--robot", "planar2", "--out", str(tmp_path / "out")]) == 0
+    assert "not fitted" in capsys.readouterr().out
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written >= {"report.txt", "identified.json", "friction.toml", "robot.urdf", "robot.toml", "torque.png"}
+    found = cl.identify(log, "planar2")
+    again, _ = simulated(robot_models.load(tmp_path / "out" / "robot.urdf"), count=3000)
+    inertial = cl.identify(again, robot_models.load(tmp_path / "out" / "robot.urdf"))
+    for entry in found.estimates:
+        if not entry.name.startswith(("viscous", "dry", "offset")):
+            assert inertial[entry.name].value == pytest.approx(entry.value, abs=2e-3)
+    summary = json.loads((tmp_path / "out" / "identified.json").read_text())
+    assert summary["model_misses_something"] == []
+    section = tomllib.loads((tmp_path / "out" / "friction.toml").read_text())["joint_friction"]
+    assert section["kind"] == "coulomb_viscous"
+    np.testing.assert_allclose(section["kinetic"], 2.0, atol=0.02)
+    np.testing.assert_allclose(section["viscous"], 1.5, atol=0.02)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "nc"])
+def test_formats_say_the_same(log, ending, tmp_path):
+    """CSV, Parquet and NetCDF with columns by name or by number."""
+    robot, path = robot_models.load("planar2"), tmp_path / f"log.{ending}"
+    if ending == "csv":
+        frame(log).to_csv(path, index=False)
+    elif ending == "parquet":
+        frame(log, "Position_{}", "tau{}", number=True).to_parquet(path)
+    else:
+        import xarray
+
+        data = {"q": (("time", "joint"), log.q), "effort": (("time", "joint"), log.torque)}
+        labels = {"time": log.time, "joint": list(log.joint_names)}
+        xarray.Dataset(data, labels).to_netcdf(path, engine="h5netcdf")
+    read = read_log(path, robot)
+    np.testing.assert_array_equal(read.q, log.q)
+    np.testing.assert_array_equal(read.torque, log.torque)
+
+
+def test_units_and_gains_are_put_right(log, tmp_path):
+    """Degrees and currents, when they are said to be."""
+    robot, table = robot_models.load("planar2"), frame(log)
+    for name in log.joint_names:
+        table[f"q {name} [rad]"] = np.rad2deg(table[f"q {name} [rad]"])
+    table.to_csv(tmp_path / "log.csv", index=False)
+    read = read_log(tmp_path / "log.csv", robot, degrees=True, gain=[2.0, 3.0])
+    np.testing.assert_allclose(read.q, log.q, rtol=1e-14)
+    np.testing.assert_allclose(read.torque, log.torque * [2.0, 3.0], rtol=1e-14)
+
+
+def test_a_run_of_the_simulator_is_a_log():
+    """Torques of a run in contact, with the force on its tip added, are the inverse dynamics of its motion."""
+    import pinocchio as pin
+
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.3, "reference.start": 0.0}))
+    log, model = log_of_run(run), run.model.pinocchio_model()
+    data = model.createData()
+    rows = range(20, len(run), 40)
+    true = np.array([pin.rnea(model, data, run.q[k], run.v[k], run.acceleration[k]) for k in rows])
+    assert np.abs(run.contact_force).max() > 1.0
+    np.testing.assert_allclose(log.torque[list(rows)], true, atol=1e-8)
+
+
+def test_bodies_that_can_be_keep_the_torque(log):
+    """Pseudo-inertias are positive definite, friction is not negative, estimates stay in their intervals."""
+    robot = robot_models.load("planar2")
+    found = cl.identify(log, robot)
+    body = physical(found)
+    for j in range(robot.n):
+        assert np.linalg.eigvalsh(pseudo_inertia(body.parameters[10 * j : 10 * j + 10])).min() > 0.0
+    assert body.distance < 1.0
+    np.testing.assert_allclose(body.relative_error, found.relative_error, rtol=0.05)
+    assert np.abs(found.base.grouping @ body.parameters - true_base(found)).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "says"),
+    [
+        (lambda t: t.drop(columns="time"), [], "no column time or t or timestamp for the time"),
+        (lambda t: t.drop(columns="effort_J2"), [], "no columns for torque of the joints J1, J2"),
+        (lambda t: t, ["--columns", "torque=tau_{}"], "no column 'tau_J1'"),
+        (lambda t: t, ["--columns", "force=x"], "'force' is none of time, q, v, torque"),
+        (lambda t: t, ["--terms", "viscous,wet"], "'wet' is none of viscous"),
+        (lambda t: t, ["--gain", "1,2,3"], "3 numbers: one, or 2"),
+        (lambda t: t, ["--cutoff", "1e4"], "must be above 0 and below half the rate"),
+        (lambda t: t, ["--coupled", "J1,J7"], "has no joint 'J7'"),
+        (lambda t: t.drop(index=range(1000, 1100)), [], "time jumps by 0.202 s after row 999"),
+    ],
+)
+def test_bad_input_is_one_line(log, change, words, says, tmp_path, capsys):
+    """Exit status 2; what, where, what would be right."""
+    change(frame(log)).to_csv(tmp_path / "log.csv", index=False)
+    assert main([str(tmp_path / "log.csv"), "--robot", "planar2", "--out", str(tmp_path / "o"), *words]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+
+
+def test_a_file_that_is_no_log_is_refused(tmp_path):
+    """A text, a damaged Parquet file, a file that is not there."""
+    robot = robot_models.load("planar2")
+    (tmp_path / "a.parquet").write_bytes(b"nothing")
+    (tmp_path / "a.json").write_text("{}")
+    for name in ("a.parquet", "a.json", "b.csv"):
+        with pytest.raises(LogError, match=name):
+            read_log(tmp_path / name, robot)

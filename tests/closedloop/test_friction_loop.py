@@ -16,6 +16,8 @@ ROUNDING = 1e-9
 BLOCK = """
 [robot]
 model = "pointmass3"
+[surface]
+kind = "plane"
 [law]
 kp = 0.0
 kd = 0.0

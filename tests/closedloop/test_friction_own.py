@@ -150,6 +150,8 @@ class Generous(Restitution):
 BLOCK = """
 [robot]
 model = "pointmass3"
+[surface]
+kind = "plane"
 [law]
 kp = 0.0
 kd = 0.0

@@ -11,6 +11,8 @@ from closedloop.scenario.load import parse_scenario
 DRAWN = """
 [robot]
 model = "pointmass3"
+[surface]
+kind = "plane"
 [law]
 kind = "impedance"
 force = 2.0

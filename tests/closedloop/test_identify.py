@@ -132,6 +132,14 @@ def test_a_wrong_model_is_found_out():
     assert (wrong.held_out > 3.0 * right.held_out).all()
 
 
+def test_a_delay_of_the_torque_is_found_out():
+    """Four samples late, and the residual of every joint is no white noise."""
+    log, robot = simulated("planar2", count=8000, step=0.001, noise=(2e-5, 0.1))
+    late = replace(log, torque=np.roll(log.torque, 4, axis=0)).part(0.01, 1.0)
+    assert cl.identify(log, robot, cutoff=10.0).misses == ()
+    assert cl.identify(late, robot, cutoff=10.0).misses == robot.joint_names
+
+
 def test_small_angles_in_degrees_are_seen_by_the_limits():
     """Below thirty, angles in degrees are found where a joint of the file cannot turn so far."""
     log, robot = simulated("ur10", count=1000, size=0.1)

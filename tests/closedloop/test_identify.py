@@ -56,6 +56,7 @@ def test_a_six_joint_arm_has_as_many_base_parameters_as_the_literature_says():
     assert all(map(is_inertial, kept))
 
 
+@pytest.mark.slow
 def test_what_is_stated_covers_the_truth():
     """Of 200 logs with noise, 95 % intervals cover 95 ± 2 %, and the bias is a third of one at most."""
     motion = excitation(2, 2500, 0.002, base=0.5)
@@ -129,6 +130,23 @@ def test_a_wrong_model_is_found_out():
     wrong = cl.identify(log, robot, cutoff=10.0, friction=("viscous",))
     assert wrong.misses == robot.joint_names
     assert (wrong.held_out > 3.0 * right.held_out).all()
+
+
+def test_a_delay_of_the_torque_is_found_out():
+    """Four samples late, and the residual of every joint is no white noise."""
+    log, robot = simulated("planar2", count=8000, step=0.001, noise=(2e-5, 0.1))
+    late = replace(log, torque=np.roll(log.torque, 4, axis=0)).part(0.01, 1.0)
+    assert cl.identify(log, robot, cutoff=10.0).misses == ()
+    assert cl.identify(late, robot, cutoff=10.0).misses == robot.joint_names
+
+
+def test_small_angles_in_degrees_are_seen_by_the_limits():
+    """Below thirty, angles in degrees are found where a joint of the file cannot turn so far."""
+    log, robot = simulated("ur10", count=1000, size=0.1)
+    limited = replace(robot, position_upper=np.full(6, 3.0), position_lower=np.full(6, -3.0))
+    cl.identify(log, limited, cutoff=20.0)
+    with pytest.raises(LogError, match=r"rad, \S+ beyond its limit: angles in degrees"):
+        cl.identify(replace(log, q=np.rad2deg(log.q)), limited, cutoff=20.0)
 
 
 def test_joints_may_come_in_another_order(clean):

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 # A turn of a joint beyond this, in rad, is no turn: it is an angle in degrees.
 LARGEST_TURN = 30.0
+# So far beyond the limit of its file no joint turns, rad: the angle is another joint's, or has another unit or zero.
+BEYOND = 1.0
 # Steps of the time that differ by more than this share of their median are a jump.
 UNEVEN = 0.5
 
@@ -124,6 +126,12 @@ def _check_units(q: Array, v: Array | None, step: float, robot: RobotModel, wher
         raise LogError(
             f"{where}: joint {robot.joint_names[joint]} reaches {largest[joint]:.4g}: angles look like degrees, and "
             "must be in rad"
+        )
+    beyond = np.maximum(q.max(axis=0) - robot.position_upper, robot.position_lower - q.min(axis=0))
+    for joint in map(int, np.flatnonzero(turns & (beyond > BEYOND))):
+        raise LogError(
+            f"{where}: joint {robot.joint_names[joint]} reaches {largest[joint]:.4g} rad, {beyond[joint]:.3g} beyond "
+            "its limit: angles in degrees, joints in another order, or a zero elsewhere?"
         )
     if np.ptp(q, axis=0).max() < 1e-3:
         raise LogError(

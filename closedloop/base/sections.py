@@ -97,7 +97,9 @@ class Unit:
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0.0)]
 NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0.0)]
-Nothing = Annotated[float, BeforeValidator(_nothing), Unit("")]
+# A number that a kind has no use for: a key of its family, left out or 0.
+_LEFT_OUT = BeforeValidator(_nothing)
+Nothing = Annotated[float, _LEFT_OUT]
 Instant = Annotated[NotNegative, Unit("s")]
 Restitution = Annotated[float, BeforeValidator(_number), Field(ge=0.0, le=1.0), Unit("")]
 Flag = Annotated[bool, BeforeValidator(_boolean)]
@@ -179,6 +181,11 @@ def sizes(annotation: Any) -> Iterator[Size]:
 def field_units(field: FieldInfo) -> set[str]:
     """Return the units of a field, "" for a number without one; none if it takes no numbers, or does not say."""
     return {part.unit for part in (*field.metadata, *_parts(field.annotation)) if isinstance(part, Size | Unit)}
+
+
+def is_left_out(field: FieldInfo) -> bool:
+    """Return whether a field is `Nothing`: its kind has no use for the key."""
+    return _LEFT_OUT in field.metadata
 
 
 def _parts(annotation: Any) -> Iterator[Any]:

@@ -179,6 +179,7 @@ def _with_gains(
         data: dict[str, Any] = {
             "robot": {"model": name, "tip": robot.tip},
             "start": {"q": q.tolist()},
+            "surface": {"kind": "plane"},
             "reference": {
                 "kind": "line", "direction": list(direction), "speed": speed, "start": BEGIN, "stop": END,
                 "timing": "minimum_jerk",

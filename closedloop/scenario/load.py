@@ -68,7 +68,10 @@ def parse_scenario(
     given = {"robot", "robot.model"} & (overrides or {}).keys()
     if folder is not None and isinstance(robot, dict) and "model" in robot and not given:
         robot["model"] = robot_file(robot["model"], folder, where)
-    return scenario_of(data, where, overrides or {}, keep_absent=keep_absent)
+    scenario = scenario_of(data, where, overrides or {}, keep_absent=keep_absent)
+    if not {"robot", "law"} & data.keys():  # an empty file would be an arm that falls
+        raise ScenarioError(f"{where}: 'robot' is missing: neither [robot] nor [law] says what is simulated")
+    return scenario
 
 
 def scenario_of(

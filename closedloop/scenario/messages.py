@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails
 
 from closedloop.base.errors import one_line
 from closedloop.base.families import NOT_NAMED, Family, how_to_name
-from closedloop.base.sections import Section, SizeError
+from closedloop.base.sections import Section, SizeError, is_left_out
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.synonyms import called, is_called, key_meant, section_meant
 from closedloop.scenario.tables import families_in, table_type
@@ -61,7 +61,7 @@ def usual_kind(section: str) -> str:
 def variant_keys(section: str, kind: Any) -> set[str]:
     """Return the keys that a section of this kind may have."""
     variant = variants(section).get(kind)
-    return set(variant.model_fields) if variant else set()
+    return {key for key, field in variant.model_fields.items() if not is_left_out(field)} if variant else set()
 
 
 # What is right, for the kinds of fault whose text does not depend on the key.

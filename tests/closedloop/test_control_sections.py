@@ -17,6 +17,7 @@ from closedloop.control.laws.admittance import AdmittanceLaw
 from closedloop.control.laws.dynamic_hybrid import DynamicHybridLaw
 from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
+from closedloop.control.laws.none import NoLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import SensorSection
@@ -30,6 +31,7 @@ LAWS = (
     DynamicHybridLaw(),
     ImpedanceLaw(),
     AdmittanceLaw(),
+    NoLaw(),
 )
 COMPENSATIONS = (
     NoCompensation(),

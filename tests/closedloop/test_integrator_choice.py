@@ -18,7 +18,8 @@ WITH_IMPACTS = ("wam_bounce", "planar2_drop", "wam_touchdown", "panda_touchdown"
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "semi_implicit_euler"),
+        ('[surface]\nkind = "plane"', "semi_implicit_euler"),
+        ("", "rk4"),  # nothing holds the tip
         ('[surface]\ncontact = "unilateral"', "rk4"),
         ('[surface]\ncontact = "unilateral"\n[time]\nintegrator = "auto"', "rk4"),
         ('[surface]\ncontact = "unilateral"\n[time]\nintegrator = "explicit_euler"', "explicit_euler"),

@@ -81,15 +81,16 @@ def test_shipped_file_is_commented_and_complete(name):
 
 
 def test_smallest_scenario_is_a_law_alone(tmp_path):
-    """Everything but the law's gains has a default, and the name is the file's."""
+    """Everything but the law's gains has a default, and the name is the file's; without a surface f is 0."""
     file = tmp_path / "tiny.toml"
     file.write_text(MINIMAL)
     scenario = cl.load_scenario(file)
     assert scenario.name == "tiny"
     assert scenario.robot.model == "wam4"
     assert scenario.reference.kind == "hold"
-    run = cl.simulate(cl.load_scenario(file, {"time.duration": 0.01}))
+    run = cl.simulate(cl.load_scenario(file, {"time.duration": 0.01, "surface.kind": "plane"}))
     assert run.contact_force == pytest.approx(np.full(11, 10.0))
+    assert not cl.simulate(cl.load_scenario(file, {"time.duration": 0.01})).contact_force.any()
 
 
 def test_gains_for_all_joints_may_be_one_number():
@@ -185,8 +186,8 @@ def test_scenario_that_is_not_there(name, words):
         (b"law = 1\nlaw = 2\n", ["not valid TOML", "line 2"]),
         (b"[law]\nkp = 1\nkp = 2\n", ["not valid TOML"]),
         (b"\xff\xfe", ["UTF-8"]),
-        (b"", ["'law'", "missing"]),
-        (b"[time]\nduration = 1.0\n", ["'law'", "missing"]),
+        (b"", ["'robot' is missing"]),
+        (b"[time]\nduration = 1.0\n", ["'robot' is missing"]),
         (b"[law]\nkd = 1\n", ["'law.kp'", "missing"]),
         (b"law = 3\n", ["law = 3", "[law]"]),
         (b"[[law]]\nkp = 1\n", ["law", "[law]"]),

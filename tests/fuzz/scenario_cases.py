@@ -141,6 +141,7 @@ def tables(robot: str, kinds: dict[str, str]) -> dict[str, Any]:
     for section, kind in kinds.items():
         data[section] = ({"kind": kind} if kind else {}) | (data.get(section, {}) if not kind else {})
     data.setdefault("law", {"kind": "paper"})
+    data.setdefault("surface", {"kind": "plane"})
     for section, table in data.items():
         if not isinstance(table, dict):
             continue

@@ -1,9 +1,11 @@
 """Where the force loop becomes unstable: closed forms, and whole runs on both sides."""
 
+import numpy as np
 import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 import closedloop as cl
+from closedloop.studies.analysis.margins import margins_of
 from closedloop.studies.analysis.page import page_of
 from closedloop.studies.analysis.stability import Range, Stability
 
@@ -93,3 +95,50 @@ def test_page_of_an_unstable_loop():
     assert page.sentence().startswith("unstable: what belongs mostly to the contact oscillates at 12.6 Hz and grows")
     assert f"; law.force_integral below {limit_of(STIFFNESS):.3g} makes it stable" in page.sentence()
     assert page.as_dict()["longest_delay"] is None
+
+
+def test_margins_of_an_integral_with_a_delay():
+    """Of L = K exp(−s τ)/s: phase margin π/2 − K τ at K rad/s, delay margin π/(2 K) − τ, gain margin π/(2 K τ)."""
+    K, late = 10.0, 0.03
+
+    def transfer(f):
+        s = 2j * np.pi * np.atleast_1d(f)
+        return K * np.exp(-s * late) / s
+
+    found = margins_of(transfer, np.geomspace(1e-2, 100.0, 2000), "sensor", True)
+    assert found.gain == pytest.approx(np.pi / (2.0 * K * late), rel=1e-9)
+    assert found.phase == pytest.approx(np.degrees(np.pi / 2.0 - K * late), rel=1e-9)
+    assert found.phase_at == pytest.approx(K / (2.0 * np.pi), rel=1e-9)
+    assert found.delay == pytest.approx(np.pi / (2.0 * K) - late, rel=1e-9)
+    assert found.least_gain == 0.0
+    least = np.min(np.abs(1.0 + transfer(np.linspace(1.0, 8.0, 20001))))
+    assert found.peak_sensitivity == pytest.approx(1.0 / least, rel=1e-6)
+
+
+def test_both_gains_of_a_late_sensor_may_rise_by_the_gain_margin():
+    """With low-pass, delay and samples of 2 ms: all that is fed back, larger by the gain margin, oscillates."""
+    law = {"kind": "paper", "kp": [100, 100, 0], "kd": [20, 20, 0], "force_integral": 3.0, "force_feedback": 0.05}
+    sensor = {"delay": 0.004, "filter_time_constant": 0.006}
+    study = Stability(mass_on_a_spring(law=law | {"sample_period": 0.002}, sensor=sensor, time__step=0.002))
+    gain = study.base.margins().gain
+    rise = {"law.force_integral": 3.0 * gain, "law.force_feedback": 0.05 * gain}
+    assert study.loop(rise).radius == pytest.approx(1.0, abs=1e-6)
+
+
+def test_an_observer_takes_away_a_torque_that_it_is_not_told_of():
+    """In time the force forgets a constant torque on a joint; without the observer it does not."""
+    left = []
+    for changes in ({}, {"compensation.kind": "observer", "compensation.rate": 50.0}):
+        loop = cl.linearise(cl.load_scenario("wam_slide", {"time.duration": 3.0, **changes}), at=2.0)
+        left.append(abs(loop.response("torque[J2]", duration=3.0)[1][-1]))
+    assert left[1] < 1e-3 * left[0]
+
+
+def test_another_stiffness_carries_the_same_force():
+    """On Hertz's surface f = k δ^1.5 the tangent stiffness at 10 N is 1.5 k^(2/3) f^(1/3): the frequency shows it."""
+    scenario = mass_on_a_spring(gain=0.0, compliance={"kind": "hunt_crossley", "stiffness": 1e6, "dissipation": 0.1})
+    study = Stability(scenario)
+    for k in (1e6, 3e7):
+        (pair, _) = [pole for pole in study.loop({"compliance.stiffness": k}).poles() if pole.part == "contact"]
+        tangent = 1.5 * k ** (2.0 / 3.0) * 10.0 ** (1.0 / 3.0)
+        assert 2.0 * np.pi * pair.frequency == pytest.approx((tangent / MASS) ** 0.5, rel=1e-6)

@@ -254,7 +254,7 @@ class LinearLoop:
             If there is no such place.
         """
         if cut == "sensor":
-            T = self.frequency_response("sensor noise", "contact force", frequency)
+            T = self.frequency_response("sensor noise", "force felt", frequency)
         else:
             T = self.frequency_response(cut, cut, frequency)
         return -T / (1.0 + T)

@@ -139,7 +139,7 @@ class _Assembly:
         )  # fmt: skip
         self.outputs = (
             Quantity("contact force", "N"), *(Quantity(f"tip {axis}", "m") for axis in "xyz"),
-            *(Quantity(f"torque[{name}]", "N m") for name in names),
+            *(Quantity(f"torque[{name}]", "N m") for name in names), Quantity("force felt", "N"),
         )  # fmt: skip
 
     def _coordinates(self) -> None:
@@ -323,6 +323,7 @@ class _Assembly:
                 F[size, self.z0 + self.parts["filter"].start] = 1.0
             else:
                 F[size], E[size] = f[0][0], f[1][0]
+            felt = F[size : size + 1].copy(), E[size : size + 1].copy()
             E[size, NOISE] += 1.0
             F[size + 1 : at_last, size : at_last - 1] = np.eye(ages - 1)
             F[at_last:at_torque], E[at_last:at_torque] = (
@@ -330,7 +331,8 @@ class _Assembly:
             )
             r = np.zeros((3, whole))
             r[:, :size] = self.plant["q"]["r"] @ self.by_q
-            return F, E, np.vstack([f[0], r, Q[0]]), np.vstack([f[1], np.zeros((3, len(self.inputs))), Q[1]])
+            still = np.zeros((3, len(self.inputs)))
+            return F, E, np.vstack([f[0], r, Q[0], felt[0]]), np.vstack([f[1], still, Q[1], felt[1]])
 
         F, E, C, D = row_map(True)
         for _ in range(self.problem.hold - 1):

@@ -78,10 +78,10 @@ def _rates(integrator: str, h: float, stiffness: Array, damping: Array) -> list[
     """
     m, scheme = stiffness.shape[0], INTEGRATORS[integrator]
     A = np.block([[np.zeros((m, m)), np.eye(m)], [-h * h * stiffness, -h * damping]])
-    z = np.linalg.eigvals(A).astype(complex)
+    z = _eigenvalues(A)
     if not scheme.semi_implicit:
         return [(complex(a), complex(linear_step(scheme, np.array([[a]]))[0, 0])) for a in z if abs(a) > STILL]
-    made = np.linalg.eigvals(linear_step(scheme, A)).astype(complex)
+    made = _eigenvalues(linear_step(scheme, A))
     apart = np.abs(np.exp(z)[:, None] - made[None])
     pairs = []
     for _ in range(z.size):
@@ -90,6 +90,15 @@ def _rates(integrator: str, h: float, stiffness: Array, damping: Array) -> list[
         if abs(z[i]) > STILL:
             pairs.append((complex(z[i]), complex(made[k])))
     return pairs
+
+
+def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a matrix, infinite where its numbers are too large for them to be found."""
+    try:
+        found: NDArray[np.complex128] = np.linalg.eigvals(matrix).astype(complex)
+    except np.linalg.LinAlgError:
+        found = np.full(matrix.shape[0], complex(np.inf))
+    return found
 
 
 def unresolved(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float) -> list[str]:

@@ -109,7 +109,7 @@ GONE = "mkdir gone; cd gone; rmdir ../gone"
 
 def one_of_ours(text):
     """A pattern of one line of a command."""
-    return rf"(closedloop|closedloop\.\w+|validation): {text}"
+    return rf"(closedloop|closedloop \w+|validation): {text}"
 
 
 ENCODINGS = [

@@ -56,8 +56,8 @@ def test_every_key_says_what_it_is(section):
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.kind)
 def test_number_of_states(law):
-    """One state for the integral of the force error, two for the admittance, and no others."""
-    assert pack_law(law, 7).states == (3 if law.kind == "admittance" else 1)
+    """One state for the integral of the force error, two for the admittance, and no others; none without a law."""
+    assert pack_law(law, 7).states == {"admittance": 3, "none": 0}.get(law.kind, 1)
 
 
 @pytest.mark.parametrize(("section", "states"), list(zip(COMPENSATIONS, (0, 0, 7, 2), strict=True)))

@@ -38,7 +38,7 @@ def test_status_and_one_line(case, tmp_path, tmp_path_factory):
         ["/bin/sh", "-c", script], cwd=folder, env=environment, capture_output=True, timeout=300, check=False
     )
     folder.chmod(0o700)
-    err = re.sub(r"closedloop\.sweep: \d+ of \d+ runs, .*\n", "", done.stderr.decode(errors="backslashreplace"))
+    err = re.sub(r"closedloop sweep: \d+ of \d+ runs, .*\n", "", done.stderr.decode(errors="backslashreplace"))
     assert int((tmp_path / "status").read_text() or -1) == case.status, err
     if case.says:
         assert re.fullmatch(case.says, err.rstrip("\n")), err

@@ -219,7 +219,7 @@ def test_where_friction_wedges_the_tip_the_run_ends_in_words():
         assert np.all(np.isfinite(caught.value.run.contact_force))
 
 
-SWING = BLOCK + '[surface]\ncontact = "unilateral"\ngap = 5.0\n'
+SWING = BLOCK.replace('kind = "plane"', 'kind = "plane"\ncontact = "unilateral"\ngap = 5.0')
 
 
 def joint_run(torque, **overrides):

@@ -234,7 +234,7 @@ def test_progress_counts_to_the_end():
     ("changes", "options", "said"),
     [
         ({"law.forse": [1.0]}, {}, "wam_slide: unknown key 'law.forse'; did you mean 'law.force'?"),
-        ({"law.force": [1.0, 2.0], "law.kp": [1.0]}, {}, "law.force has 2, law.kp has 1 values: run i takes the i-th"),
+        ({"law.force": [1.0, 2.0], "law.kp": [1.0]}, {}, "law.force has 2, law.kp has 1 values: give each as many"),
         ({"law.force": []}, {}, "changes['law.force']: is empty"),
         ({"law.force": "5:15:3"}, {}, "must be a list with one value for each run"),
         ({"law.force": 5.0}, {}, "must be a list with one value for each run"),

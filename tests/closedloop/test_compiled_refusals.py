@@ -24,7 +24,7 @@ def test_refused_by_name(changes, engine, words):
     assert all(word in line for word in words), line
 
 
-@pytest.mark.parametrize("kind", ["JointModelSpherical", "JointModelFreeFlyer", "JointModelPlanar"])
+@pytest.mark.parametrize("kind", ["JointModelFreeFlyer", "JointModelPlanar"])
 def test_joint_of_another_kind_is_refused_by_name(kind, monkeypatch):
     """A robot of one's own class may have any joint of Pinocchio's: the first that is not simulated is named."""
     model = robot_models.load("wam4")

@@ -307,5 +307,5 @@ def test_repeat_and_batch(tmp_path):
 
 def test_what_stops_do_not_go_with_is_refused():
     """In one line."""
-    with pytest.raises(cl.ScenarioError, match=r"give robot\.stops = true"):
+    with pytest.raises(cl.ScenarioError, match=r"set robot\.stops = true"):
         cl.simulate(cl.load_scenario("wam_slide", {"robot.stop_restitution": 0.5}))

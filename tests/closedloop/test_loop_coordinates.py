@@ -264,7 +264,7 @@ def test_wrong_tables_are_refused(tmp_path, more, drives, said):
 
 def test_two_laws_of_friction_are_refused(tmp_path):
     """A joint_friction of the scenario would have an entry for the loop joint too."""
-    with pytest.raises(cl.ScenarioError, match="loop joints of at_pin have friction of their own"):
+    with pytest.raises(cl.ScenarioError, match="loop joints of at_pin have friction in the robot's sidecar"):
         falling(cut_at_pin(tmp_path, friction=0.1), **{"joint_friction.kind": "coulomb", "joint_friction.kinetic": 0.1})
 
 

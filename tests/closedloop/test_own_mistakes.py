@@ -40,7 +40,7 @@ COMPILED = {
     unknown_function: ["test_own_mistakes.py:19: ", "numpy.einsum", "loop"],
     misspelt: ["test_own_mistakes.py:24: ", "x has no 'q_dess'; did you mean 'q_des'?"],
     wrong_arguments: ["test_own_mistakes.py:29: ", "'cross'", "array, 3, banana=2"],
-    Remembers(): ["Remembers is an object", "closedloop.ControlLaw", "`states`", "torque(x, par, z, torque)"],
+    Remembers(): ["Remembers is a Python object", "closedloop.ControlLaw", "`states`", "torque(x, par, z, torque)"],
 }
 
 

@@ -111,7 +111,7 @@ def test_a_height_field_ends_where_its_grid_does():
 REFUSED = {
     "path": ({"surface.extent": [0.1, 0.02]}, "the path leaves the surface over its edge, by 0.04 m at most: make it"),
     "start": ({"surface": {"kind": "sphere", "radius": 0.3, "point": [0.0, 0.0, 0.0], "extent": [0.1, 0.1]}}, "edge"),
-    "two edges": ({"surface.extent": [1, 1], "surface.edge_radius": 1.0}, "leave one of them out"),
+    "two edges": ({"surface.extent": [1, 1], "surface.edge_radius": 1.0}, "leave out one of them"),
     "negative": ({"surface.extent": [0.1, -0.1]}, "surface.extent"),
 }
 

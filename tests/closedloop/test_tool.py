@@ -123,7 +123,7 @@ def test_wrong_figures_of_friction_are_those_of_the_compensation():
 
 
 REFUSED = {
-    "no figures": ({"model_error.friction": 0.5}, "the compensation 'none' has no values of friction"),
+    "no figures": ({"model_error.friction": 0.5}, "the compensation 'none' has no friction values that could be wrong"),
     "upright": ({"model_error.normal": 3.0}, "model_error.normal = 3.0: must be at most 1.5 rad"),
     "no such body": ({"tool.mass": 1.0, "tool.inertia": [1.0, 0.1, 0.1, 0, 0, 0]}, "principal moments"),
     "negative": ({"tool.mass": -1.0}, "tool.mass = -1.0: must not be negative"),

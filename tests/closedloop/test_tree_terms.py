@@ -182,8 +182,8 @@ def test_refuses_what_it_does_not_cover():
     """A joint of another kind is named, and so is an unknown tip."""
     model = robot_models.load("wam4")
 
-    class Ball:
-        name = "ball on stick"
+    class Puck:
+        name = "puck on stick"
 
         def require_frame(self, tip):
             return tip
@@ -191,10 +191,10 @@ def test_refuses_what_it_does_not_cover():
         def pinocchio_model(self):
             built = pin.Model()
             stick = built.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "stick")
-            built.addJoint(stick, pin.JointModelSpherical(), pin.SE3.Identity(), "wrist")
+            built.addJoint(stick, pin.JointModelPlanar(), pin.SE3.Identity(), "wrist")
             return built
 
-    with pytest.raises(ModelError, match=r"ball on stick: joint 'wrist' is of Pinocchio's kind Spherical: .*revolute"):
-        tree_of(Ball(), "universe")
+    with pytest.raises(ModelError, match=r"puck on stick: joint 'wrist' is of Pinocchio's kind Planar: .*revolute"):
+        tree_of(Puck(), "universe")
     with pytest.raises(ModelError, match=r"no frame 'tipp'.*did you mean 'tip'"):
         tree_of(model, "tipp")

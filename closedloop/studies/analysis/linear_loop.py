@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.analysis.margins import Margins, margins_of
+from robot_models.cached import cached_property
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

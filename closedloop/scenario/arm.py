@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ModelError, ScenarioError
+from closedloop.jit.parameters import per_joint
 from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -16,9 +17,30 @@ from closedloop.mechanics.surface.plane import unit
 from closedloop.scenario.robot_sections import ToolSection
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel, Tool
+from robot_models.coordinates import normalised, with_rotation_vectors
 from robot_models.joint_dynamics import joint_dynamics, loop_dynamics
 
 Array = NDArray[np.float64]
+
+
+def start_posture(scenario: Scenario, model: RobotModel) -> Array:
+    """Return q (n,) at the start as the loop has it: a joint that turns freely by its rotation vector, rad.
+
+    Raises
+    ------
+    ScenarioError
+        If `start.q` has not one entry for each coordinate, or a quaternion in it has no length.
+    """
+    if scenario.start.q is None:
+        q = model.home.copy()
+    else:
+        q = np.array(per_joint("start.q", scenario.start.q, len(model.coordinate_names)))
+    if not model.balls:
+        return q
+    try:
+        return with_rotation_vectors(normalised(q, model.joint_types, "start.q"), model.joint_types)
+    except ModelError as error:
+        raise ScenarioError(str(error)) from None
 
 
 def robot_of(scenario: Scenario, model: RobotModel) -> Robot:

@@ -28,6 +28,7 @@ from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.scenario.arm import start_posture
 from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -200,7 +201,7 @@ def _named(key: str, shape: Array, scenario: Scenario, robot: Robot) -> str:
 def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
     """Return the feedback of the scenario's law at the start posture, in decoupled parts."""
     law, n = scenario.law, robot.n
-    q = robot.model.home if scenario.start.q is None else np.array(per_joint("start.q", scenario.start.q, n))
+    q = start_posture(scenario, robot.model)
     terms = robot.terms(q, np.zeros(n))
     surface = PlacedSurface.of(scenario.surface, scenario.surface_motion, terms.position)
     A = surface.touching(terms.position).frame @ terms.jacobian

@@ -20,7 +20,7 @@ from closedloop.base.families import KEEP_ABSENT, Family
 from closedloop.scenario.file import absolute, robot_file, scenario_text
 from closedloop.scenario.messages import explain, variant_keys
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.scenario.tables import ALL, families_in, names_of_members, table_type, tables_of
+from closedloop.scenario.tables import ALL, each_point, families_in, names_of_members, table_type, tables_of
 from robot_models.described import names_a_file
 from robot_models.toml_text import toml_tables
 
@@ -79,8 +79,10 @@ def scenario_of(
 ) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
     try:
+        each_point(data)
         for key in sorted(_standing(overrides), key=_turn):
             _override(data, key, deepcopy(overrides[key]))
+            each_point(data)
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
         raise ScenarioError(f"{where}: a value is nested too deeply") from None

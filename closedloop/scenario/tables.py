@@ -3,6 +3,9 @@
 contact.floor left.friction     of the one with that name
 contact.0.friction              of the first
 contact.*.friction              of all
+
+A table whose key `at` is a list of points is a table for each of them, "floor 1", "floor 2" ... of one with the name
+"floor", which is still the name of all of them.
 """
 
 from __future__ import annotations
@@ -55,6 +58,26 @@ def names_in(section: str, tables: Sequence[Any]) -> tuple[str, ...]:
     return tuple(name if isinstance(name, str) and name else f"{section} {i}" for i, name in enumerate(given, 1))
 
 
+def _stem(name: str) -> str:
+    """Return the name of the table that a point's was made of: "floor" of "floor 2"; itself if it was not."""
+    stem, _, number = name.rpartition(" ")
+    return stem if stem and number.isdigit() else name
+
+
+def each_point(data: dict[str, Any]) -> None:
+    """Replace each table whose `at` is a list of points by a table for each point; see the top of this file."""
+    for section, given in data.items():
+        if isinstance(given, list | tuple) and table_type(section):
+            tables: list[Any] = []
+            for name, table in zip(names_in(section, given), given, strict=True):
+                points = table.get("at") if isinstance(table, dict) else None
+                if isinstance(points, list | tuple) and points and all(isinstance(p, list | tuple) for p in points):
+                    tables += [table | {"name": f"{name} {k}", "at": point} for k, point in enumerate(points, 1)]
+                else:
+                    tables.append(table)
+            data[section] = tables
+
+
 def tables_of(data: dict[str, Any], key: str) -> tuple[list[dict[str, Any]], str]:
     """Return the tables that a key is of, to be written to, and the rest of the key; see the top of this file.
 
@@ -74,12 +97,15 @@ def tables_of(data: dict[str, Any], key: str) -> tuple[list[dict[str, Any]], str
     tables = [each.model_dump(exclude_none=True) if isinstance(each, Section) else each for each in given]
     data[section] = tables
     names = names_in(section, tables)
-    named = [name for name in (*names, *map(str, range(len(tables))), ALL) if rest.startswith(f"{name}.")]
+    stems = [_stem(name) for name in names]
+    named = [name for name in (*names, *stems, *map(str, range(len(tables))), ALL) if rest.startswith(f"{name}.")]
     if not named:
         raise ScenarioError(f"{key}: {_which(section, rest, names)}")
     name = max(named, key=len)
     where = [i for i, each in enumerate(names) if name == each]
-    if not where:
+    if not where and name in stems:
+        where = [i for i, each in enumerate(names) if _stem(each) == name]
+    elif not where:
         where = list(range(len(tables))) if name == ALL else [int(name)]
     elif len(where) > 1:
         numbers = " and ".join(f"{section}.{i}" for i in where)

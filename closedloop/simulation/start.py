@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import ModelError, ScenarioError
+from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.edge import edge_key
 from closedloop.control.reference.force import force_at
 from closedloop.jit.parameters import lists_per_joint
@@ -19,10 +19,9 @@ from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.placed import PlacedSurface, Touching
 from closedloop.mechanics.surface.surface import Surface
-from closedloop.scenario.arm import has_stops
+from closedloop.scenario.arm import has_stops, start_posture
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
-from robot_models.coordinates import normalised, with_rotation_vectors
 from robot_models.joint_dynamics import loop_dynamics
 
 Array = NDArray[np.float64]
@@ -43,12 +42,7 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
     ScenarioError
         If one is beyond its limits, or a quaternion has no length.
     """
-    q = model.home.copy() if scenario.start.q is None else np.array(scenario.start.q)
-    if model.balls:
-        try:
-            q = with_rotation_vectors(normalised(q, model.joint_types, "start.q"), model.joint_types)
-        except ModelError as error:
-            raise ScenarioError(str(error)) from None
+    q = start_posture(scenario, model)
     v = np.zeros(model.n) if scenario.start.v is None else np.array(scenario.start.v)
     if faults := [
         f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}]"

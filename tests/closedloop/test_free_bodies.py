@@ -336,3 +336,23 @@ def test_an_encoder_of_what_turns_freely_is_refused(tmp_path):
     scenario = scenario_of(tmp_path, body(tmp_path), STILL, [0] * 6, encoder__noise=1e-4)
     with pytest.raises(ScenarioError, match="encoder: bodies has joints that turn freely"):
         cl.simulate(scenario, progress=False)
+
+
+def test_a_box_that_is_dropped_comes_to_rest_on_the_command_line(command_line, tmp_path):
+    """Without surface, law or reference: gravity and eight corners, given as one list, are all that there is."""
+    written(tmp_path, BODY.format(gravity="0 0 -9.81", mass=0.37, moments="8.1e-4 8.1e-4 8.1e-4"), "box")
+    corners = [[0.05 * x, 0.05 * y, 0.05 * z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]
+    (tmp_path / "drop.toml").write_text(
+        '[robot]\nmodel = "box.xml"\ntip = "body"\n[start]\nq = [0, 0, 0.12, 0.9, 0.3, 0.2, 0.1]\n'
+        "v = [0.3, 0, 0, 3, 2, 1]\n[time]\nduration = 0.6\nstep = 0.001\n"
+        f'[[contact]]\nname = "floor"\nlink = "body"\nat = {corners}\nfriction = 0.2\nrestitution = 0.1\n'
+    )
+    outcome = command_line("drop.toml", "--strict", "--no-figures", "--contact.floor.friction", "0.3")
+    assert (outcome.status, outcome.err) == (0, "")
+    run = cl.load_run(tmp_path / "out" / "drop" / "run.nc")
+    assert run.q.shape == (601, 7)
+    assert run.q[-1, 2] == pytest.approx(0.05, abs=1e-9)  # on a face
+    assert np.abs(run.v[-1]).max() < 1e-9
+    weight = 0.37 * 9.81
+    assert run.link_forces[-1].sum() == pytest.approx(weight, rel=1e-9)
+    assert {contact.friction for contact in run.scenario.contact} == {0.3}

@@ -107,3 +107,21 @@ def test_a_sweep_over_a_contact(command_line, tmp_path):
     assert table["contact.*.restitution"].to_pylist() == [0.0, 0.5, 0.0, 0.5]
     assert b"Coulomb" in table.schema.field("contact.floor left.friction").metadata[b"meaning"]
     assert set(table["status"].to_pylist()) == {"done"}
+
+
+def test_a_list_of_points_is_a_contact_for_each():
+    """Each has a name and a number; the name of the table is that of all of them."""
+    feet = [[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]
+    tables = [{"link": "left_tip", "name": "floor", "at": feet}, {"link": "left_tip", "at": feet[:2]}]
+    contacts = cl.load_scenario(NAME, {"contact": tables}).contact
+    assert [contact.name for contact in contacts] == ["floor 1", "floor 2", "floor 3", "contact 2 1", "contact 2 2"]
+    assert [list(contact.at) for contact in contacts] == feet + feet[:2]
+    for key, changed in (
+        ("contact.floor.friction", [0, 1, 2]),
+        ("contact.floor 2.friction", [1]),
+        ("contact.4.friction", [4]),
+    ):
+        assert frictions({"contact": tables, key: 0.7}) == [0.7 if i in changed else 0.0 for i in range(5)]
+        assert frictions({"contact": contacts, key: 0.7}) == frictions({"contact": tables, key: 0.7})
+    with pytest.raises(cl.ScenarioError, match=r"contact\[1\]\.at = \[1\.0, 2\.0\]: must be three numbers"):
+        cl.load_scenario(NAME, {"contact": [{"link": "left_tip", "at": [[0.0, 0.0, 0.0], [1.0, 2.0]]}]})

@@ -56,7 +56,7 @@ class ContactSection(Section):
     name: OneLine = Field("", description="name of the contact; contact 1, contact 2 ... if left out")
     link: str = Field(description="frame that the point belongs to")
     at: tuple[Coordinate, Coordinate, Coordinate] = Field(
-        (0.0, 0.0, 0.0), description="the point, m, axes of that frame"
+        (0.0, 0.0, 0.0), description="the point, m, axes of that frame; or a list of points, each a contact of its own"
     )
     against: str = Field("world", description="frame that the surface belongs to; world: the base frame")
     normal: Direction = Field(

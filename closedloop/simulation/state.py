@@ -118,8 +118,8 @@ class StepState:
 
     @property
     def gap_rate(self) -> float:
-        """Time derivative of the gap, m/s."""
-        return float(self._part("closure_rate"))
+        """Time derivative of the gap, m/s; 0 without a surface."""
+        return float(self._part("closure_rate")) if self.gap < math.inf else 0.0
 
     @property
     def mode(self) -> int:

@@ -15,6 +15,7 @@ from sweeps import Forked, here, process, sweep
 
 from closedloop.simulation.batch import threads
 from closedloop.simulation.batch.threads import Done, Ended, side_by_side, uninterrupted
+from closedloop.studies.sweep.store import Store
 
 # Some tenths of a second of runs, and as long to join: 200 runs of 400 steps in 100 parts, 6 MB of columns.
 ARGUMENTS = ("wam_slide", "--time.duration", "0.4", "--over", "law.force=5:15:200", "--keep", "f,q,v")
@@ -131,6 +132,27 @@ def test_an_interruption_while_columns_are_joined_leaves_no_file(capsys, tmp_pat
     monkeypatch.undo()
     assert sweep(capsys, *small, "--out", tmp_path / "t.parquet")[0] == 0
     assert names(tmp_path) == ["t.nc", "t.parquet"]
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_an_interruption_when_the_table_is_whole_came_too_late(capsys, tmp_path, monkeypatch, again):
+    """The sweep is done: nothing is left of its parts, whether or not they were being removed."""
+    small = ("planar2_slide", "--time.duration", "0.01", "--over", "law.force=5:15:3")
+    remove, told = Store.remove, []
+
+    def interrupted(store):
+        if not told:
+            told.append(store)
+            if again:
+                remove(store)
+            raise KeyboardInterrupt
+        remove(store)
+
+    monkeypatch.setattr(Store, "remove", interrupted)
+    status, said, err = sweep(capsys, *small, "--out", tmp_path / "t.parquet")
+    assert (status, err) == (0, "")
+    assert said.startswith("3 runs: 3 done")
+    assert names(tmp_path) == ["t.parquet"]
 
 
 def test_threads_end_between_two_runs_when_one_fails():

@@ -51,6 +51,8 @@ SWING_SHARE = 0.05
 SPARSE = 0.01
 # Three returns in the later half are no touchdown any more, which has its bounces at its start.
 BOUNCES = 3
+# With fewer rows a path has no direction in which it varies most.
+LEAST_ROWS = 8
 # The tip is off for good where it is off at the end; a flight of a fifth of the time is more than the bounce of a
 # touchdown: those of wam_bounce, from 50 mm with a restitution of 0.7, take 0.07 each.
 LOST_SHARE, FREE_SHARE = 0.05, 0.2
@@ -250,7 +252,7 @@ def _path(s: Signals) -> list[Problem]:
         worst = int(np.argmax(square))
         text = f"{error:.3g} m RMS along the surface, more than {bound:.2g} m; most, {np.sqrt(square[worst]):.3g} m"
         problems.append(_problem("path_error", text, worst * s.h))
-    if not s.sparse:
+    if not s.sparse and len(square) >= LEAST_ROWS:
         part = s.off * s.led[:, None]
         along = np.linalg.eigh(np.cov(part[len(part) // 2 :], rowvar=False))[1][:, -1]  # where it varies most
         problems += _swinging(lasting_swing(part @ along, 0.5 * bound, s.h, 0.0), "path", "m")

@@ -124,8 +124,6 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
     verdicts: Counter[str] = Counter()
     controls: Counter[str] = Counter()
 
-    whole: list[Path] = []
-
     def write(done: Done) -> None:
         def write_table(file: BinaryIO) -> None:
             with open_table(file, columns, description) as table:
@@ -141,7 +139,6 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
         if kept is not None:  # first: where the table is, all is there
             write_whole(kept, lambda file: write_columns(file, store, parts, attributes, step, done.check))
         write_whole(out, write_table)
-        whole.append(out)
 
     remove_unfinished(out.parent)  # of a process that was killed while it joined
     try:
@@ -150,9 +147,6 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
         raise OutputError(
             f"--out {out}: {error}; what was done is kept: once there is room, the same command goes on"
         ) from None
-    except KeyboardInterrupt:
-        if not whole:  # else it came too late: the table is there
-            raise
     store.remove()
     return Joined(out, kept, dict(counts), dict(verdicts), dict(controls))
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
+from closedloop.base.errors import OutputError
 from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.batch.worker import Worker
@@ -59,33 +61,41 @@ def run_sweep(
     if there is not None:
         tidy(sweep.identity, out)
         return there
-    with Store(sweep.identity, out, overwrite) as store:
-        there = _already_there(sweep, out, overwrite)  # since, by another process
-        if there is not None:
-            store.remove()
-            return there
-        missing = [part for part in range(sweep.parts) if not store.has(part, sweep.runs_of(part))]
-        done = Done(sweep.design.runs - sum(len(sweep.runs_of(part)) for part in missing))
+    try:
+        with Store(sweep.identity, out, overwrite) as store:
+            there = _already_there(sweep, out, overwrite)  # since, by another process
+            if there is not None:
+                store.remove()
+                return there
+            missing = [part for part in range(sweep.parts) if not store.has(part, sweep.runs_of(part))]
+            done = Done(sweep.design.runs - sum(len(sweep.runs_of(part)) for part in missing))
 
-        def report() -> None:
-            if progress is not None:
-                progress(done.count, sweep.design.runs)
+            def report() -> None:
+                if progress is not None:
+                    progress(done.count, sweep.design.runs)
 
-        report()
-        if missing and scheduler is not None:
-            from closedloop.studies.sweep.cluster import run_on_cluster
+            report()
+            if missing and scheduler is not None:
+                from closedloop.studies.sweep.cluster import run_on_cluster
 
-            run_on_cluster(sweep, store, missing, scheduler, done.add, report)
-        elif missing:
-            job, shared = sweep.job, Cache()
+                run_on_cluster(sweep, store, missing, scheduler, done.add, report)
+            elif missing:
+                job, shared = sweep.job, Cache()
 
-            def one(worker: Worker, at: int) -> None:
-                runs = sweep.runs_of(missing[at])
-                points = sweep.design[runs.start : runs.stop]
-                store.write(missing[at], *run_part(job, runs.start, points, worker, done.add))
+                def one(worker: Worker, at: int) -> None:
+                    runs = sweep.runs_of(missing[at])
+                    points = sweep.design[runs.start : runs.stop]
+                    store.write(missing[at], *run_part(job, runs.start, points, worker, done.add))
 
-            side_by_side(one, len(missing), threads, lambda: worker_for(job, shared), report, done)
-        return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)
+                side_by_side(one, len(missing), threads, lambda: worker_for(job, shared), report, done)
+            return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)
+    except KeyboardInterrupt:
+        with suppress(OutputError):
+            there = already_there(sweep.identity, out)
+            if there is not None:  # it came too late: the table is whole
+                tidy(sweep.identity, out)
+                return there
+        raise
 
 
 def _already_there(sweep: Sweep, out: Path, overwrite: bool) -> Joined | None:

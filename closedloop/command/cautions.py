@@ -21,9 +21,15 @@ def warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:
 
 
 def warn_of_no_surface(scenario: Scenario) -> None:
-    """Say which sections are about the tip's contact, where there is no surface for it."""
+    """Say which sections and which force are about the tip's contact, where there is no surface for it."""
+    if scenario.has_surface:
+        return
+    force = getattr(scenario.law, "force", 0.0)
+    if force and not scenario.contact:
+        said = f"law.force = {force:g}: there is no [surface], so the tip presses on nothing; add one, or leave it out"
+        print(f"closedloop: warning: {said}", file=sys.stderr)
     idle = [name for name in ("friction", "compliance", "surface_motion") if getattr(scenario, name).kind != "none"]
-    if idle and not scenario.has_surface:
+    if idle:
         named = " and ".join(f"[{name}]" for name in idle)
         print(f"closedloop: warning: {named}: there is no [surface], so nothing acts at the tip", file=sys.stderr)
 

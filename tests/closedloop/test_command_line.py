@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -395,3 +396,18 @@ def test_python_m_and_the_console_script_are_this_command_line(tmp_path):
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert 'closedloop = "closedloop.__main__:main"' in project
     assert callable(main)
+
+
+def test_a_force_without_a_surface_is_said(command_line, tmp_path):
+    """A file that leaves [surface] out presses on nothing: a warning, and a bad verdict of the control."""
+    law = '[robot]\nmodel = "planar2"\n[law]\nkp = 100.0\nkd = 10.0\n[time]\nduration = 0.1\n'
+    for name, more, err, status in (
+        ("pressing", "force = 10\n", r"closedloop: warning: law\.force = 10: there is no \[surface\].*\n", 5),
+        ("free", "", "", 0),
+    ):
+        (tmp_path / f"{name}.toml").write_text(law.replace("[time]", f"{more}[time]"))
+        outcome = command_line(f"{name}.toml", "--strict", "--no-figures")
+        assert re.fullmatch(err, outcome.err)
+        assert outcome.status == status, outcome.out
+        problems = strict((tmp_path / "out" / name / "summary.json").read_text())["control_verdict"]["problems"]
+        assert [problem["name"] for problem in problems] == ["no_contact"] * bool(more)

@@ -89,7 +89,7 @@ def test_law_presses_with_no_force_unless_asked():
     pushed = cl.simulate(parse_scenario(FALLS, "falls", overrides={**law, "law.force": 3.0}), progress=False)
     terms = cl.Robot(pushed.model).terms(pushed.q[0], pushed.v[0])
     np.testing.assert_allclose(pushed.torque[0] - terms.bias, -3.0 * terms.jacobian[2], atol=1e-12)
-    assert pushed.summary()["control_verdict"]["good"]
+    assert [problem["name"] for problem in pushed.summary()["control_verdict"]["problems"]] == ["no_contact"]
 
 
 def test_simulator_and_batch_go_without_sections():

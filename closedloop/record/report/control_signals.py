@@ -95,7 +95,7 @@ def signals_of(
         commanded = commanded & (gap <= nearest + RELEASE)
         tenth = min(max(1, len(gap) // 10), len(gap) - 1)
         approaching = bool(gap[-1] > RELEASE and nearest[-1] < nearest[-1 - tenth])
-    if (scenario.contact or not scenario.has_surface) and not np.any(touching):
+    if scenario.contact and not np.any(touching):
         commanded, led = np.zeros(len(force), dtype=bool), led and not scenario.contact
     sparse = scenario.time.integrator in ADAPTIVE and h > SPARSE
     return Signals(

@@ -57,7 +57,7 @@ def _main(words: list[str]) -> int:
         print(f"{judged.robot} ({judged.source})", *judged.lines, "", sep="\n")
         results[name] = judged.numbers | {"differs": judged.faults}
         faults += [f"{name}: {fault}" for fault in judged.faults]
-    print("\n".join(faults) if faults else "all of it agrees with the measurements")
+    print("\n".join(faults) if faults else "every value that has a bound is within it")
     if options.json:
         text = json.dumps(results[names[0]] if len(names) == 1 else results, indent=2, allow_nan=False)
         try:

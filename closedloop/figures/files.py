@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 from closedloop.base.files import write_whole
 from closedloop.base.second_process import Beside
@@ -17,7 +17,7 @@ from closedloop.figures.impacts import has_impacts, impacts
 from closedloop.figures.joints import joints
 from closedloop.figures.link_contacts import link_contacts
 from closedloop.figures.overview import force_control
-from closedloop.figures.style import STYLE
+from closedloop.figures.style import styled
 from closedloop.figures.tip import tip_position
 from closedloop.figures.tool import has_tool, tool
 from closedloop.record.run import Run
@@ -106,9 +106,7 @@ def is_papers(scenario: str) -> bool:
 
 def images_of(draw: Callable[[Run], Figure], run: Run) -> Images:
     """Draw a figure of a run and return its images, as `images` does."""
-    import matplotlib as mpl
-
-    with mpl.rc_context(cast(Any, STYLE)):
+    with styled():
         return images(draw(run))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,11 +54,9 @@ def draw(section: FrictionLaw, target: str | Path | Axes, load: float = 1.0) -> 
     if not isinstance(target, (str, Path)):
         pictures[-1](target, law)
         return
-    import matplotlib as mpl
+    from closedloop.figures.style import styled
 
-    from closedloop.figures import STYLE
-
-    with mpl.rc_context(cast(Any, STYLE)):
+    with styled():
         from matplotlib.figure import Figure
 
         figure: Figure = Figure(figsize=(4.8 * len(pictures), 3.4), layout="constrained")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from closedloop.figures.dress import dress, explain_contact, legend_beside_title, mark_rounding, position_rounding
 from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
 from closedloop.figures.force import FLAT, draw_measured
-from closedloop.figures.style import COLOURS, STYLE, length_text, length_unit, new_figure
+from closedloop.figures.style import COLOURS, length_text, length_unit, new_figure, styled
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
 
@@ -40,11 +40,9 @@ def plot(run: Run) -> Figure:
     ValueError
         If the run has no row.
     """
-    import matplotlib as mpl
-
     if len(run) == 0:
         raise ValueError(f"the run of {run.scenario.name} has no row to draw")
-    with mpl.rc_context(cast(Any, STYLE)):
+    with styled():
         return force_control(run)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,6 +32,15 @@ STYLE: dict[str, Any] = {
     "svg.hashsalt": "closedloop",
     "savefig.dpi": 150,
 }
+
+
+@contextmanager
+def styled(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Draw in the style of the figures, with some of matplotlib's settings changed; a decorator as well."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(cast(Any, {**STYLE, **(changes or {})})):
+        yield
 
 
 def new_figure(height: float = 3.4) -> Figure:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from closedloop.figures.files import write_figure
-from closedloop.figures.style import COLOURS, MANY, STYLE, new_figure
+from closedloop.figures.style import COLOURS, MANY, new_figure, styled
 from closedloop.studies.analysis.page import Page
 from closedloop.studies.analysis.stability import Limit, Range, Trial
 
@@ -30,35 +30,20 @@ def draw_page(page: Page, folder: Path) -> list[Path]:
     return [written(figure(page), folder / f"analysis_{name}") for name, figure in drawn.items()]
 
 
+@styled()
 def written(figure: Figure, path: Path) -> Path:
     """Write a figure, and return the path of its PNG."""
-    import matplotlib as mpl
-
-    with mpl.rc_context(cast(Any, STYLE)):
-        return write_figure(figure, path)
+    return write_figure(figure, path)
 
 
-def _figure(height: float) -> Figure:
-    import matplotlib as mpl
-
-    with mpl.rc_context(cast(Any, STYLE)):
-        return new_figure(height)
-
-
-def _axes(figure: Figure, *places: Any, **settings: Any) -> Any:
-    import matplotlib as mpl
-
-    with mpl.rc_context(cast(Any, STYLE)):
-        return figure.subplots(*places, **settings)
-
-
+@styled()
 def bode(page: Page) -> Figure:
     """Return Bode's diagram of the loop transfer, at the sensor if the law reads it, with its margins."""
     loop, margins = page.loop, page.weakest
     f = loop.grid
     L = loop.loop_transfer(f, margins.cut)
-    figure = _figure(4.6)
-    upper, lower = _axes(figure, 2, 1, sharex=True)
+    figure = new_figure(4.6)
+    upper, lower = figure.subplots(2, 1, sharex=True)
     upper.semilogx(f, 20.0 * np.log10(np.maximum(np.abs(L), 1e-12)), color=COLOURS[0])
     upper.axhline(0.0, color="0.5", linewidth=0.8)
     upper.set_ylabel("|L| [dB]")
@@ -73,12 +58,13 @@ def bode(page: Page) -> Figure:
     return figure
 
 
+@styled()
 def nyquist(page: Page) -> Figure:
     """Return Nyquist's diagram, with the circle about −1 that the loop keeps clear of."""
     loop, margins = page.loop, page.weakest
     L = loop.loop_transfer(loop.grid, margins.cut)
-    figure = _figure(4.6)
-    axes = _axes(figure)
+    figure = new_figure(4.6)
+    axes = figure.subplots()
     shown = np.where(np.abs(L) < 4.0 * NYQUIST, L, np.nan)
     axes.plot(shown.real, shown.imag, color=COLOURS[0])
     axes.plot(shown.real, -shown.imag, color=COLOURS[0], linestyle=":", linewidth=0.8)
@@ -95,10 +81,11 @@ def nyquist(page: Page) -> Figure:
     return figure
 
 
+@styled()
 def poles(page: Page) -> Figure:
     """Return the poles in the plane of z, each in the colour of the part it belongs to."""
-    figure = _figure(4.6)
-    axes = _axes(figure)
+    figure = new_figure(4.6)
+    axes = figure.subplots()
     _unit_circle(axes)
     parts = sorted({pole.part for pole in page.loop.poles()})
     for part, colour in zip(parts, MANY * 2, strict=False):
@@ -120,13 +107,14 @@ def _unit_circle(axes: Axes) -> None:
     axes.set_ylabel("Im z")
 
 
+@styled()
 def sensitivity(page: Page) -> Figure:
     """Return |S| and |T| where the loop is cut, and the command's and the disturbance's way to f."""
     loop, margins = page.loop, page.weakest
     f = loop.grid
     S = 1.0 / (1.0 + loop.loop_transfer(f, margins.cut))
-    figure = _figure(3.4)
-    axes = _axes(figure)
+    figure = new_figure(3.4)
+    axes = figure.subplots()
     curves = [("S", S), ("T = 1 − S", 1.0 - S),
               ("f/f_des", loop.frequency_response("force command", "contact force", f))]  # fmt: skip
     for (name, y), colour in zip(curves, COLOURS, strict=True):
@@ -139,12 +127,13 @@ def sensitivity(page: Page) -> Figure:
     return figure
 
 
+@styled()
 def locus(loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequence[Limit]) -> Figure:
     """Return the poles as a key goes through its range, from light to dark, and where they leave the unit circle."""
     import matplotlib as mpl
 
-    figure = _figure(4.6)
-    axes = _axes(figure)
+    figure = new_figure(4.6)
+    axes = figure.subplots()
     _unit_circle(axes)
     colours = mpl.colormaps["viridis_r"]
     for value, loop in loops:
@@ -158,13 +147,14 @@ def locus(loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequen
     return figure
 
 
+@styled()
 def stability_map(
     boundary: Sequence[tuple[float, Limit]], over: Range, along: Range, here: tuple[float, float] | None,
     trials: Sequence[Trial],
 ) -> Figure:  # fmt: skip
     """Return the boundary over two keys, with the scenario's own place and the whole runs beside it."""
-    figure = _figure(4.0)
-    axes = _axes(figure)
+    figure = new_figure(4.0)
+    axes = figure.subplots()
     x, y = np.array([value for value, _ in boundary]), np.array([limit.value for _, limit in boundary])
     axes.plot(x, y, ".-" if len(x) < 100 else "-", color=COLOURS[0], label="boundary", markersize=4)
     for grows, marker, colour, name in ((False, "o", COLOURS[2], "stable"), (True, "x", COLOURS[1], "unstable")):

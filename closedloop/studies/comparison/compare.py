@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -64,12 +64,10 @@ class Comparison:
 
     def figure(self) -> Figure:
         """Return a figure: for each value a point a run, the scenarios beside one another, and a bar at the median."""
-        import matplotlib as mpl
-
-        from closedloop.figures.style import MANY, STYLE, new_figure
+        from closedloop.figures.style import MANY, new_figure, styled
 
         names = list(dict.fromkeys(self.runs["scenario"]))
-        with mpl.rc_context(cast(Any, STYLE)):
+        with styled():
             figure = new_figure(1.0 + 1.3 * len(self.of))
             panels = np.atleast_1d(figure.subplots(len(self.of), 1, sharex=True))
             for axes, each in zip(panels, self.of, strict=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tomli_w
@@ -164,10 +164,8 @@ def write(found: Identification, folder: Path, source: str) -> list[Path]:
     report.txt, identified.json, friction.toml, torque and intervals as figures; and, of a URDF, robot.urdf and
     robot.toml, whose inertia is that of bodies that can be (`closedloop.studies.identify.physical`).
     """
-    import matplotlib as mpl
-
     from closedloop.figures.files import write_figure
-    from closedloop.figures.style import STYLE
+    from closedloop.figures.style import styled
 
     lines, texts = report(found), {}
     if found.robot.format == "urdf" and not found.robot.locked:
@@ -185,7 +183,7 @@ def write(found: Identification, folder: Path, source: str) -> list[Path]:
         "friction.toml": friction_section(found),
     }
     paths = [write_whole(folder / name, text.encode()) for name, text in texts.items()]
-    with mpl.rc_context(cast(Any, STYLE)):
+    with styled():
         paths.append(write_figure(torque_figure(found), folder / "torque"))
         paths.append(write_figure(interval_figure(found), folder / "intervals"))
     return paths

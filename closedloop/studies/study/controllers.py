@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from itertools import product
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,13 +215,12 @@ def print_table(results: list[dict[str, Any]]) -> None:
 
 def draw_controllers(results: list[dict[str, Any]], folder: Path) -> Path:
     """Draw the four measures as maps into controllers.svg and .png; return the path of the latter."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from closedloop.figures import STYLE
     from closedloop.figures.files import write_figure
+    from closedloop.figures.style import styled
 
-    with mpl.rc_context(cast(Any, {**STYLE, "axes.grid": False, "font.size": 8})):
+    with styled({"axes.grid": False, "font.size": 8}):
         count = len({row["controller"] for row in results})
         figure = Figure(figsize=(11.0, 2.4 + 0.52 * count), layout="constrained")
         maps(figure, results)

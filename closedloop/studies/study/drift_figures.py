@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from closedloop.figures.files import write_figure
-from closedloop.figures.style import COLOURS, STYLE
+from closedloop.figures.style import COLOURS, styled
 from closedloop.mechanics.closure.baumgarte import spectral_radii
 
 if TYPE_CHECKING:
@@ -20,10 +20,9 @@ MARKERS = ("o", "s", "^")
 
 def draw_drift(results: dict[str, Any], folder: Path) -> list[Path]:
     """Draw drift against step and speed, and the map of Baumgarte's stability; return the paths of the PNGs."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(cast(Any, STYLE)):
+    with styled():
         slopes = Figure(figsize=(7.2, 5.4), layout="constrained")
         left, right = slopes.subplots(1, 2, sharey=True)
         power_laws(left, results["against_step"], 1e3, "step h [ms]", "h")

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -181,13 +181,12 @@ def _short(row: dict[str, Any]) -> str:
 
 def draw_surfaces(results: list[dict[str, Any]], folder: Path) -> Path:
     """Draw the force error against stiffness, a line for each law, into surfaces.svg and .png; return the latter."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from closedloop.figures import STYLE
     from closedloop.figures.files import write_figure
+    from closedloop.figures.style import styled
 
-    with mpl.rc_context(cast(Any, STYLE)):
+    with styled():
         figure = Figure(figsize=(7.0, 4.0), layout="constrained")
         axes = figure.subplots()
         soft_rows = [row for row in results if row["on"] != BREATHING]

@@ -10,14 +10,14 @@ import io
 import stat
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import OutputError, ScenarioError
 from closedloop.base.files import kind_of, reason_of, write_whole
-from closedloop.figures.style import COLOURS, STYLE
+from closedloop.figures.style import COLOURS, styled
 from closedloop.studies.sweep.scale import Scale, column_values, flat, span
 from closedloop.studies.sweep.table_file import pieces, unreadable_is_none
 
@@ -61,14 +61,12 @@ def sweep_plot(
     OutputError
         If the picture cannot be written.
     """
-    import matplotlib as mpl
-
     if out is None:
         if not isinstance(table, (str, Path)):
             raise ScenarioError("out: name the picture's file, such as out='maps.png'")
         out = Path(table).with_suffix(".png")
     found = _read(Path(table)) if isinstance(table, (str, Path)) else table
-    with mpl.rc_context(cast(Any, STYLE)):
+    with styled():
         figure, picture = draw_maps(found, of, x, y), io.BytesIO()
         try:
             figure.savefig(picture, format=Path(out).suffix.removeprefix(".") or None)

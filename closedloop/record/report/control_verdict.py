@@ -49,7 +49,7 @@ SWING_SHARE = 0.05
 # Force loops of arms swing with 1 to 30 Hz. Rows that a scheme of steps of its own leaves farther apart than this, s,
 # show no swing of 25 Hz and more, or show it as a slow one; then nothing is said.
 SPARSE = 0.01
-# Three returns in the later half are no touchdown any more, which has its bounces at its start.
+# Three returns in the later half do not belong to a touchdown, which bounces at its start.
 BOUNCES = 3
 # With fewer rows a path has no direction in which it varies most.
 LEAST_ROWS = 8

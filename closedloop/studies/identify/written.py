@@ -85,6 +85,8 @@ def robot_files(found: Identification, parameters: Array, source: str) -> tuple[
     ModelError
         If the robot is no URDF, or joints of it are locked.
     """
+    import pinocchio as pin
+
     robot = found.robot
     if robot.format != "urdf" or robot.locked:
         what = "is an MJCF" if robot.format != "urdf" else f"has locked joints ({', '.join(robot.locked)})"
@@ -95,15 +97,13 @@ def robot_files(found: Identification, parameters: Array, source: str) -> tuple[
         for inertial in link.findall("inertial"):
             link.remove(inertial)
     for j, name in enumerate(robot.joint_names):
-        m, hx, hy, hz, xx, xy, yy, xz, yz, zz = parameters[10 * j : 10 * j + 10]
-        c = np.array([hx, hy, hz]) / m
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (c @ c * np.eye(3) - np.outer(c, c))
+        body = pin.Inertia.FromDynamicParameters(parameters[10 * j : 10 * j + 10])
         link = next(each for each in root.findall("link") if each.get("name") == joints[name].find("child").get("link"))  # type: ignore[union-attr]
         inertial = ET.SubElement(link, "inertial")
-        ET.SubElement(inertial, "mass", value=repr(float(m)))
-        ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in c), rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
+        ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in body.lever), rpy="0 0 0")
         entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-        ET.SubElement(inertial, "inertia", {key: repr(float(inertia[at])) for key, at in entries.items()})
+        ET.SubElement(inertial, "inertia", {key: repr(float(body.inertia[at])) for key, at in entries.items()})
     ET.indent(root)
     drives = {
         joint: max(0.0, float(parameters[found.regressor.names.index(f"drive_inertia_{joint}")]))

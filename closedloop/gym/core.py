@@ -1,0 +1,315 @@
+"""Environments side by side: what the single environment and the vector environment both are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils.seeding import np_random
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.gym.actions import Actions
+from closedloop.gym.now import Now
+from closedloop.gym.observations import PARTS, TRUTH, Observations
+from closedloop.gym.ranges import POSTURE, as_ranges, drawn, home_of
+from closedloop.gym.rewards import as_terms
+from closedloop.gym.task import Task
+from closedloop.scenario.overrides import Variants
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.loops import COMPILED
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.prepare import prepare
+from closedloop.simulation.simulate import check_engine
+from closedloop.simulation.time_step import whole_steps
+from closedloop.simulation.together.together import Together
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Numbers = NDArray[np.int64]
+
+# An episode without on-target time at its end succeeds if the tip is so near to its path, m.
+NEAR = 0.005
+SUCCESS, TIME_UP = "success", "time is up"
+
+
+class Core:
+    """N environments of one task.
+
+    Parameters
+    ----------
+    task : Task
+    count : int
+        N.
+    threads : int
+
+    Attributes
+    ----------
+    action_space, observation_space, privileged_space : spaces.Box
+        Of one environment. The privileged observation is the truth, then what the episode has drawn.
+    now : Now
+        The state, of which `observe` and `privileged` are made.
+    reasons : list
+        Why each episode ended, or "".
+    """
+
+    def __init__(self, task: Task, count: int, threads: int = 1) -> None:
+        self.task, self.count, self._cache = task, count, Cache()
+        self.scenario = task.load_scenario()
+        check_engine(self.scenario, COMPILED, None)
+        self.ranges = as_ranges(task.ranges)
+        self._terms, self._endings = as_terms(task.rewards), dict(task.endings)
+        self._seeds = ("sensor.seed", "encoder.seed") if self.scenario.reads_encoders else ("sensor.seed",)
+        self._worlds: dict[int, tuple[dict[str, Any], Problem]] = {}
+        self._variants: dict[tuple[str, ...], Variants] = {}
+        first = prepare(self.scenario, None, self._cache)
+        self.home = home_of(self.scenario, first.robot.model.home)
+        n, h = first.robot.n, first.h
+        if not 0.0 < task.control_rate <= 1.0 / h * (1.0 + 1e-9):
+            raise ScenarioError(
+                f"control_rate = {task.control_rate:g} Hz: must be above 0, and at most {1.0 / h:g} Hz, once a step"
+            )
+        if task.worlds is not None and task.worlds < 1:
+            raise ScenarioError(f"worlds = {task.worlds}: must be at least 1, or None")
+        self.steps = whole_steps(1.0 / task.control_rate, h, "1/control_rate")
+        if first.steps % self.steps:
+            raise ScenarioError(
+                f"time.duration = {first.steps * h:g} s: must be a whole number of control periods of "
+                f"{self.steps * h:g} s"
+            )
+        self.instants = first.steps // self.steps
+        self.period = self.steps * h
+        self.actions = Actions(task.actions, first)
+        self._own = self._values_of_scenario(first)
+        numbers = len(self.actions.names)
+        self._observed = Observations(task.observations, {**PARTS, **TRUTH}, n, numbers)
+        self._truth = Observations(tuple(TRUTH), TRUTH, n, numbers)
+        self.drawn_keys = tuple(key for key in self.ranges if key != POSTURE)
+        self.action_space = spaces.Box(-1.0, 1.0, (numbers,), np.float32)
+        self.observation_space = spaces.Box(self._observed.low, self._observed.high, dtype=np.float64)
+        wide = np.full(len(self.drawn_keys), 1e18)
+        self.privileged_space = spaces.Box(
+            np.concatenate([self._truth.low, -wide]), np.concatenate([self._truth.high, wide]), dtype=np.float64
+        )
+        self.observation_names = self._observed.names
+        self.privileged_names = (*self._truth.names, *self.drawn_keys)
+        self.together = Together(count, self.steps, self.actions.plan, numbers, held=self.actions.held, threads=threads)
+        self.together.rows = np.zeros((count, first.row_width))
+        self.together.wanted = np.zeros((count, 2 * n + 10))
+        both = self.together.rows, self.together.wanted, self.together.between
+        self.now = Now(*both, n, numbers, self.period)
+        self.now.steps = self.steps
+        self._generators: list[np.random.Generator | None] = [None] * count
+        self.parameters: list[dict[str, Any]] = [{} for _ in range(count)]
+        self._drawn = np.zeros((count, len(self.drawn_keys)))
+        self.reasons = [""] * count
+        self.succeeded: Flags = np.zeros(count, dtype=np.bool_)
+        self.cut: Numbers = np.zeros(count, dtype=np.int64)
+
+    def _values_of_scenario(self, problem: Problem) -> Array:
+        """Return what the scenario itself would set in place of an action, SI units."""
+        values: Array = 0.5 * (self.actions.low + self.actions.high)
+        constants = problem.constants()
+        for i, name in enumerate(self.actions.names):
+            if name == "force":
+                values[i] = problem.table[0, 2 * problem.robot.n + 9]
+            elif name.startswith("tip."):
+                values[i] = 0.0
+            elif name.startswith("law."):
+                values[i] = constants.law[self.actions.plan[self.actions.plan[:, 2] == i, 1][0]]
+        return values
+
+    def random(self, i: int) -> np.random.Generator:
+        """Return the generator of environment `i`; a new one if it has not been given a seed yet."""
+        generator = self._generators[i]
+        if generator is None:
+            generator, _ = np_random()
+            self._generators[i] = generator
+        return generator
+
+    def begin(self, i: int, seed: int | None, options: Mapping[str, Any] | None) -> None:
+        """Draw an episode of environment `i`; `start` lets it begin.
+
+        Raises
+        ------
+        ScenarioError
+            If an option is no key of the scenario, or its value is at fault.
+        """
+        if seed is not None:
+            self._generators[i], _ = np_random(seed)
+        if options is not None and not isinstance(options, Mapping):
+            raise ScenarioError(f"options = {options!r}: must be a dict of keys of the scenario and their values")
+        random, world = self.random(i), None
+        if self.task.worlds is not None:
+            world = int(random.integers(self.task.worlds))
+            random = np.random.default_rng(world)
+        if world is None or options or world not in self._worlds:
+            values = drawn(self.ranges, self.home, random, options or {}, self._seeds)
+            problem = self._prepared(values)
+            if world is not None and not options:
+                self._worlds[world] = values, problem
+        else:
+            values, problem = self._worlds[world]
+        self.together.begin(i, problem)
+        self.parameters[i] = values
+        self._drawn[i] = [values[key] for key in self.drawn_keys]
+        now, n = self.now, problem.robot.n
+        now.wanted_force[i] = problem.table[0, 2 * n + 9]
+        for each in (now.time, now.phase, now.on_target, now.force_sum, now.force_square):
+            each[i] = 0.0
+        now.left[i], now.touched[i] = self.instants, False
+        now.action[i] = now.action_before[i] = self.actions.normal(self._own)
+        self.reasons[i], self.succeeded[i], self.cut[i] = "", False, 0
+
+    def _prepared(self, values: dict[str, Any]) -> Problem:
+        """Return the scenario with these values, prepared."""
+        keys = tuple(values)
+        if keys not in self._variants:
+            self._variants[keys] = Variants(self.scenario, keys)
+        problem = prepare(self._variants[keys].scenario(tuple(values.values())), None, self._cache)
+        if problem.steps != self.instants * self.steps or problem.row_width != self.now_width:
+            raise ScenarioError("options: arm, step and duration are those of the environment: make another one")
+        # The cache's table is overwritten for the next scenario of the same path.
+        return problem if self.task.worlds is None else replace(problem, table=problem.table.copy())
+
+    @property
+    def now_width(self) -> int:
+        """Numbers in a recorded row."""
+        return int(self.together.rows.shape[1])
+
+    def start(self, some: Sequence[int]) -> None:
+        """Let the episodes of these environments begin.
+
+        Raises
+        ------
+        SimulationError
+            If there is no solution at the start of one.
+        """
+        self.together.start(some)
+        self.now.changed()
+        for i in some:
+            failure = self.together.failures[i]
+            if failure is not None:
+                raise failure
+        self.now.touched[some] = self.now.contact[some]
+
+    def checked(self, action: Any, shape: tuple[int, ...]) -> Array:
+        """Return an action as numbers.
+
+        Raises
+        ------
+        ValueError
+            If its shape is another, or it has an entry that is no finite number.
+        """
+        try:
+            given = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            given = np.empty(0)
+        if given.shape != shape:
+            named = ", ".join(self.actions.names)
+            raise ValueError(f"action of shape {np.shape(action)}: must be numbers of shape {shape}: {named}")
+        if not np.isfinite(given).all():
+            at = tuple(int(x) for x in np.argwhere(~np.isfinite(given))[0])
+            raise ValueError(
+                f"action[{', '.join(map(str, at))}] = {given[at]} ({self.actions.names[at[-1]]}): must be a finite "
+                "number; nothing was stepped"
+            )
+        return given
+
+    def step(self, action: Array, some: Numbers) -> tuple[Array, Flags, Flags]:
+        """Step these environments with the actions (N, k), and return rewards, terminated and truncated (N,)."""
+        now, together = self.now, self.together
+        outside = (np.abs(action) > 1.0).sum(axis=1)
+        self.cut[some] = outside[some]
+        now.action_before[some] = now.action[some]
+        now.action[some] = np.clip(action[some], -1.0, 1.0)
+        together.actions[:] = self.actions.physical(action)
+        together.step(some)
+        now.changed()
+        active = np.zeros(self.count, dtype=np.bool_)
+        active[some] = True
+        stopped = together.failed & active
+        for i in np.flatnonzero(stopped):
+            self.reasons[i] = str(together.failures[i])
+        went = active & ~stopped
+        self._advance(went)
+        terminated = stopped.copy()
+        for name, ending in self._endings.items():
+            ends = np.asarray(ending(now), dtype=np.bool_) & went & ~terminated
+            for i in np.flatnonzero(ends):
+                self.reasons[i] = name
+            terminated |= ends
+        failed = terminated.copy()
+        truncated = went & ~terminated & (now.left <= 0.0)
+        self._judge(went & ~failed, truncated)
+        terminated |= self.succeeded & went
+        truncated &= ~terminated
+        for i in np.flatnonzero(truncated):
+            self.reasons[i] = TIME_UP
+        return self._rewards(active, failed), terminated, truncated
+
+    def _advance(self, went: Flags) -> None:
+        """Bring up to date what is counted from instant to instant, of those that went on."""
+        now, period = self.now, self.period
+        now.left[went] -= 1.0
+        done = self.instants - now.left
+        now.time[went] = done[went] * period
+        now.phase[went] = done[went] / self.instants
+        touching = now.contact | (now.free_share < 1.0)
+        now.touched |= went & touching
+        error = now.force_error
+        near = (np.abs(error) <= self.task.tolerance) & now.contact
+        now.on_target[:] = np.where(went, np.where(near, now.on_target + period, 0.0), now.on_target)
+        seen = np.where(now.contact & went, now.wanted_force - now.measured, 0.0)
+        now.force_sum += period * seen
+        now.force_square += np.where(went, period * error * error, 0.0)
+
+    def _judge(self, going: Flags, at_end: Flags) -> None:
+        """Find which episodes have succeeded."""
+        now, hold = self.now, self.task.hold
+        if hold is not None:
+            won = going & (now.on_target >= hold * (1.0 - 1e-9))
+        else:
+            mean = now.force_square / np.maximum(now.time, self.period)
+            won = at_end & (mean <= self.task.tolerance**2) & (now.path_error <= NEAR)
+        for i in np.flatnonzero(won):
+            self.reasons[i] = SUCCESS
+        self.succeeded |= won
+
+    def _rewards(self, active: Flags, failed: Flags) -> Array:
+        """Return the rewards (N,): the terms' sum, and where an episode failed the most that was left to lose."""
+        now, total = self.now, np.zeros(self.count)
+        self.terms: dict[str, Array] = {}
+        most = 0.0
+        for name, (weight, term) in self._terms.items():
+            value = np.asarray(term(now), dtype=np.float64)
+            if value.shape != (self.count,):
+                raise ScenarioError(f"rewards[{name!r}]: returned shape {value.shape}: must be ({self.count},)")
+            self.terms[name] = np.where(active, weight * value, 0.0)
+            total = total + self.terms[name]
+            most += abs(weight)
+        if failed.any():
+            self.terms["failed"] = np.where(failed, -most * (now.left + 1.0), 0.0)
+            total = total + self.terms["failed"]
+        bad = ~np.isfinite(total)
+        if bad.any():
+            i = int(np.flatnonzero(bad)[0])
+            named = ", ".join(f"{name} = {value[i]}" for name, value in self.terms.items())
+            raise ScenarioError(f"rewards: {total[i]} at t = {now.time[i]:g} s: {named}: must be finite numbers")
+        return total
+
+    def observe(self) -> Array:
+        """Return the observations (N, k)."""
+        return self._observed.read(self.now)
+
+    def privileged(self) -> Array:
+        """Return the privileged observations (N, k)."""
+        both: Array = np.concatenate([self._truth.read(self.now), self._drawn], axis=1)
+        return both
+
+    def close(self) -> None:
+        """End the threads."""
+        self.together.close()

@@ -1,0 +1,128 @@
+"""What rewards and endings are computed from: the state of all environments at a control instant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.reference.table import Reference
+from closedloop.loop.step.record_row import Row
+from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.simulation.together.member import Between
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class Now:
+    """The state of N environments at a control instant, with n joints and k numbers of an action.
+
+    Joint quantities are (N, n), vectors in space (N, 3) in the base frame, others (N,); SI units. Everything is the
+    truth but `measured`. The arrays are views: copy what is to be kept.
+
+    Attributes
+    ----------
+    q, v, acceleration, torque : (N, n) arrays
+    tip, tip_velocity, normal, slip_velocity, friction_force : (N, 3) arrays
+    force, measured, gap, gap_rate : (N,) arrays
+        Contact force; the force sensor's latest reading, as a control law has it; distance from the surface, m, and
+        its rate.
+    wanted_tip, wanted_tip_velocity : (N, 3) arrays
+        Those of the reference.
+    wanted_force : (N,) array
+        The force of the task, N, whatever the action sets.
+    contact, sticks : (N,) arrays of bool
+    largest_force, smallest_force, impulse : (N,) arrays
+        Since the control instant before: of the contact force at any row, N; the largest impulse, N s.
+    free_share, events : (N,) arrays
+        Since then: share of rows off the surface; how many events there were.
+    time, phase : (N,) arrays
+        Since the reset, s; and as a share of the episode.
+    left : (N,) array
+        Control instants until the episode's end.
+    touched : (N,) array of bool
+        Whether it has been in contact since the reset.
+    on_target : (N,) array
+        For how long the force has been within the task's tolerance, s.
+    force_sum : (N,) array
+        ∫ (wanted_force − measured) dt while in contact, N s.
+    force_square : (N,) array
+        ∫ (wanted_force − force)² dt since the reset, N² s.
+    action, action_before : (N, k) arrays
+        From −1 to 1.
+    period : float
+        Time between two control instants, s.
+    """
+
+    def __init__(self, rows: Array, wanted: Array, between: Array, n: int, numbers: int, period: float) -> None:
+        count = rows.shape[0]
+
+        def part(name: str) -> Any:
+            return rows[:, Row.place(name, n)]
+
+        self.period = period
+        self.q, self.v, self.acceleration, self.torque = map(part, ("q", "v", "acceleration", "torque"))
+        self.tip, self.tip_velocity, self.normal = map(part, ("position", "velocity", "surface_normal"))
+        self.slip_velocity, self.friction_force = map(part, ("slip_velocity", "friction_force"))
+        self.force = part("contact_force")
+        self.gap, self.gap_rate, self._mode = part("closure_error"), part("closure_rate"), part("mode")
+        self.wanted_tip, self.wanted_tip_velocity = (wanted[:, Reference.place(x, n)] for x in ("position", "velocity"))
+        self.largest_force, self.smallest_force, self._free, self.events, self.impulse, self.measured = (
+            between[:, i] for i in map(Between.place, Between.layout.at)
+        )
+        self.wanted_force: Array = np.zeros(count)
+        self.time: Array = np.zeros(count)
+        self.phase: Array = np.zeros(count)
+        self.left: Array = np.zeros(count)
+        self.touched: Flags = np.zeros(count, dtype=np.bool_)
+        self.on_target: Array = np.zeros(count)
+        self.force_sum: Array = np.zeros(count)
+        self.force_square: Array = np.zeros(count)
+        self.action: Array = np.zeros((count, numbers))
+        self.action_before: Array = np.zeros((count, numbers))
+        self.steps = 1
+        self._known: dict[str, Any] = {}
+
+    def changed(self) -> None:
+        """Forget what has been computed from the arrays: they have been written."""
+        self._known.clear()
+
+    def _once(self, name: str, compute: Callable[[], Any]) -> Any:
+        if name not in self._known:
+            self._known[name] = compute()
+        return self._known[name]
+
+    @property
+    def contact(self) -> Flags:
+        """Whether the tip touches the surface."""
+        return cast(Flags, self._once("contact", lambda: self._mode != FREE))
+
+    @property
+    def sticks(self) -> Flags:
+        """Whether it sticks to it."""
+        return cast(Flags, self._once("sticks", lambda: self._mode == STUCK))
+
+    @property
+    def free_share(self) -> Array:
+        """Share of the rows since the control instant before at which the tip was off the surface."""
+        return cast(Array, self._once("free_share", lambda: self._free / self.steps))
+
+    @property
+    def force_error(self) -> Array:
+        """True force less the wanted one, N."""
+        return cast(Array, self._once("force_error", lambda: self.force - self.wanted_force))
+
+    @property
+    def path_error(self) -> Array:
+        """Distance of the tip from the reference along the surface, m."""
+        return cast(Array, self._once("path_error", self._off_path))
+
+    def _off_path(self) -> Array:
+        off = self.tip - self.wanted_tip
+        out = off[:, 0] * self.normal[:, 0] + off[:, 1] * self.normal[:, 1] + off[:, 2] * self.normal[:, 2]
+        along = off - self.normal * out[:, None]
+        length: Array = np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2 + along[:, 2] ** 2)
+        return length

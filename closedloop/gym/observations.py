@@ -1,0 +1,89 @@
+"""The parts of an observation: what a controller can know at a control instant, and what a critic may besides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.gym.now import Now
+
+Array = NDArray[np.float64]
+
+
+class Part(NamedTuple):
+    """A part of an observation: its numbers (N, k), how many they are of n joints and a actions, and their bounds."""
+
+    read: Callable[[Now], Array]
+    numbers: Callable[[int, int], int]
+    low: float
+    high: float
+    unit: str
+
+
+def _one(now_part: Array) -> Array:
+    return now_part[:, None]
+
+
+def _path_error(now: Now) -> Array:
+    error: Array = now.tip - now.wanted_tip
+    return error
+
+
+# Beyond any run that does not end: a joint's speed ends one at 1e4 rad/s (m/s).
+FAR, FAST, STRONG = 1e3, 1e4, 1e6
+PARTS: dict[str, Part] = {
+    "q": Part(lambda now: now.q, lambda n, a: n, -FAR, FAR, "rad"),
+    "v": Part(lambda now: now.v, lambda n, a: n, -FAST, FAST, "rad/s"),
+    "tip_error": Part(_path_error, lambda n, a: 3, -FAR, FAR, "m"),
+    "tip_velocity": Part(lambda now: now.tip_velocity, lambda n, a: 3, -FAST, FAST, "m/s"),
+    "force": Part(lambda now: _one(now.measured), lambda n, a: 1, -STRONG, STRONG, "N"),
+    "force_error": Part(lambda now: _one(now.wanted_force - now.measured), lambda n, a: 1, -STRONG, STRONG, "N"),
+    "force_sum": Part(lambda now: _one(now.force_sum), lambda n, a: 1, -STRONG, STRONG, "N s"),
+    "contact": Part(lambda now: _one(now.contact.astype(np.float64)), lambda n, a: 1, 0.0, 1.0, "1"),
+    "sticks": Part(lambda now: _one(now.sticks.astype(np.float64)), lambda n, a: 1, 0.0, 1.0, "1"),
+    "phase": Part(lambda now: _one(now.phase), lambda n, a: 1, 0.0, 1.0, "1"),
+    "action": Part(lambda now: now.action, lambda n, a: a, -1.0, 1.0, "1"),
+}
+# The truth, for critics; what an episode draws stands behind it.
+TRUTH: dict[str, Part] = {
+    "true_force": Part(lambda now: _one(now.force), lambda n, a: 1, -STRONG, STRONG, "N"),
+    "friction_force": Part(lambda now: now.friction_force, lambda n, a: 3, -STRONG, STRONG, "N"),
+    "slip_velocity": Part(lambda now: now.slip_velocity, lambda n, a: 3, -FAST, FAST, "m/s"),
+    "gap": Part(lambda now: _one(now.gap), lambda n, a: 1, -FAR, FAR, "m"),
+    "normal": Part(lambda now: now.normal, lambda n, a: 3, -1.0, 1.0, "1"),
+}
+
+
+class Observations:
+    """An observation of some parts, in order.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of each number: "q.0", "q.1", ..., "force".
+    low, high : (k,) arrays
+        Bounds, to which what is observed is cut.
+    """
+
+    def __init__(self, parts: Sequence[str], known: dict[str, Part], n: int, numbers: int) -> None:
+        for name in parts:
+            if name not in known:
+                raise ScenarioError(f"observations: no part {name!r}; there are {', '.join(known)}")
+        self._parts = [known[name] for name in parts]
+        counts = [part.numbers(n, numbers) for part in self._parts]
+        self.names = tuple(
+            name if count == 1 else f"{name}.{i}"
+            for name, count in zip(parts, counts, strict=True)
+            for i in range(count)
+        )
+        self.low = np.repeat([part.low for part in self._parts], counts)
+        self.high = np.repeat([part.high for part in self._parts], counts)
+
+    def read(self, now: Now) -> Array:
+        """Return the observations (N, k), a new array."""
+        values = np.concatenate([part.read(now) for part in self._parts], axis=1)
+        return np.clip(values, self.low, self.high, out=values)

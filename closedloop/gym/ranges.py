@@ -1,0 +1,98 @@
+"""What differs from episode to episode: declared ranges of keys of the scenario, and what is drawn from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.scenario.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+# The key of a posture: what is drawn is added to each joint of the scenario's start.
+POSTURE = "start.q"
+LARGEST_SEED = 2**31
+
+
+@dataclass(frozen=True)
+class Range:
+    """A range from which a number is drawn for each episode.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends, in the unit of the key.
+    log : bool
+        Whether its logarithm is distributed evenly, instead of the number.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        if not -math.inf < self.low <= self.high < math.inf or (self.log and not self.low > 0.0):
+            above = ", and above 0 with log=True" if self.log else ""
+            raise ScenarioError(f"range: {self.low!r} to {self.high!r}: must be two numbers, the smaller first{above}")
+
+    def draw(self, random: np.random.Generator, size: int | None = None) -> Any:
+        """Return a number, or an array of `size` numbers."""
+        if not self.log:
+            return random.uniform(self.low, self.high, size)
+        return np.exp(random.uniform(math.log(self.low), math.log(self.high), size))
+
+
+def as_ranges(given: Mapping[str, Any]) -> dict[str, Range]:
+    """Return ranges by key, of which a pair of numbers is one as well."""
+    ranges = {}
+    for key, value in given.items():
+        try:
+            if not isinstance(value, Range):
+                low, high = map(float, value)
+                value = Range(low, high)
+            ranges[key] = value
+        except (TypeError, ValueError):
+            raise ScenarioError(
+                f"ranges[{key!r}] = {value!r}: must be (low, high), or closedloop.gym.Range(low, high, log=True)"
+            ) from None
+    return ranges
+
+
+def drawn(
+    ranges: Mapping[str, Range], home: Array, random: np.random.Generator, given: Mapping[str, Any],
+    seeds: tuple[str, ...] = ("sensor.seed",),
+) -> dict[str, Any]:  # fmt: skip
+    """Return a value for each key, and for `seeds`, the keys of seeds.
+
+    Parameters
+    ----------
+    ranges
+        By dotted keys of the scenario.
+    home : (nq,) array
+        The posture that one of `POSTURE` is added to.
+    random
+        All keys are drawn in order, so that a value that is given changes no other.
+    given : mapping
+        Values that replace what is drawn; of other keys of the scenario too.
+    """
+    values: dict[str, Any] = {}
+    for key, each in ranges.items():
+        if key == POSTURE:
+            values[key] = (home + each.draw(random, home.size)).tolist()
+        else:
+            values[key] = float(each.draw(random))
+    for key in seeds:
+        values[key] = int(random.integers(LARGEST_SEED))
+    values.update(given)
+    return values
+
+
+def home_of(scenario: Scenario, home: Array) -> Array:
+    """Return the posture at which a scenario starts, `home` if it says none."""
+    return np.array(home if scenario.start.q is None else scenario.start.q, dtype=np.float64)

@@ -1,0 +1,324 @@
+"""Environments of Gymnasium: its own checks, one against many, seeds, actions, endings, rewards."""
+
+import json
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import closedloop as cl
+import closedloop.gym as clgym
+from closedloop.gym.env import ContactEnv
+from closedloop.gym.policy import LinearPolicy
+from closedloop.gym.vector import ContactVectorEnv
+from closedloop.loop.step.record_row import Row
+
+IDS = {**{name: {} for name in clgym.TASKS}, "scenario": {"scenario": "wam_touchdown"}}
+FORTH = {"overrides": {"time.duration": 0.3}}
+
+
+def made(name, **options):
+    """Return an environment by its registered name."""
+    return gymnasium.make(f"closedloop/{name.capitalize()}-v0", **IDS[name], **options).unwrapped
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_has_nothing_to_say(name):
+    """`check_env` passes without a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(made(name), skip_render_check=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [("press", AutoresetMode.NEXT_STEP), ("slide", AutoresetMode.SAME_STEP), ("wipe", AutoresetMode.NEXT_STEP)],
+)
+def test_many_are_each_as_one(name, mode):
+    """Observations, rewards, ends and the truth are those of single environments, to the bit, over several episodes."""
+    options = {"overrides": {"time.duration": 0.2}, "control_rate": 50.0}
+    if name != "press":
+        options["overrides"] |= {"reference.stop": 0.19, "reference.start": 0.02}
+    many = gymnasium.make_vec(
+        f"closedloop/{name.capitalize()}-v0", num_envs=3, threads=2, autoreset_mode=mode, **options
+    )
+    singles, random = [made(name, **options) for _ in range(3)], np.random.default_rng(1)
+    seen, _ = many.reset(seed=11)
+    assert np.array_equal(seen, [each.reset(seed=11 + i)[0] for i, each in enumerate(singles)])
+    over, ends = [False] * 3, 0
+    for _ in range(25):
+        action = random.uniform(-1.0, 1.0, many.action_space.shape).astype(np.float32)
+        seen, rewards, terminated, truncated, infos = many.step(action)
+        for i, each in enumerate(singles):
+            if over[i]:
+                alone, reward, ended, cut = each.reset()[0], 0.0, False, False
+            else:
+                alone, reward, ended, cut, info = each.step(action[i])
+                assert infos["privileged"][i].tolist() == info["privileged"].tolist() or ended or cut
+            over[i] = ended or cut
+            ends += over[i]
+            if over[i] and mode == AutoresetMode.SAME_STEP:
+                assert np.array_equal(infos["final_obs"][i], alone)
+                alone, over[i] = each.reset()[0], False
+            assert np.array_equal(seen[i], alone)
+            assert (rewards[i], terminated[i], truncated[i]) == (reward, ended, cut)
+    assert ends >= 3
+    many.close()
+
+
+def test_a_disabled_autoreset_waits():
+    """With autoreset disabled an ended episode is refused until it is reset by its mask, which touches no other."""
+    many = ContactVectorEnv(2, "press", autoreset_mode="Disabled", **FORTH, control_rate=10.0)
+    many.reset(seed=0)
+    still = np.zeros((2, 1))
+    for _ in range(3):
+        *_, truncated, infos = many.step(still)
+    assert truncated.all()
+    assert list(infos["reason"]) == ["time is up"] * 2
+    with pytest.raises(gymnasium.error.ResetNeeded, match="environment 0 is over"):
+        many.step(still)
+    many.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(gymnasium.error.ResetNeeded, match="environment 1 is over"):
+        many.step(still)
+    with pytest.raises(ValueError, match="reset_mask"):
+        many.reset(options={"reset_mask": [True, False]})
+
+
+EPISODE = """
+import json, sys, numpy as np
+from closedloop.gym.vector import ContactVectorEnv
+many = ContactVectorEnv(4, "press", threads=int(sys.argv[1]), overrides={"time.duration": 0.1})
+many.reset(seed=5)
+for k in range(8):
+    seen, *_ = many.step(np.full((4, 1), 0.1 * k))
+print(json.dumps(seen.tolist()))
+"""
+
+
+def test_seeds_hold_across_processes_and_threads():
+    """The same seed gives the same observations in another process, with another number of threads."""
+    said = [
+        json.loads(subprocess.run([sys.executable, "-c", EPISODE, threads], check=True, capture_output=True).stdout)
+        for threads in ("1", "3")
+    ]
+    assert said[0] == said[1]
+
+
+def test_what_is_drawn_is_within_its_range():
+    """Each parameter is in its range and differs; a value given as an option stands, and changes no other draw."""
+    env = made("press", **FORTH)
+    ranges = clgym.TASKS["press"].ranges
+    drawn = [env.reset(seed=seed)[1]["parameters"] for seed in range(6)]
+    for key in (key for key in ranges if key != "start.q"):
+        values = [each[key] for each in drawn]
+        assert len(set(values)) == 6
+        assert all(ranges[key][0] <= value <= ranges[key][1] for value in values)
+    given = env.reset(seed=3, options={"friction.coefficient": 0.123})[1]["parameters"]
+    assert given == {**drawn[3], "friction.coefficient": 0.123}
+    with pytest.raises(cl.ScenarioError, match="coeficient"):
+        env.reset(options={"friction.coeficient": 0.1})
+    assert 1e3 <= clgym.Range(1e3, 1e5, log=True).draw(np.random.default_rng(0)) <= 1e5
+    with pytest.raises(cl.ScenarioError, match="smaller first"):
+        clgym.Range(2.0, 1.0)
+
+
+def test_an_episode_is_the_scenario_that_it_says():
+    """The scenario with the parameters of the episode, run by `simulate`, is the episode under its own force."""
+    env = made("slide", overrides={"time.duration": 0.5}, actions={"force": (0.0, 20.0)}, endings={})
+    _, info = env.reset(seed=4)
+    scenario = cl.load_scenario(clgym.TASKS["slide"].scenario, {**info["parameters"], "time.duration": 0.5})
+    run = cl.simulate(scenario, engine="compiled")
+    for k in range(10, 501, 10):
+        *_, info = env.step(np.zeros(1))
+        assert info["force"] == run.contact_force[k]
+    assert info["reason"] == "time is up"
+    assert np.array_equal(Row(env.core.together.rows[0], 4).q, run.q[500])
+
+
+@pytest.mark.parametrize(
+    ("action", "said"),
+    [
+        (np.array([np.nan]), r"action\[0\] = nan \(force\): must be a finite number; nothing was stepped"),
+        (np.zeros(2), r"action of shape \(2,\): must be numbers of shape \(1,\): force"),
+        ("up", r"action of shape \(\)"),
+    ],
+)
+def test_bad_actions_are_answered(action, said):
+    """A NaN and a wrong shape are refused in one line, and the episode goes on as if nothing was asked."""
+    env = made("press", **FORTH)
+    first, _ = env.reset(seed=0)
+    with pytest.raises(ValueError, match=said) as error:
+        env.step(action)
+    assert "\n" not in str(error.value)
+    after = env.step(np.zeros(1))[0]
+    env.reset(seed=0)
+    assert np.array_equal(after, env.step(np.zeros(1))[0])
+    assert not np.array_equal(first, after)
+
+
+def test_actions_out_of_range_are_cut_and_counted():
+    """An action beyond 1 acts as 1, and the info counts it."""
+    env = made("press", **FORTH)
+    env.reset(seed=0)
+    beyond = env.step(np.array([7.0]))
+    env.reset(seed=0)
+    one = env.step(np.array([1.0]))
+    assert np.array_equal(beyond[0], one[0])
+    assert (beyond[4]["cut"], one[4]["cut"]) == (1, 0)
+
+
+def test_a_step_needs_a_reset():
+    """Before the first reset, and after the end, a step is refused."""
+    env = made("press", overrides={"time.duration": 0.1}, control_rate=10.0)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(1))
+    env.reset(seed=0)
+    env.step(np.zeros(1))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(1))
+
+
+def test_rewards_are_composed_of_named_terms():
+    """The reward is the weighted sum of its terms, a user's own among them; a term that returns no number is named."""
+    terms = {"force": 2.0, "still": (0.5, lambda now: -np.abs(now.v).sum(axis=1)), "alive": lambda now: now.time * 0.0}
+    env = made("press", rewards=terms, **FORTH)
+    env.reset(seed=0)
+    for _ in range(5):
+        _, reward, _, _, info = env.step(np.zeros(1))
+        parts = [info[f"reward/{name}"] for name in terms]
+        assert reward == pytest.approx(sum(parts), rel=1e-15)
+        assert info["reward/force"] == -2.0 * min(abs(info["force"] - 10.0) / 10.0, 1.0)
+    env = made("press", rewards={"bad": lambda now: now.time * np.nan}, **FORTH)
+    env.reset(seed=0)
+    with pytest.raises(cl.ScenarioError, match="bad = nan"):
+        env.step(np.zeros(1))
+    with pytest.raises(cl.ScenarioError, match="speed"):
+        made("press", rewards={"speed": 1.0})
+
+
+def test_endings_say_why():
+    """Too much force and a lost contact end an episode as failed, with what was left to lose; success is told."""
+    env = made("slide", endings={"excessive force": lambda now: now.largest_force > 14.0}, ranges={})
+    env.reset(seed=0)
+    total, terminated = 0, False
+    while not terminated:
+        _, _, terminated, truncated, info = env.step(np.array([1.0, 0.0, 0.0]))
+        total += 1
+        assert not truncated
+    assert info["reason"] == "excessive force"
+    assert info["reward/failed"] == pytest.approx(-(250 - total + 1) * 3.6)
+    env = made("press", ranges={}, overrides={"friction.coefficient": 0.0})
+    env.reset(seed=0)
+    terminated = truncated = False
+    while not (terminated or truncated):
+        _, _, terminated, truncated, info = env.step(np.zeros(1))
+    assert terminated
+    assert info["reason"] == "success"
+    assert info["is_success"]
+
+
+def test_a_simulation_that_stops_ends_its_own_episode():
+    """One that diverges terminates with its reason; its neighbour goes on, as it does alone."""
+    options = {"scenario": "planar2_drop", "actions": {"torque": (-1e8, 1e8)}, "endings": {}}
+    options["overrides"] = {"time.duration": 0.5}
+    many, alone = ContactVectorEnv(2, **options), ContactEnv(**options)
+    many.reset(seed=0)
+    alone.reset(seed=1)
+    seen, _, terminated, _, infos = many.step(np.array([[1.0, -1.0], [0.0, 0.0]]))
+    assert terminated.tolist() == [True, False]
+    assert infos["reason"][0].startswith("stopped at t = ")
+    assert np.array_equal(seen[1], alone.step(np.zeros(2))[0])
+    seen, *_ = many.step(np.zeros((2, 2)))
+    assert np.array_equal(seen[1], alone.step(np.zeros(2))[0])
+
+
+def test_critics_see_the_truth():
+    """The privileged observation holds the true force and what was drawn; with `privileged` it is part of a dict."""
+    env = made("press", privileged=True, **FORTH)
+    seen, info = env.reset(seed=0)
+    names = env.core.privileged_names
+    assert seen in env.observation_space
+    assert np.array_equal(seen["critic"], info["privileged"])
+    told = dict(zip(names, info["privileged"], strict=True))
+    assert told["true_force"] == info["force"]
+    assert told["compliance.stiffness"] == info["parameters"]["compliance.stiffness"]
+    many = ContactVectorEnv(2, "press", privileged=True, **FORTH)
+    assert np.array_equal(many.reset(seed=0)[0]["critic"][0], seen["critic"])
+
+
+def test_worlds_are_met_again():
+    """With a number of worlds there are so many, the same for any seed."""
+    env = made("press", worlds=3, **FORTH)
+    stiffness = {env.reset(seed=seed)[1]["parameters"]["compliance.stiffness"] for seed in range(30)}
+    other = {env.reset()[1]["parameters"]["compliance.stiffness"] for _ in range(10)}
+    assert len(stiffness) == 3
+    assert other <= stiffness
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"task": "push"}, "must be one of press"),
+        ({"task": "press", "control_rate": 0.0}, "control_rate = 0 Hz"),
+        ({"task": "press", "control_rate": 300.0}, "whole number of steps"),
+        ({"task": "press", "actions": {}}, "actions: is empty"),
+        ({"task": "press", "actions": {"law.kp": (0.0, 1.0)}}, "law.normal_damping"),
+        ({"task": "press", "actions": {"force": (1.0, 0.0)}}, "low, high"),
+        ({"task": "press", "actions": {"torque": (-1, 1), "force": (0, 1)}}, "torques replace the law"),
+        ({"task": "press", "observations": ("colour",)}, "no part 'colour'"),
+        ({"task": "press", "ranges": {"friction.coefficient": 0.3}}, r"must be \(low, high\)"),
+        ({"task": "press", "render_mode": "ansi"}, "'rgb_array' or 'human'"),
+        ({"task": "press", "length": 3}, "length: no such option"),
+        ({}, "scenario: give the name"),
+        ({"scenario": "wam_slide", "overrides": {"time.integrator": "dop853"}}, "integrator"),
+    ],
+)
+def test_wrong_options_are_answered_in_a_line(options, said):
+    """What is wrong, where, and what would be right."""
+    with pytest.raises(cl.ScenarioError, match=said) as error:
+        ContactEnv(**options)
+    assert "\n" not in str(error.value)
+
+
+def test_pictures_are_drawn_without_a_display():
+    """`render` gives a picture that changes with the state, of each of several environments too."""
+    env = made("press", render_mode="rgb_array", **FORTH)
+    env.reset(seed=0)
+    first = env.render()
+    for _ in range(20):
+        env.step(np.ones(1))
+    then = env.render()
+    assert first.shape == then.shape == (480, 640, 3)
+    assert first.dtype == np.uint8
+    assert not np.array_equal(first, then)
+    env.close()
+    env.close()
+
+
+def test_a_policy_becomes_a_law(tmp_path, monkeypatch):
+    """The law that a policy is written as gives the forces of the policy in the environment.
+
+    To rounding: the policy sums its products in numpy, the law in compiled code, and 0.4 s of control follow.
+    """
+    env = made("press", overrides={"time.duration": 0.4}, control_rate=50.0, endings={}, hold=None)
+    policy = LinearPolicy(env.core.observation_names, [0.7, 3.0, 0.2, 0.1])
+    seen, info = env.reset(seed=2)
+    values, forces = info["parameters"], []
+    for _ in range(20):
+        seen, *_, info = env.step(policy.act(seen)[0])
+        forces.append(info["force"])
+    assert policy.write_law(tmp_path / "learned.py", env.core).is_file()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    given = {**values, "time.duration": 0.4, "law.kind": "learned:Policy"}
+    run = cl.simulate(cl.load_scenario(clgym.TASKS["press"].scenario, given), engine="compiled")
+    assert run.contact_force[20::20] == pytest.approx(forces, rel=1e-9)
+    assert max(forces) > 5.0
+    with pytest.raises(cl.ScenarioError, match="has no 'force_sum'"):
+        LinearPolicy(("force_error", "contact"), [0.0] * 4).act(np.zeros(2))
+    with pytest.raises(cl.ScenarioError, match="must be 'force' alone"):
+        policy.write_law(tmp_path / "other.py", made("slide").core)

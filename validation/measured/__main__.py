@@ -19,6 +19,7 @@ from closedloop.command.border import Parser, run_command
 
 AGREES, DIFFERS = 0, 1
 ROBOTS = {
+    "cubes": "tosses of a cube: where it goes, beside other engines",
     "tx40": "Stäubli TX40: friction and drives beside the published ones",
     "ur10": "UR10: torques where they were not fitted",
     "kr300": "KUKA KR300: the same, and the stiffness of its joints from two encoders",

@@ -1,0 +1,10 @@
+"""Real tosses of a cube, simulated from their first row by this package and by other engines, all fitted alike.
+
+python -m validation.measured cubes             # judge, with the fitted values that come with the package
+python -m validation.measured.cubes --fit       # fit every engine again, and write the values
+python -m validation.measured.cubes --figures DIR
+"""
+
+from validation.measured.cubes.judging import judge
+
+__all__ = ["judge"]

@@ -1,0 +1,95 @@
+"""The command line: ``python -m validation.measured.cubes --fit``, or ``--laws``, or ``--figures DIR``.
+
+Exit status: 0 done; 2 the input is at fault (one line on standard error).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from closedloop.base.errors import OutputError
+from closedloop.base.files import write_whole
+from closedloop.command.border import Parser, run_command
+from validation.measured.cubes.closedloop import ClosedLoopCube
+from validation.measured.cubes.comparing import FITTED, engines, fits, fitted, held_out, tried
+from validation.measured.cubes.fitting import fit, training
+from validation.measured.cubes.tosses import first_row, mean_errors, read
+
+LAWS = ("newton", "poisson", "stronge")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("validation.measured.cubes", _main, arguments, stopped=())
+
+
+def _main(words: list[str]) -> int:
+    names = [engine.name for engine in engines()]
+    parser = Parser(prog="python -m validation.measured.cubes", description="Fit engines to tosses, and draw them.")
+    parser.add_argument(
+        "--fit", nargs="*", metavar="ENGINE", choices=names, help=f"fit these, or all installed: {', '.join(names)}"
+    )
+    parser.add_argument("--laws", action="store_true", help="compare laws of restitution and of friction")
+    parser.add_argument("--figures", metavar="DIR", help="draw errors over time, best and worst tosses, as PNG")
+    options = parser.parse_args(words)
+    if options.fit is None and not options.laws and options.figures is None:
+        parser.error("say what to do: --fit, --laws or --figures DIR")
+    if options.fit is not None:
+        _fit(options.fit or names)
+    if options.laws:
+        _laws()
+    if options.figures is not None:
+        _figures(Path(options.figures))
+    return 0
+
+
+def _fit(names: Sequence[str]) -> None:
+    """Fit engines, and write their values where `validation.measured cubes` reads them."""
+    written = fits() if FITTED.exists() else {}
+    for engine in (each for each in engines() if each.name in names):
+        found = fit(engine, training(read()), told=print)
+        values = {p.name: x for p, x in zip(engine.parameters, found.values, strict=True)}
+        written[engine.name] = {"values": values, "cost": found.cost, "simulations": found.simulations}
+    write_whole(str(FITTED), f"{json.dumps(written, indent=2)}\n".encode())
+
+
+def _laws() -> None:
+    """Print the mean errors of each law of restitution, and without friction or restitution, all else as fitted."""
+    shipped = read()
+    tosses = held_out(shipped, shipped)
+    values = fitted(ClosedLoopCube())
+    starts = [first_row(toss) for toss in tosses]
+    cases = [(law, law, values) for law in LAWS]
+    cases += [("without restitution", "newton", [values[0], 0.0, *values[2:]])]
+    cases += [("without friction", "newton", [0.0, *values[1:]])]
+    for name, law, used in cases:
+        position, rotation = np.nanmean(mean_errors(tosses, ClosedLoopCube(law).simulate(used, starts, tosses)), axis=0)
+        print(f"{name:20} {position:6.1f} % {rotation:6.1f}°")
+
+
+def _figures(folder: Path) -> None:
+    from validation.measured.cubes.figures import best_and_worst, errors_over_time
+
+    if not folder.is_dir():
+        raise OutputError(f"--figures {folder}: is no folder: name one that exists")
+    shipped = read()
+    tosses = held_out(shipped, shipped)
+    results = {engine.name: tried(engine, tosses) for engine in engines()}
+    drawn = {
+        "cube_errors": errors_over_time(tosses, results),
+        "cube_tosses": best_and_worst(tosses, results["closedloop"]),
+    }
+    for name, figure in drawn.items():
+        image = io.BytesIO()
+        figure.savefig(image)
+        write_whole(folder / f"{name}.png", image.getvalue())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

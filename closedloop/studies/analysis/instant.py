@@ -1,20 +1,16 @@
-"""A run at an instant: the state there, and one evaluation of the equation of motion beside it.
-
-An evaluation is one call of the loop's own kernel at a row: law, friction, contact and Eq. 24 are those of a run, and
-nothing is written twice. White noise and quantisation, which have no derivative, are left out of it.
-"""
+"""A run at an instant: the state at a row, and the run from there on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import ScenarioError, SimulationError
-from closedloop.control.encoder import DIFFERENCE, NO_ENCODER, EncoderParameters
-from closedloop.control.sensor import SensorParameters
+from closedloop.control.encoder import NO_ENCODER
+from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.impacts import collide
@@ -23,7 +19,6 @@ from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.record_row import Row, complete_record
 from closedloop.loop.step.seen import read_joints
-from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
@@ -34,19 +29,11 @@ Array = NDArray[np.float64]
 
 # What of the loop's memory is the state at a row, beside the states in z.
 KEPT = (
-    "q", "v", "torque", "held", "anchor", "direction", "stuck", "last_read_q", "last_read_v", "torque_before",
+    "q", "v", "torque", "drives.held", "tip.anchor", "friction.direction", "joint_friction.stuck", "encoders.last_q",
+    "encoders.last_v", "drives.before",
 )  # fmt: skip
 # The parts of z, in their order.
 PARTS = ("law", "compensation", "filter", "friction", "joint friction", "transmission")
-
-
-# Two steps whose differences are further apart than this share, at the best, show a function that has no derivative: of
-# those that have one they are nearer than a millionth. A first step whose differences are so near is short enough.
-KINK, NEAR = 1e-2, 1e-6
-
-
-class EventHere(Exception):
-    """The contact changes its mode at the state that was evaluated, or the forces have no derivative there."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +119,7 @@ def run_to(problem: Problem, row: int) -> Instant:
         raise SimulationError(
             f"linearise: the run stops before t = {row * h:g} s: {error}", getattr(error, "time", 0.0)
         ) from error
-    mark, force = stepper.mark, float(stepper.loop.w.F[0])
+    mark, force = stepper.mark, float(stepper.loop.w.tip.F[0])
     if row < problem.steps:
         try:
             stepper.to_row()
@@ -153,33 +140,35 @@ def run_to(problem: Problem, row: int) -> Instant:
             f"linearise: a contact of a link is closed at t = {row * h:g} s; only the tip's contact is linearised",
             row * h,
         )
-    values = {name: np.array(getattr(w, name)) for name in KEPT}
-    if state.encoder != NO_ENCODER and state.phase == MEASURED:
-        values |= {"q": np.array(w.true_q), "v": np.array(w.true_v)}
+    values = {name: np.array(attrgetter(name)(w)) for name in KEPT}
+    if state.settings.encoder != NO_ENCODER and state.phase == MEASURED:
+        values |= {"q": np.array(w.encoders.true_q), "v": np.array(w.encoders.true_v)}
     before = np.array(w.z)
-    if row == 0 and state.states_at != 0:  # the law's states as it has started them, which the row has
-        before[: state.law_states] = stepper.rows[0, state.states_at : state.states_at + state.law_states]
+    if row == 0 and state.settings.states_at != 0:  # the law's states as it has started them, which the row has
+        before[: state.law_states] = stepper.rows[
+            0, state.settings.states_at : state.settings.states_at + state.law_states
+        ]
     z = {name: before[where] for name, where in parts_of(problem).items()}
-    return Instant(row * h, int(state.mode), values, z, float(w.measured), force)
+    return Instant(row * h, int(state.mode), values, z, float(w.sensing.measured), force)
 
 
 def put(instant: Instant, problem: Problem, loop: Loop) -> None:
     """Write the state of an instant into a loop's memory, which may be that of another sensor: it is then at rest."""
     state, w = loop.state, loop.w
     for name, value in instant.values.items():
-        getattr(w, name)[:] = value
+        attrgetter(name)(w)[:] = value
     for name, where in parts_of(problem).items():
         mine, width = instant.z[name], where.stop - where.start
         if mine.size == width:
             w.z[where] = mine
         elif name == "filter" and width:
             w.z[where] = instant.force
-    w.ring[:] = w.measured = instant.measured
+    w.sensing.ring[:] = w.sensing.measured = instant.measured
     state.row = row = round(instant.time / problem.h)
     w.time = row * problem.h
-    state.mode, state.started, state.sampled, state.no_search, state.risen = instant.mode, 1, 1, 1, 1
+    state.mode, state.started, state.sampled, state.trial.off, state.cleared = instant.mode, 1, 1, 1, 1
     state.phase = STEP_END
-    if state.encoder != NO_ENCODER:
+    if state.settings.encoder != NO_ENCODER:
         interpreted(read_joints)(w, loop.constants, state, problem.table)
         state.phase = MEASURED
 
@@ -207,7 +196,9 @@ def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> 
     answers = Answers(problem, loop)
     arrays = problem.table, problem.integrator.tableau(), record
     once, _ = single_calls(problem, loop_for(PINOCCHIO), loop, arrays, PINOCCHIO)
-    kicked = problem.table[first * problem.nodes : (first + max(problem.hold, 1)) * problem.nodes, 2 * n + 9]
+    kicked = problem.table[
+        first * problem.nodes : (first + max(problem.hold, 1)) * problem.nodes, Reference.place("force", n)
+    ]
     before = kicked.copy()
     kicked += kick
     try:
@@ -220,235 +211,3 @@ def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> 
     finally:
         kicked[:] = before
     return np.array(record[first : loop.state.row, Row.place("contact_force", n)])
-
-
-@dataclass
-class Here:
-    """Evaluations at states beside that of an instant, without the stabiliser.
-
-    So a tip that is off the surface, or moves off it, is one whose surface has been moved.
-
-    Parameters
-    ----------
-    problem : Problem
-        The scenario as numbers; the instant may be that of another with other gains.
-    instant : Instant
-    free : bool
-        Whether it may be in flight.
-    """
-
-    problem: Problem
-    instant: Instant
-    free: bool = False
-
-    def __post_init__(self) -> None:
-        problem = self.problem
-        model = problem.robot.model
-        self.problem = problem = replace(problem, robot=Robot(model, problem.robot.tip))
-        self.row = round(self.instant.time / problem.h)
-        self.loop = loop = problem.loop()
-        make_ready(*kernels_of(PINOCCHIO), *problem.called(loop), complete_record)
-        problem.connect(loop)
-        self._rows = np.empty((self.row + 2, problem.row_width))
-        self._answers = Answers(problem, loop)
-        arrays = problem.table, problem.integrator.tableau(), self._rows
-        _, self._call = single_calls(problem, loop_for(PINOCCHIO), loop, arrays, PINOCCHIO)
-        self._passes = problem.robot.passes
-        state, w, constants = loop.state, loop.w, loop.constants
-        n = problem.robot.n
-        put(self.instant, problem, loop)
-        state.project = 0
-        state.semi_implicit = 0  # so that friction's states have rates
-        sensor: Any = SensorParameters(constants.sensor, 0)
-        sensor.noise = sensor.quantisation = 0.0
-        if problem.encoder.size:
-            encoder = EncoderParameters(constants.encoder, n)
-            for name in ("noise", "quantisation", "velocity_noise"):
-                getattr(encoder, name)[:] = 0.0
-        for key, lag in (("friction", constants.lag), ("joint_friction", np.max(constants.joint_lag))):
-            if lag > 0.0:
-                kind = getattr(problem.scenario, key).kind
-                raise ScenarioError(
-                    f"linearise: {key}.kind = {kind!r} answers to the slip of {lag:g} s ago; take another"
-                )
-        constants.s_v = constants.s_p = 0.0
-        if self.instant.mode == FREE and not self.free:
-            raise SimulationError(
-                f"linearise: the tip is in flight at t = {self.instant.time:g} s, where there is no force loop; take "
-                "an instant at which it presses",
-                self.instant.time,
-            )
-        self._encoder = int(state.encoder)
-        self._saved = state.memory.copy(), w.memory.copy(), constants.memory.copy()
-        self._node = self.row * problem.nodes
-
-    @property
-    def n(self) -> int:
-        """Joints."""
-        return self.problem.robot.n
-
-    @property
-    def differences(self) -> bool:
-        """Whether the controller's velocities are differences of readings."""
-        return self._encoder == DIFFERENCE
-
-    def __call__(self, held: bool = False, **changes: Any) -> dict[str, Array]:
-        """Evaluate once, with changes to the state and the inputs, and return what follows, by name.
-
-        Parameters
-        ----------
-        held : bool
-            Whether the torque is what it was, instead of the law's.
-        changes : arrays
-            q, v, z, last: added to the state; measured, force (f_des), bias (of the sensor), (1,), N; link: torque on
-            the links (n,), N m; torque: added to what is held (n,); compliance: added to its parameters.
-
-        Raises
-        ------
-        EventHere
-            If the contact would change its mode.
-        """
-        loop, problem, n = self.loop, self.problem, self.n
-        state, w, constants = loop.state, loop.w, loop.constants
-        state.memory[:], w.memory[:], constants.memory[:] = self._saved
-        w.z += changes.get("z", 0.0)
-        w.torque += changes.get("torque", 0.0)
-        w.measured += changes["measured"][0] if "measured" in changes else 0.0
-        last = changes.get("last")
-        if last is not None:
-            w.last_read_q += last[:n]
-            w.last_read_v += last[n:]
-        if "bias" in changes:
-            sensor: Any = SensorParameters(constants.sensor, 0)
-            sensor.bias += changes["bias"][0]
-        constants.compliance += changes.get("compliance", 0.0)
-        nodes = problem.table[self._node : self._node + problem.nodes + 1, 2 * n + 9]
-        before = nodes.copy()
-        nodes += changes.get("force", 0.0)
-        crba, bias, convention, pinocchio, data = self._passes
-        if self._encoder != NO_ENCODER:
-            w.q[:] = w.true_q + changes.get("q", 0.0)
-            w.v[:] = w.true_v + changes.get("v", 0.0)
-            interpreted(read_joints)(w, constants, state, problem.table)
-            state.phase = MEASURED
-        else:
-            w.q += changes.get("q", 0.0)
-            w.v += changes.get("v", 0.0)
-        try:
-            for _ in range(2 if self._encoder != NO_ENCODER else 1):
-                crba(pinocchio, data, w.q, convention)
-                bias(pinocchio, data, w.q, w.v)
-                if "link" in changes:
-                    problem.robot.views[1][:] -= changes["link"]
-                state.sampled = 0 if held else 1
-                self._call(self._answers.events)
-        finally:
-            nodes[:] = before
-        if state.row != self.row + 1 and not (state.row == problem.steps and self.row == state.row):
-            raise EventHere
-        dz = np.array(w.dz) if state.law != 0 else np.zeros(w.z.size)
-        motors = parts_of(problem)["transmission"]
-        if motors.stop > motors.start:  # what the semi-implicit scheme writes there is its own
-            place = type(w).place("z", *w.sizes)
-            dz[motors][:n] = (self._saved[1][place] + changes.get("z", 0.0))[motors][n:]
-        f = float(w.F[0])
-        return {
-            "qdd": np.array(w.qdd), "dz": dz, "f": np.array([f]),
-            "reading": np.array([w.reading if state.law != 0 else f]), "torque": np.array(w.torque),
-            "r": np.array(w.r), "u": np.array(w.u), "gap": np.array([w.gap]),
-            "last": np.concatenate([w.last_read_q, w.last_read_v]),
-        }  # fmt: skip
-
-    def geometry(self) -> tuple[Array, Array, Array, Array]:
-        """Return H (n, n), the contact frame's Jacobian A (3, n), the frame (3, 3) and S (3, 3) at the instant."""
-        self()
-        w = self.loop.w
-        H = np.triu(self.problem.robot.terms(self.instant.values["q"], self.instant.values["v"]).mass_matrix)
-        H = H + np.triu(H, 1).T
-        return H, np.array(w.A), np.array(w.frame), np.array(w.S)
-
-    def moved(self, depth: float) -> Instant:
-        """Return the instant with the tip moved along the normal until it is so deep, m, in a soft surface."""
-        instant = self.instant
-        H, A, _, _ = self.geometry()
-        along = np.linalg.solve(H, A[0])
-        along /= A[0] @ along
-        q = np.zeros(self.n)
-        for _ in range(20):
-            gap = float(self(q=q)["gap"][0])
-            if abs(gap + depth) <= 1e-13 + 1e-12 * depth:
-                break
-            q = q - along * (gap + depth)
-        return replace(instant, values=instant.values | {"q": instant.values["q"] + q})
-
-
-def derivative(function: Any, step: float, value: dict[str, Array], most: int = 7) -> dict[str, Array]:
-    """Return the derivative of a function of one number at 0, a mapping of arrays, by Richardson's extrapolation.
-
-    Central differences at `step` and at half of it cancel the error of second order. Where the two are far apart, as
-    over a change of the contact's mode, the step is a tenth of it; the best of `most` steps is taken.
-
-    Parameters
-    ----------
-    function : callable
-        Of a number, to a mapping of arrays.
-    step : float
-        The first step.
-    value : mapping
-        What the function is at 0: its size decides what is rounding.
-
-    Raises
-    ------
-    EventHere
-        If no step stays clear of a change of mode, or there is no derivative.
-    """
-    best, least = None, np.inf
-    for _ in range(most):
-        try:
-            wide, near = (_central(function, size) for size in (step, 0.5 * step))
-        except EventHere:
-            step *= 0.1
-            continue
-        apart = 0.0
-        for name, x in near.items():
-            rounding = 1e-12 * (float(np.max(np.abs(value[name]), initial=0.0)) + 1e-3) / step
-            size = float(np.max(np.abs(x), initial=0.0))
-            apart = max(apart, float(np.max(np.abs(x - wide[name]), initial=0.0)) / (size + rounding / 1e-7 + 1e-300))
-        if apart < least:
-            best, least = {name: (4.0 * x - wide[name]) / 3.0 for name, x in near.items()}, apart
-        if apart < NEAR:
-            break
-        step *= 0.1
-    if best is None or least > KINK:
-        raise EventHere
-    return best
-
-
-def _central(function: Any, step: float) -> dict[str, Array]:
-    above, below = function(step), function(-step)
-    return {name: (above[name] - below[name]) / (2.0 * step) for name in above}
-
-
-def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]:
-    """Return the derivatives of all that `Here` evaluates by the numbers of a change, matrices (rows, k).
-
-    Parameters
-    ----------
-    here, name, held
-        Where, the change, and whether the torque is held; see `Here`.
-    steps : (k,) array
-        The first step of each number, see `derivative`.
-    """
-    value = here(held=held)
-    found: list[dict[str, Array]] = []
-    for j, step in enumerate(steps):
-
-        def along(amount: float, j: int = j) -> dict[str, Array]:
-            change = np.zeros(steps.size)
-            change[j] = amount
-            return here(held=held, **{name: change})
-
-        found.append(derivative(along, float(step), value))
-    return {
-        key: np.stack([each[key] for each in found], axis=1) if found else x[:, None][:, :0] for key, x in value.items()
-    }

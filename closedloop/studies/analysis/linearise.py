@@ -30,16 +30,8 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.discretise import step_of
-from closedloop.studies.analysis.instant import (
-    EventHere,
-    Here,
-    Instant,
-    columns,
-    parts_of,
-    refuse_unknown,
-    row_at,
-    run_to,
-)
+from closedloop.studies.analysis.here import EventHere, Here, columns
+from closedloop.studies.analysis.instant import Instant, parts_of, refuse_unknown, row_at, run_to
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from robot_models import RobotModel
 
@@ -146,7 +138,7 @@ class _Assembly:
         """Lay out the coordinates, and write δq, δq̇ and δz by them."""
         n, k = self.n, self.parts["transmission"].stop
         H, A, self.frame, _ = self.here.geometry()
-        sticks = self.instant.mode == STUCK and self.state.sticking == RIGID_STICK
+        sticks = self.instant.mode == STUCK and self.state.friction.sticking == RIGID_STICK
         self.H, self.G = H, A if sticks else A[:1]
         m = self.G.shape[0]
         answer = np.linalg.solve(H, self.G.T)
@@ -202,7 +194,7 @@ class _Assembly:
         dz, sensor = found["dz"].copy(), self.problem.sensor
         laws = slice(0, self.parts["compensation"].stop)
         dz[laws] = 0.0
-        if sensor.states == 0 and not sensor.sampled and self.state.law != 0:
+        if sensor.states == 0 and not sensor.sampled and self.state.settings.general != 0:
             dz[laws] = self.law["bias"]["dz"][laws] @ found["f"]
         return found | {"dz": dz}
 
@@ -406,8 +398,8 @@ def _one_stage(problem: Problem) -> bool:
 def _refuse_limited(here: Here) -> None:
     """Refuse a drive that is at its limit: its torque answers to nothing."""
     problem, time = here.problem, here.instant.time
-    limited = np.flatnonzero(here.loop.w.torque_limited != AS_ASKED)
-    if here.loop.state.drives != 0 and limited.size:
+    limited = np.flatnonzero(here.loop.w.drives.limited != AS_ASKED)
+    if here.loop.state.settings.drives != 0 and limited.size:
         raise SimulationError(
             f"linearise: the drive of joint {problem.robot.joint_names[int(limited[0])]} is at its limit at "
             f"t = {time:g} s, so that its torque answers to nothing; take another instant, or a higher limit",

@@ -24,7 +24,8 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.analysis.instant import Here, Instant, run_on
+from closedloop.studies.analysis.here import Here
+from closedloop.studies.analysis.instant import Instant, run_on
 from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
 from closedloop.studies.analysis.linearise import instant_of, loop_at
 from robot_models import RobotModel

@@ -64,19 +64,19 @@ def read_log(
     if unknown := set(given) - set(NAMES):
         raise LogError(f"columns: {sorted(unknown)[0]!r} is none of {', '.join(NAMES)}")
     if path.suffix.lower() == ".nc" and not given:
-        run = _run(path)
+        run = run_of(path)
         if run is not None:
             return log_of_run(run, str(path))
-    table = _table(path)
-    time = _one(table, given.get("time"), path)
-    q = _joints(table, "q", given, robot, path)
-    torque = _joints(table, "torque", given, robot, path)
-    v = _joints(table, "v", given, robot, path)
+    table = table_of(path)
+    time = time_of(table, given.get("time"), path)
+    q = joints_of(table, "q", given, robot, path)
+    torque = joints_of(table, "torque", given, robot, path)
+    v = joints_of(table, "v", given, robot, path)
     for name, x in (("q", q), ("torque", torque)):
         if x is None:
             raise LogError(
                 f"{path}: no columns for {name} of the joints {', '.join(robot.joint_names)}: name them, as in "
-                f"--columns {name}='{name}_{{}}'; it has {_listed(table)}"
+                f"--columns {name}='{name}_{{}}'; it has {listed(table)}"
             )
     assert q is not None
     assert torque is not None
@@ -111,7 +111,7 @@ def log_of_run(run: Run, source: str = "the run") -> Log:
     return Log(np.array(run.time), np.array(q), torque, run.model.joint_names, np.array(v), source)
 
 
-def _run(path: Path) -> Run | None:
+def run_of(path: Path) -> Run | None:
     """Return a run of this simulator, or None if the file is another NetCDF."""
     from closedloop.base.errors import ClosedLoopError
     from closedloop.record.load import load_run
@@ -122,7 +122,7 @@ def _run(path: Path) -> Run | None:
         return None
 
 
-def _table(path: Path) -> dict[str, Array]:
+def table_of(path: Path) -> dict[str, Array]:
     """Return the columns of a file that are numbers."""
     kind = path.suffix.lower()
     try:
@@ -170,13 +170,14 @@ def _netcdf(path: Path) -> dict[str, Array]:
     return found
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """Return a name without the unit behind it, in lower case."""
     return _UNIT.sub("", name).strip().lower()
 
 
-def _one(table: dict[str, Array], given: str | None, path: Path) -> Array:
-    names = {_plain(name): name for name in table}
+def time_of(table: dict[str, Array], given: str | None, path: Path) -> Array:
+    """Return the column of the time."""
+    names = {plain_name(name): name for name in table}
     for name in (given,) if given else NAMES["time"]:
         if name in table:
             return table[name]
@@ -184,13 +185,13 @@ def _one(table: dict[str, Array], given: str | None, path: Path) -> Array:
             return table[names[name.lower()]]
     wanted = given or " or ".join(NAMES["time"][:3])
     raise LogError(
-        f"{path}: no column {wanted} for the time: name it, as in --columns time=NAME; it has {_listed(table)}"
+        f"{path}: no column {wanted} for the time: name it, as in --columns time=NAME; it has {listed(table)}"
     )
 
 
-def _joints(table: dict[str, Array], what: str, given: dict[str, str], robot: RobotModel, path: Path) -> Array | None:
+def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: RobotModel, path: Path) -> Array | None:
     """Return the columns of a quantity, (N, n) in the robot's order, or None if it is not there."""
-    plain = {_plain(name): name for name in table}
+    plain = {plain_name(name): name for name in table}
     n = robot.n
     labels = [list(robot.joint_names), [str(k + 1) for k in range(n)], [str(k) for k in range(n)]]
     asked = given.get(what)
@@ -206,10 +207,11 @@ def _joints(table: dict[str, Array], what: str, given: dict[str, str], robot: Ro
     if asked:
         missing = next((name for name in tried[0] if name not in table and name.lower() not in plain), None)
         reason = f"no column {missing!r}" if missing else f"{len(tried[0])} columns for {n} joints"
-        raise LogError(f"{path}: --columns {what}={asked}: {reason}; it has {_listed(table)}")
+        raise LogError(f"{path}: --columns {what}={asked}: {reason}; it has {listed(table)}")
     return None
 
 
-def _listed(table: dict[str, Array]) -> str:
+def listed(table: dict[str, Array]) -> str:
+    """Return the names of columns, for a message."""
     names, more = list(table), len(table) - MOST_LISTED
     return ", ".join(names[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,88 @@
+"""The command ``closedloop compare LOG --scenario S``: a log, or a saved run, over a scenario.
+
+Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the scenario's run stops before its end.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from closedloop.base.errors import OutputError
+from closedloop.command.border import DONE, Parser, run_command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop", _main, arguments)
+
+
+def _main(words: list[str]) -> int:
+    from closedloop.command.identify import mapped
+    from closedloop.scenario.load import load_scenario
+    from closedloop.scenario.overrides import split_overrides
+    from closedloop.scenario.user_module import name_members
+
+    overrides, rest = split_overrides(words)
+    parser = Parser(
+        prog="closedloop compare",
+        description="Lay a log of a robot, or a saved run, over a scenario: aligned in time, with the differences of "
+        "joints, torques and contact force, what explains them, and whether the log's force is consistent with its own "
+        "motion and torques. --SECTION.KEY VALUE changes the scenario.",
+        cure="such as: closedloop compare log.csv --scenario wam_slide",
+    )
+    parser.add_argument("log", metavar="LOG", help=".csv, .parquet, .nc, or a run.nc of this simulator")
+    parser.add_argument("--scenario", required=True, help="a scenario that ships, or a .toml")
+    parser.add_argument(
+        "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",
+        help="which columns are time, q, torque (with {} for the joint), and force: one, or three with commas between",
+    )  # fmt: skip
+    parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
+    parser.add_argument("--gain", type=float, default=1.0, metavar="N", help="what the log's torques are multiplied by")
+    parser.add_argument("--shift", type=float, metavar="S", help="the instant of the log at which the run begins, s")
+    parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the filters that the audit of the force uses")
+    parser.add_argument("--out", metavar="DIR", help="where comparison.json and comparison.svg go (default: nowhere)")
+    parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
+    options = parser.parse_args(rest)
+    name_members(overrides.items())
+    folder = _folder(options.out)
+
+    import robot_models
+    from closedloop.base.files import write_whole
+    from closedloop.studies.comparison.recording import read_recording
+    from closedloop.studies.comparison.with_log import compare_log
+
+    scenario = load_scenario(options.scenario, overrides)
+    robot = robot_models.load(scenario.robot.model)
+    recording = read_recording(
+        options.log, robot, columns=dict(options.columns), degrees=options.degrees, gain=options.gain
+    )
+    found = compare_log(recording, scenario, shift=options.shift, cutoff=options.cutoff)
+    report = json.dumps(found.as_dict(), indent=2, allow_nan=False)
+    print(report if options.json else "\n".join(found.lines()))
+    if folder is not None:
+        import io
+
+        image = io.BytesIO()
+        found.figure().savefig(image, format="svg")
+        write_whole(folder / "comparison.json", f"{report}\n".encode())
+        write_whole(folder / "comparison.svg", image.getvalue())
+        if not options.json:
+            print(f"wrote {folder}/: comparison.json, comparison.svg")
+    return DONE
+
+
+def _folder(out: str | None) -> Path | None:
+    """Return the folder for the results, which is made."""
+    from closedloop.base.files import probe_folder, reason_of
+
+    if out is None:
+        return None
+    folder = Path(out)
+    try:
+        probe_folder(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"--out {out!r}: cannot be written: {reason_of(error)}") from None
+    return folder

@@ -1,0 +1,128 @@
+"""The command ``closedloop tune wam_slide --vary law.kd=5:200 --minimise rms_force_error``: gains by an optimiser.
+
+Exit status: 0 done; 2 the input is at fault; 3 no point that was tried meets the constraints.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from closedloop.base.errors import ScenarioError
+from closedloop.base.files import made_folder
+from closedloop.command.border import DONE, STOPPED, Parser, run_command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop", _main, arguments)
+
+
+def _main(words: list[str]) -> int:
+    from closedloop.scenario.load import load_scenario
+    from closedloop.scenario.overrides import split_overrides
+    from closedloop.scenario.user_module import name_members
+
+    overrides, rest = split_overrides(words)
+    name_members(overrides.items())
+    options = _parser().parse_args(rest)
+    if not options.vary:
+        raise ScenarioError("command line: name what varies, such as --vary law.kd=5:200")
+    scenario = load_scenario(options.scenario, overrides)
+    ranges = [_range(text) for text in options.vary]
+    folder = made_folder(options.out)
+    if folder is not None:
+        from closedloop.base.files import write_whole
+
+    from closedloop.studies.tune.tune import tune
+
+    tuning = tune(
+        scenario, {key: (low, high) for key, low, high, _ in ranges}, _weights(options.minimise), options.subject_to,
+        over=dict(map(_variation, options.over)), robust=options.robust, log=[key for key, _, _, log in ranges if log],
+        starts=options.starts, seed=options.seed, kept=folder / "runs.jsonl" if folder else None, progress=True,
+    )  # fmt: skip
+    report = json.dumps(tuning.as_dict(), indent=2, allow_nan=False)
+    print(report if options.json else "\n".join(tuning.lines()))
+    if folder is not None:
+        from closedloop.studies.analysis.figures import written
+
+        head = "# " + "\n# ".join(tuning.lines()[:1]) + "\n"
+        paths = [
+            write_whole(folder / "tuned.toml", (head + tuning.scenario.to_toml()).encode()),
+            write_whole(folder / "tune.json", (report + "\n").encode()),
+            written(tuning.figure(), folder / "tune"),
+        ]
+        if not options.json:
+            print(f"wrote {', '.join(map(str, paths))}")
+    return DONE if tuning.feasible else STOPPED
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="closedloop tune",
+        description="Find the gains, or other numbers of a scenario, that make a value of its runs least.",
+        cure="such as: closedloop tune wam_slide --vary law.kd=5:200 --minimise rms_force_error",
+    )
+    parser.add_argument("scenario", help="a scenario that ships, or a .toml; --SECTION.KEY VALUE changes it")
+    parser.add_argument(
+        "--vary", action="append", default=[], metavar="KEY=LOW:HIGH",
+        help="what varies and its range, such as law.kd=5:200, law.kp[1]=log:100:3000; of a list each entry by itself",
+    )  # fmt: skip
+    parser.add_argument(
+        "--minimise", action="append", default=[], metavar="[WEIGHT*]NAME",
+        help="a value of the summary (default: rms_force_error); given several times, the weighted sum",
+    )  # fmt: skip
+    parser.add_argument(
+        "--subject-to", action="append", default=[], metavar="NAME<=NUMBER",
+        help="a constraint, such as 'peak_contact_force<=12' or 'modulus_margin@3>=0.5'",
+    )  # fmt: skip
+    parser.add_argument(
+        "--over", action="append", default=[], metavar="KEY=VALUES",
+        help="variations under which constraints hold, such as friction.coefficient=0.2,0.4,0.6",
+    )  # fmt: skip
+    parser.add_argument("--robust", choices=("worst", "mean"), default="worst", help="what is least of all variations")
+    parser.add_argument("--starts", type=int, default=4, metavar="N", help="searches from different points (4)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of these points (0)")
+    parser.add_argument(
+        "--out", metavar="DIR",
+        help="where tuned.toml, tune.json and a figure go; an interrupted tuning goes on from its runs.jsonl",
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    return parser
+
+
+def _range(text: str) -> tuple[str, float, float, bool]:
+    """Read KEY=LOW:HIGH; KEY may name an entry of a list."""
+    from closedloop.studies.sweep.axes import parse_axis
+
+    try:
+        axis = parse_axis(text, drawn=True)
+    except ScenarioError as error:
+        raise ScenarioError(str(error).replace("--over", "--vary", 1)) from None
+    if axis.values or axis.whole:
+        raise ScenarioError(f"--vary {text}: must be a range of real numbers, such as {axis.key}=5:200 or log:1:1000")
+    low, high = sorted((axis.low, axis.high))
+    return axis.key, low, high, axis.log
+
+
+def _variation(text: str) -> tuple[str, list[Any]]:
+    """Read KEY=VALUES."""
+    from closedloop.studies.sweep.axes import parse_axis
+
+    axis = parse_axis(text)
+    return axis.key, [axis.at(i) for i in range(len(axis))]
+
+
+def _weights(texts: list[str]) -> dict[str, float]:
+    """Read values with their weights."""
+    found = {}
+    for text in texts or ["rms_force_error"]:
+        weight, times, name = text.rpartition("*")
+        try:
+            found[name.strip()] = float(weight) if times else 1.0
+        except ValueError:
+            raise ScenarioError(
+                f"--minimise {text}: must be a value, or WEIGHT*VALUE, such as 0.1*max_tip_speed"
+            ) from None
+    return found

@@ -1,0 +1,178 @@
+"""What was recorded of a robot in contact: a log from a file, or a run, of this simulator or of another program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.read import joints_of, listed, plain_name, run_of, table_of, time_of
+
+if TYPE_CHECKING:
+    from closedloop.record.run import Run
+    from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+# What the columns of a force are called: one that is along the surface's normal, or three along the base's axes.
+FORCE = ("contact_force", "normal_force", "force", "f", "fn", "f_n")
+FORCES = (("force_{}", "xyz"), ("f{}", "xyz"), ("f_{}", "xyz"), ("force.{}", "xyz"), ("wrench.force.{}", "xyz"))
+# The largest share of a step by which the times of rows may be uneven.
+UNEVEN = 0.5
+FEWEST = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """N rows of what was recorded.
+
+    Attributes
+    ----------
+    time : (N,)
+        s, increasing.
+    q : (N, n)
+        Joint positions, rad (m).
+    torque : (N, n), optional
+        Torques of the drives at the joints, N m (N).
+    force : (N,) or (N, 3), optional
+        Contact force, N: along the surface's normal, or along the axes of the base.
+    source : str
+        Named in messages.
+    """
+
+    time: Array
+    q: Array
+    torque: Array | None = None
+    force: Array | None = None
+    source: str = "the log"
+
+    @property
+    def step(self) -> float:
+        """Median time between two rows, s."""
+        return float(np.median(np.diff(self.time)))
+
+
+def of_run(run: Run, source: str = "the run") -> Recording:
+    """Return what a run recorded, with the force along the normal of its surface."""
+    force = np.array(run.contact_force) if run.scenario.has_surface else None
+    return Recording(np.array(run.time), np.array(run.q), np.array(run.torque), force, source)
+
+
+def read_recording(
+    path: str | Path,
+    robot: RobotModel,
+    *,
+    columns: Mapping[str, str] | None = None,
+    degrees: bool = False,
+    gain: float = 1.0,
+) -> Recording:
+    """Read a log or a run file.
+
+    Parameters
+    ----------
+    path : str or Path
+        .csv, .parquet or .nc.
+    robot : RobotModel
+        Whose joints the columns are of.
+    columns : mapping, optional
+        Of "time", "q", "torque", "force" to names, as `closedloop.studies.identify.read.read_log` takes them; of
+        "force" one name, or three with commas between.
+    degrees : bool
+        Whether angles are in degrees.
+    gain : float
+        What torques are multiplied by.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, a column is missing, a value is not finite, or time jumps.
+    """
+    path, given = Path(path), dict(columns or {})
+    if unknown := set(given) - {"time", "q", "torque", "force"}:
+        raise LogError(f"--columns {sorted(unknown)[0]}: is none of time, q, torque, force")
+    if path.suffix.lower() == ".nc" and not given:
+        run = run_of(path)
+        if run is not None:
+            if run.model.joint_names != robot.joint_names:
+                raise LogError(
+                    f"{path}: its joints are {', '.join(run.model.joint_names)}: those of the scenario's robot are "
+                    f"{', '.join(robot.joint_names)}"
+                )
+            return checked(of_run(run, str(path)), robot)
+    table = table_of(path)
+    force_names = given.pop("force", None)
+    time = time_of(table, given.get("time"), path)
+    q = joints_of(table, "q", given, robot, path)
+    if q is None:
+        raise LogError(
+            f"{path}: no columns for q of the joints {', '.join(robot.joint_names)}: name them, as in "
+            f"--columns q='q_{{}}'; it has {listed(table)}"
+        )
+    torque = joints_of(table, "torque", given, robot, path)
+    turns = np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
+    force = _force(table, force_names, path)
+    return checked(Recording(time, q * turns, None if torque is None else torque * gain, force, str(path)), robot)
+
+
+def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:
+    """Return the columns of the force, (N,) or (N, 3), or None if there are none."""
+    plain = {plain_name(name): name for name in table}
+    if asked:
+        names = [name.strip() for name in asked.split(",")]
+        found = [name if name in table else plain.get(name.lower()) for name in names]
+        if len(names) not in (1, 3) or None in found:
+            missing = next((name for name, at in zip(names, found, strict=True) if at is None), None)
+            reason = f"no column {missing!r}" if missing else f"{len(names)} names: one, or three"
+            raise LogError(f"{path}: --columns force={asked}: {reason}; it has {listed(table)}")
+        read = [table[name] for name in found if name is not None]
+        return read[0] if len(read) == 1 else np.stack(read, axis=1)
+    for name in FORCE:
+        if name in plain:
+            return table[plain[name]]
+    for form, axes in FORCES:
+        names = [form.format(axis) for axis in axes]
+        if all(name in plain for name in names):
+            return np.stack([table[plain[name]] for name in names], axis=1)
+    return None
+
+
+def checked(recording: Recording, robot: RobotModel) -> Recording:
+    """Return the recording, of this robot, with every value finite and rows evenly spaced.
+
+    Raises
+    ------
+    LogError
+        If it has another number of rows or joints, a value that is not finite, or time that jumps.
+    """
+    where, time = recording.source, np.asarray(recording.time, dtype=np.float64)
+    N = len(time)
+    if N < FEWEST:
+        raise LogError(f"{where}: {N} rows: a comparison needs at least {FEWEST}")
+    for name, x, shapes in (
+        ("time", time, [(N,)]),
+        ("q", recording.q, [(N, robot.n)]),
+        ("torque", recording.torque, [(N, robot.n)]),
+        ("force", recording.force, [(N,), (N, 3)]),
+    ):
+        if x is None:
+            continue
+        if np.shape(x) not in shapes:
+            raise LogError(f"{where}: {name} has shape {np.shape(x)}: must be {' or '.join(map(str, shapes))}")
+        if not np.isfinite(x).all():
+            raise LogError(f"{where}: {name} in row {int(np.argwhere(~np.isfinite(x))[0][0])} is not finite")
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    if usual <= 0.0:
+        raise LogError(f"{where}: time does not increase: it must be in s, a row after the other")
+    odd = np.flatnonzero(np.abs(steps - usual) > UNEVEN * usual)
+    if len(odd):
+        raise LogError(
+            f"{where}: time jumps by {steps[odd[0]]:.6g} s after row {odd[0]}, where rows are {usual:.6g} s apart: cut "
+            "the log there, or resample it"
+        )
+    return recording

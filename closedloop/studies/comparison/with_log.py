@@ -1,0 +1,281 @@
+"""A log, or a run, over a scenario: aligned in time, with what differs and what explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.simulate import simulate
+from closedloop.studies.comparison.audit import Audit, audit, force_hypotheses, rms
+from closedloop.studies.comparison.explain import NOTHING, Reason, explain
+from closedloop.studies.comparison.reasons import of_joints, of_torques
+from closedloop.studies.comparison.recording import Recording, checked, of_run, read_recording
+from closedloop.studies.comparison.shift import OVERLAP, shift_of
+from closedloop.studies.identify.log import LogError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """A quantity of a log beside the same of the run.
+
+    Attributes
+    ----------
+    name, unit : str
+    labels : tuple of str
+        Of its columns.
+    time : (N,) array
+        s, of the run.
+    logged, simulated : (N, k) array
+    reasons : list of Reason
+        What explains the difference.
+    """
+
+    name: str
+    unit: str
+    labels: tuple[str, ...]
+    time: Array
+    logged: Array
+    simulated: Array
+    reasons: list[Reason]
+
+    @property
+    def rms(self) -> Array:
+        """RMS of the difference of each column."""
+        return np.array([rms(x) for x in (self.logged - self.simulated).T])
+
+    @property
+    def size(self) -> Array:
+        """RMS of each column as logged."""
+        return np.array([rms(x) for x in self.logged.T])
+
+
+@dataclass(frozen=True, eq=False)
+class LogComparison:
+    """What came of a comparison.
+
+    Attributes
+    ----------
+    run : Run
+        Of the scenario.
+    shift : float
+        The instant t of the run is t + `shift` of the log, counted from the log's first row, s.
+    shift_from : str
+        What told the shift: "q", "force", or "" where nothing moves and the shift is 0.
+    overlap : float
+        Length that both have, s.
+    differences : dict of str to Difference
+        "q", and "torque" and "force" where the log has them.
+    audit : Audit or None
+        What the log's force is; None without torque, force or surface.
+    notes : list of str
+        What could not be compared.
+    """
+
+    run: Run
+    shift: float
+    shift_from: str
+    overlap: float
+    differences: dict[str, Difference]
+    audit: Audit | None
+    notes: list[str] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """Return the comparison in words."""
+        by = f"by {self.shift_from}" if self.shift_from else "nothing moves that would tell it"
+        told = [f"aligned: the log is {self.shift:+.6g} s from the run ({by}); {self.overlap:.4g} s in common"]
+        for each in self.differences.values():
+            told += ["", f"{each.name}: RMS of log minus run, {each.unit}"]
+            for label, error, size in zip(each.labels, each.rms, each.size, strict=True):
+                share = f", {100 * error / size:.3g} % of it" if size > 0.0 else ""
+                told.append(f"  {label:20} {error:.4g}{share}")
+            if np.all(each.rms <= NOTHING * rms(each.logged)):
+                told.append("  equal, to rounding and interpolation")
+                continue
+            told += [f"  {text}" for text in _explained(each.reasons)] or ["  nothing simple explains it"]
+        if self.audit is not None:
+            told += ["", "the log's own force", *(f"  {line}" for line in self.audit.lines())]
+            told += [f"  {text}" for text in _explained(self.audit.reasons)]
+        return told + [f"note: {note}" for note in self.notes]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the comparison for a program."""
+        report: dict[str, Any] = {"shift": self.shift, "overlap": self.overlap, "notes": list(self.notes)}
+        for key, each in self.differences.items():
+            report[key] = {
+                "labels": list(each.labels), "unit": each.unit, "rms": each.rms.tolist(), "size": each.size.tolist(),
+                "reasons": [_reason(reason) for reason in each.reasons],
+            }  # fmt: skip
+        if self.audit is not None:
+            report["audit"] = {
+                "reading": self.audit.what, "rms": self.audit.rms, "expected": self.audit.size,
+                "rms_as_normal_force": self.audit.usual, "consistent": self.audit.consistent,
+                "torque_explained": self.audit.explained, "reasons": [_reason(x) for x in self.audit.reasons],
+            }  # fmt: skip
+        return report
+
+    def figure(self) -> Figure:
+        """Return a figure: log and run one over the other, and their difference below, for each quantity."""
+        from closedloop.figures.style import MANY, new_figure, styled
+
+        with styled():
+            figure = new_figure(2.6 * len(self.differences) + 0.6)
+            panels = figure.subplots(2 * len(self.differences), 1, sharex=True, squeeze=False)[:, 0]
+            for at, each in enumerate(self.differences.values()):
+                over, below = panels[2 * at], panels[2 * at + 1]
+                for k, label in enumerate(each.labels):
+                    colour = MANY[k % len(MANY)]
+                    over.plot(each.time, each.logged[:, k], color=colour, alpha=0.45, linewidth=2.4)
+                    over.plot(each.time, each.simulated[:, k], color=colour, linewidth=1.0, label=label)
+                    below.plot(each.time, (each.logged - each.simulated)[:, k], color=colour)
+                over.set_ylabel(f"{each.name}, {each.unit}")
+                below.set_ylabel(f"difference, {each.unit}")
+                over.legend(fontsize=7, ncols=4)
+            panels[0].set_title("log: wide and pale; run: narrow")
+            panels[-1].set_xlabel("time of the run, s")
+        return figure
+
+
+def compare_log(
+    log: Recording | Run | str | Path,
+    scenario: Scenario,
+    *,
+    model: RobotModel | None = None,
+    shift: float | None = None,
+    cutoff: float | None = None,
+) -> LogComparison:
+    """Simulate a scenario and lay a log over it.
+
+    Parameters
+    ----------
+    log : Recording, Run or path
+        A file's columns are found by their usual names; `closedloop.studies.comparison.recording.read_recording` reads
+        those with others.
+    scenario : Scenario
+        What the log is compared with.
+    model : RobotModel, optional
+        The robot to use instead of the one that the scenario names.
+    shift : float, optional
+        The instant of the log, s from its first row, at which the run begins; found if left out.
+    cutoff : float, optional
+        Of the filters that the audit of the log's force uses, Hz.
+
+    Returns
+    -------
+    LogComparison
+
+    Raises
+    ------
+    LogError
+        If the log has other joints, or both have less than half of the shorter one in common.
+    ScenarioError, SimulationError
+        As `simulate` raises them.
+    """
+    run = simulate(scenario, model=model, progress=False)
+    if isinstance(log, str | Path):
+        recording = read_recording(log, run.model)
+    else:
+        recording = checked(of_run(log) if isinstance(log, Run) else log, run.model)
+    clock = recording.time - recording.time[0]
+    normal_there = run.scenario.has_surface
+    notes = []
+    if recording.force is not None and not normal_there:
+        notes.append("the scenario has no surface: the log's force is not compared")
+    found, by = (shift, "the given shift") if shift is not None else shift_of(clock, recording, run)
+    inside = (clock - found >= run.time[0]) & (clock - found <= run.time[-1])
+    _need_overlap(int(inside.sum()) * recording.step, clock, run, recording.source)
+    time: Array = clock[inside] - found
+    q, v, torque = (_at(time, run, name) for name in ("q", "v", "torque"))
+    robot = Robot(run.model, run.scenario.robot.tip) if run.model.tip or run.scenario.robot.tip else None
+    names = run.model.joint_names
+    differences = {
+        "q": Difference(
+            "joint positions", "rad (m)", names, time, recording.q[inside], q,
+            explain(*of_joints(recording.q[inside] - q, names, v, torque), rms(q)),
+        )
+    }  # fmt: skip
+    normal = _at(time, run, "surface_normal") if normal_there else None
+    told = None
+    if recording.torque is not None:
+        logged = recording.torque[inside]
+        differences["torque"] = Difference(
+            "torques", "N m (N)", names, time, logged, torque,
+            explain(
+                *of_torques(
+                    logged - torque, time, names, (q, v, _at(time, run, "acceleration")), torque, robot, normal
+                ),
+                rms(torque),
+            ),
+        )  # fmt: skip
+    else:
+        notes.append("the log has no torque: its force is not audited")
+    if recording.force is not None and normal is not None:
+        logged = recording.force[inside]
+        along = np.einsum("ij,ij->i", logged, normal) if logged.ndim == 2 else logged
+        force = _at(time, run, "contact_force")
+        differences["force"] = Difference(
+            "contact force along the normal", "N", ("on the robot",), time, along[:, None], force[:, None],
+            explain(along - force, force_hypotheses(force, np.gradient(force, time)), rms(force)),
+        )  # fmt: skip
+        if recording.torque is not None and robot is not None:
+            part = Recording(time, recording.q[inside], recording.torque[inside], logged, recording.source)
+            told = audit(part, robot, normal, cutoff)
+    elif recording.force is None:
+        notes.append("the log has no force")
+    return LogComparison(run, float(found), by, float(time[-1] - time[0]), differences, told, notes)
+
+
+def _at(time: Array, run: Run, name: str) -> Array:
+    """Return a column of the run at these instants, between its rows by a line."""
+    column: Array = getattr(run, name)
+    if column.ndim == 1:
+        between: Array = np.interp(time, run.time, column)
+        return between
+    return np.stack([np.interp(time, run.time, x) for x in column.T], axis=1)
+
+
+def _need_overlap(common: float, clock: Array, run: Run, source: str) -> None:
+    shorter = min(float(clock[-1]), float(run.time[-1] - run.time[0]))
+    if common < 0.9 * OVERLAP * shorter:
+        raise LogError(
+            f"{source}: log and run have {common:.4g} s in common, of {clock[-1]:.4g} s and {run.time[-1]:.4g} s: give "
+            "another shift, or a longer scenario"
+        )
+
+
+def _explained(reasons: Sequence[Reason]) -> list[str]:
+    told = []
+    for reason in reasons:
+        values = ", ".join(
+            f"{label + ' ' if label else ''}{value:.4g} ± {half:.2g}"
+            for label, value, half in zip(reason.labels or ("",), reason.value, reason.half, strict=True)
+        )
+        told.append(
+            f"explained by {reason.name}: {values}{'' if reason.unit == '1' else ' ' + reason.unit} "
+            f"(alone {100 * reason.alone:.0f} %; with it {100 * (1.0 - reason.left):.1f} %)"
+        )
+        if reason.as_well:
+            told.append(f"  as well by {' or by '.join(reason.as_well)}: this log does not tell them apart")
+    return told
+
+
+def _reason(reason: Reason) -> dict[str, Any]:
+    return {
+        "name": reason.name, "unit": reason.unit, "labels": list(reason.labels), "value": reason.value.tolist(),
+        "half_interval": reason.half.tolist(), "alone": reason.alone, "explained": 1.0 - reason.left,
+        "as_well": list(reason.as_well),
+    }  # fmt: skip

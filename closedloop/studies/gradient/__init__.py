@@ -1,0 +1,1 @@
+"""Derivatives of whole runs with respect to numbers of their scenario."""

@@ -1,0 +1,199 @@
+"""Derivatives of whole runs by central differences with Richardson's extrapolation.
+
+A run is a smooth function of its scenario as long as the same events happen in the same order: they are located to
+rounding. What is counted in rows is one as long as each event stays between the same two rows. So the steps are
+shortened until both are so, and each quantity has the derivative of the table whose estimate of the error is smallest.
+A direction in which other events happen on one side, however short the step, has one-sided derivatives alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario
+from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, one_sided, two_sided
+from closedloop.studies.gradient.keys import Direction, Keys
+from closedloop.studies.gradient.variants import PAST_A_ROW, Sample, difference, samples
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+DIFFERENCES = "central differences, Richardson"
+# Tables of one direction, and by how much each has shorter steps than the one before. Of a run with events the first is
+# left out: at its steps events move past rows.
+TABLES, SHORTER = 4, 16.0
+# An estimate is good enough at this share of the derivative, or of the quantity's largest entry over the key's size.
+ENOUGH = 1e-8
+# Where an event is at a row, however short the steps, a quantity that is counted in rows jumps: it has no derivative if
+# the estimate of the error is more than this share.
+AT_A_ROW = 1e-3
+
+
+class Part(NamedTuple):
+    """Derivatives of some quantities along one direction.
+
+    Attributes
+    ----------
+    derivative, error, below, above : (k,) array
+        NaN where there is none.
+    kink : (k,) array of bool
+        Whether there is none because those below and above differ.
+    method : str
+        How they were found.
+    """
+
+    derivative: Array
+    error: Array
+    below: Array
+    above: Array
+    kink: NDArray[np.bool_]
+    method: str
+
+
+@dataclass
+class Along:
+    """What is known of one direction.
+
+    Attributes
+    ----------
+    best : Estimate or None
+        Two-sided derivatives, the best of all tables, quantity by quantity.
+    at_a_row : Estimate or None
+        The same of tables in which an event moves past a row.
+    below, above : (M,) array or None
+        One-sided derivatives and the estimates of their errors, where there are no two-sided ones.
+    why : str
+        Why there are no two-sided ones.
+    count : int
+        How many quantities there are, M.
+    method : str
+        How they were found.
+    settled : bool
+        Whether they are known well enough.
+    """
+
+    best: Estimate | None = None
+    at_a_row: Estimate | None = None
+    below: tuple[Array, Array] | None = None
+    above: tuple[Array, Array] | None = None
+    why: str = ""
+    count: int = 0
+    method: str = DIFFERENCES
+    settled: bool = field(default=False, repr=False)
+
+    def part(self, some: slice) -> Part:
+        """Return what is known of some of the quantities."""
+        nothing = np.full(self.count, math.nan)
+        if self.best is None:
+            below, above = ((side[0] if side else nothing)[some] for side in (self.below, self.above))
+            none = np.zeros(self.count, dtype=bool)
+            return Part(nothing[some], nothing[some], below, above, none[some], self.method)
+        best, kink = self.best, self.best.kink[some]
+        value, error = (np.where(kink, math.nan, each[some]) for each in (best.value, best.error))
+        return Part(value, error, best.below[some], best.above[some], kink, self.method)
+
+
+def along(
+    keys: Keys,
+    directions: list[Direction],
+    base: Sample,
+    read: Callable[[Run], Array],
+    model: RobotModel | None,
+    report: Callable[[int, int], None],
+    workers: int | None = None,
+) -> dict[Direction, Along]:
+    """Return the derivatives of all quantities along each direction.
+
+    Parameters
+    ----------
+    keys, directions
+        What is varied.
+    base : Sample
+        The run itself.
+    read : callable
+        Returns all quantities of a run, (M,).
+    model, workers
+        See `closedloop.studies.gradient.gradient`.
+    report : callable
+        Gets (runs done, runs in all) of the table at hand.
+    """
+    found = {direction: Along(count=base.values.size) for direction in directions}
+    for table in range(1 if base.happened else 0, TABLES):
+        todo = [direction for direction in directions if not found[direction].settled]
+        if not todo:
+            break
+        steps = {d: d.step * SHORTER**-table for d in todo}
+        points = [
+            (d, sign * steps[d] * 0.5**level) for d in todo for sign in (-1.0, 1.0) for level in range(LEVELS)
+        ]  # fmt: skip
+        ran = samples([variant(keys, *point) for point in points], read, model, report, workers)
+        for i, d in enumerate(todo):
+            mine = ran[2 * LEVELS * i : 2 * LEVELS * (i + 1)]
+            _take(found[d], steps[d], d.step, base, mine[:LEVELS], mine[LEVELS:])
+    for d, known in found.items():
+        if known.best is None and known.at_a_row is not None:
+            estimate = known.at_a_row
+            jumps = estimate.error > AT_A_ROW * np.maximum(
+                np.abs(estimate.value), np.abs(base.values) / (100.0 * d.step)
+            )
+            known.best = replace(estimate, kink=estimate.kink | jumps)
+    return found
+
+
+def variant(keys: Keys, direction: Direction, change: float) -> Callable[[], Scenario]:
+    """Return what makes the scenario with a number changed; see `samples`."""
+    return lambda: keys.scenario_at({direction: change})
+
+
+def _take(known: Along, h: float, size: float, base: Sample, minus: list[Sample], plus: list[Sample]) -> None:
+    """Take a table of runs into what is known of a direction."""
+    rounding = LOCATED if base.happened else ROUNDING
+    whys = [_first_difference(base, side) for side in (minus, plus)]
+    below, above = (
+        np.array([each.values for each in side]) if why in ("", PAST_A_ROW) else None
+        for side, why in zip((minus, plus), whys, strict=True)
+    )
+    if below is not None and above is not None:
+        estimate = two_sided(h, base.values, below, above, rounding)
+        if PAST_A_ROW in whys:
+            known.at_a_row = estimate if known.at_a_row is None else better(known.at_a_row, estimate)
+            return
+        known.best = estimate if known.best is None else better(known.best, estimate)
+        enough = ENOUGH * np.maximum(np.abs(known.best.value), base.scale / (100.0 * size))
+        known.settled = bool(np.all((known.best.error <= enough) & ~known.best.kink))
+        return
+    known.why = " and ".join(
+        f"{side} it, {why}" for side, why in zip(("below", "above"), whys, strict=True) if why not in ("", PAST_A_ROW)
+    )
+    if below is not None:
+        known.below = _better_side(known.below, one_sided(-h, base.values, below, rounding))
+    if above is not None:
+        known.above = _better_side(known.above, one_sided(h, base.values, above, rounding))
+
+
+def _first_difference(base: Sample, side: list[Sample]) -> str:
+    return next((why for each in side if (why := difference(base, each))), "")
+
+
+def better(one: Estimate, other: Estimate) -> Estimate:
+    """Return the better of two estimates, quantity by quantity; the other is of shorter steps.
+
+    A kink that shorter steps do not see is beside the point, not at it.
+    """
+    take = (other.error < one.error) | (one.kink & ~other.kink)
+    parts = ("value", "error", "below", "above", "kink")
+    return Estimate(*(np.where(take, getattr(other, part), getattr(one, part)) for part in parts))
+
+
+def _better_side(known: tuple[Array, Array] | None, new: tuple[Array, Array]) -> tuple[Array, Array]:
+    if known is None:
+        return new
+    take = new[1] < known[1]
+    return np.where(take, new[0], known[0]), np.where(take, new[1], known[1])

@@ -1,0 +1,217 @@
+"""`cl.gradient`: derivatives of what comes out of a run with respect to the numbers of its scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario
+from closedloop.studies.gradient.differences import Along, Part, along
+from closedloop.studies.gradient.keys import SHARE, Direction, Keys
+from closedloop.studies.gradient.outputs import Output, output
+from closedloop.studies.gradient.variants import sample, simulated
+from robot_models import RobotModel
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+Entry = float | Array
+
+# A derivative whose error may be more than this share of it is named.
+ROUGH = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Gradient:
+    """Values of a run and their derivatives.
+
+    An entry is a number if both the quantity and the key are numbers; else an array, whose first indices are those of
+    the quantity, and whose last are those of the key.
+
+    Attributes
+    ----------
+    value : dict of str to float or array
+        The quantities.
+    units : dict of str to str
+        Their units.
+    derivative : dict of str to dict of str to float or array
+        ``derivative[of][key]``, in the quantity's unit over the key's; NaN where there is none, which `problems` names.
+    error : dict of str to dict of str to float or array
+        Estimates of their errors.
+    method : dict of str to dict of str to str
+        How each was found.
+    one_sided : dict of str to dict of str to pair
+        Where there is no derivative, those below and above; NaN on a side that has none. Empty for others.
+    problems : tuple of str
+        What has no derivative, or an uncertain one, and why.
+    """
+
+    value: dict[str, Entry]
+    units: dict[str, str]
+    derivative: dict[str, dict[str, Entry]]
+    error: dict[str, dict[str, Entry]]
+    method: dict[str, dict[str, str]]
+    one_sided: dict[str, dict[str, tuple[Entry, Entry]]]
+    problems: tuple[str, ...]
+
+    def table(self) -> pd.DataFrame:
+        """Return a row for each number: `of`, `key` with its entries, `value`, `derivative`, `error`, `method`."""
+        import pandas as pd
+
+        rows = []
+        for of, by_key in self.derivative.items():
+            value = np.asarray(self.value[of])
+            for key, derivative in by_key.items():
+                error = np.asarray(self.error[of][key])
+                for at, one in np.ndenumerate(np.asarray(derivative)):
+                    mine, its = at[: value.ndim], at[value.ndim :]
+                    rows.append(
+                        {
+                            "of": _indexed(of, mine), "key": _indexed(key, its), "value": value[mine],
+                            "derivative": one, "error": error[at], "method": self.method[of][key],
+                        }
+                    )  # fmt: skip
+        return pd.DataFrame(rows)
+
+    def __str__(self) -> str:
+        return "\n".join([self.table().drop(columns="method").to_string(index=False), *self.problems])
+
+
+def gradient(
+    scenario: Scenario,
+    keys: Sequence[str],
+    of: Sequence[str],
+    *,
+    model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False,
+    workers: int | None = None,
+) -> Gradient:
+    """Return derivatives of quantities of a run with respect to numbers of its scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        From `load_scenario`.
+    keys : sequence of str
+        Dotted keys of numbers or of lists of numbers, such as ``["law.force", "law.kp"]``.
+    of : sequence of str
+        Values of `Run.summary`, ``rms_force_error``; a column at the row nearest to an instant, ``contact_force@3.5``,
+        ``q@end``; columns of the events, ``event_time``.
+    model : RobotModel, optional
+        The robot to use instead of loading `scenario.robot.model`.
+    progress : bool or callable
+        True draws a bar on standard error; a callable gets (runs done, runs in all).
+    workers : int, optional
+        Threads; as many as there are cores if left out. The result is the same for any number.
+
+    Returns
+    -------
+    Gradient
+
+    Raises
+    ------
+    ScenarioError
+        If a key or a quantity is unknown, or no real number.
+    SimulationError
+        If the run stops early.
+    """
+    if isinstance(of, str) or not of:
+        raise ScenarioError("of: must be a list of quantities, such as ['rms_force_error', 'contact_force@end']")
+    varied = Keys(scenario, keys)
+    run = simulated(scenario, model)
+    outputs = [output(name, run) for name in dict.fromkeys(of)]
+    return differentiated(varied, run, outputs, model, progress, workers)
+
+
+def differentiated(
+    varied: Keys,
+    run: Run,
+    outputs: Sequence[Output],
+    model: RobotModel | None,
+    progress: bool | Callable[[int, int], None],
+    workers: int | None,
+) -> Gradient:
+    """Return the derivatives of outputs of a run; see `gradient`."""
+
+    def read(made: Run) -> Array:
+        return np.concatenate([each.of(made).ravel() for each in outputs])
+
+    scale = [np.full(value.size, np.max(np.abs(value), initial=0.0)) for value in (each.of(run) for each in outputs)]
+    base = replace(sample(run, read), scale=np.concatenate(scale))
+    directions = varied.directions
+    with ExitStack() as open_until_done:
+        if progress is True:
+            from closedloop.base.progress import bar
+
+            progress = open_until_done.enter_context(bar(f"derivatives of {varied.scenario.name}", 6 * len(directions)))
+        found = along(varied, directions, base, read, model, progress or _silent, workers)
+    return _gathered(varied, run, outputs, base.values, found)
+
+
+def _gathered(
+    varied: Keys, run: Run, outputs: Sequence[Output], values: Array, found: dict[Direction, Along]
+) -> Gradient:
+    """Put the derivatives of all quantities along all directions together by name."""
+    made = Gradient({}, {}, {}, {}, {}, {}, ())
+    problems = [f"no derivative with respect to {d}: {known.why}" for d, known in found.items() if known.best is None]
+    begin = 0
+    for each in outputs:
+        value = each.of(run)
+        part = slice(begin, begin + value.size)
+        begin += value.size
+        made.value[each.name], made.units[each.name] = _entry(value), each.units
+        name = each.name
+        made.derivative[name], made.error[name], made.method[name], made.one_sided[name] = {}, {}, {}, {}
+        for key, at in varied.values.items():
+            parts = [found[d].part(part) for d in varied.directions if d.key == key]
+            shape = value.shape + at.shape
+            four = [np.stack([one[i] for one in parts], axis=-1).reshape(shape) for i in range(4)]
+            made.derivative[name][key], made.error[name][key] = _entry(four[0]), _entry(four[1])
+            made.method[name][key] = parts[0].method
+            if np.any(np.isnan(four[0])):
+                made.one_sided[name][key] = _entry(four[2]), _entry(four[3])
+        for d, known in found.items():
+            if known.best is not None:
+                problems += _named(each.name, d, known.part(part), values[part])
+    return replace(made, problems=tuple(problems))
+
+
+def _named(of: str, direction: Direction, part: Part, values: Array) -> list[str]:
+    """Return what has no derivative, or an uncertain one, in words."""
+    lines, many = [], f" at {{}} of {values.size} places" if values.size > 1 else ""
+    kinks = np.flatnonzero(part.kink)
+    if kinks.size:
+        i = kinks[0]
+        lines.append(
+            f"{of} has no derivative with respect to {direction}{many.format(kinks.size)}: "
+            f"{part.below[i]:.6g} below and {part.above[i]:.6g} above"
+        )
+    least = 1e-2 * float(np.max(np.abs(values), initial=0.0)) / (direction.step / SHARE)
+    rough = np.flatnonzero(~part.kink & (part.error > ROUGH * np.maximum(np.abs(part.derivative), least)))
+    if rough.size:
+        i = rough[np.argmax(part.error[rough])]
+        lines.append(
+            f"{of} with respect to {direction}{many.format(rough.size)}: {part.derivative[i]:.6g} may be off by "
+            f"{part.error[i]:.2g}; it is not smooth"
+        )
+    return lines
+
+
+def _entry(array: Array) -> Entry:
+    return float(array) if array.ndim == 0 else array
+
+
+def _indexed(name: str, at: tuple[int, ...]) -> str:
+    return name + "".join(f"[{i}]" for i in at)
+
+
+def _silent(done: int, total: int) -> None:
+    """Report nothing."""

@@ -1,0 +1,138 @@
+"""What derivatives are taken of: values of the summary, columns at an instant or whole, and the events of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.loop.events.table import EVENT_COLUMNS
+from closedloop.record.columns.by_contact import columns_by_contact
+from closedloop.record.columns.derived import DERIVED
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.run import Run
+
+Array = NDArray[np.float64]
+
+EVENTS, AT, END = "event_", "@", "end"
+# Values of the summary that say how a run was computed: they are no function of the scenario.
+NOT_OF_THE_SCENARIO = ("wall_seconds",)
+# Times that are counted in rows: they are constant, but for jumps.
+COUNTED = ("time_in_contact", "position_limit_left_at", "velocity_limit_exceeded_at", "effort_limit_exceeded_at")
+
+
+@dataclass(frozen=True)
+class Output:
+    """One quantity of a run.
+
+    Attributes
+    ----------
+    name : str
+        As it was asked for.
+    read : callable
+        Takes a run, and returns the quantity as a number or an array.
+    units : str
+    """
+
+    name: str
+    read: Callable[[Run], Any]
+    units: str
+
+    def of(self, run: Run) -> Array:
+        """Return the quantity of a run."""
+        return np.asarray(self.read(run), dtype=float)
+
+
+def output(name: str, run: Run, *, whole: bool = False) -> Output:
+    """Return the quantity that a name asks for.
+
+    Parameters
+    ----------
+    name : str
+        A value of the summary, ``rms_force_error``; a column at the row nearest to an instant, ``contact_force@3.5``,
+        ``q@end``; or a column of the table of events, ``event_time``.
+    run : Run
+        A run that has it.
+    whole : bool
+        Whether columns are taken whole, and nothing else.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such quantity, or it is not of real numbers.
+    """
+    column, at, instant = name.partition(AT)
+    if (
+        column in EVENT_COLUMNS
+        or column in run.specs
+        or column in DERIVED
+        or column in columns_by_contact(run.scenario.contact or ())
+    ):
+        if at or whole or column.startswith(EVENTS):
+            return _column(name, column, instant if at else None, run, whole)
+        raise ScenarioError(f"of: {name}: is a column; say at which instant, such as {name}@{END} or {name}@3.5")
+    summary = run.summary()
+    if name in JOINT_MEASURES and not whole:
+        value: Any = [joint[name] for joint in summary["joints"].values()]
+        read: Callable[[Run], Any] = _of_joints(name)
+    elif name in summary and not whole:
+        value, read = summary[name], _of_summary(name)
+    else:
+        known = "a column, such as contact_force" if whole else "a value of the summary, COLUMN@T or event_time"
+        raise ScenarioError(f"of: {name}: no such quantity of this run; it must be {known}")
+    if value is None or (isinstance(value, list) and any(each is None for each in value)):
+        raise ScenarioError(f"of: {name}: this run has no such value")
+    flat = value if isinstance(value, list) else [value]
+    if name in NOT_OF_THE_SCENARIO or not all(isinstance(each, float) for each in flat):
+        raise ScenarioError(f"of: {name} = {value!r}: has no derivative: it is no real number that the scenario gives")
+    if name in COUNTED:
+        raise ScenarioError(f"of: {name}: has no derivative: it is counted in rows; events are in event_time")
+    measure = MEASURES.get(name) or JOINT_MEASURES.get(name)
+    return Output(name, read, measure.units if measure else "")
+
+
+def _of_summary(name: str) -> Callable[[Run], Any]:
+    return lambda run: _there(run.summary()[name])
+
+
+def _of_joints(name: str) -> Callable[[Run], Any]:
+    return lambda run: [_there(joint[name]) for joint in run.summary()["joints"].values()]
+
+
+def _there(value: Any) -> Any:
+    return math.nan if value is None else value
+
+
+def _column(name: str, column: str, instant: str | None, run: Run, whole: bool) -> Output:
+    """Return a column whole, of all events, or at the row nearest to an instant."""
+    try:
+        values: Any = np.asarray(getattr(run, column))
+    except AttributeError:
+        raise ScenarioError(f"of: {name}: this run has no such column") from None
+    if values.dtype.kind != "f":
+        raise ScenarioError(f"of: {name}: has no derivative: its values are no real numbers")
+    units = run.units(column)
+    if column.startswith(EVENTS):
+        if instant is not None or whole:
+            raise ScenarioError(f"of: {name}: events have instants of their own; ask for {column}")
+        if not len(values):
+            raise ScenarioError(f"of: {name}: this run has no events")
+        return Output(name, lambda made: getattr(made, column), units)
+    if instant is None:
+        return Output(name, lambda made: getattr(made, column), units)
+    row = -1
+    if instant != END:
+        try:
+            t = float(instant)
+        except ValueError:
+            t = math.nan
+        end = float(run.time[-1])
+        if not 0.0 <= t <= end * (1.0 + 1e-12):
+            raise ScenarioError(f"of: {name}: must be an instant of the run, {column}@0 to {column}@{end:g}, or @{END}")
+        row = int(np.argmin(np.abs(run.time - t)))
+    return Output(name, lambda made: getattr(made, column)[row], units)

@@ -1,0 +1,164 @@
+"""A log over a scenario: planted differences are named with their size, and a log's own force is audited."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import closedloop as cl
+from closedloop.command.compare import main
+from closedloop.studies.comparison.explain import Hypothesis, alike_rows, explain
+from closedloop.studies.comparison.recording import Recording, of_run
+from closedloop.studies.identify.log import LogError
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Return a slide of a planar arm."""
+    return cl.simulate(cl.load_scenario("planar2_slide", {"time.duration": 3.0}), progress=False)
+
+
+def late(x, seconds, run):
+    """Return a column of the run as one who reads it so much later has it."""
+    return np.stack([np.interp(run.time - seconds, run.time, column) for column in x.T], axis=1)
+
+
+def test_a_run_over_its_own_scenario_is_equal(run):
+    """No shift, no difference, and a force that agrees with its own motion and torques."""
+    found = cl.compare_log(run, run.scenario)
+    assert found.shift == 0.0
+    for each in found.differences.values():
+        assert not each.rms.any()
+        assert each.reasons == []
+    assert found.audit.consistent
+    assert found.audit.what == "along the normal, on the robot"
+    assert found.audit.rms < 0.01 * found.audit.size
+    assert sum("equal, to rounding" in line for line in found.lines()) == 3
+
+
+def test_another_clock_is_found(run):
+    """The log begins elsewhere in time, and its clock is another one."""
+    log = of_run(run)
+    part = Recording(log.time[400:] + 1e6, log.q[400:], log.torque[400:], log.force[400:])
+    found = cl.compare_log(part, run.scenario)
+    assert found.shift == pytest.approx(-run.time[400], abs=1e-6)
+    assert found.differences["q"].rms.max() < 1e-6
+    wrong = cl.compare_log(part, run.scenario, shift=0.0)
+    assert wrong.differences["q"].rms.max() > 1e-3
+
+
+def test_a_sensor_is_told_from_its_force(run):
+    """Gain, bias and delay of a force that varies: the time of the joints is right, that of the force is late."""
+    log = of_run(run)
+    lively = replace(log, force=log.force)
+    force = lively.force + 2.0 * np.sin(9.0 * log.time)
+    scenario = run.scenario
+    rate = np.gradient(force, log.time)
+    from closedloop.studies.comparison.audit import force_hypotheses
+
+    sensed = 1.1 * force + 0.3 - 0.02 * rate
+    reasons = {r.name: r for r in explain(sensed - force, force_hypotheses(force, rate), 10.0)}
+    assert reasons["delay"].value[0] == pytest.approx(0.02, abs=1e-3)
+    found = cl.compare_log(replace(log, force=1.2 * log.force), scenario)
+    reasons = found.differences["force"].reasons
+    assert reasons[0].value[0] == pytest.approx(0.2, rel=0.05) or "gain beyond 1" in reasons[0].as_well
+    assert not found.audit.consistent
+
+
+@pytest.mark.parametrize(
+    ("plant", "name", "value"),
+    [
+        (lambda run: 0.3 * np.tanh(run.v / (1e-3 * np.abs(run.v).max(axis=0))), "dry friction", 0.3),
+        (lambda run: 2.0 * run.v, "viscous friction", 2.0),
+        (lambda run: np.full_like(run.torque, 0.7), "offset", 0.7),
+    ],
+)
+def test_what_torques_lack_is_named(run, plant, name, value):
+    """A term of the torque that the scenario has not: its name and size, or that others would explain it as well."""
+    log = of_run(run)
+    found = cl.compare_log(replace(log, torque=log.torque + plant(run)), run.scenario)
+    first = found.differences["torque"].reasons[0]
+    assert first.name == name or name in first.as_well
+    if first.name == name:
+        np.testing.assert_allclose(first.value, value, rtol=0.05)
+    assert first.left < 0.02
+
+
+def test_the_sign_of_a_force_is_found_out(run):
+    """A force on the environment is not one on the robot, and the audit says which it is."""
+    log = of_run(run)
+    found = cl.compare_log(replace(log, force=-log.force), run.scenario)
+    assert found.audit.what == "along the normal, on the environment"
+    assert not found.audit.consistent
+    assert "NOT consistent" in "\n".join(found.lines())
+    vector = cl.compare_log(replace(log, force=log.force[:, None] * run.surface_normal), run.scenario)
+    assert vector.audit.consistent
+    assert vector.differences["force"].rms[0] < 1e-9
+
+
+def test_the_interval_of_a_reason_covers_the_truth():
+    """95 % of the intervals of a bias hold it, of white noise and of noise whose neighbours are alike."""
+    rng = np.random.default_rng(0)
+    for pole in (0.0, 0.9):
+        inside = 0
+        for _ in range(300):
+            noise = rng.normal(size=2200)
+            for k in range(1, len(noise)):
+                noise[k] += pole * noise[k - 1]
+            noise = noise[200:]
+            reason = explain(5.0 + noise, [Hypothesis("bias", "N", np.ones((2000, 1)))])[0]
+            inside += abs(reason.value[0] - 5.0) <= reason.half[0]
+        assert 0.90 < inside / 300 <= 0.99, pole
+    assert alike_rows(np.zeros(10)) == 1.0
+
+
+def test_the_command_reads_files_and_writes_results(run, tmp_path, capsys):
+    """CSV and run.nc; columns by name; JSON and a figure."""
+    run.save(tmp_path / "run.nc")
+    table = {"t": run.time}
+    for j, name in enumerate(run.model.joint_names):
+        table[f"angle_{name}"], table[f"effort_{name}"] = np.degrees(run.q[:, j]), run.torque[:, j]
+    pd.DataFrame(table | {"sensor": run.contact_force}).to_csv(tmp_path / "log.csv", index=False)
+    scenario = ["--scenario", "planar2_slide", "--time.duration", "3"]
+    assert main([str(tmp_path / "run.nc"), *scenario]) == 0
+    assert "it is consistent" in capsys.readouterr().out
+    words = [str(tmp_path / "log.csv"), *scenario, "--degrees", "--columns", "force=sensor", "--out", str(tmp_path)]
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["audit"]["consistent"]
+    assert max(told["q"]["rms"]) < 1e-12
+    assert json.loads((tmp_path / "comparison.json").read_text()) == told
+    assert "difference" in (tmp_path / "comparison.svg").read_text()
+
+
+def test_bad_input_is_one_line(run, tmp_path, capsys):
+    """Missing columns and files, time that jumps, values that are not finite, other joints."""
+    scenario = ["--scenario", "planar2_slide", "--time.duration", "3"]
+    pd.DataFrame({"time": run.time, "x": run.time}).to_csv(tmp_path / "log.csv", index=False)
+    for words, expected in (
+        ([str(tmp_path / "log.csv")], "no columns for q"),
+        ([str(tmp_path / "none.csv")], "cannot be read"),
+        ([str(tmp_path / "log.csv"), "--columns", "speed=v"], "is none of time, q, torque, force"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            raise SystemExit(main([*words, *scenario]))
+        assert ended.value.code == 2
+        told = capsys.readouterr().err
+        assert expected in told
+        assert len(told.strip().splitlines()) == 1
+    log = of_run(run)
+    jumping, missing = log.time.copy(), log.q.copy()
+    jumping[50:] += 0.5
+    missing[7, 0] = np.nan
+    for wrong, expected in (
+        (replace(log, time=jumping), "time jumps by 0.50"),
+        (replace(log, q=missing), "q in row 7 is not finite"),
+        (replace(log, q=log.q[:, :1]), "must be"),
+        (Recording(log.time[:9], log.q[:9]), "at least 50"),
+    ):
+        with pytest.raises(LogError, match=expected):
+            cl.compare_log(wrong, run.scenario)
+    with pytest.raises(LogError, match="in common"):
+        cl.compare_log(log, run.scenario, shift=100.0)

@@ -1,0 +1,241 @@
+"""Derivatives of whole runs: closed forms, events, kinks, and what is refused."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import closedloop as cl
+from tests.closedloop.linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
+
+FORCE, GAP, RESTITUTION = 10.0, 0.1, 0.6
+ACCELERATION = FORCE / MASS
+
+
+def point(**changes):
+    """Return a point mass of 2 kg that a law presses onto a plane, without gains."""
+    return cl.load_scenario("wam_slide", {
+        "robot.model": "pointmass3", "robot.tip": "tip", "start.q": [0.0, 0.0, 0.0], "start.v": [0.0, 0.0, 0.0],
+        "reference": {"kind": "hold"}, "law": {"kind": "paper", "kp": [0, 0, 0], "kd": [0, 0, 0], "force": FORCE},
+        "surface.contact": "unilateral", "time.integrator": "rk4", "time.duration": 1.0, "time.step": 0.002,
+    } | {key.replace("__", "."): value for key, value in changes.items()})  # fmt: skip
+
+
+def ball(**changes):
+    """Return one that falls and bounces."""
+    return point(**{"surface__gap": GAP, "impact__restitution": RESTITUTION, "impact__rest_speed": 0.05} | changes)
+
+
+def bounces(count, e, h, a):
+    """Return the instants of the first impacts: √(2h/a) (1 + 2 (ε + ε² + ...))."""
+    return np.array([np.sqrt(2 * h / a) * (1.0 + 2.0 * sum(e**i for i in range(1, k + 1))) for k in range(count)])
+
+
+def complex_step(function, x):
+    """Return the derivative of an analytic function of one number, to rounding."""
+    return np.imag(function(x + 1e-30j)) / 1e-30
+
+
+@pytest.fixture(scope="module")
+def bounced():
+    """Return the derivatives of the instants and impulses of a bouncing mass."""
+    return cl.gradient(
+        ball(), ["impact.restitution", "surface.gap", "law.force"],
+        of=["event_time", "event_compression", "energy_lost_in_impacts"],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("key", "function", "at"),
+    [
+        ("impact.restitution", lambda x, k: bounces(k, x, GAP, ACCELERATION), RESTITUTION),
+        ("surface.gap", lambda x, k: bounces(k, RESTITUTION, x, ACCELERATION), GAP),
+        ("law.force", lambda x, k: bounces(k, RESTITUTION, GAP, x / MASS), FORCE),
+    ],
+)
+def test_instants_of_a_bouncing_ball(bounced, key, function, at):
+    """∂t_k/∂ε, ∂t_k/∂h and ∂t_k/∂F are those of the closed form."""
+    count = len(bounced.value["event_time"])
+    assert count >= 5
+    expected = complex_step(lambda x: function(x, count), at)
+    np.testing.assert_allclose(bounced.derivative["event_time"][key], expected, rtol=1e-7, atol=1e-8)
+    assert not bounced.problems
+    assert np.all(np.abs(bounced.derivative["event_time"][key] - expected) <= bounced.error["event_time"][key] + 1e-12)
+
+
+def test_impulses_of_a_bouncing_ball(bounced):
+    """The impulse of compression is m v εᵏ, and v = √(2 a h)."""
+    k = np.arange(len(bounced.value["event_time"]))
+    v = np.sqrt(2.0 * ACCELERATION * GAP)
+    np.testing.assert_allclose(bounced.value["event_compression"], MASS * v * RESTITUTION**k, rtol=1e-9)
+    np.testing.assert_allclose(
+        bounced.derivative["event_compression"]["impact.restitution"],
+        MASS * v * k * RESTITUTION ** (k - 1.0),
+        rtol=1e-6,
+    )
+    assert bounced.derivative["energy_lost_in_impacts"]["law.force"] == pytest.approx(
+        bounced.value["energy_lost_in_impacts"] / FORCE, rel=1e-7
+    )
+    assert bounced.units["event_time"] == "s"
+    assert set(bounced.table()["key"]) == {"impact.restitution", "surface.gap", "law.force"}
+
+
+def test_saltation_at_impacts():
+    """Derivatives of the state after two impacts are the product of flights and saltation matrices.
+
+    With δt = −δz/v⁻ the state beside jumps to δz⁺ = −ε δz⁻ and δv⁺ = −ε δv⁻ − (1 + ε) a δz⁻/v⁻. Each of the
+    three terms is needed: without one of them the product is another.
+    """
+    end = 0.5
+    found = cl.gradient(ball(), ["start.v"], of=[f"q@{end}", f"v@{end}"])
+    mine = [found.derivative[f"{name}@{end}"]["start.v"][2, 2] for name in "qv"]
+
+    def product(*terms):
+        position, velocity, instant = terms
+        state, t, v = np.array([0.0, 1.0]), 0.0, 0.0
+        for impact in bounces(2, RESTITUTION, GAP, ACCELERATION):
+            v -= ACCELERATION * (impact - t)
+            state = np.array([[1.0, impact - t], [0.0, 1.0]]) @ state
+            jump = (1.0 + RESTITUTION) * ACCELERATION / v
+            state = np.array([[-RESTITUTION * position, 0.0], [-jump * instant, -RESTITUTION * velocity]]) @ state
+            t, v = impact, -RESTITUTION * v
+        return np.array([[1.0, end - t], [0.0, 1.0]]) @ state
+
+    np.testing.assert_allclose(mine, product(1.0, 1.0, 1.0), rtol=1e-7)
+    for planted in ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 0.0)):
+        assert not np.allclose(mine, product(*planted), rtol=1e-3)
+
+
+def test_sliding_block_stops():
+    """It stops at t = m v/(μ F), after m v²/(2 μ F)."""
+    v, friction = 0.8, 0.4
+    block = point(start__v=[v, 0.0, 0.0], friction__kind="coulomb", friction__coefficient=friction)
+    found = cl.gradient(block, ["friction.coefficient", "law.force", "start.v"], of=["event_time", "q@end"])
+    stop = MASS * v / (friction * FORCE)
+    assert found.value["event_time"] == pytest.approx([stop], rel=1e-9)
+    by = found.derivative["event_time"]
+    assert by["friction.coefficient"] == pytest.approx([-stop / friction], rel=1e-7)
+    assert by["law.force"] == pytest.approx([-stop / FORCE], rel=1e-7)
+    assert by["start.v"].shape == (1, 3)
+    assert by["start.v"][0, 0] == pytest.approx(stop / v, rel=1e-7)
+    at = found.derivative["q@end"]
+    assert at["start.v"].shape == (3, 3)
+    assert at["start.v"][0, 0] == pytest.approx(stop, rel=1e-7)
+    assert at["friction.coefficient"][0] == pytest.approx(-0.5 * v * stop / friction, rel=1e-7)
+
+
+def test_kelvin_voigt():
+    """f of a mass on a spring and a damper that begins to sink: the derivative of the matrix exponential."""
+
+    def force(k, c, t):
+        rates = np.array([[0.0, 1.0, 0.0], [-k / MASS, -c / MASS, FORCE / MASS], [0.0, 0.0, 0.0]])
+        x, v, _ = expm(rates * t) @ np.array([FORCE / k, speed, 1.0])
+        return k * x + c * v
+
+    t, speed = 0.05, 0.05
+    found = cl.gradient(
+        mass_on_a_spring(0.0, start__v=[0.0, 0.0, -speed]), ["compliance.stiffness", "compliance.damping"],
+        of=[f"contact_force@{t}"],
+    )  # fmt: skip
+    by = found.derivative[f"contact_force@{t}"]
+    assert by["compliance.stiffness"] == pytest.approx(
+        complex_step(lambda k: force(k, DAMPING, t), STIFFNESS), rel=1e-7
+    )
+    assert by["compliance.damping"] == pytest.approx(complex_step(lambda c: force(STIFFNESS, c, t), DAMPING), rel=1e-7)
+
+
+def test_another_order_of_events_is_named():
+    """Where one bounce more begins there are one-sided derivatives alone; beside it there are two-sided ones.
+
+    The second rebound is v ε², the third v ε³: the first that is slower than `impact.rest_speed` is cut.
+    """
+    speed = np.sqrt(2.0 * ACCELERATION * GAP)
+    turn = float(np.sqrt(0.05 / speed))
+    key, of = "impact.restitution", "largest_rate_cut"
+    expected = 2.0 * speed * turn, 3.0 * speed * turn**2
+    at = cl.gradient(ball(impact__restitution=turn), [key], of=[of])
+    assert np.isnan(at.derivative[of][key])
+    assert len(at.problems) == 1
+    assert "impact at" in at.problems[0]
+    known = [pair for pair in zip(at.one_sided[of][key], expected, strict=True) if not np.isnan(pair[0])]
+    assert known
+    assert all(mine == pytest.approx(its, rel=1e-5) for mine, its in known)
+    for share, power in ((1.0 - 1e-4, 2), (1.0 + 1e-4, 3)):
+        beside = cl.gradient(ball(impact__restitution=share * turn), [key], of=[of])
+        assert not beside.problems
+        assert beside.derivative[of][key] == pytest.approx(power * speed * (share * turn) ** (power - 1), rel=1e-6)
+
+
+def test_a_kink_is_named():
+    """The largest speed is |v|: at v = 0 it has one derivative on either side."""
+    smooth = point(surface__contact="bilateral", time__duration=0.1)
+    found = cl.gradient(smooth, ["start.v"], of=["max_tip_speed"])
+    assert np.isnan(found.derivative["max_tip_speed"]["start.v"][0])
+    below, above = found.one_sided["max_tip_speed"]["start.v"]
+    assert below[0] == pytest.approx(-1.0, rel=1e-9)
+    assert above[0] == pytest.approx(1.0, rel=1e-9)
+    assert "max_tip_speed has no derivative with respect to start.v[0]" in found.problems[0]
+
+
+def test_at_a_bound_there_is_one_side():
+    """A coefficient of friction cannot be negative: at 0 the derivative above remains, and the reason is said."""
+    smooth = point(surface__contact="bilateral", start__v=[0.5, 0.0, 0.0], friction__kind="coulomb",
+                   friction__coefficient=0.0, time__duration=0.1)  # fmt: skip
+    found = cl.gradient(smooth, ["friction.coefficient"], of=["q@end"])
+    below, above = found.one_sided["q@end"]["friction.coefficient"]
+    assert np.isnan(below[0])
+    assert above[0] == pytest.approx(-0.5 * ACCELERATION * 0.1**2, rel=1e-6)
+    assert "friction.coefficient" in found.problems[0]
+
+
+def test_whole_columns():
+    """`sensitivities` has the derivative of every row: of f with respect to the force wanted it is 1."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.3})
+    found = cl.sensitivities(scenario, ["law.force", "law.kd"], of=["contact_force", "q"])
+    rows = len(found.time)
+    assert rows == 301
+    np.testing.assert_allclose(found.derivative["contact_force"]["law.force"], 1.0, rtol=1e-9)
+    assert found.derivative["q"]["law.kd"].shape == (rows, 4, 4)
+    one = cl.gradient(scenario, ["law.kd"], of=["q@0.2"])
+    np.testing.assert_array_equal(found.derivative["q"]["law.kd"][200], one.derivative["q@0.2"]["law.kd"])
+    figure = found.figure()
+    assert len(figure.axes) == 4
+    assert "law.kd" in figure.axes[1].get_ylabel()
+
+
+@pytest.mark.parametrize(
+    ("keys", "of", "words"),
+    [
+        (["law.kind"], ["rms_force_error"], "it is a word"),
+        (["surface.offset"], ["rms_force_error"], "it is a word; give the number"),
+        (["sensor.seed"], ["rms_force_error"], "a whole number"),
+        (["robot.drive_inertia"], ["rms_force_error"], "not a real one"),
+        (["time.step"], ["rms_force_error"], "the number of rows"),
+        (["law.fource"], ["rms_force_error"], "law.fource"),
+        (["drives.torque"], ["rms_force_error"], "drives.torque"),
+        (["law.force", "law.force"], ["rms_force_error"], "named twice"),
+        ("law.force", ["rms_force_error"], "must be a list of keys"),
+        (["law.force"], "rms_force_error", "must be a list of quantities"),
+        (["law.force"], ["rms_force"], "no such quantity"),
+        (["law.force"], ["contact_force"], "contact_force@end"),
+        (["law.force"], ["contact_force@9"], "an instant of the run"),
+        (["law.force"], ["contact_force@soon"], "an instant of the run"),
+        (["law.force"], ["mode@end"], "no real numbers"),
+        (["law.force"], ["steps"], "no real number"),
+        (["law.force"], ["time_in_contact"], "counted in rows"),
+        (["law.force"], ["wall_seconds"], "no real number that the scenario gives"),
+        (["law.force"], ["event_time"], "no events"),
+    ],
+)
+def test_what_has_no_derivative_is_refused(keys, of, words):
+    """In one line that says what would be right."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.1})
+    with pytest.raises(cl.ScenarioError, match=words.replace("[", r"\[")) as error:
+        cl.gradient(scenario, keys, of=of)
+    assert "\n" not in str(error.value)
+
+
+def test_a_run_that_stops_has_no_derivative():
+    """What it stops with is raised."""
+    scenario = cl.load_scenario("wam_slide", {"law.kd": [1e4] * 4, "time.duration": 1.0})
+    with pytest.raises(cl.SimulationError):
+        cl.gradient(scenario, ["law.force"], of=["rms_force_error"])

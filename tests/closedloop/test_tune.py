@@ -1,0 +1,199 @@
+"""Tuning: optima that are known, traps, constraints that bind or cannot be met, resuming, and the command."""
+
+import json
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.studies.tune.given import limit_of
+from closedloop.studies.tune.search import MEAN, WORST, Search
+
+SHORT = {"time.duration": 1.0, "reference.stop": 1.0, "reference.start": 0.2}
+GAINS = {"law.kd[1]": (5.0, 200.0), "law.kd[3]": (5.0, 200.0)}
+
+
+def of_functions(values, constraints=(), count=None):
+    """Return what evaluates functions of points in the unit square in place of runs."""
+
+    def evaluate(points):
+        if count is not None:
+            count.append(len(points))
+        got = np.array([[value(x) for value in values] for x in points], dtype=float)
+        broken = np.array([[[limit(x) for limit in constraints] for _ in values] for x in points], dtype=float)
+        return got, broken.reshape(len(points), len(values), len(constraints))
+
+    return evaluate
+
+
+def rosenbrock(x):
+    """Return Rosenbrock's function with its bent valley in the unit square, whose least is 1 at (2/3, 2/3)."""
+    a, b = 3.0 * x[0] - 1.0, 3.0 * x[1] - 1.0
+    return 1.0 + (1.0 - a) ** 2 + 100.0 * (b - a * a) ** 2
+
+
+def test_a_bent_valley_is_no_trap():
+    """A search that is ended in the valley is not called an optimum; one that is not ended finds the least value."""
+    from_side = np.array([0.1, 0.9])
+    ended = Search(of_functions([rosenbrock]), 2, iterations=3)
+    ended._descend(from_side)
+    x, _, _ = ended.best()
+    assert ended.merit(ended.look(x[None])[0][0]) > 1.01
+    assert ended._explained(x)[0] > 1e-3
+    found = Search(of_functions([rosenbrock]), 2).run(from_side, 2, 0)
+    assert found.optimal
+    np.testing.assert_allclose(found.x, 2.0 / 3.0, atol=1e-4)
+    assert found.value == pytest.approx(1.0, abs=1e-7)
+
+
+def test_the_worst_of_two_and_their_mean():
+    """The least worst of two parabolas is where both are equal; the least mean is where their slopes cancel."""
+    both = [lambda x: (x[0] - 0.2) ** 2 + 1.0, lambda x: (x[0] - 0.6) ** 2 + 1.0]
+    worst = Search(of_functions(both), 1, WORST).run(np.array([0.9]), 2, 0)
+    assert worst.optimal
+    assert worst.x[0] == pytest.approx(0.4, abs=1e-6)
+    uneven = [both[0], lambda x: 3.0 * (x[0] - 0.6) ** 2 + 1.0]
+    mean = Search(of_functions(uneven), 1, MEAN).run(np.array([0.9]), 2, 0)
+    assert mean.x[0] == pytest.approx(0.5, abs=1e-6)
+    assert mean.optimal
+
+
+def test_a_constraint_binds_with_its_multiplier():
+    """The least of x + y + 1 with x y >= 0.25 is at (0.5, 0.5), where a limit moved by m is worth 2 m."""
+    found = Search(of_functions([lambda x: x[0] + x[1] + 1.0], [lambda x: 0.25 - x[0] * x[1]]), 2).run(
+        np.array([0.9, 0.3]), 2, 0
+    )
+    assert found.optimal
+    np.testing.assert_allclose(found.x, 0.5, atol=1e-3)  # √MET
+    assert found.multipliers[0, 0] == pytest.approx(2.0, rel=1e-3)
+
+
+def test_where_there_is_no_run_the_search_turns_back():
+    """Points without a value are left alone, and the least value beside them is found."""
+    found = Search(of_functions([lambda x: np.nan if x[0] < 0.3 else (x[0] - 0.4) ** 2 + 1.0]), 1).run(
+        np.array([0.9]), 2, 0
+    )
+    assert found.x[0] == pytest.approx(0.4, abs=1e-5)
+
+
+def test_a_constraint_that_cannot_be_met_is_said():
+    """The nearest point is returned, and is not called feasible."""
+    found = Search(of_functions([lambda x: x[0] + 1.0], [lambda x: 0.2 + (x[0] - 0.7) ** 2]), 1).run(
+        np.array([0.1]), 2, 0
+    )
+    assert not found.feasible
+    assert not found.optimal
+    assert found.x[0] == pytest.approx(0.7, abs=1e-2)
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    """Return a short slide with two gains tuned, and the file of its runs."""
+    kept = tmp_path_factory.mktemp("tune") / "runs.jsonl"
+    scenario = cl.load_scenario("wam_slide", SHORT)
+    return cl.tune(scenario, GAINS, "rms_force_error", ["peak_contact_force<=10.9"], starts=2, kept=kept), kept
+
+
+def test_gains_of_a_slide_become_better(tuned):
+    """The constraint that the shipped gains violate is met, the error falls, and the scenario has the gains."""
+    tuning, _ = tuned
+    assert tuning.feasible
+    assert tuning.value < 0.5 * tuning.value_before
+    run = cl.simulate(tuning.scenario, engine="compiled")
+    assert run.summary()["rms_force_error"] == pytest.approx(tuning.value, rel=1e-9)
+    assert run.summary()["peak_contact_force"] <= 10.9 * (1.0 + 1e-6)
+    assert run.summary()["verdict"]["good"]
+    assert tuning.scenario.law.kd[0] == tuning.before.law.kd[0]
+    for each, number in zip(tuning.vary, tuning.numbers, strict=True):
+        assert each.low <= number <= each.high
+        down, up = tuning.sensitivity[each.name]
+        assert not down < -1e-4 * tuning.value
+        assert not up < -1e-4 * tuning.value
+    assert "rms_force_error:" in tuning.lines()[0]
+    assert len(tuning.figure().axes) == 1
+
+
+def test_what_was_run_is_not_run_again(tuned):
+    """With the file of an interrupted tuning the same is found, and only what is missing is run."""
+    tuning, kept = tuned
+    lines = kept.read_text().splitlines()
+    part = kept.with_name("part.jsonl")
+    part.write_text("\n".join(lines[: len(lines) // 2]) + '\n["cut')
+    again = cl.tune(tuning.before, GAINS, "rms_force_error", ["peak_contact_force<=10.9"], starts=2, kept=part)
+    assert again.numbers == tuning.numbers
+    assert again.runs < tuning.runs
+    with pytest.raises(cl.OutputError, match="another tuning"):
+        cl.tune(tuning.before, {"law.kd[1]": (5.0, 100.0)}, "rms_force_error", starts=1, kept=kept)
+
+
+@pytest.mark.parametrize(
+    ("vary", "subject_to", "more", "words"),
+    [
+        ({}, [], {}, "nothing varies"),
+        ({"law.kind": (0, 1)}, [], {}, "it is a word"),
+        ({"law.kd[7]": (0, 1)}, [], {}, "no such entry"),
+        ({"law.kd": (5, 1)}, [], {}, "the lower end first"),
+        ({"law.kd": 5}, [], {}, "two ends"),
+        ({"law.kd": (0, 10)}, [], {"log": ["law.kd"]}, "above 0"),
+        ({"law.kd": (1, 10), "law.kd[1]": (1, 10)}, [], {}, "varies twice"),
+        ({"law.kd": (1, 10)}, ["peak_contact_force<12"], {}, "must be a value and its limit"),
+        ({"law.kd": (1, 10)}, ["peak<=12"], {}, "no value of a run's summary"),
+        ({"law.kd": (1, 10)}, ["modulus_margin>=0.5"], {}, "at which instant"),
+        ({"law.kd": (1, 10)}, [], {"minimise": "error"}, "no value of a run's summary"),
+        ({"law.kd": (1, 10)}, [], {"robust": "best"}, "'worst' or 'mean'"),
+        ({"law.kd": (1, 10)}, [], {"starts": 0}, "from 1 to"),
+        ({"law.force": (1, 10)}, [], {"over": {"law.force": [5.0]}}, "cannot vary"),
+    ],
+)
+def test_bad_input_is_one_line(vary, subject_to, more, words):
+    """It says what is wrong and what would be right."""
+    with pytest.raises(cl.ScenarioError, match=words) as error:
+        cl.tune(cl.load_scenario("wam_slide", SHORT), vary, subject_to=subject_to, **more)
+    assert "\n" not in str(error.value)
+
+
+def test_a_constraint_reads_either_way():
+    """`>=` and `<=`, with the violation as a share of the limit."""
+    least, most = limit_of(" modulus_margin@3 >= 0.5"), limit_of("peak_contact_force<=12")
+    assert least.violation(np.array([0.25])) == pytest.approx([0.5])
+    assert most.violation(np.array([15.0])) == pytest.approx([0.25])
+    assert str(least) == "modulus_margin@3 >= 0.5"
+
+
+def test_the_command_writes_the_scenario(tmp_path, capsys):
+    """It prints the report, writes tuned.toml, which runs, and says by its status whether the constraints are met."""
+    from closedloop.command.tune import main
+
+    words = ["wam_slide", "--time.duration", "0.6", "--reference.start", "0.1", "--reference.stop", "0.6",
+             "--starts", "1", "--vary", "law.kd[3]=log:5:200", "--out", str(tmp_path / "out")]  # fmt: skip
+    assert main([*words, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["feasible"]
+    assert report["value"] < report["value_before"]
+    scenario = cl.load_scenario(tmp_path / "out" / "tuned.toml")
+    assert scenario.law.kd[3] == report["numbers"]["law.kd[3]"]
+    assert (tmp_path / "out" / "tune.png").exists()
+    assert main([*words[:-2], "--subject-to", "peak_contact_force<=9"]) == 3
+    assert "peak_contact_force <= 9 cannot be met" in capsys.readouterr().out
+    assert main(["wam_slide"]) == 2
+    assert "--vary law.kd=5:200" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "changes", "vary", "subject_to", "over"),
+    [
+        ("wam_slide", {}, {"law.kd": (5.0, 200.0)}, ["peak_contact_force<=10.5"], None),
+        ("wam_hybrid_friction", {"compliance.kind": "kelvin_voigt"}, {"law.force_integral": (1.0, 200.0)},
+         ["modulus_margin@3>=0.5"], None),
+        ("wam_slide", {"friction.kind": "coulomb", "friction.coefficient": 0.4},
+         {"law.force_integral": (0.0, 200.0)}, [],
+         {"friction.coefficient": [0.2, 0.4, 0.6]}),
+    ],
+)  # fmt: skip
+def test_shipped_gains_become_better(name, changes, vary, subject_to, over):
+    """Better than shipped, with the margins kept, under each of the variations."""
+    tuning = cl.tune(cl.load_scenario(name, changes), vary, subject_to=subject_to, over=over, starts=2)
+    assert tuning.feasible
+    assert tuning.value < 0.9 * tuning.value_before
+    assert np.all(tuning.values["rms_force_error"] < tuning.values_before["rms_force_error"])

@@ -13,6 +13,8 @@ Simulate
     Run, Event, load_run                          the record, a change of the contact, read a run file
     compare                                       several laws or scenarios under the same variations
     linearise                                     the force loop as a linear system: poles, margins, the port
+    gradient, sensitivities                       derivatives of a run with respect to numbers of its scenario
+    tune                                          gains, or other numbers, that make a value of the runs least
     figures, lab                                  figures of a run; a page with sliders that simulates again
 Build
     ControlLaw, Law, LawInput                     control laws of your own, and their input
@@ -21,6 +23,8 @@ Build
     prepare, Problem                              a scenario as arrays
 Identify
     identify, Log                                 parameters of a robot, with intervals, from a log of its motion
+    excite                                        a motion within limits that makes given parameters known best
+    compare_log, Recording                        a log or a run over a scenario: what differs, and what explains it
 Errors, all of them ClosedLoopError
     ScenarioError, ModelError, RunFileError, OutputError, ClusterError
     SimulationError (its run has the rows until then): SingularClosureError, DivergenceError, ChatterError,
@@ -86,9 +90,15 @@ if TYPE_CHECKING:
     from closedloop.simulation.state import StepState as StepState
     from closedloop.studies.analysis.linearise import linearise as linearise
     from closedloop.studies.comparison.compare import compare as compare
+    from closedloop.studies.comparison.recording import Recording as Recording
+    from closedloop.studies.comparison.with_log import compare_log as compare_log
+    from closedloop.studies.gradient.gradient import gradient as gradient
+    from closedloop.studies.gradient.sensitivities import sensitivities as sensitivities
+    from closedloop.studies.identify.excite import excite as excite
     from closedloop.studies.identify.identify import identify as identify
     from closedloop.studies.identify.log import Log as Log
-    from closedloop.studies.sweep import sweep_plot as sweep_plot
+    from closedloop.studies.sweep.maps import sweep_plot as sweep_plot
+    from closedloop.studies.tune.tune import tune as tune
 
 _HOME = {
     "ChatterError": "base.errors",
@@ -109,6 +119,7 @@ _HOME = {
     "PainleveError": "base.errors",
     "Plane": "mechanics.surface.plane",
     "Problem": "simulation.engines.problem",
+    "Recording": "studies.comparison.recording",
     "Robot": "mechanics.robot.pinocchio",
     "Run": "record.run",
     "RunFileError": "base.errors",
@@ -122,7 +133,10 @@ _HOME = {
     "StepState": "simulation.state",
     "Terms": "mechanics.robot.pinocchio",
     "compare": "studies.comparison.compare",
+    "compare_log": "studies.comparison.with_log",
+    "excite": "studies.identify.excite",
     "figures": "figures",
+    "gradient": "studies.gradient.gradient",
     "halve": "simulation.halve",
     "identify": "studies.identify.identify",
     "lab": "lab.start",
@@ -130,11 +144,13 @@ _HOME = {
     "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",
+    "sensitivities": "studies.gradient.sensitivities",
     "shipped_scenarios": "scenario.file",
     "simulate": "simulation.simulate",
     "simulate_batch": "simulation.batch.simulate_batch",
     "solve_closure": "mechanics.closure.solve",
-    "sweep_plot": "studies.sweep",
+    "sweep_plot": "studies.sweep.maps",
+    "tune": "studies.tune.tune",
 }
 
 _NAMES = sorted(_HOME)

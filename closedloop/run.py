@@ -25,7 +25,7 @@ from closedloop.base.errors import (
 )
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
-from closedloop.command.cautions import warn_of_gains, warn_of_no_surface, warn_of_other_texts
+from closedloop.command.cautions import warn_of_gains, warn_of_hulls, warn_of_no_surface, warn_of_other_texts
 from closedloop.command.help import list_of_sections, scenario_parser
 from closedloop.command.job import Job, halved, simulated, without_stabiliser
 from closedloop.command.lists import list_of_scenarios, versions
@@ -33,7 +33,7 @@ from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import import_law
+from closedloop.scenario.user_module import import_function, import_law
 
 if TYPE_CHECKING:
     from closedloop.command.results import Results
@@ -121,6 +121,7 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
             "add --law MODULE:FUNCTION"
         )
 
+    from closedloop.scenario.collision import with_collision_shapes
     from closedloop.simulation.engines.law_source import law_digest
     from closedloop.simulation.prepare import load_model
     from closedloop.simulation.simulate import check_engine
@@ -129,9 +130,11 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
     check_engine(scenario, engine, law)
     if options.halve:
         _refuse_to_halve(scenario)
+    model = load_model(scenario) if model is None else model
+    warn_of_hulls(scenario, model)
     return Job(
-        scenario=scenario,
-        model=load_model(scenario) if model is None else model,
+        scenario=with_collision_shapes(scenario, model),
+        model=model,
         law=law,
         law_name=options.law or "scenario",
         digest="" if law is None else law_digest(law),
@@ -139,7 +142,19 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
         engine=engine,
         folder=Path(options.out) if options.out else Path("out") / scenario.name,
         earlier=earlier,
+        columns=_own_columns(options.record),
     )
+
+
+def _own_columns(names: list[str]) -> dict[str, Any]:
+    """Return the functions that --record names, each by its own name, which is that of its column."""
+    columns: dict[str, Any] = {}
+    for name in names:
+        column = name.rpartition(":")[2]
+        if column in columns:
+            raise ScenarioError(f"--record {name}: there is a column {column!r} already: use another name")
+        columns[column] = import_function("--record", name, "my_columns:spring_power")
+    return columns
 
 
 def _refuse_to_halve(scenario: Scenario) -> None:
@@ -218,8 +233,10 @@ def _parser() -> Parser:
     add("--json", action="store_true", help="print the summary as JSON instead of tables")
     add("--halve", action="store_true", help="also run it at half the step, and compare")
     add("--strict", action="store_true", help="exit with status 4 or 5 if a verdict is bad")
-    add("--engine", choices=("pinocchio", "compiled"), help="whose H, C, r, J (default pinocchio)")
+    engines = ("pinocchio", "compiled")
+    add("--engine", choices=engines, metavar="ENGINE", help="whose H, C, r, J: pinocchio (default) or compiled")
     add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own as the law")
+    add("--record", action="append", default=[], metavar="MODULE:NAME", help="a function(run) of your own as a column")
     return parser
 
 

@@ -30,8 +30,9 @@ API = {
     ),
     "Laws and surfaces of your own": "Law LawInput ControlLaw Surface SurfaceMotion Compliance",
     "The robot and the closure": "Robot Terms Plane solve_closure",
-    "Identification": "identify Log",
+    "Identification": "identify Log excite compare_log Recording",
     "Stability of the force loop": "linearise",
+    "Derivatives and tuning": "gradient sensitivities tune",
     "Errors": (
         "ClosedLoopError ScenarioError ModelError OutputError RunFileError ClusterError SimulationError "
         "SingularClosureError DivergenceError ChatterError PainleveError NoNormalError LawError InterruptedRunError"

@@ -85,12 +85,12 @@ held(five)
 # %% [markdown]
 # ## Contact in one point
 #
-# `gripper_block` has six contacts: two fingers with two points each, and two feet of the block on the floor. All are
+# `gripper_gear` has six contacts: two fingers with two points each, and two feet of the block on the floor. All are
 # solved for at once, each free, sliding or stuck. Four forces of the fingers hold one block, so they are not unique:
 # those of least norm are given ([several contacts](../docs/contacts.md)).
 
 # %%
-gripped = simulate("gripper_block")
+gripped = simulate("gripper_gear")
 names = [contact.name for contact in gripped.scenario.contact]
 for name, modes, forces in zip(names, gripped.link_modes.T, gripped.link_forces.T, strict=True):
     state = ("free", "sliding", "stuck")[int(modes[-1])]

@@ -192,12 +192,17 @@ def sizes(given: dict[str, str]) -> list[float]:
     return size[: {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3)]
 
 
+def geom_pose(given: dict[str, str], units: Units) -> Array:
+    """Return the pose (4, 4) of a geom in its body."""
+    if "fromto" not in given:
+        return pose(given, units)
+    ends = _numbers(given["fromto"])
+    return transform(_towards(_unit(given, "fromto", ends[:3] - ends[3:])), 0.5 * (ends[:3] + ends[3:]))
+
+
 def _geom(given: dict[str, str], units: Units) -> tuple[Weight, Array]:
     """Return what a solid geom weighs about its own centre, and its pose."""
-    place = pose(given, units)
-    if "fromto" in given:
-        ends = _numbers(given["fromto"])
-        place = transform(_towards(_unit(given, "fromto", ends[:3] - ends[3:])), 0.5 * (ends[:3] + ends[3:]))
+    place = geom_pose(given, units)
     volume, moments = _solid(given.get("type", "sphere"), sizes(given))
     mass = float(given["mass"]) if "mass" in given else volume * float(given.get("density", _DENSITY))
     return Weight(mass, tensor=np.diag(mass * moments)), place

@@ -76,7 +76,7 @@ def _link(name: str, parent: int, joint: ET.Element, weight: Weight) -> Link:
     given = joint.get("type", "")
     kind = {"continuous": "revolute", "floating": "free", "spherical": "ball"}.get(given, given)
     if kind in ("free", "ball"):
-        return Link(name, parent, joint.get("name", ""), kind, _origin(joint), weight=weight)
+        return Link(name, parent, joint.get("name", ""), kind, origin_of(joint), weight=weight)
     axis = np.array(_numbers(_get(joint, "axis", "xyz", "1 0 0")))
     moving = kind != "fixed"
     return Link(
@@ -84,7 +84,7 @@ def _link(name: str, parent: int, joint: ET.Element, weight: Weight) -> Link:
         parent,
         joint.get("name", ""),
         kind,
-        _origin(joint),
+        origin_of(joint),
         axis / np.linalg.norm(axis) if moving else axis,
         weight=weight,
         bounds=_bounds(joint) if moving else Bounds(),
@@ -105,14 +105,14 @@ def _bounds(joint: ET.Element) -> Bounds:
 def _weight(inertial: ET.Element | None) -> Weight:
     if inertial is None:
         return Weight()
-    pose = _origin(inertial)
+    pose = origin_of(inertial)
     xx, xy, xz, yy, yz, zz = (float(_get(inertial, "inertia", key)) for key in _INERTIAL["inertia"])
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     turn = pose[:3, :3]
     return Weight(float(_get(inertial, "mass", "value")), pose[:3, 3], turn @ tensor @ turn.T)
 
 
-def _origin(element: ET.Element) -> Array:
+def origin_of(element: ET.Element) -> Array:
     """Return the pose (4, 4) of an <origin>: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     roll, pitch, yaw = _numbers(_get(element, "origin", "rpy", "0 0 0"))
     (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])

@@ -12,13 +12,10 @@ from closedloop.record.run import DRAWN_BY
 ROOT = Path(__file__).resolve().parent.parent
 WINGS = (
     "base", "jit", "mechanics", "control", "scenario", "loop", "record", "simulation", "figures", "studies", "lab",
-    "command", "run", "__main__", "__init__",
+    "gym", "command", "run", "__main__", "__init__",
 )  # fmt: skip
 # Modules that import by name what users named, and their own files.
-NEVER_UPWARDS = {
-    "closedloop.base.families.family", "closedloop.mechanics.friction", "closedloop.scenario.user_module",
-    "closedloop.studies.sweep",
-}  # fmt: skip
+NEVER_UPWARDS = {"closedloop.base.families.family", "closedloop.scenario.user_module"}
 
 
 def modules(package):

@@ -122,7 +122,7 @@ def _gains(memory: ContactMemory) -> bool:
     asked = make_contact_memory(int(links.n), int(links.k))
     asked.contacts.memory[:] = sound.memory
     interpreted(apply_impulses)(asked.links, asked.contacts, 1e-9)
-    return bool(asked.contacts.restitution_share < 1.0)
+    return bool(asked.contacts.event.restitution_share < 1.0)
 
 
 def _wider(memory: ContactMemory) -> None:

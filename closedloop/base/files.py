@@ -270,3 +270,22 @@ def _is_abandoned(path: Path) -> bool:
         except OSError:
             return False
         return _same(file, path)
+
+
+def made_folder(out: str | None) -> Path | None:
+    """Return the folder for the results, which is made; None where there is none.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made.
+    """
+    if out is None:
+        return None
+    folder = Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise OutputError(f"--out {out!r}: cannot be written: {reason}; name another folder") from None
+    return folder

@@ -77,6 +77,21 @@ def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
+@contextmanager
+def counter(name: str) -> Iterator[Callable[[int], None]]:
+    """Yield a function that shows how many runs are done, if standard error is a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn
+
+    console = Console(stderr=True)
+    with Progress(
+        SpinnerColumn(), TextColumn("{task.description}: {task.completed} runs"), console=console, transient=True,
+        disable=not _is_terminal(console),
+    ) as progress:  # fmt: skip
+        task = progress.add_task(name, total=None)
+        yield lambda done: progress.update(task, completed=done)
+
+
 def progress_text(done: int, total: int, lately: int, seconds: float) -> str:
     """Return how far it is in words, of which `lately` runs were done in so many `seconds`."""
     text = f"{done} of {total} runs"

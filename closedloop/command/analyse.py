@@ -8,10 +8,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from closedloop.base.errors import OutputError, ScenarioError
+from closedloop.base.errors import ScenarioError
+from closedloop.base.files import made_folder
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def _main(words: list[str]) -> int:
     if len(options.vary) > 2:
         raise ScenarioError("command line: --vary: at most two keys, one that is solved for and one along it")
     ranges = [_range(text) for text in options.vary]
-    folder = _folder(options.out)
+    folder = made_folder(options.out)
 
     from closedloop.studies.analysis.page import page_of
     from closedloop.studies.analysis.stability import Stability
@@ -80,19 +80,6 @@ def _main(words: list[str]) -> int:
         if not options.json:
             print(f"wrote {', '.join(map(str, paths))}")
     return DONE
-
-
-def _folder(out: str | None) -> Path | None:
-    """Return the folder for the results, which is made."""
-    if out is None:
-        return None
-    folder = Path(out)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise OutputError(f"--out {out!r}: cannot be written: {reason}; name another folder") from None
-    return folder
 
 
 def _range(text: str) -> tuple[Range, int]:

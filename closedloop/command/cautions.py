@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from closedloop.base.errors import ScenarioError, one_line
+from closedloop.base.errors import ClosedLoopError, ScenarioError, one_line
 from closedloop.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -32,6 +32,18 @@ def warn_of_no_surface(scenario: Scenario) -> None:
     if idle:
         named = " and ".join(f"[{name}]" for name in idle)
         print(f"closedloop: warning: {named}: there is no [surface], so nothing acts at the tip", file=sys.stderr)
+
+
+def warn_of_hulls(scenario: Scenario, model: Any) -> None:
+    """Say which collision meshes are not convex, so that their hulls touch."""
+    from closedloop.scenario.collision import hulls_taken
+
+    try:
+        lines = hulls_taken(scenario, model)
+    except ClosedLoopError:  # it cannot be prepared, and `simulate` says why
+        return
+    for line in lines:
+        print(f"closedloop: warning: {one_line(line)}", file=sys.stderr, flush=True)
 
 
 def warn_of_gains(scenario: Scenario, model: Any) -> None:

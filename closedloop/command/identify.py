@@ -70,7 +70,7 @@ def _parser() -> Parser:
     )
     parser.add_argument("--out", metavar="DIR", default="out/identify", help="where results go (default: out/identify)")
     parser.add_argument(
-        "--columns", action="append", default=[], type=_mapped, metavar="WHAT=NAME",
+        "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",
         help="which columns are time, q, v, torque, with {} for the joint: torque='effort_{}'; or all, with commas",
     )  # fmt: skip
     parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
@@ -95,7 +95,8 @@ def _parser() -> Parser:
     return parser
 
 
-def _mapped(word: str) -> tuple[str, str]:
+def mapped(word: str) -> tuple[str, str]:
+    """Read WHAT=NAME."""
     what, _, name = word.partition("=")
     if not name:
         raise argparse.ArgumentTypeError(f"{word!r}: must be WHAT=NAME, such as torque='effort_{{}}'")

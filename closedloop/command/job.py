@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 class Job(NamedTuple):
     """What is to be simulated, with which law and engine, and where the results go.
 
-    `law` is None for the scenario's own, `law_name` what the record calls it; `earlier` is the run that is repeated.
+    `law` is None for the scenario's own, `law_name` what the record calls it; `earlier` is the run that is repeated;
+    `columns` are functions of the run by the names of the columns that they add.
     """
 
     scenario: Scenario
@@ -32,6 +33,7 @@ class Job(NamedTuple):
     engine: str
     folder: Path
     earlier: Run | None
+    columns: dict[str, Any]
 
 
 def simulated(job: Job, progress: bool) -> tuple[Run, SimulationError | None]:
@@ -39,7 +41,7 @@ def simulated(job: Job, progress: bool) -> tuple[Run, SimulationError | None]:
     from closedloop.simulation.engines.law_source import fresh
     from closedloop.simulation.simulate import simulate
 
-    asked = {"model": job.model, "progress": progress, "engine": job.engine}
+    asked = {"model": job.model, "progress": progress, "engine": job.engine, "record": job.columns}
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is no result
             return simulate(job.scenario, law=fresh(job.law), **asked), None

@@ -47,7 +47,6 @@ def pieces() -> tuple[Piece, ...]:
         Piece("run_compiled", "the compiled engine's terms", lambda: _run(COMPILED), "proceed_at"),
         Piece("measure_rows", "values of a batch's runs", _measures, "run_compiled"),
         Piece("run_in_lanes", "eight runs of a batch at a time", _batch, "measure_rows"),
-        Piece("evaluate_on_pinocchio", "dop853", lambda: _run(PINOCCHIO, "dop853"), "proceed_at"),
         Piece("_impact", "a single impact", _impact),
         Piece("put_on_surface", "a path on a surface", lambda: _path("put_on_surface")),
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
@@ -58,6 +57,8 @@ def pieces() -> tuple[Piece, ...]:
         Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
         Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
         Piece("contacts_in_step", "contacts of the links", _contacts),
+        Piece("step_members", "simulations side by side", _together, "run_compiled"),
+        Piece("strike", "impacts in them", _strike),
         *_laws(),
     )
 
@@ -68,6 +69,26 @@ def _contacts() -> None:
     from closedloop.loop.step.contacts import contacts_in_step
 
     entry_address(contacts_in_step)
+
+
+def _together() -> None:
+    """Compile a step of simulations side by side."""
+    import numpy as np
+
+    from closedloop.simulation.together.together import Together
+
+    together = Together(1, 1, np.zeros((0, 3), dtype=np.int64), 0)
+    together.begin(0, _problem())
+    together.start([0])
+    together.close()
+
+
+def _strike() -> None:
+    """Compile the impacts that such a step applies by itself."""
+    from closedloop.jit.calls import entry_address
+    from closedloop.simulation.together.member import strike
+
+    entry_address(strike)
 
 
 def _loops(kernel: str) -> None:
@@ -136,19 +157,19 @@ def compile_these(names: Iterable[str]) -> None:
             piece.compile()
 
 
-def _problem(integrator: str = "semi_implicit_euler") -> Problem:
+def _problem() -> Problem:
     from closedloop.scenario.load import load_scenario
     from closedloop.simulation.prepare import prepare
 
-    return prepare(load_scenario("planar2_slide", {"time.duration": 0.002, "time.integrator": integrator}))
+    return prepare(load_scenario("planar2_slide", {"time.duration": 0.002}))
 
 
-def _run(engine: str, integrator: str = "semi_implicit_euler") -> None:
+def _run(engine: str) -> None:
     from closedloop.jit.interim import not_compiled_first
     from closedloop.simulation.simulate import run_loop
 
     with not_compiled_first():  # the path is a piece of its own
-        problem = _problem(integrator)
+        problem = _problem()
     run_loop(problem, engine=engine)
 
 

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     from closedloop.command.border import Parser
     from closedloop.scenario.scenario import Scenario
-    from closedloop.studies.sweep import Sweep
     from closedloop.studies.sweep.axes import Axis
     from closedloop.studies.sweep.join import Joined
+    from closedloop.studies.sweep.sweep import Sweep
 
 # Different verdicts that the last line names.
 MOST_VERDICTS = 4
@@ -94,7 +94,7 @@ def _sweep(arguments: list[str]) -> int:
     from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, STOPPED
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.user_module import name_members
-    from closedloop.studies.sweep import run_sweep
+    from closedloop.studies.sweep.run import run_sweep
     from closedloop.studies.sweep.store import why_no_place
 
     overrides, rest = split_overrides(arguments)
@@ -149,8 +149,9 @@ def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
     """Return the sweep that the command line asks for."""
     from closedloop.scenario.overrides import refuse_lost
     from closedloop.scenario.user_module import name_members
-    from closedloop.studies.sweep import Design, Sweep, parse_axis
-    from closedloop.studies.sweep.design import GRID, LATIN, RANDOM
+    from closedloop.studies.sweep.axes import parse_axis
+    from closedloop.studies.sweep.design import GRID, LATIN, RANDOM, Design
+    from closedloop.studies.sweep.sweep import Sweep
 
     kind = RANDOM if options.random is not None else LATIN if options.latin is not None else GRID
     axes = [parse_axis(text, drawn=kind != GRID) for text in options.over]
@@ -253,7 +254,7 @@ def _plot(arguments: list[str]) -> int:
         "--out", metavar="FILE", help="the figure, .png, .svg or .pdf (default: the table's name with .png)"
     )
     options = parser.parse_args(arguments)
-    from closedloop.studies.sweep import sweep_plot
+    from closedloop.studies.sweep.maps import sweep_plot
 
     of = [name for word in options.of for name in word.split(",") if name]
     path = sweep_plot(options.table, of or None, x=options.x, y=options.y, out=options.out)

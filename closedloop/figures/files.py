@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 from closedloop.base.files import write_whole
 from closedloop.base.second_process import Beside
+from closedloop.figures.bodies import bodies, has_bodies
 from closedloop.figures.closure import closure_error
 from closedloop.figures.dress import tip_is_idle
 from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force, has_friction
 from closedloop.figures.impacts import has_impacts, impacts
-from closedloop.figures.joints import joints
+from closedloop.figures.joints import has_joints, joints
 from closedloop.figures.link_contacts import link_contacts
-from closedloop.figures.overview import force_control
+from closedloop.figures.overview import force_control, shows_bodies
 from closedloop.figures.style import styled
 from closedloop.figures.tip import tip_position
 from closedloop.figures.tool import has_tool, tool
@@ -39,9 +40,9 @@ def draw_figures(
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
 
     Every run has its tip position, contact force, closure error, the errors that force control is about, and its
-    joints; one with impacts, friction or a tool has a figure of them. Where links touch instead of a tip that
-    never does, they are drawn in place of its force and gap. The paper's slide has the paper's figures, with its
-    numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
+    joints; one with impacts, friction, a tool or free bodies has a figure of them. Where links touch instead of a
+    tip that never does, they are drawn in place of its force and gap. The paper's slide has the paper's figures, with
+    its numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
 
     Parameters
     ----------
@@ -69,8 +70,16 @@ def draw_figures(
     wanted.append(("fig_force_control", force_control, run))
     if not papers:
         wanted.append(("fig_joints", joints, run))
+    idle: tuple[Callable[[Run], Figure], ...] = ()
     if tip_is_idle(run):  # there is nothing to see of the force and the gap
-        wanted = [each for each in wanted if each[1] not in (contact_force, closure_error)]
+        idle = contact_force, closure_error
+        if shows_bodies(run):  # nor of a tip that nothing leads
+            idle = *idle, tip_position, force_control
+    if not has_joints(run):
+        idle = *idle, joints
+    wanted = [each for each in wanted if each[1] not in idle]
+    if has_bodies(run):
+        wanted.append(("fig_bodies", bodies, run))
     if run.scenario.contact:
         wanted.append(("fig_link_contacts", link_contacts, run))
     if has_impacts(run):

@@ -78,7 +78,7 @@ def impacts(run: Run) -> Figure:
         _Series(np.linalg.norm(run.event_tangential[hit], axis=1), "tangential", "x", COLOURS[2]),
     ]
     _draw(middle, time, impulses)
-    middle.set_title("Impulse on the tip")
+    middle.set_title("Impulse" if np.any(run.event_contact[hit] > 0) else "Impulse on the tip")
     middle.set_ylabel("impulse [N s]")
     _draw(below, time, [_Series(lost, "", "o", COLOURS[0])])
     below.set_title(f"Kinetic energy lost, {np.sum(lost):.3g} J in all")

@@ -22,8 +22,25 @@ Array = NDArray[np.float64]
 ROOM = 2.0
 
 
+def has_joints(run: Run) -> bool:
+    """Tell whether the run has a joint that is not that of a free body."""
+    return not all(in_bodies(run.model, positions=False))
+
+
+def in_bodies(model: RobotModel, positions: bool) -> list[bool]:
+    """Return whether each position, or each velocity, is that of a free body."""
+    names = model.coordinate_names if positions else model.joint_names
+    found = [False] * len(names)
+    for j in model.bodies:
+        at = names.index(model.joint_names[j])
+        found[at : at + (7 if positions else 6)] = [True] * (7 if positions else 6)
+    return found
+
+
 def joints(run: Run) -> Figure:
     """Draw the torque, velocity and position of every joint, with the limits of the robot's file as dashed lines.
+
+    The coordinates of free bodies are left out: they have a figure of their own, `closedloop.figures.bodies`.
 
     A limit far from all that the joint does is not drawn; the titles say how near the joints come to one.
     """
@@ -37,7 +54,11 @@ def joints(run: Run) -> Figure:
     )
     for axes, (title, label, low, high, name) in zip(panels, drawn, strict=True):
         values = run.columns[name]
-        names = model.coordinate_names if name == "q" else model.joint_names
+        held = [j for j, free in enumerate(in_bodies(model, positions=name == "q")) if not free]
+        all_names = model.coordinate_names if name == "q" else model.joint_names
+        names, values = tuple(all_names[j] for j in held), values[:, held]
+        if len(low) != len(held):
+            low, high = low[held], high[held]
         for j, joint in enumerate(names):
             axes.plot(run.time, values[:, j], _stroke(j), color=MANY[j % len(MANY)], label=joint)
         axes.margins(y=0.08)

@@ -1,25 +1,33 @@
-"""The contacts of the links: the force of each, and what of its cone friction uses."""
+"""The contacts of the links: when each is closed, its force, and what of its cone friction uses."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.figures.dress import dress, explain_contact
-from closedloop.figures.style import MANY, new_figure
+from closedloop.figures.style import COLOURS, MANY, MOST_CURVES, new_figure
+from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.record.run import Run
 from closedloop.scenario.contact_names import names_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # By how much the broadest line is broader than the last, points.
 WIDER = 5.0
+# Height of a row of the contacts over time, inches; and how many rows a page has room for.
+ROW, MOST_ROWS = 0.17, 32
 
 
 def link_contacts(run: Run) -> Figure:
-    """Draw the normal force of each contact of a link, and below it its friction, with the edge of its cone dashed.
+    """Draw when each contact of a link is closed, its normal force, and its friction, with the cone's edge dashed.
+
+    Of more contacts than can be told apart the forces are those of the largest.
 
     Raises
     ------
@@ -29,20 +37,60 @@ def link_contacts(run: Run) -> Figure:
     sections = run.scenario.contact
     if not sections:
         raise ValueError("the run has no [[contact]]")
-    figure = new_figure(height=5.4)
-    above, below = figure.subplots(2, 1, sharex=True)
-    count = len(sections)
-    for k, (name, section) in enumerate(zip(names_of(sections), sections, strict=True)):
+    names, count = names_of(sections), len(sections)
+    largest = np.argsort([-float(np.max(run.link_forces[:, k])) for k in range(count)], kind="stable")
+    pressed = [k for k in largest if np.any(run.link_forces[:, k] > 0.0)] or largest[:1].tolist()
+    shown = sorted(pressed[:MOST_CURVES])
+    rows = 0.6 + ROW * min(count, MOST_ROWS)
+    figure = new_figure(height=4.8 + rows)
+    times, above, below = figure.subplots(3, 1, sharex=True, height_ratios=[rows, 2.0, 2.0])
+    draw_closed(times, run, names)
+    for at, k in enumerate(shown):
         f = run.link_forces[:, k]
         rub = np.hypot(run.link_frictions[:, 2 * k], run.link_frictions[:, 2 * k + 1])
         # Contacts on either side are often equal: the first are drawn broader, so that they are seen behind the last.
-        style: dict[str, Any] = {"color": MANY[k % len(MANY)], "linewidth": 1.2 + WIDER * (count - 1 - k) / count}
-        above.plot(run.time, f, label=name, **style)
+        colour = MANY[at % len(MANY)]
+        style: dict[str, Any] = {"color": colour, "linewidth": 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)}
+        above.plot(run.time, f, label=names[k], **style)
         below.plot(run.time, rub, **style)
-        below.plot(run.time, section.friction * f, "--", color=MANY[k % len(MANY)], linewidth=0.7)
-    dress(above, run, f"Contacts of the links ({run.model.name})", "f [N]", label_marks=False, show_events=False)
-    above.set_xlabel("")
+        if not has_other_law(sections[k]):
+            below.plot(run.time, coulomb_of(sections[k]) * f, "--", color=colour, linewidth=0.7)
+    those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
+    dress(times, run, "Contacts of the links", "", show_events=False)
+    dress(above, run, f"Their forces{those}", "f [N]", label_marks=False, show_events=False)
+    for axes in (times, above):
+        axes.set_xlabel("")
     dress(below, run, "Their friction; dashed: the edge of the cone", "|friction| [N]", label_marks=False)
-    figure.legend(loc="outside upper center", ncols=min(4, count), fontsize=8, columnspacing=1.5)
+    figure.legend(loc="outside upper center", ncols=min(4, len(shown)), fontsize=8, columnspacing=1.5)
     explain_contact(figure, run)
     return figure
+
+
+def draw_closed(axes: Axes, run: Run, names: tuple[str, ...]) -> None:
+    """Draw a bar for each time that a contact is closed, by its name: dark as it sticks or rolls, light as it slides.
+
+    Of more than a page has room for, those that are closed longest.
+    """
+    from matplotlib.patches import Patch
+
+    closed = run.link_modes != FREE
+    order = np.argsort(-closed.sum(axis=0), kind="stable")[:MOST_ROWS]
+    rows = np.sort(order)
+    for at, k in enumerate(rows):
+        for mode, colour in ((STUCK, COLOURS[0]), (None, MANY[5])):
+            now = closed[:, k] & ((run.link_modes[:, k] == STUCK) == (mode == STUCK))
+            spans = spans_of(now, run.time)
+            if spans:
+                axes.broken_barh([(a, b - a) for a, b in spans], (at - 0.4, 0.8), color=colour, linewidth=0)
+    axes.set_yticks(range(len(rows)), [names[k] for k in rows], fontsize=8)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.grid(axis="y", visible=False)
+    handles = [Patch(color=COLOURS[0], label="sticks or rolls"), Patch(color=MANY[5], label="slides")]
+    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, borderaxespad=0.0)
+
+
+def spans_of(now: NDArray[np.bool_], time: NDArray[np.float64]) -> list[tuple[float, float]]:
+    """Return from when to when a condition holds, by the rows (N,) in which it does, s; a row counts to the next."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], now, [False]]).astype(int)))
+    ends = np.append(time, time[-1])
+    return [(float(ends[a]), float(ends[b])) for a, b in edges.reshape(-1, 2)]

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.figures.dress import dress, explain_contact, legend_beside_title, mark_rounding, position_rounding
+from closedloop.figures.bodies import bodies, has_bodies
+from closedloop.figures.dress import (
+    dress,
+    explain_contact,
+    legend_beside_title,
+    mark_rounding,
+    position_rounding,
+    tip_is_idle,
+)
 from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
 from closedloop.figures.force import FLAT, draw_measured
 from closedloop.figures.style import COLOURS, length_text, length_unit, new_figure, styled
@@ -33,7 +41,7 @@ BRIEF = 0.01
 
 
 def plot(run: Run) -> Figure:
-    """Return `force_control` in the style of all figures: what `Run.plot` shows.
+    """Return `force_control` in the style of all figures, or `bodies` where nothing leads a tip: what `Run.plot` shows.
 
     Raises
     ------
@@ -43,7 +51,7 @@ def plot(run: Run) -> Figure:
     if len(run) == 0:
         raise ValueError(f"the run of {run.scenario.name} has no row to draw")
     with styled():
-        return force_control(run)
+        return bodies(run) if shows_bodies(run) else force_control(run)
 
 
 def force_control(run: Run) -> Figure:
@@ -68,6 +76,11 @@ def force_control(run: Run) -> Figure:
     _draw_path(figure.add_subplot(grid[-1]), run, seen, wanted, wide)
     explain_contact(figure, run)
     return figure
+
+
+def shows_bodies(run: Run) -> bool:
+    """Tell whether a run is about its free bodies: the tip touches nothing, and nothing leads it."""
+    return has_bodies(run) and tip_is_idle(run) and not is_led(run)
 
 
 def is_led(run: Run) -> bool:

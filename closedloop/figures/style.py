@@ -14,6 +14,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73")
 STROKES = ("-", "-", "--")
 # And the rest of it, for as many lines as there are joints: after seven in another stroke.
 MANY = (*COLOURS, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# Curves that are drawn in one panel, at most.
+MOST_CURVES = 8
 STYLE: dict[str, Any] = {
     "font.size": 10,
     "axes.titlesize": 11,

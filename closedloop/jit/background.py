@@ -48,7 +48,6 @@ TAKES_LONG = {
     "closed_loops": Long("loops and stops", 25.0),
     "walk": Long("the inverse kinematics of a path", 9.0),
     "along_path": Long("loops along a path", 15.0),
-    "evaluate_on_pinocchio": Long("the step of dop853", 13.0),
 }
 BRIEF = 1.5  # s, of the others
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.

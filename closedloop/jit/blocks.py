@@ -1,14 +1,17 @@
 """Blocks: one array with named fields, `block.name`, in Python and, at no cost, in compiled code.
 
-A block is a class whose annotations name its fields in order: single numbers, and arrays with their shapes in a few
-sizes (number of joints, of stages ...) that are known only when the block is made. `Layout` treats these sizes as
-symbols, so one description gives the size of the memory and the offset of every field.
+A block is a class whose annotations name its fields in order: single numbers, arrays with their shapes in a few sizes
+(number of joints, of stages ...) that are known only when the block is made, and other blocks of some of these sizes.
+`Layout` treats the sizes as symbols, so one description gives the size of the memory and the offset of every field.
 
     class Motion(Block, sizes=("n",)):
         time: float                       # one number: motion.time = 0.5
         q: Annotated[Array, N]            # an array: motion.q[0]
 
-    motion = Motion(np.zeros(Motion.count(4)), 4)
+    class Arm(Block, sizes=("n",)):
+        motion: Motion                    # a block: arm.motion.q[0]
+
+    arm = Arm(np.zeros(Arm.count(4)), 4)
 
 In compiled code a tuple of forty arrays would be passed as three hundred words in every call. A block is passed as its
 address and its sizes, and an array view is made where a field is read: see `closedloop.jit.numba_blocks`.
@@ -80,51 +83,69 @@ class Layout:
     ----------
     sizes : sequence of str
         Names of the sizes, in the order in which they are given later.
-    fields : sequence of (name, shape)
-        A shape is a tuple of numbers and `Count`s, () for a single number; the fields follow each other.
+    fields : sequence of (name, shape or class)
+        A shape is a tuple of numbers and `Count`s, () for a single number; a class is that of a block. The fields
+        follow each other.
     """
 
-    def __init__(self, sizes: Sequence[str], fields: Sequence[tuple[str, tuple[Count | int, ...]]]) -> None:
+    def __init__(
+        self, sizes: Sequence[str], fields: Sequence[tuple[str, tuple[Count | int, ...] | type[Block]]]
+    ) -> None:
         self.sizes = tuple(sizes)
         self.at: dict[str, Count] = {}
+        self.end = Count({})
         self.shape: dict[str, tuple[Count, ...]] = {}
-        end = Count({})
+        self.blocks: dict[str, type[Block]] = {}
         for name, shape in fields:
+            if isinstance(shape, type):
+                self.at[name], self.blocks[name] = self.end, shape
+                self.end += shape.layout.end
+                continue
             counts = tuple(Count.of(x) for x in shape)
-            self.at[name], self.shape[name] = end, counts
+            self.at[name], self.shape[name] = self.end, counts
             size = Count.of(1)
             for count in counts:
                 size = size * count
-            end = end + size
-        self.end = end
+            self.end += size
         # A batch makes blocks of the same few sizes thousands of times.
         self._places: dict[tuple[int, ...], Mapping[str, Place]] = {}
         # An interpreted loop makes blocks of the same views at every step.
-        self._last: tuple[Array | None, tuple[int, ...], dict[str, Array]] = None, (), {}
+        self._last: tuple[Array | None, tuple[int, ...], dict[str, Any]] = None, (), {}
 
     def size(self, *sizes: int) -> int:
         """Return how many numbers the block has."""
         return self.end.value(dict(zip(self.sizes, sizes, strict=True)))
 
-    def views(self, memory: Array, *sizes: int) -> dict[str, Array]:
-        """Return the arrays of a block by their names; of a block of arrays, memory (size, ...), those of each."""
-        whose, for_sizes, found = self._last
+    def views(self, memory: Array, *sizes: int) -> dict[str, Any]:
+        """Return the arrays and blocks of a block by their names; memory is (size, ...), of blocks side by side too."""
+        whose, for_sizes, last = self._last
         if whose is memory and for_sizes == sizes:
-            return found
+            return last
         each, places = memory.shape[1:], self.places(*sizes).values()
-        found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape}
+        found: dict[str, Any] = {
+            name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape
+        }
+        for name, kind in self.blocks.items():
+            inner = self.sizes_of(kind, sizes)
+            begin = self.at[name].value(dict(zip(self.sizes, sizes, strict=True)))
+            found[name] = kind(memory[begin : begin + kind.count(*inner)], *inner)
         self._last = memory, sizes, found
         return found
 
+    def sizes_of(self, kind: type[Block], sizes: Sequence[int]) -> tuple[int, ...]:
+        """Return the sizes of a block in this one, whose sizes are given."""
+        known = dict(zip(self.sizes, sizes, strict=True))
+        return tuple(known[name] for name in kind.layout.sizes)
+
     def places(self, *sizes: int) -> Mapping[str, Place]:
-        """Return name, begin, end and shape of each field, by its name."""
+        """Return name, begin, end and shape of each number and array, by its name."""
         places = self._places.get(sizes)
         if places is None:
             known = dict(zip(self.sizes, sizes, strict=True))
             places = {}
-            for name, at in self.at.items():
-                shape = tuple(count.value(known) for count in self.shape[name])
-                places[name] = name, at.value(known), at.value(known) + math.prod(shape), shape
+            for name, counts in self.shape.items():
+                shape, begin = tuple(count.value(known) for count in counts), self.at[name].value(known)
+                places[name] = name, begin, begin + math.prod(shape), shape
             if len(self._places) >= MOST_LAYOUTS:
                 self._places.clear()
             self._places[sizes] = places
@@ -153,7 +174,8 @@ class Block:
         fields = []
         for name, hint in get_type_hints(cls, include_extras=True).items():
             if name != "layout":
-                fields.append((name, get_args(hint)[1:] if hasattr(hint, "__metadata__") else ()))
+                shape = get_args(hint)[1:] if hasattr(hint, "__metadata__") else ()
+                fields.append((name, hint if isinstance(hint, type) and issubclass(hint, Block) else shape))
         cls.layout = Layout(sizes, fields)
         for name, shape in cls.layout.shape.items():
             if not shape:
@@ -185,7 +207,12 @@ class Block:
 
     @classmethod
     def place(cls, name: str, *sizes: int) -> int | slice:
-        """Return where a part is in the memory: the index of a number, the slice of an array."""
+        """Return where a part is in the memory: the index of a number, the slice of an array; "a.b" is of block a."""
+        outer, _, inner = name.partition(".")
+        if inner:
+            kind, known = cls.layout.blocks[outer], dict(zip(cls.layout.sizes, sizes, strict=True))
+            first, at = cls.layout.at[outer].value(known), kind.place(inner, *cls.layout.sizes_of(kind, sizes))
+            return slice(first + at.start, first + at.stop) if isinstance(at, slice) else first + at
         _, begin, end, shape = cls.layout.places(*sizes)[name]
         return slice(begin, end) if shape else begin
 

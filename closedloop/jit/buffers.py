@@ -99,24 +99,31 @@ class BufferBlock:
         """Return the class of blocks of these sizes: its fields are the single numbers, with what is between them."""
         if (number, sizes) not in self._structures:
             kind: Any = {"d": ctypes.c_double, "q": ctypes.c_int64}[number]
-            places = self._kind.layout.places(*sizes)
+            layout, places = self._kind.layout, self._kind.layout.places(*sizes)
+            inner = {name: (with_buffers(part), layout.sizes_of(part, sizes)) for name, part in layout.blocks.items()}
+            begins = {name: layout.at[name].value(dict(zip(layout.sizes, sizes, strict=True))) for name in layout.at}
+            ends = {name: end for name, _, end, _ in places.values()}
+            ends |= {name: begins[name] + maker.count(*of) for name, (maker, of) in inner.items()}
             fields = [
-                (name, kind) if not shape else (f"_{name}", kind * (end - begin))
-                for name, begin, end, shape in places.values()
+                (name, kind) if name in places and not places[name][3] else (f"_{name}", kind * (ends[name] - begin))
+                for name, begin in begins.items()
             ]
 
-            def array(block: Any, name: str) -> Buffer:
-                """Return an array of a block when it is first asked for, and keep it there."""
-                if name not in places:
+            def part(block: Any, name: str) -> Any:
+                """Return an array or a block of a block when it is first asked for, and keep it there."""
+                if name not in begins:
                     raise AttributeError(name)
-                _, begin, end, shape = places[name]
-                view: Any = block.memory[begin:end]
-                if len(shape) > 1:
-                    view = np.asarray(view).reshape(shape).data
+                view: Any = block.memory[begins[name] : ends[name]]
+                if name in inner:
+                    maker, of = inner[name]
+                    memory, view = view, maker._structure(number, of).from_buffer(view)
+                    view.memory = memory
+                elif len(places[name][3]) > 1:
+                    view = np.asarray(view).reshape(places[name][3]).data
                 setattr(block, name, view)
                 return view
 
-            body = {"_fields_": fields, "__getattr__": array}
+            body = {"_fields_": fields, "__getattr__": part}
             self._structures[number, sizes] = type(self._kind.__name__, (ctypes.Structure,), body)
         return self._structures[number, sizes]
 

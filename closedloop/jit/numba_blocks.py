@@ -16,6 +16,9 @@ from numba.np.arrayobj import make_array, populate_array
 
 from closedloop.jit.blocks import Block, Count, blocks, when_made
 
+# The type, in compiled code, of each class of blocks.
+_types: dict[type[Block], Any] = {}
+
 
 def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
     """Return compiled code's array of a type (C or F order) and shape on the numbers at the pointer `data`."""
@@ -33,15 +36,19 @@ def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any])
 def teach(block: type[Block]) -> None:
     """Make `block(memory, *sizes)`, in compiled code, the block's parts as attributes.
 
-    Memory of float64 has parts of float64, of float64x8 (`closedloop.jit.simd8`) parts of float64x8, of int64 whole
-    numbers. It must outlive the block; numba does not count who refers to it.
+    `block.memory` is all of it. Memory of float64 has parts of float64, of float64x8 (`closedloop.jit.simd8`) parts of
+    float64x8, of int64 whole numbers. It must outlive the block; numba does not count who refers to it.
     """
-    layout, made = block.layout, f"{block.__module__}.{block.__qualname__}"
+    layout = block.layout
+    at, shapes = {**layout.at, "memory": Count({})}, {**layout.shape, "memory": (layout.end,)}
+    made = f"{block.__module__}.{block.__qualname__}"
 
     class BlockType(types.Type):
         def __init__(self, dtype: Any) -> None:
             self.dtype = dtype
             super().__init__(name=f"{made} of {dtype}")
+
+    _types[block] = BlockType
 
     @register_model(BlockType)
     class Model(models.StructModel):
@@ -70,13 +77,15 @@ def teach(block: type[Block]) -> None:
         key = BlockType
 
         def generic_resolve(self, value: Any, attribute: str) -> Any:  # type: ignore[override]
-            shape = layout.shape.get(attribute)
+            if attribute in layout.blocks:
+                return _types[layout.blocks[attribute]](value.dtype)
+            shape = shapes.get(attribute)
             if shape is None:
                 return None
             return types.Array(value.dtype, len(shape), "C") if shape else value.dtype
 
     def place(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> tuple[Any, list[Any]]:
-        """Write code for the pointer to a part, and its shape."""
+        """Write code for the pointer to a part, and its shape; a block's sizes in place of a shape."""
         struct = cgutils.create_struct_proxy(kind)(context, builder, value=value)
 
         def number(count: Count) -> Any:
@@ -89,12 +98,21 @@ def teach(block: type[Block]) -> None:
                     total = builder.add(total, builder.mul(x, context.get_constant(types.intp, times)))
             return total
 
-        data = builder.gep(struct.base, [number(layout.at[attribute])])
-        return data, [number(count) for count in layout.shape[attribute]]
+        data = builder.gep(struct.base, [number(at[attribute])])
+        if attribute in layout.blocks:
+            return data, [getattr(struct, name) for name in layout.blocks[attribute].layout.sizes]
+        return data, [number(count) for count in shapes[attribute]]
 
     @lower_getattr_generic(BlockType)
     def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
         data, shape = place(context, builder, kind, value, attribute)
+        if attribute in layout.blocks:
+            inner = layout.blocks[attribute]
+            part = cgutils.create_struct_proxy(_types[inner](kind.dtype))(context, builder)
+            part.base = data
+            for name, size in zip(inner.layout.sizes, shape, strict=True):
+                setattr(part, name, size)
+            return part._getvalue()
         if not shape:
             return context.unpack_value(builder, kind.dtype, data)
         return array_on(context, builder, types.Array(kind.dtype, len(shape), "C"), data, shape)

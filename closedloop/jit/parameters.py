@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from functools import cache
 from types import NoneType, new_class
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,12 @@ _N = Count.of("n")
 AS_RESOLVED = "as resolved"
 
 
+class Named(NamedTuple):
+    """Annotation of a key whose parameter has another name, under which a function has it of two sections."""
+
+    name: str
+
+
 @cache
 def parameter_block(section: type[Section]) -> type[Block]:
     """Return the block of a section's fields: numbers, and arrays (n,) of those with one for each joint.
@@ -34,8 +40,10 @@ def parameter_block(section: type[Section]) -> type[Block]:
     Text, such as the kind, has no part in it, unless it is `AS_RESOLVED`.
     """
     shapes = {
-        name: (_N,) if AS_RESOLVED in field.metadata else _shape(field.annotation)
-        for name, field in section.model_fields.items()
+        name: (_N,)
+        if AS_RESOLVED in section.model_fields[key].metadata
+        else _shape(section.model_fields[key].annotation)
+        for name, key in _keys(section).items()
     }
     return _block(section, "Parameters", {name: shape for name, shape in shapes.items() if shape is not None})
 
@@ -53,6 +61,14 @@ def state_block(member: type) -> type[Block]:
     """Return the block of a member's states: `states` are numbers, `joint_states` and `slip_states` arrays (n,)."""
     arrays = (*getattr(member, "joint_states", ()), *getattr(member, "slip_states", ()))
     return _block(member, "States", dict.fromkeys(getattr(member, "states", ()), ()) | dict.fromkeys(arrays, (_N,)))
+
+
+def _keys(section: type[Section]) -> dict[str, str]:
+    """Return the key of each parameter, by its name."""
+    names = {
+        key: [x.name for x in field.metadata if isinstance(x, Named)] for key, field in section.model_fields.items()
+    }
+    return {name: key for key, given in names.items() for name in given or [key]}
 
 
 def _block(member: type, suffix: str, shapes: dict[str, tuple[Any, ...]]) -> type[Block]:
@@ -89,7 +105,8 @@ def _is_per_joint(shape: tuple[Any, ...]) -> bool:
 def _values(section: Section) -> dict[str, Any]:
     """Return what a section says, by name: of what it leaves out, what `resolved` says, else NaN."""
     resolved: dict[str, Any] = getattr(section, "resolved", dict)()
-    given = {name: resolved.get(name, getattr(section, name)) for name in parameter_block(type(section)).layout.shape}
+    known, keys = parameter_block(type(section)).layout.shape, _keys(type(section))
+    given = {name: resolved.get(keys[name], getattr(section, keys[name])) for name in known}
     return {name: math.nan if value is None else value for name, value in given.items()}
 
 

@@ -24,7 +24,7 @@ def shipped_scenarios() -> list[str]:
 
 
 def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
-    """Return (TOML text, stem, how to call it in messages, its folder) of a file, or of a shipped scenario: no folder.
+    """Return (TOML text, stem, how to call it in messages, its folder) of a file, or of a shipped scenario.
 
     Raises
     ------
@@ -40,8 +40,8 @@ def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
         every = f"wam_slide is one of {len(shipped)}, 'closedloop scenarios' lists them"
         hint = f"did you mean '{near[0]}'?" if near else every
         raise ScenarioError(f"no scenario named {shown(str(name))}; {hint} (a file of your own must end in .toml)")
-    file = resources.files("closedloop.scenario") / "shipped" / f"{name}.toml"
-    return file.read_text(encoding="utf-8"), str(name), str(name), None
+    folder = Path(str(resources.files("closedloop.scenario") / "shipped"))
+    return (folder / f"{name}.toml").read_text(encoding="utf-8"), str(name), str(name), folder
 
 
 def robot_file(model: Any, folder: Path, where: str) -> Any:

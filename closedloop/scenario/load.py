@@ -17,10 +17,20 @@ from pydantic import ValidationError
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import KEEP_ABSENT, Family
+from closedloop.base.sections import Section
 from closedloop.scenario.file import absolute, robot_file, scenario_text
 from closedloop.scenario.messages import explain, variant_keys
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.scenario.tables import ALL, each_point, families_in, names_of_members, table_type, tables_of
+from closedloop.scenario.tables import (
+    ALL,
+    are_points,
+    each_point,
+    families_in,
+    names_of_members,
+    set_points,
+    table_type,
+    tables_of,
+)
 from robot_models.described import names_a_file
 from robot_models.toml_text import toml_tables
 
@@ -79,10 +89,10 @@ def scenario_of(
 ) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
     try:
-        each_point(data)
+        for section in list(data):
+            each_point(section, data)
         for key in sorted(_standing(overrides), key=_turn):
             _override(data, key, deepcopy(overrides[key]))
-            each_point(data)
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
         raise ScenarioError(f"{where}: a value is nested too deeply") from None
@@ -117,12 +127,32 @@ def _override(data: dict[str, Any], key: str, value: Any) -> None:
     section, _, name = key.partition(".")
     if name and (table_of := table_type(section)):
         tables, rest = tables_of(data, key)
-        if one := names_of_members(table_of).get(rest):
-            value = one.named(value, key)
-        for table in tables:
+        value = _named_in_table(value, rest, table_of, key)
+        spread = rest == "at" and are_points(value)
+        if spread:
+            set_points(data, section, tables, value)
+        for table in () if spread else tables:
             _set(table, rest.split("."), deepcopy(value), key, families_in(table_of))
     else:
+        if (table_of := table_type(section)) and isinstance(value, list | tuple):
+            value = [_named_in_table(each, "", table_of, f"{key}.{i}") for i, each in enumerate(value)]
         _set(data, key.split("."), value, key, {})
+        each_point(section, data)
+
+
+def _named_in_table(value: Any, rest: str, table_of: type[Section], key: str) -> Any:
+    """Return the value of a key of a table of a list, or the table, with users' classes that it names made known."""
+    if one := names_of_members(table_of).get(rest):
+        return one.named(value, key)
+    name, _, last = rest.partition(".")
+    within = families_in(table_of)
+    if last == "kind" and name in within:
+        return within[name].named(value, key)
+    if isinstance(value, dict) and rest in within and "kind" in value:
+        return value | {"kind": within[rest].named(value["kind"], f"{key}.kind")}
+    if isinstance(value, dict) and not rest:
+        return {name: _named_in_table(each, name, table_of, f"{key}.{name}") for name, each in value.items()}
+    return value
 
 
 def _set(data: dict[str, Any], parts: list[str], value: Any, key: str, within: Mapping[str, Family[Any]]) -> None:

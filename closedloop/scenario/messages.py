@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any, get_args
 
@@ -138,7 +139,8 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
     elif kind == NOT_NAMED:
         user = problem["ctx"]["name"]
         name = f"{name}.kind" if isinstance(value, dict) else name
-        shown, cure = shown_value(user), how_to_name(name, user)
+        given = re.sub(r"\[(\d+)\]", r".\1", name)  # of a list's table, as an override names it
+        shown, cure = shown_value(user), how_to_name(given, user)
     elif kind == "literal_error":
         cure = f"must be {problem['ctx']['expected']}"
     elif kind in ("model_type", "model_attributes_type", "dict_type"):

@@ -95,7 +95,7 @@ class Scenario(Section):
         """Replace "auto" by a scheme, so that a scenario states the integrator of its run."""
         if self.time.integrator == "auto":
             # The states of friction are stiff: the semi-implicit scheme takes them exactly, rk4 does not at such steps.
-            laws = (self.friction, self.joint_friction)
+            laws = (self.friction, self.joint_friction, *(each.friction_law for each in self.contact or ()))
             stiff = any(isinstance(law, FrictionLaw) and law.has_states() for law in laws)
             chosen = "rk4" if self.surface.contact == "unilateral" and not stiff else "semi_implicit_euler"
             self.__dict__["time"] = self.time.model_copy(update={"integrator": chosen})

@@ -64,18 +64,48 @@ def _stem(name: str) -> str:
     return stem if stem and number.isdigit() else name
 
 
-def each_point(data: dict[str, Any]) -> None:
-    """Replace each table whose `at` is a list of points by a table for each point; see the top of this file."""
-    for section, given in data.items():
-        if isinstance(given, list | tuple) and table_type(section):
-            tables: list[Any] = []
-            for name, table in zip(names_in(section, given), given, strict=True):
-                points = table.get("at") if isinstance(table, dict) else None
-                if isinstance(points, list | tuple) and points and all(isinstance(p, list | tuple) for p in points):
-                    tables += [table | {"name": f"{name} {k}", "at": point} for k, point in enumerate(points, 1)]
-                else:
-                    tables.append(table)
-            data[section] = tables
+def each_point(section: str, data: dict[str, Any]) -> None:
+    """Replace each table of a section whose `at` is a list of points by a table for each point; see the top."""
+    given = data.get(section)
+    if not isinstance(given, list | tuple) or not table_type(section):
+        return
+    tables: list[Any] = []
+    for name, table in zip(names_in(section, given), given, strict=True):
+        points: Any = table.get("at") if isinstance(table, dict) else None
+        tables += [table] if not are_points(points) else _at_points([table], name, points)
+    data[section] = tables
+
+
+def are_points(value: Any) -> bool:
+    """Whether a value is a list of points, not one point."""
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(point, list | tuple) for point in value)
+
+
+def set_points(data: dict[str, Any], section: str, tables: Sequence[dict[str, Any]], points: Sequence[Any]) -> None:
+    """Let tables of a section be at a list of points: those made of one list have this list in its place.
+
+    Where it is longer, what is added is as the last of them.
+    """
+    given: list[Any] = data[section]
+    names = dict(zip(map(id, given), names_in(section, given), strict=True))
+    groups: dict[Any, list[dict[str, Any]]] = {}
+    for table in tables:
+        stem, name = _stem(table.get("name") or ""), names[id(table)]
+        # One table alone that is asked for is spread itself, whatever others its name is like.
+        groups.setdefault(stem if len(tables) > 1 and table.get("name") else name, []).append(table)
+    of = {id(table): (name, group) for name, group in groups.items() for table in group}
+    data[section] = [
+        each
+        for table in given
+        for name, group in [of.get(id(table), ("", []))]
+        for each in (_at_points(group, name, points) if group and table is group[0] else [] if group else [table])
+    ]
+
+
+def _at_points(tables: Sequence[dict[str, Any]], name: str, points: Sequence[Any]) -> list[dict[str, Any]]:
+    """Return a table for each point, called after `name`: of the tables there are, and then of the last."""
+    last = len(tables) - 1
+    return [tables[min(k, last)] | {"name": f"{name} {k + 1}", "at": point} for k, point in enumerate(points)]
 
 
 def tables_of(data: dict[str, Any], key: str) -> tuple[list[dict[str, Any]], str]:

@@ -43,18 +43,23 @@ def name_members(given: Iterable[tuple[str, Any]]) -> None:
 
 
 def import_law(name: str) -> Any:
-    """Return the function that --law names.
+    """Return the function that --law names; see `import_function`."""
+    return import_function("--law", name, "my_laws:soft_touch")
+
+
+def import_function(option: str, name: str, example: str) -> Any:
+    """Return the function that an option of the command line names.
 
     Raises
     ------
     ScenarioError
         See `importing`.
     """
-    with importing("--law", name, "MODULE:FUNCTION, such as my_laws:soft_touch") as (module, function):
-        law = getattr(importlib.import_module(module), function, None)
-    if not callable(law):
-        raise ScenarioError(f"--law {name}: '{module}' has no function '{function}'")
-    return law
+    with importing(option, name, f"MODULE:FUNCTION, such as {example}") as (module, function):
+        found = getattr(importlib.import_module(module), function, None)
+    if not callable(found):
+        raise ScenarioError(f"{option} {name}: '{module}' has no function '{function}'")
+    return found
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.reference.table import Reference
 from closedloop.jit.interim import at_hand
 from closedloop.jit.kernel import plain
 from closedloop.loop.events.table import event_columns
@@ -55,8 +56,8 @@ def as_run(
         "time": problem.h * np.arange(length),
         "reference_position": reference_rows[:, 0].copy(),
         "reference_velocity": reference_rows[:, 1].copy(),
-        "reference_tip": wanted[:, 2 * n : 2 * n + 3].copy(),
-        "reference_force": wanted[:, 2 * n + 9].copy(),
+        "reference_tip": wanted[:, Reference.place("position", n)].copy(),
+        "reference_force": wanted[:, Reference.place("force", n)].copy(),
     }
     columns |= {
         name: recorded(rows, n, name, len(problem.scenario.contact or ()), problem.row_states)

@@ -78,7 +78,7 @@ class Answers:
             return
         self._problem.set_restitution(self._loop)
         began = clock.perf_counter()
-        if self._interim and self._loop.state.stops != 0:  # what it calls by address has the form of the loop
+        if self._interim and self._loop.state.settings.stops != 0:  # what it calls by address has the form of the loop
             (interpreted(collide) if self._interpreting() else collide)(self._loop.address)
         elif self._interim:
             call_now(collide, (self._loop.state.memory, self._loop.w.memory), self._loop.address)
@@ -230,7 +230,7 @@ def begun(
     with_it = [
         *kernels[1:],
         complete_record,
-        *([collide] if loop.state.unilateral or loop.state.contacts_at else []),
+        *([collide] if loop.state.settings.unilateral or loop.state.contacts.at else []),
         *called,
     ]
     once = (*USED_ONCE, *(WITH_LOOPS if problem.robot.model.loops else ()))

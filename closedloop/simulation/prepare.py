@@ -27,6 +27,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.rates import check_rates
 from closedloop.scenario.arm import joint_friction_of, robot_of
+from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import Scenario
@@ -71,7 +72,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     cache = Cache() if cache is None else cache
     robot = _robot(scenario, model, cache)
     model = robot.model
-    scenario = with_loop_entries(scenario, model)
+    scenario = with_collision_shapes(with_loop_entries(scenario, model), model)
     n = robot.n
     refuse_lengths(scenario, model)
     q, v = start_state(scenario, model)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from closedloop.control.encoder import encoder_draws
 from closedloop.control.reference.desired import Desired, desired
 from closedloop.control.reference.force import force_at
+from closedloop.control.reference.table import DrawnRow, Reference, TableRow
 from closedloop.control.sensor import draws
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
@@ -30,7 +31,8 @@ def reference_table(
     """Return what is desired, and the table of it, `nodes` rows to a step, with noise in its last columns."""
     n = robot.n
     instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
-    spare = 1 + 2 * n if scenario.reads_encoders else 1
+    row = DrawnRow if scenario.reads_encoders else TableRow
+    spare = row.count(n) - Reference.count(n)
     motion = (
         scenario.robot.model_dump_json(),
         scenario.tool.model_dump_json(),
@@ -51,11 +53,11 @@ def reference_table(
         lambda: wanted.table(instants, spare=spare),
         lambda made: made.nbytes,
     )
-    table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
+    table[:, Reference.place("force", n)] = force_at(wanted.profile, wanted.force, instants)
     if noisy:  # else its column has the zeros that it was made with
-        table[::nodes, 2 * n + 10] = draws(scenario.sensor, steps + 1)
+        table[::nodes, TableRow.place("noise", n)] = draws(scenario.sensor, steps + 1)
     if scenario.reads_encoders:
-        table[::nodes, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)
+        table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(scenario.encoder, steps + 1, n)
     return wanted, table
 
 

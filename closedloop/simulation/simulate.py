@@ -275,4 +275,4 @@ def run_loop(
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
     finish(done)  # after an exception; else it has been done
-    return rows[:done], answers.events[: int(state.events)], failure, seconds
+    return rows[:done], answers.events[: int(state.event.rows)], failure, seconds

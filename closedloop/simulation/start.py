@@ -22,7 +22,6 @@ from closedloop.mechanics.surface.surface import Surface
 from closedloop.scenario.arm import has_stops, start_posture
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
-from robot_models.joint_dynamics import loop_dynamics
 
 Array = NDArray[np.float64]
 
@@ -61,10 +60,6 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
     if scenario.robot.stop_restitution > 0.0 and not stopped:
         raise ScenarioError(
             "robot.stop_restitution: acts at the stops of joints; set robot.stops = true, or leave it out"
-        )
-    if scenario.contact and any(map(np.any, loop_dynamics(model))):
-        raise ScenarioError(
-            f"contact: cannot be combined with friction of loop joints, which {model.name} has: leave out one of them"
         )
 
 

@@ -39,7 +39,7 @@ _REAL = Struct("d")
 
 # Places in the loop's numbers that are read at every step: an attribute of `State` takes three times as long.
 _ROW, _PHASE, _EVENTS, _MODE, _DRIVES = (
-    cast(int, State.place(name)) for name in ("row", "phase", "events", "mode", "drives")
+    cast(int, State.place(name)) for name in ("row", "phase", "event.rows", "mode", "settings.drives")
 )
 
 
@@ -73,18 +73,18 @@ class Stepper:
         self._all_values: Any = w.memory.data.cast("B")
         contacts = w.kept.get("contacts", ())
         self._of_contacts: tuple[Any, ...] = tuple(block.memory.data.cast("B") for block in contacts)
-        self._own = int(state.law), int(state.compensation)
+        self._own = int(state.settings.general), int(state.law.entry), int(state.compensation.entry)
         self._torque: Any = w.torque.data
         self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
         self.answers = Answers(problem, self.loop)
-        make_ready(*([collide] if state.unilateral or state.contacts_at else []), complete_record)
+        make_ready(*([collide] if state.settings.unilateral or state.contacts.at else []), complete_record)
         arrays = problem.table, problem.integrator.tableau(), self.rows
         self._once, self._again = single_calls(problem, loop_for(engine), self.loop, arrays, engine)
         self._held, self._own_started = False, False
-        self._begins = MEASURED if state.encoder else STEP_END  # the phase that a row begins with
+        self._begins = MEASURED if state.settings.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
-        self._measured = _REAL.size * cast(int, Work.place("measured", *w.sizes))
+        self._measured = _REAL.size * cast(int, Work.place("sensing.measured", *w.sizes))
         self.mark: Mark = self._copied()
         # The mark whose terms have been evaluated last, and whether the loop is there.
         self._terms_of: Mark | None = None
@@ -102,7 +102,7 @@ class Stepper:
             block[:] = before
         self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
         if numbers.item(_ROW) > 0 and (numbers.item(_MODE) != FREE or contacts):
-            self.loop.state.no_search = 1  # the step before has been searched, with the torque that acted in it
+            self.loop.state.trial.off = 1  # the step before has been searched, with the torque that acted in it
 
     def hold(self, torque: Array) -> None:
         """Let a torque (n,), an array of doubles, act from the row on, to which the loop has gone back.
@@ -111,7 +111,7 @@ class Stepper:
         """
         if self._held and self._own_started:  # the laws are as they were
             state = self.loop.state
-            state.law, state.compensation = self._own
+            state.settings.general, state.law.entry, state.compensation.entry = self._own
         else:
             self._set_law(None)
             self._held = True
@@ -129,7 +129,7 @@ class Stepper:
             most, change = self._problem.drives
             plain(cut_torque)(
                 acting, before, change / max(1, self._problem.hold), most, self._numbers.item(_ROW) == 0,
-                self.loop.w.torque_limited,
+                self.loop.w.drives.limited,
             )  # fmt: skip
 
     def let(self, law: Law | None) -> None:
@@ -141,10 +141,10 @@ class Stepper:
     def _set_law(self, law: Law | None) -> None:
         self.release()
         state = self.loop.state
-        state.law, state.compensation = self._own
+        state.settings.general, state.law.entry, state.compensation.entry = self._own
         self._law = law
         if law is not None:
-            state.compensation, state.started = 0, 0
+            state.compensation.entry, state.started = 0, 0
             self.loop.w.dz[: int(state.law_states)] = 0.0  # those of the scenario's law wait
             self._connect()
         elif not self._own_started:
@@ -208,7 +208,7 @@ class Stepper:
     @property
     def events_done(self) -> int:
         """The events so far."""
-        return int(self.loop.state.events)
+        return int(self.loop.state.event.rows)
 
     def seen(self) -> tuple[float, int]:
         """Return what the force sensor said before the latest row, N, and how many events there are."""

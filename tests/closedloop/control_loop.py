@@ -16,7 +16,7 @@ from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.sensor import SensorSection, pack_sensor
 from closedloop.jit.calls import entry_address
-from closedloop.jit.kernel import plain
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import parameter_block, state_block
 from closedloop.loop.step.entries import RATES, RESTART, START, TORQUE, law_entry, law_input
 from closedloop.loop.step.make_loop import make_loop
@@ -50,15 +50,16 @@ def functions(member, n):
     states, size = state_block(member).count(n), parameter_block(member).count(n)
     loop = make_loop(n, extra=states, **{"compensation" if compensates else "law": size})
     state, constants, w = loop
-    state.own_law_states, state.law_states = 0 if compensates else states, states
+    state.law.states, state.law_states = 0 if compensates else states, states
     parameters = constants.compensation if compensates else constants.law
-    places = [(name, place) for name, place in plain(law_input)(*loop)._asdict().items() if np.ndim(place)]
+    places = [(name, place) for name, place in interpreted(law_input)(*loop)._asdict().items() if np.ndim(place)]
 
     def call(what, x, par, z):
         if x is not None:
             for name, place in places:
                 place[...] = getattr(x, name)
-            w.time, w.reference[-1], w.measured, state.mode = x.t, x.f_des, x.f_measured, PRESSED if x.pressed else FREE
+            w.time, w.reference.force, w.sensing.measured = x.t, x.f_des, x.f_measured
+            state.mode = PRESSED if x.pressed else FREE
         parameters[:], w.z[:] = par, z
         entry(loop.address, what)
         z[:] = w.z
@@ -69,7 +70,7 @@ def functions(member, n):
         Q[:] = w.torque
 
     def rates(x, par, z, f, Q, dz):
-        w.reading, w.torque[:] = f, Q
+        w.sensing.reading, w.torque[:] = f, Q
         call(RATES, x, par, z)
         dz[:] = w.dz
 
@@ -77,7 +78,7 @@ def functions(member, n):
         call(START, x, par, z)
 
     def restart(dv, par, z):
-        w.column[:] = dv
+        w.scratch.column[:] = dv
         call(RESTART, None, par, z)
 
     return torque, rates, start, restart

@@ -15,7 +15,9 @@ def loop_at_random(scenario, changes, seed=0):
     state, constants, w = loop.state, loop.constants, loop.w
     root = rng.normal(size=(state.n, state.n))
     H = root @ root.T + np.eye(state.n)
-    w.A[:], w.v[:], w.z[:], w.carried[:] = (rng.normal(size=x.shape) for x in (w.A, w.v, w.z, w.carried))
-    assert interpreted(factorise)(H, w.A, w.L, w.X, w.S, constants.reach) == 0
-    w.u[:] = w.A @ w.v - w.carried
+    w.tip.A[:], w.v[:], w.z[:], w.tip.carried[:] = (
+        rng.normal(size=x.shape) for x in (w.tip.A, w.v, w.z, w.tip.carried)
+    )
+    assert interpreted(factorise)(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach) == 0
+    w.tip.u[:] = w.tip.A @ w.v - w.tip.carried
     return loop, H, rng

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
+from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.jit import background, cache_folder
 from closedloop.jit.cache_folder import MARKER
 from closedloop.loop.events.impacts import collide
-from closedloop.simulation.engines.adaptive.kernels import evaluate_on_pinocchio
 from closedloop.simulation.engines.lane_loop import run_in_lanes
 from closedloop.simulation.engines.proceed import proceed_at
 
@@ -78,7 +78,7 @@ def test_one_at_a_time(folder, monkeypatch, caplog):
     with caplog.at_level("INFO", "closedloop.compiling"):
         background.start([collide])  # which is short: not worth a word
         background.start([run_in_lanes])
-        background.start([evaluate_on_pinocchio])  # another like it is not said again
+        background.start([walk])  # another like it is not said again
     what = "the step of eight runs at a time"
     assert caplog.messages == [f"compiling {what} in another process; this run is interpreted meanwhile"]
     assert [file.name for file in folder.iterdir()] == ["who-proceed_at"]

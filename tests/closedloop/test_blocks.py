@@ -1,9 +1,12 @@
 """Blocks: parts by name in one memory, the same in compiled code as in Python, side by side, and none over another."""
 
+from operator import attrgetter
+
 import numba
 import numpy as np
 import pytest
 
+from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Count, Layout
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.loop.step.memory import Constants, State, Work
@@ -17,15 +20,33 @@ from closedloop.loop.step.record_row import (
     recorded,
     row_width,
 )
+from closedloop.mechanics.contacts.memory import Contacts
+from closedloop.mechanics.loops.memory import LoopRows
 
 SIZES = [(1, 0, 1, 1), (2, 3, 4, 1), (4, 0, 1, 1), (7, 21, 4, 6), (30, 5, 1, 2)]
-NUMBERS = [name for name, shape in Work.layout.shape.items() if not shape]
-ARRAYS = [name for name, shape in Work.layout.shape.items() if shape]
+
+
+def names_of(kind):
+    """Return the names of all numbers and arrays of a class of blocks, those of blocks in it with a dot."""
+    inner = (f"{name}.{own}" for name, block in kind.layout.blocks.items() for own in names_of(block))
+    return sorted([*kind.layout.shape, *inner], key=lambda name: place(kind, name))
+
+
+def place(kind, name):
+    """Return where a part begins in the memory of a block of any sizes."""
+    found = kind.place(name, *(2 + i for i in range(len(kind.layout.sizes))))
+    return found.start if isinstance(found, slice) else found
 
 
 def parts(block):
-    """Return all parts of a block by name."""
-    return {name: np.asarray(getattr(block, name)) for name in block.layout.at}
+    """Return all parts of a block by name, in the order of the memory."""
+    return {name: np.asarray(attrgetter(name)(block)) for name in names_of(type(block))}
+
+
+def put(block, name, value):
+    """Write a number of a block, by its name."""
+    *outer, own = name.split(".")
+    setattr(attrgetter(".".join(outer))(block) if outer else block, own, value)
 
 
 @pytest.mark.parametrize("sizes", SIZES)
@@ -38,7 +59,7 @@ def test_parts_cover_the_memory_side_by_side(sizes):
         if part.ndim:
             part[...] = i + 1
         else:
-            setattr(block, name, i + 1)
+            put(block, name, i + 1)
     assert np.all(memory > 0.0)
     assert all(np.all(part == i + 1) for i, part in enumerate(parts(block).values()))
 
@@ -80,6 +101,10 @@ def test_recorded_columns_are_those_written(contacts):
         assert np.all(np.isnan(recorded(bare, n, name, contacts)))
 
 
+ARRAYS = [name for name, part in parts(Work(np.zeros(Work.count(*SIZES[0])), *SIZES[0])).items() if part.ndim]
+NUMBERS = [name for name in names_of(Work) if name not in ARRAYS]
+
+
 @kernel
 def _set(array, value):
     array[:] = value
@@ -107,9 +132,9 @@ def test_compiled_parts_are_those_of_python(sizes):
     memory, shapes, read = np.ones(Work.count(*sizes)), np.zeros(len(ARRAYS), dtype=np.int64), np.zeros(len(NUMBERS))
     _mark_all(memory, *sizes, shapes, read)
     block = Work(memory, *sizes)
-    assert all(np.all(getattr(block, name) == 100.0 + i) for i, name in enumerate(ARRAYS))
-    assert [getattr(block, name).size for name in ARRAYS] == shapes.tolist()
-    assert [getattr(block, name) for name in NUMBERS] == [501.0 + i for i in range(len(NUMBERS))] == read.tolist()
+    assert all(np.all(attrgetter(name)(block) == 100.0 + i) for i, name in enumerate(ARRAYS))
+    assert [attrgetter(name)(block).size for name in ARRAYS] == shapes.tolist()
+    assert [attrgetter(name)(block) for name in NUMBERS] == [501.0 + i for i in range(len(NUMBERS))] == read.tolist()
 
 
 @entry_kernel
@@ -136,6 +161,33 @@ def test_a_name_that_is_not_there_is_refused():
     """Compiled code cannot write to a part that the block does not have."""
     with pytest.raises(numba.TypingError, match="mood"):
         _misspelt(np.zeros(State.count(), dtype=np.int64))
+
+
+def test_no_record_has_more_than_forty_parts():
+    """Each record of the loop's memory belongs to an owner; none has more than 40 parts of its own."""
+    kinds, seen = [State, Constants, Work, Contacts, LoopRows], set()
+    while kinds:
+        kind = kinds.pop()
+        seen.add(kind.__name__)
+        kinds += kind.layout.blocks.values()
+        assert len(kind.layout.at) <= 40, kind
+    assert {"Settings", "TipContact", "Path"} <= seen
+
+
+def test_a_block_in_a_block_has_its_own_memory():
+    """It is at its place in the outer one's memory, and all of it can be read at once, in compiled code too."""
+    work = Work(np.arange(float(Work.count(2, 3, 4, 1))), 2, 3, 4, 1)
+    begin = Work.place("reference.q", 2, 3, 4, 1).start
+    np.testing.assert_array_equal(work.reference.memory, np.arange(begin, begin + Reference.count(2)))
+    assert _sum_of_reference(work.memory, 2, 3, 4, 1) == np.sum(work.reference.memory)
+
+
+@entry_kernel
+def _sum_of_reference(memory, n, k, stages, ring):
+    total = 0.0
+    for x in Work(memory, n, k, stages, ring).reference.memory:
+        total += x
+    return total
 
 
 def test_constants_are_laid_out_for_their_joints():

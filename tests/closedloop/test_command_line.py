@@ -21,7 +21,7 @@ PROMISED = {
     "scenario", "steps", "final_contact_force", "peak_contact_force", "min_contact_force", "max_abs_closure_error",
     "final_closure_error", "max_kkt_residual", "max_kkt_condition", "assumptions", "wall_seconds",
 }  # fmt: skip
-LONG = ("delta", "stewart", "panda_polish", "gripper_block", "five_bar")  # seconds each
+LONG = ("delta", "stewart", "panda_polish", "gripper_gear", "five_bar")  # seconds each
 
 
 def strict(text):
@@ -58,13 +58,15 @@ def test_every_shipped_scenario_runs(name, command_line, tmp_path):
     assert outcome.err == ""
     assert sorted(p.name for p in (tmp_path / "results").iterdir()) == ["run.nc", "summary.json"]
     run = cl.load_run(tmp_path / "results" / "run.nc")
-    assert run.scenario == cl.load_scenario(name)
+    loaded = cl.load_scenario(name)
+    assert run.scenario in (loaded, cl.prepare(loaded).scenario)  # with the contacts of collision shapes
     facts = strict((tmp_path / "results" / "summary.json").read_text())
     if name in ("wam_edge", "wam_slide_friction", "two_arms_bar", "four_bar", "soft_table"):  # each shows other things
         assert facts == run.summary()
     assert facts["verdict"]["problems"] == []
     stake = facts["energy_exchanged"] + facts["energy_lost_to_friction"] + facts["max_kinetic_energy"]
-    assert 3.0 * facts["max_energy_residual"] < max(ENERGY_SHARE.values()) * stake
+    at_rest = 1e-14  # J: bodies that rest exchange none but rounding's
+    assert 3.0 * facts["max_energy_residual"] < max(max(ENERGY_SHARE.values()) * stake, at_rest)
     assert 10.0 * (facts["force_chatter"] or 0.0) < CHATTER_SHARE
     assert 10.0 * max(joint["torque_chatter"] for joint in facts["joints"].values()) < CHATTER_SHARE
     if run.scenario.has_surface and run.scenario.compliance.kind == "none":  # a soft surface gives way

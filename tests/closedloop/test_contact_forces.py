@@ -17,7 +17,7 @@ from closedloop.mechanics.contacts.given_modes import (
 )
 from closedloop.mechanics.contacts.least_norm import least_norm, project_all, write_slope
 from closedloop.mechanics.contacts.linear import solve_any_rank
-from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, make_contact_memory
 
 K = 4
 
@@ -27,8 +27,8 @@ def contacts(rng, n, kinds=(CONE, RAY, LINE, OFF)):
     c = make_contact_memory(n, K).contacts
     c.X[:] = rng.normal(size=c.X.shape)
     interpreted(mobility_of)(c, K)
-    c.kind[:], c.mu[:], c.along[:] = kinds, 0.4, 0.2 * rng.normal(size=(K, 2))
-    c.Y[:] = c.X
+    c.problem.form[:], c.mu[:], c.problem.along[:] = kinds, 0.4, 0.2 * rng.normal(size=(K, 2))
+    c.scratch.Y[:] = c.X
     c.a[:], c.b[:], c.viscous[:] = rng.normal(size=(3, 3 * K))
     c.load[:] = rng.normal(size=n)
     return c
@@ -39,12 +39,12 @@ def rows_of(c):
     one = np.eye(3 * K)
     rows, span = [], []
     for i in range(K):
-        if c.kind[i] == CONE:
+        if c.problem.form[i] == CONE:
             rows += list(one[3 * i : 3 * i + 3])
             span += list(one[3 * i : 3 * i + 3])
-        elif c.kind[i] != OFF:
+        elif c.problem.form[i] != OFF:
             rows.append(one[3 * i])
-            span.append(one[3 * i] - c.along[i] @ one[3 * i + 1 : 3 * i + 3])
+            span.append(one[3 * i] - c.problem.along[i] @ one[3 * i + 1 : 3 * i + 3])
     return np.array(rows), np.array(span).T
 
 
@@ -75,7 +75,7 @@ def test_modes_are_kept_by_the_forces(seed):
         given = force + c.viscous
         np.testing.assert_allclose(given - span @ np.linalg.lstsq(span, given)[0], 0.0, atol=1e-9)
     size = max(abs(c.b[r]) + np.abs(c.X[r]) @ np.abs(c.load) for r in rows.argmax(axis=1))
-    assert c.rounding == pytest.approx(1e-10 * max(np.abs(c.rigid).max(), size / np.diag(c.W).max()))
+    assert c.problem.rounding == pytest.approx(1e-10 * max(np.abs(c.rigid).max(), size / np.diag(c.W).max()))
 
 
 def test_contacts_without_modes_have_viscous_friction_alone():
@@ -84,7 +84,7 @@ def test_contacts_without_modes_have_viscous_friction_alone():
     assert interpreted(solve_modes)(c, K) == OK
     np.testing.assert_array_equal(c.F, -c.viscous)
     np.testing.assert_array_equal(c.rigid, -c.viscous)
-    assert c.rounding == 0.0
+    assert c.problem.rounding == 0.0
 
 
 def test_forces_that_are_not_unique_are_the_shortest():
@@ -114,9 +114,9 @@ def test_a_contact_that_pressing_pulls_in_is_told():
     c.X[0, 0], c.X[1, :2] = 1.0, [2.0, 1.0]
     interpreted(mobility_of)(c, K)
     for along, status in ((0.49, OK), (0.51, PAINLEVE), (-3.0, OK)):
-        c.along[0] = along, 0.0
+        c.problem.along[0] = along, 0.0
         assert interpreted(solve_modes)(c, K) == status
-    c.X[2, :2], c.along[0] = [2.0, 1.0], (0.0, 0.51)
+    c.X[2, :2], c.problem.along[0] = [2.0, 1.0], (0.0, 0.51)
     interpreted(mobility_of)(c, K)
     assert interpreted(solve_modes)(c, K) == PAINLEVE
 
@@ -133,7 +133,7 @@ def test_shortest_forces_with_the_same_sum(inside):
         start[::3] = rng.uniform(1.0, 2.0, size=K) * [1, 1, -1, 1]
         start[1:3], start[10:12] = 0.1, -0.2
         for i in (1, 2):
-            start[3 * i + 1 : 3 * i + 3] = -c.along[i] * start[3 * i]
+            start[3 * i + 1 : 3 * i + 3] = -c.problem.along[i] * start[3 * i]
         force = start - c.viscous
         assert interpreted(least_norm)(c, K, force, inside)
         F = force + c.viscous
@@ -169,7 +169,7 @@ def in_cones(c, forces, tolerance):
 def test_slopes_are_the_derivatives_of_the_projection(spans):
     """Of each kind of contact, inside its cone, beside it and behind it, by central differences."""
     c, h = contacts(np.random.default_rng(12), 3 * K, (CONE, RAY, LINE, CONE)), 1e-6
-    c.Y[:] = np.eye(3 * K)
+    c.scratch.Y[:] = np.eye(3 * K)
     for seed in range(4):
         at = np.random.default_rng(seed).normal(size=3 * K)
         columns = []
@@ -177,11 +177,11 @@ def test_slopes_are_the_derivatives_of_the_projection(spans):
             ends = []
             for step in (h, -h):
                 interpreted(project_all)(c, K, at + step * (np.arange(3 * K) == j), spans)
-                ends.append(c.trial.copy())
+                ends.append(c.scratch.trial.copy())
             columns.append((ends[0] - ends[1]) / (2 * h))
         interpreted(project_all)(c, K, at, spans)
         for i in range(K):
-            slope = c.slope if interpreted(write_slope)(c, i, spans) else np.zeros((3, 3))
+            slope = c.scratch.slope if interpreted(write_slope)(c, i, spans) else np.zeros((3, 3))
             np.testing.assert_allclose(slope, np.array(columns).T[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], atol=1e-8)
 
 
@@ -189,7 +189,7 @@ def test_what_no_forces_in_the_cones_give_is_said():
     """One contact that cannot pull, and nothing at all to give."""
     c = contacts(np.random.default_rng(8), 6, (RAY, OFF, OFF, OFF))
     c.viscous[:], force = 0.0, np.zeros(3 * K)
-    force[0], force[1:3] = -1.0, c.along[0]
+    force[0], force[1:3] = -1.0, c.problem.along[0]
     kept = force.copy()
     assert not interpreted(least_norm)(c, K, force, True)
     np.testing.assert_array_equal(force, kept)
@@ -220,20 +220,23 @@ def test_impulses_take_away_what_is_left_of_motion():
 
 def test_kinds_and_directions_follow_from_the_modes():
     """Friction against the slip; where it has none, or has turned round, against the direction it began in."""
-    c = contacts(np.random.default_rng(11), 6, (OFF, OFF, OFF, LINE))
-    c.mode[:], c.direction[:, 0], c.direction[:, 1] = [STUCK, PRESSED, FREE, STUCK], 0.6, 0.8
-    line = c.along[3].copy()
+    c, links = contacts(np.random.default_rng(11), 6, (OFF, OFF, OFF, OFF)), make_contact_memory(6, K).links
+    c.friction.pulls[:], c.direction[:, 0], c.direction[:, 1] = [0.0, 0.0, 0.0, 1.0], 0.6, 0.8
     for slip, direction in (
         ([3.0, 0.0], [1, 0]),
         ([-3.0, 0.0], [0.6, 0.8]),
         ([1e-10, 0], [0.6, 0.8]),
         ([0, 2], [0, 1]),
     ):
-        c.u[4:6] = slip
-        interpreted(kinds_of_modes)(c, K)
-        np.testing.assert_array_equal(c.kind, [CONE, RAY, OFF, LINE])
-        np.testing.assert_allclose(c.along[1], c.mu[1] * np.array(direction))
-        np.testing.assert_array_equal(c.along[3], line)
+        c.u[4:6] = c.u[10:12] = slip
+        c.mode[:] = [STUCK, PRESSED, FREE, STUCK]
+        interpreted(kinds_of_modes)(links, c)
+        np.testing.assert_array_equal(c.problem.form, [CONE, RAY, OFF, DOUBLE])
+        np.testing.assert_allclose(c.problem.along[1], c.mu[1] * np.array(direction))
+        c.mode[3] = PRESSED
+        interpreted(kinds_of_modes)(links, c)
+        assert c.problem.form[3] == LINE
+        np.testing.assert_array_equal(c.problem.along[3], c.mu[3] / c.mu[1] * c.problem.along[1])
 
 
 def test_size_of_forces_is_the_largest_of_those_asked_about():

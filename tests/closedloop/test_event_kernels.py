@@ -41,22 +41,34 @@ def test_an_impact_changes_velocity_energy_and_the_states_of_friction(kind):
     """q̇ jumps by H⁻¹AᵀP, on a surface that moves too what is supplied by ½ q̇ᵀH q̇, and bristles begin anew."""
     loop, H, rng = loop_at_random("wam_bounce", RUBBING)
     state, constants, w = loop.state, loop.constants, loop.w
-    before, kept, energy = w.v.copy(), w.z.copy(), w.supplied
-    w.before[:], w.compression[:], w.decompression[:] = w.u, rng.normal(size=3), rng.normal(size=3)
-    impulse = w.compression + w.decompression
-    w.after[:], w.time, state.kind, state.risen, state.mode = w.before + w.S @ impulse, 0.3, kind, 0, FREE
+    before, kept, energy = w.v.copy(), w.z.copy(), w.supply.energy
+    w.impact.before[:], w.impact.compression[:], w.impact.decompression[:] = (
+        w.tip.u,
+        rng.normal(size=3),
+        rng.normal(size=3),
+    )
+    impulse = w.impact.compression + w.impact.decompression
+    w.impact.after[:], w.time, state.event.kind, state.cleared, state.mode = (
+        w.impact.before + w.tip.S @ impulse,
+        0.3,
+        kind,
+        0,
+        FREE,
+    )
     events = np.zeros((3, EVENT_WIDTH))
     interpreted(apply_impact)(w, constants, state, events)
-    np.testing.assert_allclose(w.v, before + np.linalg.solve(H, w.A.T @ impulse), rtol=1e-10)
+    np.testing.assert_allclose(w.v, before + np.linalg.solve(H, w.tip.A.T @ impulse), rtol=1e-10)
     gained = 0.5 * w.v @ H @ w.v - 0.5 * before @ H @ before
-    assert w.supplied - energy == pytest.approx(gained, rel=1e-10)
-    assert EventRow(events[0]).energy_lost == pytest.approx(impulse @ w.carried - gained, rel=1e-10)
-    assert (state.events, state.risen, state.mode) == (1, 1, FREE if kind == IMPACT else PRESSED)
-    bristles = np.arange(len(kept)) - state.law_states - state.sensor_states
-    bristles = (bristles >= 0) & (bristles < state.friction_states)
+    assert w.supply.energy - energy == pytest.approx(gained, rel=1e-10)
+    assert EventRow(events[0]).energy_lost == pytest.approx(impulse @ w.tip.carried - gained, rel=1e-10)
+    assert (state.event.rows, state.cleared, state.mode) == (1, 1, FREE if kind == IMPACT else PRESSED)
+    bristles = np.arange(len(kept)) - state.law_states - state.sensor.states
+    bristles = (bristles >= 0) & (bristles < state.friction.states)
     assert 0 < np.count_nonzero(bristles) < len(kept)
     np.testing.assert_array_equal(w.z, np.where(bristles, 0.0, kept))
-    np.testing.assert_allclose(w.direction, w.after[1:] / np.linalg.norm(w.after[1:]), rtol=1e-14)
+    np.testing.assert_allclose(
+        w.friction.direction, w.impact.after[1:] / np.linalg.norm(w.impact.after[1:]), rtol=1e-14
+    )
 
 
 @pytest.mark.parametrize("slip", [[0.3, 0.4], [0.0, 1.1], [1.1, 0.0], [0.0, 0.0]])
@@ -64,13 +76,17 @@ def test_a_tip_that_lands_sticks_where_it_hardly_slips(slip):
     """Up to the speed that counts as none it sticks, at the place where it lands; without slip no direction is told."""
     loop, _, _ = loop_at_random("wam_bounce", STICKING)
     state, constants, w = loop.state, loop.constants, loop.w
-    w.after[:], w.p[:], w.direction[:] = [0.0, *(constants.stick_speed * np.array(slip))], [1.0, 2.0, 3.0], [0.6, -0.8]
-    w.anchor[:], state.kind = 0.0, TOUCHDOWN
+    w.impact.after[:], w.tip.p[:], w.friction.direction[:] = (
+        [0.0, *(constants.stick_speed * np.array(slip))],
+        [1.0, 2.0, 3.0],
+        [0.6, -0.8],
+    )
+    w.tip.anchor[:], state.event.kind = 0.0, TOUCHDOWN
     interpreted(apply_impact)(w, constants, state, np.zeros((3, EVENT_WIDTH)))
     stuck = np.linalg.norm(slip) < 1.0
     assert state.mode == (STUCK if stuck else PRESSED)
-    np.testing.assert_array_equal(w.anchor, w.p if stuck else 0.0)
-    np.testing.assert_allclose(w.direction, slip / np.linalg.norm(slip) if any(slip) else [0.6, -0.8])
+    np.testing.assert_array_equal(w.tip.anchor, w.tip.p if stuck else 0.0)
+    np.testing.assert_allclose(w.friction.direction, slip / np.linalg.norm(slip) if any(slip) else [0.6, -0.8])
 
 
 def test_a_joint_strikes_its_stop_only_if_it_moves_there():
@@ -87,7 +103,7 @@ def test_a_joint_strikes_its_stop_only_if_it_moves_there():
             limits = constants.upper_stop if side > 0.0 else constants.lower_stop
             w.q[:], w.v[:] = limits + side * beyond, [0.0, side * speed, 0.0, 0.0]
             assert interpreted(reach_stops)(w, constants, state) == strikes
-            np.testing.assert_array_equal(w.stopped, [0.0, side * strikes, 0.0, 0.0])
+            np.testing.assert_array_equal(w.stops.side, [0.0, side * strikes, 0.0, 0.0])
             assert w.q[1] == (limits[1] if strikes else limits[1] + side * beyond)
 
 
@@ -98,16 +114,21 @@ def test_the_margin_of_stops_is_what_is_left_of_the_way_and_of_their_torque(side
     """The least of the distances of free joints from their stops and, where a stop pulls, its torque, negative."""
     loop, H, rng = loop_at_random("wam_bounce", {"robot.stops": True})
     state, constants, w = loop.state, loop.constants, loop.w
-    constants.lower_stop[:], constants.upper_stop[:], w.joint_friction[:], w.F[:] = -4.0, 4.0, 0.3, rng.normal(size=3)
-    w.contact_torque[:] = 99.0  # of contacts that there are not
-    w.stopped[:], w.q[:] = [0.0, side, 0.0, 0.0], [0.0, 4.0 * side, (4.0 - left) * -side, (4.0 - left) * side]
+    constants.lower_stop[:], constants.upper_stop[:], w.joint_friction.torque[:], w.tip.F[:] = (
+        -4.0,
+        4.0,
+        0.3,
+        rng.normal(size=3),
+    )
+    w.contacts.torque[:] = 99.0  # of contacts that there are not
+    w.stops.side[:], w.q[:] = [0.0, side, 0.0, 0.0], [0.0, 4.0 * side, (4.0 - left) * -side, (4.0 - left) * side]
     assert interpreted(factorise_tip)(H, w, constants, state) == 0
     C, w.torque[:], torque = rng.normal(size=4), rng.normal(size=4), -side * (2.0 if pushes else -2.0)
-    w.qdd[:] = np.linalg.solve(H, w.torque + w.joint_friction + w.A.T @ w.F + torque * np.eye(4)[1] - C)
+    w.qdd[:] = np.linalg.solve(H, w.torque + w.joint_friction.torque + w.tip.A.T @ w.tip.F + torque * np.eye(4)[1] - C)
     interpreted(measure_stops)(H, C, w, constants, state)
-    np.testing.assert_allclose(w.stop_torque, torque * np.eye(4)[1], atol=1e-12)
+    np.testing.assert_allclose(w.stops.torque, torque * np.eye(4)[1], atol=1e-12)
     expected = min(left + BEYOND, PULLING - side * torque)
-    assert w.stop_margin == pytest.approx(expected, abs=1e-12)
+    assert w.stops.margin == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_blow_at_the_tip_is_taken_by_the_stops_that_push():
@@ -116,25 +137,25 @@ def test_a_blow_at_the_tip_is_taken_by_the_stops_that_push():
     state, constants, w = loop.state, loop.constants, loop.w
     sides, left = np.array([0.0, 1.0, -1.0, 1.0]), set()
     stops = [-sides[j] * np.eye(4)[j] for j in range(1, 4)]
-    w.carried[:] = 0.0
+    w.tip.carried[:] = 0.0
     while len(left) < 8:
-        w.A[:], w.v[:], w.stopped[:] = rng.normal(size=(3, 4)), rng.normal(size=4) * (sides == 0.0), sides
+        w.tip.A[:], w.v[:], w.stops.side[:] = rng.normal(size=(3, 4)), rng.normal(size=4) * (sides == 0.0), sides
         assert interpreted(factorise_tip)(H, w, constants, state) == 0
-        w.before[:] = w.A @ w.v
-        if w.before[0] > 0.0:
+        w.impact.before[:] = w.tip.A @ w.v
+        if w.impact.before[0] > 0.0:
             continue
         v, w.y[:] = w.v.copy(), rng.normal(size=4)
         interpreted(collide)(state.address)
         assert state.status == 0
         np.testing.assert_array_equal(w.v, v)
-        interpreted(apply_impulse)(w.L, w.X, w.compression, w.column, w.v)
-        np.testing.assert_allclose(w.v, after_moreau(H, v, [], [*stops, w.A[0]], 0.0), atol=1e-10)
-        left.add(tuple(w.stopped))
+        interpreted(apply_impulse)(w.L, w.tip.X, w.impact.compression, w.scratch.column, w.v)
+        np.testing.assert_allclose(w.v, after_moreau(H, v, [], [*stops, w.tip.A[0]], 0.0), atol=1e-10)
+        left.add(tuple(w.stops.side))
 
 
 def no_rows(state):
     """A record of nothing."""
-    return np.zeros((state.steps + 1, 1))
+    return np.zeros((state.settings.steps + 1, 1))
 
 
 @pytest.mark.parametrize("contact", ["rigid", "pulling", "soft", "soft and pulling"])
@@ -149,19 +170,22 @@ def test_slip_begins_where_it_is_driven_on(contact):
     angles, compared = np.linspace(0.0, 2.0 * np.pi, 721), 0
     for trial in range(12):
         root = rng.normal(size=(3, 3))
-        w.S[:], w.a[:] = root @ root.T + 0.3 * np.eye(3), [-rng.uniform(1.0, 3.0), *rng.normal(scale=3.0, size=2)]
+        w.tip.S[:], w.tip.a[:] = (
+            root @ root.T + 0.3 * np.eye(3),
+            [-rng.uniform(1.0, 3.0), *rng.normal(scale=3.0, size=2)],
+        )
         if trial == 0:  # along the first tangent, where a search over the circle begins and ends
-            w.S[:], w.a[:] = np.diag([1.0, 2.0, 1.0]), [-1.0, 3.0, 0.0]
+            w.tip.S[:], w.tip.a[:] = np.diag([1.0, 2.0, 1.0]), [-1.0, 3.0, 0.0]
         if trial == 1:  # faster along the first tangent, where it would turn
-            w.S[:], w.a[:] = [[1.0, 0.0, 0.0], [0.0, 1.8, 3.3], [0.0, 3.3, 16.5]], [-1.0, 1.9, 4.6]
-        w.a[0] *= -1.0 if pulls else 1.0
+            w.tip.S[:], w.tip.a[:] = [[1.0, 0.0, 0.0], [0.0, 1.8, 3.3], [0.0, 3.3, 16.5]], [-1.0, 1.9, 4.6]
+        w.tip.a[0] *= -1.0 if pulls else 1.0
         given = rng.uniform(0.5, 2.0) * (-1.0 if pulls else 1.0)
 
         def onset(angle, given=given):
             d = np.array([np.cos(angle), np.sin(angle)])
             rub = -mu * d if pulls else mu * d
-            f = given if soft else -w.a[0] / (w.S[0, 0] - w.S[0, 1:] @ rub)
-            slip = w.a[1:] + w.S[1:, 0] * f - f * w.S[1:, 1:] @ rub
+            f = given if soft else -w.tip.a[0] / (w.tip.S[0, 0] - w.tip.S[0, 1:] @ rub)
+            slip = w.tip.a[1:] + w.tip.S[1:, 0] * f - f * w.tip.S[1:, 1:] @ rub
             return d[0] * slip[1] - d[1] * slip[0], d @ slip
 
         across = np.array([onset(angle)[0] for angle in angles])
@@ -172,9 +196,9 @@ def test_slip_begins_where_it_is_driven_on(contact):
         if max(found)[0] < 0.1:
             continue
         compared += 1
-        w.slip[:], w.delayed_slip, w.direction[:], w.F[0] = 1.0, 1.0, np.nan, given
+        w.friction.slip[:], w.friction.delayed_slip, w.friction.direction[:], w.tip.F[0] = 1.0, 1.0, np.nan, given
         interpreted(find_direction)(w, state)
-        np.testing.assert_allclose(w.direction, max(found)[1:], atol=1e-12)
+        np.testing.assert_allclose(w.friction.direction, max(found)[1:], atol=1e-12)
     assert compared > 5
 
 
@@ -190,60 +214,77 @@ def test_the_end_of_stick_or_slip(case, soft):
     stuck = case in ("let go", "unloaded")
     share = {"held": 0.9, "reversed": 1.1}.get(case, 1.0) * 0.4 * np.array([-0.6, 0.8])
     force = 5.0 * np.array([1.0, *(0.0 * share if case == "unloaded" else share)])
-    w.carried[:], w.direction[:], w.p[:], state.mode = 0.0, [1.0, 0.0], [1.0, 2.0, 3.0], STUCK if stuck else PRESSED
+    w.tip.carried[:], w.friction.direction[:], w.tip.p[:], state.mode = (
+        0.0,
+        [1.0, 0.0],
+        [1.0, 2.0, 3.0],
+        STUCK if stuck else PRESSED,
+    )
     w.v[:] = w.v if case == "fast" else 1e-8 * w.v
-    w.u[:], w.a[:], w.F[:], w.rigid_force = w.A @ w.v, -w.S @ force, force, force[0]
-    w.before[:], w.after[:], w.compression[:], w.decompression[:] = w.u, w.u, 0.0, 0.0
-    v, events, w.start_slip_speed = w.v.copy(), np.zeros((3, EVENT_WIDTH)), 1e-6  # of a tip that had drifted
-    state.phase, w.stick_limit = AT_EVENT, np.nan
+    w.tip.u[:], w.tip.a[:], w.tip.F[:], w.tip.rigid_force = w.tip.A @ w.v, -w.tip.S @ force, force, force[0]
+    w.impact.before[:], w.impact.after[:], w.impact.compression[:], w.impact.decompression[:] = (
+        w.tip.u,
+        w.tip.u,
+        0.0,
+        0.0,
+    )
+    v, events, w.start.slip_speed = w.v.copy(), np.zeros((3, EVENT_WIDTH)), 1e-6  # of a tip that had drifted
+    state.phase, w.friction.stick_limit = AT_EVENT, np.nan
     assert interpreted(end_stick_or_slip)(w, constants, state, no_rows(state), events) == NEED_TERMS
     assert state.phase == AFTER_EVENT
     kind = {"held": STICK, "reversed": REVERSAL, "let go": SLIP_AGAIN}.get(case)
     assert state.mode == (STUCK if case in ("held", "unloaded") else PRESSED)
-    assert state.events == (kind is not None)
+    assert state.event.rows == (kind is not None)
     lost = 0.5 * v @ H @ v - 0.5 * w.v @ H @ w.v
     event = EventRow(events[0])
     assert event.energy_lost == pytest.approx(lost, rel=1e-7, abs=0.0)
-    assert w.supplied == -event.energy_lost
+    assert w.supply.energy == -event.energy_lost
     if kind is not None:
         assert event.kind == kind
     if case in ("held", "let go"):
         assert lost > 0.0
         first = 1 if soft else 0
-        np.testing.assert_allclose((w.A @ w.v)[first:], 0.0, atol=1e-22)
-        np.testing.assert_allclose(event.rate_after, w.A[0] @ w.v, atol=1e-22)
-        impulse = np.linalg.solve(np.linalg.qr(w.A.T)[1], np.linalg.qr(w.A.T)[0].T @ (H @ (w.v - v)))
-        np.testing.assert_allclose(H @ (w.v - v), w.A.T @ impulse, atol=1e-20)
+        np.testing.assert_allclose((w.tip.A @ w.v)[first:], 0.0, atol=1e-22)
+        np.testing.assert_allclose(event.rate_after, w.tip.A[0] @ w.v, atol=1e-22)
+        impulse = np.linalg.solve(np.linalg.qr(w.tip.A.T)[1], np.linalg.qr(w.tip.A.T)[0].T @ (H @ (w.v - v)))
+        np.testing.assert_allclose(H @ (w.v - v), w.tip.A.T @ impulse, atol=1e-20)
         assert abs(impulse[0]) < 1e-20 or not soft
     else:
         np.testing.assert_array_equal(w.v, v)
     if case in ("let go", "reversed"):  # its slip starts from rest: a rounding of u against the slip is no end of it
-        w.u[1:], before = -1e-17 * w.direction, w.start_slip_speed
+        w.tip.u[1:], before = -1e-17 * w.friction.direction, w.start.slip_speed
         assert (before, interpreted(slip_margin)(w, constants) > 0.0) == (0.0, True)
-        w.u[:] = w.before
-    np.testing.assert_array_equal(w.anchor, w.p if case == "held" else loop.w.anchor)
-    ahead = {"fast": w.u[1:], "let go": -force[1:]}.get(case, [1.0, 0.0])
+        w.tip.u[:] = w.impact.before
+    np.testing.assert_array_equal(w.tip.anchor, w.tip.p if case == "held" else loop.w.tip.anchor)
+    ahead = {"fast": w.tip.u[1:], "let go": -force[1:]}.get(case, [1.0, 0.0])
     if case == "reversed":  # driven on against friction
-        f = 5.0 if soft else -w.a[0] / (w.S[0, 0] - 0.4 * w.S[0, 1:] @ w.direction)
-        ahead = w.a[1:] + f * (w.S[1:, 0] - 0.4 * w.S[1:, 1:] @ w.direction)
-    np.testing.assert_allclose(w.direction, ahead / np.linalg.norm(ahead), atol=1e-12)
+        f = 5.0 if soft else -w.tip.a[0] / (w.tip.S[0, 0] - 0.4 * w.tip.S[0, 1:] @ w.friction.direction)
+        ahead = w.tip.a[1:] + f * (w.tip.S[1:, 0] - 0.4 * w.tip.S[1:, 1:] @ w.friction.direction)
+    np.testing.assert_allclose(w.friction.direction, ahead / np.linalg.norm(ahead), atol=1e-12)
 
 
 def test_a_tip_that_lifts_off_leaves_what_is_left_of_its_rate():
     """The closure's rate that a stabiliser had not yet removed is projected out, and its energy is booked."""
     loop, H, _ = loop_at_random("wam_bounce", {})
     state, constants, w = loop.state, loop.constants, loop.w
-    w.carried[:], w.u[:], w.gap, w.rigid_force, state.mode, state.risen = 0.0, w.A @ w.v, 0.0, -1.0, PRESSED, 1
+    w.tip.carried[:], w.tip.u[:], w.tip.gap, w.tip.rigid_force, state.mode, state.cleared = (
+        0.0,
+        w.tip.A @ w.v,
+        0.0,
+        -1.0,
+        PRESSED,
+        1,
+    )
     v, events = w.v.copy(), np.zeros((3, EVENT_WIDTH))
     interpreted(apply_event)(H, w, constants, state, no_rows(state), events)
-    assert (state.mode, state.risen, state.kind, state.events) == (FREE, 0, LIFTOFF, 1)
+    assert (state.mode, state.cleared, state.event.kind, state.event.rows) == (FREE, 0, LIFTOFF, 1)
     assert interpreted(project)(H, w, constants, state) == NEED_TERMS
     assert state.phase == AFTER_EVENT
-    assert abs(w.A[0] @ w.v) < 1e-12
+    assert abs(w.tip.A[0] @ w.v) < 1e-12
     event = EventRow(events[0])
     assert event.energy_lost == pytest.approx(0.5 * v @ H @ v - 0.5 * w.v @ H @ w.v, rel=1e-10)
-    assert w.supplied == -event.energy_lost
-    assert (event.rate_before, event.rate_after) == (w.u[0], 0.0)
+    assert w.supply.energy == -event.energy_lost
+    assert (event.rate_before, event.rate_after) == (w.tip.u[0], 0.0)
 
 
 @pytest.mark.parametrize("stuck", [False, True])
@@ -251,8 +292,8 @@ def test_projection_is_the_smallest_move_that_closes(stuck):
     """First of q, as often as it may be, then of q̇: by H⁻¹Aᵀ, along the normal or of the whole tip if it sticks."""
     loop, H, rng = loop_at_random("wam_bounce", STICKING)
     state, constants, w = loop.state, loop.constants, loop.w
-    state.mode, state.next_phase, w.carried[:], w.anchor[:] = STUCK if stuck else PRESSED, STEP_END, 0.0, 3.0
-    rows = w.A[: 3 if stuck else 1].copy()
+    state.mode, state.next_phase, w.tip.carried[:], w.tip.anchor[:] = STUCK if stuck else PRESSED, STEP_END, 0.0, 3.0
+    rows = w.tip.A[: 3 if stuck else 1].copy()
     back = np.linalg.solve(H, rows.T) @ np.linalg.inv(rows @ np.linalg.solve(H, rows.T))
     for gap, moves, closes in (
         (1e-3, 0, False),
@@ -261,8 +302,8 @@ def test_projection_is_the_smallest_move_that_closes(stuck):
         (1e-3, MAX_MOVES, True),
     ):
         off = np.array([gap, 0.0 if closes else 2e-3, 0.0 if closes else -1e-3])
-        w.gap, w.p[:], w.v[:], w.q[:] = gap, w.anchor + off, rng.normal(size=4), 0.0
-        w.u[:], state.projections, q, v = w.A @ w.v, moves, w.q.copy(), w.v.copy()
+        w.tip.gap, w.tip.p[:], w.v[:], w.q[:] = gap, w.tip.anchor + off, rng.normal(size=4), 0.0
+        w.tip.u[:], state.projections, q, v = w.tip.A @ w.v, moves, w.q.copy(), w.v.copy()
         assert interpreted(project)(H, w, constants, state) == NEED_TERMS
         assert (state.phase, state.projections) == ((STEP_END, moves) if closes else (PROJECTION, moves + 1))
         np.testing.assert_allclose(w.q, q if closes else q - back @ off[: len(rows)], atol=1e-15)
@@ -273,7 +314,7 @@ def test_projection_leaves_a_tip_that_has_no_way_along_the_normal():
     """In a singular pose there is no move that closes, and none is made."""
     loop, H, _ = loop_at_random("wam_bounce", {})
     state, constants, w = loop.state, loop.constants, loop.w
-    state.mode, w.A[0], w.gap, w.u[0] = PRESSED, 0.0, 1e-6, 1e-3
+    state.mode, w.tip.A[0], w.tip.gap, w.tip.u[0] = PRESSED, 0.0, 1e-6, 1e-3
     q, v = w.q.copy(), w.v.copy()
     for _ in range(MAX_MOVES + 1):
         assert interpreted(project)(H, w, constants, state) == NEED_TERMS
@@ -287,7 +328,7 @@ def test_events_without_end_stop_the_run_and_are_told_apart():
     state, most = loop.state, 20
     for kind, status in ((SLIP_AGAIN, RUBS), (STICK, RUBS), (REVERSAL, RUBS), (LIFTOFF, CHATTER), (TOUCHDOWN, CHATTER)):
         for rapid, events, told in ((most, MAX_IN_STEP, 0), (most + 1, 1, status), (0, MAX_IN_STEP + 1, CROWDED)):
-            state.kind, state.rapid_events, state.events_in_step, state.status = kind, rapid, events, 0
+            state.event.kind, state.event.rapid, state.event.in_step, state.status = kind, rapid, events, 0
             assert interpreted(too_many_events)(state, most) == (told != 0)
             assert state.status == told
     alternating, crowded = (_rubs_without_end(status, 0.25) for status in (RUBS, CROWDED))

@@ -110,11 +110,11 @@ def test_a_surface_that_moves_is_a_body_that_can_be_moved(tmp_path):
     assert gap == pytest.approx(run.closure_error[-1], abs=1e-6)
 
 
-MECHANISMS = ("four_bar", "five_bar", "stewart", "delta", "gripper_block", "two_arms_bar")
+MECHANISMS = ("four_bar", "five_bar", "stewart", "delta", "gripper_gear", "two_arms_bar")
 
 
 @pytest.mark.parametrize(
-    "name", [n if n == "gripper_block" else pytest.param(n, marks=pytest.mark.slow) for n in MECHANISMS]
+    "name", [n if n == "gripper_gear" else pytest.param(n, marks=pytest.mark.slow) for n in MECHANISMS]
 )
 def test_loops_are_closed_and_contacts_touch_as_in_the_run(name, tmp_path):
     """At the first and the last row MuJoCo's equalities hold, and each pair is as far apart as the run's contact is."""

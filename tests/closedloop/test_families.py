@@ -22,7 +22,9 @@ from closedloop.mechanics.closure.baumgarte import largest_stable_ratio, spectra
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Integrator
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.units import key_unit
-from closedloop.studies.sweep import Design, Sweep, parse_axis
+from closedloop.studies.sweep.axes import parse_axis
+from closedloop.studies.sweep.design import Design
+from closedloop.studies.sweep.sweep import Sweep
 
 ROOT = File(__file__).resolve().parents[2]
 RALSTON = '''

@@ -44,11 +44,11 @@ def test_the_force_of_a_contact_on_a_turned_link_with_turned_axes():
         asked.append(r)
         return SimpleNamespace(frame=frame)
 
-    contact = Touching("c", 1, at, 2, axes, origin, SimpleNamespace(touching=touching))
+    contact = Touching("c", 1, at, 2, axes, origin, SimpleNamespace(touching=touching), np.zeros(7))
     place, force = contact.force(3.0, np.array([0.5, -0.7]), np.array([np.eye(3), point, plane]), origins)
     np.testing.assert_allclose(place, origins[1] + point @ at, atol=1e-14)
     np.testing.assert_allclose(origins[2] + plane @ (origin + axes.T @ asked[0]), place, atol=1e-14)
     np.testing.assert_allclose(force, plane @ axes.T @ frame.T @ [3.0, 0.5, -0.7], atol=1e-14)
-    bare = Touching("c", 1, at, 2, axes, origin, None)
+    bare = Touching("c", 1, at, 2, axes, origin, None, np.zeros(7))
     force = bare.force(3.0, np.array([0.5, -0.7]), np.array([np.eye(3), point, plane]), origins)[1]
     assert within(64, force, plane @ axes.T @ [3.0, 0.5, -0.7])

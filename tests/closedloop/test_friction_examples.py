@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from closedloop.mechanics.friction import JOINT_LAWS, SURFACE_LAWS, Contact
+from closedloop.mechanics.friction.contact import Contact
+from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.coulomb_viscous import SurfaceCoulombViscous
 from closedloop.mechanics.friction.laws.dahl import SurfaceDahl

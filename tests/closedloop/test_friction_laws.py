@@ -37,9 +37,8 @@ from closedloop.loop.step.entries import (
 )
 from closedloop.loop.step.make_loop import make_loop
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
-from closedloop.mechanics.friction import JOINT_LAWS, SURFACE_LAWS
 from closedloop.mechanics.friction.contact import Contact
-from closedloop.mechanics.friction.law import length_of
+from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, length_of
 from closedloop.mechanics.friction.laws.stribeck import SurfaceStribeck
 from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
 
@@ -166,7 +165,7 @@ def numbers(member, joints):
     key = "joint_friction" if joints else "friction"
     loop = make_loop(n, extra=n * count if joints else count, **{key: par})
     state, constants, w = loop
-    setattr(state, "joint_states" if joints else "friction_states", count)
+    getattr(state, key).states = count
     entry = (joint_friction_entry if joints else friction_entry)(member)
     entry_address(entry)  # compiled as the loop has it
     work = w.memory.copy()
@@ -176,9 +175,13 @@ def numbers(member, joints):
         for i in range(20):
             getattr(constants, key)[:] = rng.uniform(0.1, 2.0, getattr(constants, key).shape)
             w.memory[:] = rng.normal(size=work.size)
-            w.z[:], w.joint_lagged[:], w.delayed_slip = np.abs(w.z), np.abs(w.joint_lagged), abs(w.delayed_slip)
-            w.friction_span, state.mode = 0.1, STUCK if i % 2 else PRESSED
-            w.stuck[:] = rng.integers(0, 2, n)
+            w.z[:], w.joint_friction.lagged[:], w.friction.delayed_slip = (
+                np.abs(w.z),
+                np.abs(w.joint_friction.lagged),
+                abs(w.friction.delayed_slip),
+            )
+            w.friction.span, state.mode = 0.1, STUCK if i % 2 else PRESSED
+            w.joint_friction.stuck[:] = rng.integers(0, 2, n)
             for what in (SLIDE, HOLD, RATES, ADVANCE_STATES, LIMIT, STICK):
                 assert call(loop.address, what) == 0
                 values.append(w.memory.copy())
@@ -212,16 +215,18 @@ def test_an_entry_is_the_law_of_each_contact(name, joints):
     count = laws[0].states.size
     state, constants, w = loop = make_loop(3, extra=count * len(laws), **{key: pars[0].memory.size})
     getattr(constants, key)[:] = [par.memory for par in pars] if joints else pars[0].memory
-    setattr(state, "joint_states" if joints else "friction_states", count)
+    getattr(state, key).states = count
     entry = interpreted((joint_friction_entry if joints else friction_entry)(type(section)))
     z = w.z.reshape(len(laws), count)
     for stuck in ([False, True, False], [True, False, True]):
         stuck = stuck[: len(laws)]
-        w.stuck[: len(laws)], state.mode = stuck, STUCK if stuck[0] else PRESSED
-        u, w.friction_span = rng.normal(size=(len(laws), d)), 0.02
+        w.joint_friction.stuck[: len(laws)], state.mode = stuck, STUCK if stuck[0] else PRESSED
+        u, w.friction.span = rng.normal(size=(len(laws), d)), 0.02
         along = np.array([[1.0], [-1.0], [0.0]]) if joints else np.array([[0.6, -0.8]])
-        slip, direction = (w.joint_slip, w.joint_direction) if joints else (w.slip, w.direction)
-        slip[:], direction[:], w.delayed_slip, w.joint_lagged[:] = (
+        slip, direction = (
+            (w.joint_friction.slip, w.joint_friction.direction) if joints else (w.friction.slip, w.friction.direction)
+        )
+        slip[:], direction[:], w.friction.delayed_slip, w.joint_friction.lagged[:] = (
             u.ravel(),
             along.ravel(),
             np.linalg.norm(u[0]),
@@ -230,28 +235,37 @@ def test_an_entry_is_the_law_of_each_contact(name, joints):
         z[:] = np.abs(rng.normal(size=z.shape)) * 1e-3
         for law, states in zip(laws, z, strict=True):
             law.states[:] = states
-        w.c[:], w.viscous[:], w.joint_dry[:], w.joint_viscous[:] = 7.0, 7.0, 7.0, 7.0
+        w.friction.c[:], w.friction.viscous[:], w.joint_friction.dry[:], w.joint_friction.viscous[:] = (
+            7.0,
+            7.0,
+            7.0,
+            7.0,
+        )
         each = list(zip(laws, u, along, stuck, strict=True))
         held = [(law.hold(), np.zeros(d)) for law in laws]
         slid = [law.slide(x, direction=way) for law, x, way, _ in each]
         if joints:
             assert entry(loop.address, SLIDE) == 0
             wanted = [h if still else s for h, s, still in zip(held, slid, stuck, strict=True)]
-            assert [*zip(w.joint_dry, w.joint_viscous, strict=True)] == [(c[0], v[0]) for c, v in wanted]
+            assert [*zip(w.joint_friction.dry, w.joint_friction.viscous, strict=True)] == [
+                (c[0], v[0]) for c, v in wanted
+            ]
         else:
             for what, wanted in ((SLIDE, slid[0]), (HOLD, held[0])):
                 assert entry(loop.address, what) == 0
-                assert np.array_equal([w.c, w.viscous], wanted)
+                assert np.array_equal([w.friction.c, w.friction.viscous], wanted)
         assert entry(loop.address, RATES) == 0
         assert np.array_equal(w.dz.reshape(z.shape), [law.rates(x, still) for law, x, _, still in each])
         assert entry(loop.address, LIMIT) == 0
-        assert (w.joint_limit.tolist() if joints else [w.stick_limit]) == [law.stick_limit for law in laws]
+        assert (w.joint_friction.limit.tolist() if joints else [w.friction.stick_limit]) == [
+            law.stick_limit for law in laws
+        ]
         assert entry(loop.address, ADVANCE_STATES) == 0
         for law, x, _, still in each:
             law.advance(x, 0.02, still)
         assert np.array_equal(z, [law.states for law in laws])
         slip[:] = 0.0
-        w.delayed_slip, w.joint_lagged[:] = 0.0, 0.0
+        w.friction.delayed_slip, w.joint_friction.lagged[:] = 0.0, 0.0
         assert entry(loop.address, STICK) == 0
         for law, _, way, _ in each:
             if np.any(way):

@@ -16,6 +16,6 @@ def test_impact_has_the_form_of_the_loop_it_is_of(interpreting, monkeypatch):
     monkeypatch.setattr(loop_calls, "collide", lambda address: called.append("compiled"))
     monkeypatch.setattr(loop_calls, "interpreted", lambda kernel: lambda address: called.append("interpreted"))
     answers = loop_calls.Answers(problem, loop, True, lambda: interpreting)
-    loop.w.before[0] = -1.0
+    loop.w.impact.before[0] = -1.0
     answers.give(IMPACT_LAW_WANTED)
     assert called == ["interpreted" if interpreting else "compiled"]

@@ -146,7 +146,7 @@ def test_a_step_is_that_of_its_tableau(name):
         np.testing.assert_allclose(np.concatenate([q, v, z]), y, rtol=1e-14, atol=1e-14)
         qdd, dz = linear(y, M, n)
         slopes.append(np.concatenate([y[n : 2 * n], qdd, dz]))
-        w = SimpleNamespace(begin=begin, stages=stages, qdd=qdd, dz=dz, q=q, v=v, z=z)
+        w = SimpleNamespace(start=SimpleNamespace(state=begin), stages=stages, qdd=qdd, dz=dz, q=q, v=v, z=z)
         interpreted(advance)(stage, h, False, False, scheme.tableau(), w)
     y = begin + h * sum(b * slope for b, slope in zip(scheme.b, slopes, strict=True))
     np.testing.assert_allclose(np.concatenate([q, v, z]), y, rtol=1e-14, atol=1e-14)
@@ -159,7 +159,7 @@ def test_a_semi_implicit_step_takes_the_new_velocity_and_a_piece_of_one_the_mean
     q, v, z, qdd, dz = (rng.normal(size=size) for size in (n, n, k, n, k))
     new = v + h * qdd
     expected = q + h * (0.5 * (v + new) if piece else new), new, z + h * dz
-    w = SimpleNamespace(begin=None, stages=None, qdd=qdd, dz=dz, q=q, v=v, z=z)
+    w = SimpleNamespace(start=SimpleNamespace(state=None), stages=None, qdd=qdd, dz=dz, q=q, v=v, z=z)
     interpreted(advance)(0, h, True, piece, np.zeros((2, 1)), w)
     for ours, right in zip((q, v, z), expected, strict=True):
         np.testing.assert_allclose(ours, right, rtol=1e-15)

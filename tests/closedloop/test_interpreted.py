@@ -50,7 +50,7 @@ CASES = {
          "compensation.rate": 100.0, "sensor.delay": 0.004, "sensor.noise": 0.1},
     ),
     "loops": ("four_bar", {"time.duration": 0.02}),
-    "contacts of links": ("gripper_block", {"time.duration": 0.004, "time.integrator": "semi_implicit_euler"}),
+    "contacts of links": ("gripper_gear", {"time.duration": 0.004, "time.integrator": "semi_implicit_euler"}),
 }  # fmt: skip
 
 
@@ -116,7 +116,7 @@ def test_a_path_of_a_mechanism_is_interpreted_to_the_last_bit(nothing_compiled, 
         assert getattr(path, name).tobytes() == getattr(compiled, name).tobytes()
 
 
-@pytest.mark.parametrize("name", ["wam_slide", "panda_scan", "four_bar", "wam_slide_friction", "gripper_block"])
+@pytest.mark.parametrize("name", ["wam_slide", "panda_scan", "four_bar", "wam_slide_friction", "gripper_gear"])
 def test_all_that_the_loop_calls_is_compiled_with_it(name, monkeypatch):
     """What gets an address in the loop's memory is known beforehand: a run waits for all of it, or for nothing."""
     problem = prepare(cl.load_scenario(name, {"time.duration": 0.01}))

@@ -52,8 +52,9 @@ def test_slow_friction_points_against_the_slip_at_the_end_of_the_step(pushes):
         a, w = rng.normal(size=3) * rng.choice([0.1, 30.0]), rng.normal(size=2)
         ahead = u[1:] / np.linalg.norm(u[1:])
         c = math.copysign(level, f) * ahead
-        state = SimpleNamespace(u=u, a=a, S=S, viscous=w, c=c.copy(), F=np.array([f, 0.0, 0.0]), direction=ahead)
-        if not plain(turn_with_slip)(state, h):
+        tip = SimpleNamespace(u=u, a=a, S=S, F=np.array([f, 0.0, 0.0]))
+        state = SimpleNamespace(viscous=w, c=c.copy(), direction=ahead)
+        if not plain(turn_with_slip)(SimpleNamespace(tip=tip, friction=state), h):
             np.testing.assert_array_equal(state.c, c)
             continue
         assert np.linalg.norm(state.c) == pytest.approx(level, rel=1e-12)

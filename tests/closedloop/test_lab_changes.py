@@ -74,11 +74,11 @@ def test_every_control_says_what_it_is():
 
 def test_each_contact_of_a_list_has_sliders():
     """Of all its numbers, with its name; what a slider says is laid over that contact alone."""
-    base = cl.load_scenario("gripper_block")
+    base = cl.load_scenario("gripper_gear")
     slider = control_of(base, "contact.4.friction")
     assert (slider.label, slider.form, slider.own) == ("floor left: friction", "linear", base.contact[4].friction)
     assert {control.key.rpartition(".")[2] for control in controls(base, "contact")} == {
-        "at", "normal", "through", "friction", "restitution"
+        "at", "normal", "through", "friction", "restitution", "rest_speed", "radius", "half_axes",
     }  # fmt: skip
     changed = Variants(base, (slider.key,)).scenario((0.25,))
     assert [contact.friction for contact in changed.contact].count(0.25) == 1

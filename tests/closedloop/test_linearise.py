@@ -10,7 +10,8 @@ from scipy.linalg import expm
 
 import closedloop as cl
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.analysis.instant import Here, columns, run_on
+from closedloop.studies.analysis.here import Here, columns
+from closedloop.studies.analysis.instant import run_on
 from closedloop.studies.analysis.linearise import instant_of, loop_at
 
 ALONG_N = ("contact", "law", "sensor", "delay", "filter", "hold")

@@ -52,7 +52,7 @@ RUNS = {
 
 def row_by_row(run):
     """The values by the kernels of a batch, interpreted, on rows taken from the run's columns."""
-    n, (held, order) = run.model.n, resolution_of(run.scenario)
+    n, (held, order, sampled) = run.model.n, resolution_of(run.scenario)
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
     interpreted(begin_tally)(tally, n, run.scenario.time.step, np.max(np.abs(run.reference_force)), order)
     limits = JointLimits(joint_limits(run.model), n)
@@ -61,8 +61,8 @@ def row_by_row(run):
         wanted.position, wanted.force = run.reference_tip[i], run.reference_force[i]
         interpreted(count_row)(row, n, run.potential_energy[i], wanted, limits, i, tally)
         interpreted(count_condition)(row, tally)
-        interpreted(count_swings)(row, wanted, i, held, order, Swings(tally.swings))
-    interpreted(end_stretch)(held, order, Swings(tally.swings))
+        interpreted(count_swings)(row, wanted, i, held, order, sampled, Swings(tally.swings, n))
+    interpreted(end_stretch)(held, order, Swings(tally.swings, n))
     interpreted(write_values)(row, n, len(run), tally, values)
     return values
 
@@ -132,20 +132,28 @@ def alternating(x):
     return sum(min(abs(a), abs(b)) / 4.0 for a, b in itertools.pairwise(turns) if a * b < 0.0)
 
 
+def cut_differences(x):
+    """Return the differences of a signal, none larger than the larger of its neighbours."""
+    d = [0.0, *(b - a for a, b in itertools.pairwise(x)), 0.0]
+    return np.array(
+        [np.copysign(min(abs(d[k]), max(abs(d[k - 1]), abs(d[k + 1]))), d[k]) for k in range(1, len(d) - 1)]
+    )
+
+
 def step_error_of(x, mode, order):
-    """Return what a signal's steps add to its error in each mode, and its largest difference.
+    """Return what a signal's steps add to its error in each mode, its largest difference, and the most cut of one.
 
     Differences are cut to the larger beside them, and half of what they change by counts: with order one all of it,
     else 0.45 of it, less by the power order - 1 of how smooth these changes are.
     """
-    total, begin, steepest = 0.0, 0, 0.0
+    total, begin, steepest, jump = 0.0, 0, 0.0, 0.0
     for i in range(1, len(x) + 1):
         if i < len(x) and mode[i] == mode[begin]:
             continue
         part, begin = x[begin:i].tolist(), i
-        d = [0.0, *(b - a for a, b in itertools.pairwise(part)), 0.0]
-        cut = [np.copysign(min(abs(d[k]), max(abs(d[k - 1]), abs(d[k + 1]))), d[k]) for k in range(1, len(d) - 1)]
-        steepest = max(steepest, *map(abs, cut), 0.0) if cut else steepest
+        cut = cut_differences(part)
+        steepest = max(steepest, *map(abs, cut), 0.0) if cut.size else steepest
+        jump = max(jump, *(np.abs(np.diff(part)) - np.abs(cut)), 0.0) if cut.size else jump
         if len(part) < 4:
             total += 0.5 * (max(part) - min(part))
             continue
@@ -156,7 +164,7 @@ def step_error_of(x, mode, order):
                 continue
             rough = max(abs(near[1] - near[0]), abs(near[2] - near[1])) / max(map(abs, near))
             total += 0.5 * abs(near[1]) * (1.0 if order == 1 else 0.45 * min(1.0, rough) ** (order - 1))
-    return min(total, max(x) - min(x)), steepest
+    return min(total, max(x) - min(x)), steepest, jump
 
 
 def trapezoids(x):
@@ -169,7 +177,7 @@ def first_of(bad):
     return H * np.argmax(bad) if np.any(bad) else np.nan
 
 
-def written_out(row, wanted, limits, V, order):
+def written_out(row, wanted, limits, V, order, sampled):
     """Return the values of such rows by their definitions, with numpy."""
     r, count = SimpleNamespace(**row), len(V)
     f, e, touching, least = r.contact_force, r.closure_error, r.mode != FREE, r.normal_mobility
@@ -196,11 +204,15 @@ def written_out(row, wanted, limits, V, order):
     }  # fmt: skip
     failed = ~met["nonsingular"]
     fastest, first = np.max(np.abs(r.v)), order == 1
-    varied, steepest = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
-    moved = steepest if first and np.any(np.diff(r.mode)) else 0.0
+    varied, steepest, jump = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
+    moved = steepest if first or np.any(np.diff(r.mode)) else min(jump, steepest)
+    if sampled:
+        begins = [abs(miss[i]) for i in range(1, count) if touching[i] and not touching[i - 1]]
+        kicks = sum(np.abs(cut_differences(x)) for x in r.torque.T)
+        moved += max(begins, default=0.0) + 2.0 * max(kicks[:-1][touching[2:]], default=0.0)
     of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-12 * np.max(np.abs(f))
     aside = [step_error_of(x, r.mode, order)[0] for x in (r.position - wanted.position).T]
-    late = (0.5 if first else 0.25) * H * np.max(np.linalg.norm(r.velocity, axis=1))
+    late = (1.0 if first else 0.5) * H * np.max(np.linalg.norm(r.velocity, axis=1))
     lower, upper, fast, strong = limits
     excess = np.maximum(r.q - upper, lower - r.q)
     return {
@@ -250,9 +262,9 @@ def written_out(row, wanted, limits, V, order):
     }
 
 
-@pytest.mark.parametrize("order", [1, 4])
+@pytest.mark.parametrize(("order", "sampled"), [(1, 0), (1, 1), (4, 0)])
 @pytest.mark.parametrize("case", MADE_UP)
-def test_values_are_what_they_are_called(case, order):
+def test_values_are_what_they_are_called(case, order, sampled):
     """Every value of rows made up by a generator, and of such in which each assumption holds, by its definition."""
     row, wanted, limits, V = made_up(case)
     n, count = 3, len(V)
@@ -264,10 +276,10 @@ def test_values_are_what_they_are_called(case, order):
         desired = SimpleNamespace(position=wanted.position[i], force=wanted.force[i])
         interpreted(count_row)(now, n, V[i], desired, joint, i, tally)
         interpreted(count_condition)(now, tally)
-        interpreted(count_swings)(now, desired, i, 1, order, Swings(tally.swings))
-    interpreted(end_stretch)(1, order, Swings(tally.swings))
+        interpreted(count_swings)(now, desired, i, 1, order, sampled, Swings(tally.swings, n))
+    interpreted(end_stretch)(1, order, Swings(tally.swings, n))
     interpreted(write_values)(now, n, count, tally, values)
-    expected = written_out(row, wanted, limits, V, order)
+    expected = written_out(row, wanted, limits, V, order, sampled)
     assert set(Values.layout.at) == {*expected, "events"}
     for name, value in expected.items():
         assert getattr(values, name) == pytest.approx(value, rel=1e-11, abs=1e-14, nan_ok=True), name

@@ -169,11 +169,11 @@ def test_labels_are_never_the_same():
 def test_contacts_have_columns_by_their_names(tmp_path):
     """In run.nc, as attributes, and in CSV, where two names that differ in a space have columns of their own."""
     short = {"time.duration": 0.004}
-    scenario = cl.load_scenario("gripper_block", short)
+    scenario = cl.load_scenario("gripper_gear", short)
     parts = zip(scenario.contact, ("pad one", "pad-one", "pad_one", "pad.one"), strict=False)
     twins = [{**each.model_dump(exclude_none=True), "name": name} for each, name in parts]
     twins += [each.model_dump(exclude_none=True) for each in scenario.contact[4:]]
-    for given in (scenario, cl.load_scenario("gripper_block", short | {"contact": twins})):
+    for given in (scenario, cl.load_scenario("gripper_gear", short | {"contact": twins})):
         run = cl.simulate(given)
         with h5py.File(run.save(tmp_path / "run.nc")) as file:
             for k, label in enumerate(labels_of(given.contact)):
@@ -186,3 +186,18 @@ def test_contacts_have_columns_by_their_names(tmp_path):
         assert header.count('"link_forces ') == len(given.contact)
         assert run.to_pandas()[f"link_forces[{labels_of(given.contact)[-1]}]"].to_numpy()[0] == run.link_forces[0, -1]
     assert len(run.link_forces[0]) > 1
+
+
+def test_column_of_ones_own_from_the_command_line(command_line, tmp_path, monkeypatch):
+    """--record MODULE:FUNCTION adds the column of that name; what names no function, or one twice, is one line."""
+    (tmp_path / "my_columns.py").write_text(
+        'def speed(run):\n    """|q̇|, rad/s."""\n    return (run.v**2).sum(axis=1) ** 0.5\n', encoding="utf-8"
+    )
+    monkeypatch.chdir(tmp_path)
+    options = ["--time.duration", "0.01", "--no-figures", "--json", "--out", "o"]
+    assert command_line("wam_slide", *options, "--record", "my_columns:speed").status == 0
+    run = cl.load_run(tmp_path / "o" / "run.nc")
+    np.testing.assert_array_equal(run.to_pandas()["speed"], np.sqrt(np.sum(run.v**2, axis=1)))
+    assert "has no function 'sped'" in command_line("wam_slide", *options, "--record", "my_columns:sped").refusal(2)
+    twice = ["--record", "my_columns:speed"] * 2
+    assert "there is a column 'speed' already" in command_line("wam_slide", *options, *twice).refusal(2)

@@ -153,7 +153,7 @@ def test_feed_forward_holds_the_tool(monkeypatch, law):
 
     def without(problem, *given, **more):
         memory = loop(problem, *given, **more)
-        memory.state.feed_forward = 0
+        memory.state.settings.feed_forward = 0
         return memory
 
     monkeypatch.setattr(Problem, "loop", without)

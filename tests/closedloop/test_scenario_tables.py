@@ -9,7 +9,7 @@ from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.scenario.describe import describe_section, explain_key
 from closedloop.scenario.units import key_description, key_unit
 
-NAME = "gripper_block"
+NAME = "gripper_gear"
 
 
 def frictions(changes):
@@ -125,3 +125,23 @@ def test_a_list_of_points_is_a_contact_for_each():
         assert frictions({"contact": contacts, key: 0.7}) == frictions({"contact": tables, key: 0.7})
     with pytest.raises(cl.ScenarioError, match=r"contact\[1\]\.at = \[1\.0, 2\.0\]: must be three numbers"):
         cl.load_scenario(NAME, {"contact": [{"link": "left_tip", "at": [[0.0, 0.0, 0.0], [1.0, 2.0]]}]})
+
+
+def test_a_list_of_points_takes_the_place_of_the_list_that_was_there():
+    """By the table's name; others stay, what is added is as the last, and a read scenario answers alike."""
+    feet = [[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]
+    tables = [{"link": "left_tip", "name": "floor", "at": feet, "friction": 0.4}, {"link": "left_tip", "name": "knee"}]
+    wanted = [[0.2, 0.0, 0.0], [-0.2, 0.0, 0.0], [0.0, 0.2, 0.0]]
+    for start in (tables, cl.load_scenario(NAME, {"contact": tables}).contact):
+        changes = {"contact": start, "contact.floor.at": wanted, "contact.floor 2.friction": 0.3}
+        contacts = cl.load_scenario(NAME, changes).contact
+        assert [contact.name for contact in contacts] == ["floor 1", "floor 2", "floor 3", "knee"]
+        assert [list(contact.at) for contact in contacts[:3]] == wanted
+        assert [contact.friction for contact in contacts] == [0.4, 0.3, 0.4, 0.0]
+        fewer = cl.load_scenario(NAME, {"contact": start, "contact.floor.at": wanted[:1]}).contact
+        assert [contact.name for contact in fewer] == ["floor 1", "knee"]
+    spread = cl.load_scenario(NAME, {"contact": tables, "contact.knee.at": wanted, "contact.0.at": [0.0, 0.0, 0.5]})
+    assert [contact.name for contact in spread.contact] == ["floor 1", "floor 2", "knee 1", "knee 2", "knee 3"]
+    assert list(spread.contact[0].at) == [0.0, 0.0, 0.5]
+    both = cl.load_scenario(NAME, {"contact": tables, "contact.*.at": wanted}).contact
+    assert [contact.name for contact in both] == [f"{name} {k}" for name in ("floor", "knee") for k in (1, 2, 3)]

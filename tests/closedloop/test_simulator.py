@@ -70,7 +70,7 @@ OTHERS = (
     "panda_polish", "panda_scan", "panda_touchdown", "panda_wipe", "two_arms_bar", "wam_touchdown",
     "wam_through_singularity",
 )  # fmt: skip
-ALIKE = [name for name in cl.shipped_scenarios() if name not in OTHERS]
+ALIKE = [name for name in cl.shipped_scenarios() if name not in OTHERS and cl.load_scenario(name).law.kind != "none"]
 
 
 @pytest.mark.parametrize(

@@ -227,13 +227,18 @@ def near_the_pose(seed):
     """The memory of a tip near a singular pose, with viscous friction too, and what counts as no push there."""
     loop, _, rng = loop_at_random("wam_slide", {"time.duration": 0.01}, seed)
     constants, w = loop.constants, loop.w
-    constants.gravity[:], w.column[:], w.c[:], w.viscous[:] = rng.normal(size=(4, 3))[0], 3.0, [0.3, -0.2], [0.5, 0.7]
+    constants.gravity[:], w.scratch.column[:], w.friction.c[:], w.friction.viscous[:] = (
+        rng.normal(size=(4, 3))[0],
+        3.0,
+        [0.3, -0.2],
+        [0.5, 0.7],
+    )
     C, L = rng.normal(size=4), np.tril(w.L, -1) + np.diag(1.0 / np.diag(w.L))
-    w.S[0, 0] = 0.0
-    size = np.sqrt(np.trace(w.S))
+    w.tip.S[0, 0] = 0.0
+    size = np.sqrt(np.trace(w.tip.S))
 
     def most(rate):
-        loads = np.linalg.norm(np.linalg.solve(L, w.column)) + np.linalg.norm(np.linalg.solve(L, C))
+        loads = np.linalg.norm(np.linalg.solve(L, w.scratch.column)) + np.linalg.norm(np.linalg.solve(L, C))
         moving = np.linalg.norm(L.T @ w.v) * rate
         return 1e-3 * (loads + (np.linalg.norm(constants.gravity) + moving) / size)
 
@@ -249,14 +254,14 @@ def test_force_in_the_pose_is_that_of_a_push_linear_in_the_distance(pushed, alon
     state, constants, w = loop.state, loop.constants, loop.w
     way.time[:], way.lever[:], w.time, state.approached, rate = [0.2, 0.1], [0.03, 0.04], 0.45, 2, 0.1
     way.push[:] = 7.0 * way.lever + pushed * most(rate)
-    w.a[0] = along * most(rate) * np.sqrt(np.trace(w.S)) + w.S[0, 1:] @ w.viscous
+    w.tip.a[0] = along * most(rate) * np.sqrt(np.trace(w.tip.S)) + w.tip.S[0, 1:] @ w.friction.viscous
     found = interpreted(force_in_singular_pose)(C, w, constants, state)
     if abs(pushed) > 1.0 or abs(along) > 1.0:
         assert found == PUSHED
         return
     assert found == OK
-    np.testing.assert_allclose(w.F, [7.0, *(-7.0 * w.c - w.viscous)], rtol=1e-10)
-    assert (w.rigid_force, w.stabiliser_force[0], w.b[0]) == (w.F[0], 0.0, 0.0)
+    np.testing.assert_allclose(w.tip.F, [7.0, *(-7.0 * w.friction.c - w.friction.viscous)], rtol=1e-10)
+    assert (w.tip.rigid_force, w.tip.stabiliser_force[0], w.tip.b[0]) == (w.tip.F[0], 0.0, 0.0)
 
 
 def test_a_way_that_is_none_or_too_long_ago_gives_no_force():
@@ -268,10 +273,10 @@ def test_a_way_that_is_none_or_too_long_ago_gives_no_force():
         loop, way, C, _ = near_the_pose(2)
         state, constants, w = loop.state, loop.constants, loop.w
         way.time[:], way.lever[:], way.push[:], w.time = [0.2, 0.1], lever, -7.0 * np.array(lever), time
-        state.approached, state.unilateral, w.a[0] = approached, 1, w.S[0, 1:] @ w.viscous
+        state.approached, state.settings.unilateral, w.tip.a[0] = approached, 1, w.tip.S[0, 1:] @ w.friction.viscous
         assert interpreted(force_in_singular_pose)(C, w, constants, state) == expected
         if expected == OK:
-            np.testing.assert_allclose(w.F, [0.0, *-w.viscous], atol=1e-12)  # it cannot pull
+            np.testing.assert_allclose(w.tip.F, [0.0, *-w.friction.viscous], atol=1e-12)  # it cannot pull
 
 
 @pytest.mark.parametrize("push", [0.0, 0.9, -0.9, 1.1, -1.1])
@@ -280,13 +285,13 @@ def test_a_push_is_told_from_both_sides_of_the_pose(push):
     loop, way, C, most = near_the_pose(3)
     constants, w, before, after = loop.constants, loop.w, 0.03, 0.05
     way.time[0], way.lever[0], w.time, rate = 0.2, before, 0.3, (before + after) / 0.1
-    w.S[0, 0] = after * after
-    w.S[1, 1] -= after * after  # the trace as it was
+    w.tip.S[0, 0] = after * after
+    w.tip.S[1, 1] -= after * after  # the trace as it was
     way.push[0] = 7.0 * before + push * most(rate)
-    way.row[:] = -w.X[0]
+    way.row[:] = -w.tip.X[0]
     rigid = (-7.0 * after + push * most(rate)) / -after  # of g with the other sign
     assert interpreted(pushed_on_the_way)(C, w, constants, rigid) == (abs(push) > 1.0)
-    way.row[:] = w.X[0]
+    way.row[:] = w.tip.X[0]
     assert not interpreted(pushed_on_the_way)(C, w, constants, rigid)
 
 
@@ -298,8 +303,8 @@ def test_what_is_remembered_of_the_way():
     remember(w, state)
     assert state.approached == 0
     for k, lever in enumerate((0.04, 0.03)):
-        w.S[0, 0], w.begin_time, w.F[0], w.stabiliser_force[0] = lever**2, 0.1 * (k + 1), 7.0, 2.0
+        w.tip.S[0, 0], w.start.time, w.tip.F[0], w.tip.stabiliser_force[0] = lever**2, 0.1 * (k + 1), 7.0, 2.0
         remember(w, state)
     assert state.approached == 2
     np.testing.assert_allclose([way.time, way.lever, way.push], [[0.2, 0.1], [0.03, 0.04], [0.15, 0.2]], rtol=1e-14)
-    np.testing.assert_array_equal(way.row, w.X[0])
+    np.testing.assert_array_equal(way.row, w.tip.X[0])

@@ -79,9 +79,9 @@ class Solved:
     def residuals(self):
         """Return the relative residuals of the two block rows."""
         found = SimpleNamespace(
-            A=self.A, S=self.S, drift_c=np.zeros(3), b=self.b, a=self.a, qdd=self.qdd, F=self.F
+            A=self.A, S=self.S, drift_c=np.zeros(3), b=self.b, a=self.a, F=self.F
         )  # fmt: skip
-        return interpreted(residuals)(self.H, self.tau, self.C, found, 0, self.m)
+        return interpreted(residuals)(self.H, self.tau, self.C, self.qdd, found, 0, self.m)
 
     def condition(self):
         """Return the 1-norm condition number of Eq. 24 with its normal row; keep that of H."""

@@ -6,7 +6,7 @@ import pytest
 import closedloop as cl
 import robot_models
 from closedloop.command.cautions import warn_of_gains
-from closedloop.record.report.step_error import step_rows, variation
+from closedloop.record.report.step_error import grows, step_rows, variation
 from closedloop.scenario.modes import unresolved, unresolved_feedback, wrong_by, wrong_decay
 
 ELASTIC = {"transmission.stiffness": 7e4, "transmission.damping": 3.8, "transmission.motor_inertia": 0.05}
@@ -164,3 +164,72 @@ def test_loops_state_the_error_of_their_step(name, integrator):
     stated = cl.simulate(scenario, engine="compiled").summary()["step_error"]
     assert run.halved["force"] <= stated["contact_force"]
     assert run.halved["position"] <= stated["position"]
+
+
+def beside_half_of(name, changes):
+    """Return a run and what it states of f, beside how far its f, peak and lowest f are from those at half the step."""
+    scenario = cl.load_scenario(name, changes)
+    halved = cl.halve(scenario, engine="compiled").halved
+    off = [halved["values"][key]["difference"] for key in ("peak_contact_force", "min_contact_force")]
+    return cl.simulate(scenario, engine="compiled").summary()["step_error"], max(halved["force"], *off)
+
+
+RAMP = {"friction.kind": "none", "force_profile.kind": "waypoints", "force_profile.times": [0.0, 0.004],
+        "force_profile.forces": [10.0, 12.0]}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        # A held torque lets f drift until the next sample, which no row shows.
+        ("wam_hybrid_friction", RAMP),
+        # The path starts between two rows, and f is highest there.
+        ("planar2_slide", {"reference.start": 0.11535680029245812, "stabiliser.kind": "none",
+                           "time.integrator": "rk4"}),
+        # The last stage of the step before already has the path that jumps.
+        ("soft_table", {"robot.drive_inertia": False, "compliance.stiffness": 203.66421631162567,
+                        "time.integrator": "rk4"}),
+        # Slip begins within a step.
+        ("wam_slide_unstabilised", {"friction.kind": "karnopp", "friction.kinetic": 0.2, "friction.static": 0.9,
+                                    "friction.dead_band": 1e-3, "time.integrator": "rk4"}),
+    ],
+)  # fmt: skip
+def test_what_happens_between_two_rows_is_in_the_stated_error(name, changes):
+    """Largest and least f too, which lie between the rows of the longer step."""
+    stated, off = beside_half_of(name, {**changes, "time.duration": 0.6})
+    assert stated["why_not"] is None
+    assert 0.0 < off <= stated["contact_force"] < 1.0
+
+
+def test_rest_on_friction_after_an_impact_and_coarse_encoders_are_said_to_be_unknown():
+    """Which force friction bears there is another at every step; without friction, or still moving, it is known."""
+    rest = {"joint_friction.kind": "seven_parameter", "joint_friction.kinetic": 0.192, "joint_friction.rise_time": 0.05,
+            "joint_friction.static_excess": 0.13, "joint_friction.stiffness": 776.0,
+            "joint_friction.memory_delay": 0.003, "joint_friction.stribeck_speed": 0.01}  # fmt: skip
+    for changes, why in (
+        (rest | {"time.duration": 0.3}, "joint_friction"),
+        ({"time.duration": 0.05}, None),
+        ({"encoder.quantisation": 1e-3, "time.duration": 0.05}, "encoder.quantisation"),
+    ):
+        found = cl.simulate(cl.load_scenario("four_bar", {**changes, "time.integrator": "rk4"}), engine="compiled")
+        stated = found.summary()["step_error"]
+        assert (stated["why_not"] or "None").startswith(str(why))
+        assert (stated["contact_force"] is None) == (why is not None)
+
+
+def test_exponential_growth_is_no_sum_of_the_steps_errors():
+    """From rounding to a newton, also as a swing; not a path that starts as t⁵, nor noise, nor a jump."""
+    t = np.linspace(0.0, 1.0, 601)
+    rng = np.random.default_rng(0)
+    assert grows(1e-15 * np.exp(35.0 * t))
+    assert grows(1e-15 * np.exp(35.0 * t) * np.sin(200.0 * t))
+    for other in (t**3, t**5, np.maximum(0.0, t - 0.5) ** 5, rng.normal(size=601), 1.0 * (t > 0.7), 0.0 * t, t[:5]):
+        assert not grows(other)
+
+
+def test_without_a_surface_no_error_of_f_is_stated():
+    """Neither a zero nor "not known": there is no f."""
+    found = cl.simulate(cl.load_scenario("gripper_block", {"time.duration": 0.02})).summary()
+    assert found["step_error"]["contact_force"] is None
+    assert found["step_error"]["why_not"] is None
+    assert [row[0] for row in step_rows(found["step_error"])] == ["tip is within"]

@@ -17,10 +17,12 @@ import closedloop as cl
 from closedloop.base import files
 from closedloop.base.progress import progress_text
 from closedloop.command import sweep as sweep_command
-from closedloop.studies.sweep import Design, Sweep, parse_axis, run_sweep
 from closedloop.studies.sweep import join as join_module
 from closedloop.studies.sweep import store as store_module
-from closedloop.studies.sweep.design import BLOCK
+from closedloop.studies.sweep.axes import parse_axis
+from closedloop.studies.sweep.design import BLOCK, Design
+from closedloop.studies.sweep.run import run_sweep
+from closedloop.studies.sweep.sweep import Sweep
 
 
 def values_of(text, drawn=False):

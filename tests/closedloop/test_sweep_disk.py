@@ -12,8 +12,11 @@ import closedloop as cl
 from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
 from closedloop.record.unfailing import Unfailing
-from closedloop.studies.sweep import Design, Sweep, parse_axis, run_sweep
+from closedloop.studies.sweep.axes import parse_axis
+from closedloop.studies.sweep.design import Design
+from closedloop.studies.sweep.run import run_sweep
 from closedloop.studies.sweep.store import Store
+from closedloop.studies.sweep.sweep import Sweep
 
 KEPT = (
     "wam_slide", "--time.duration", "0.2", "--over", "law.force=5:15:24", "--keep", "f,q", "--out", "t.parquet",

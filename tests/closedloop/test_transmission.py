@@ -44,7 +44,7 @@ def test_spring_damper_and_motor_are_their_formulas():
     angle, rate = w.z[states : states + 3].copy(), w.z[states + 3 :].copy()
     interpreted(transmit)(w, constants)
     passed = constants.stiffness * (angle - w.q) + constants.shaft_damping * (rate - w.v)
-    assert w.transmitted == pytest.approx(passed, rel=1e-14)
+    assert w.drives.transmitted == pytest.approx(passed, rel=1e-14)
     interpreted(motor_rates)(w, constants)
     inertia = np.array([constants.motor_inertia[0], np.inf, constants.motor_inertia[2]])
     acceleration = (w.torque - passed) / inertia

@@ -10,6 +10,7 @@ to rest though there is friction and the bounces have had their time.
 from __future__ import annotations
 
 import argparse
+import math
 import tempfile
 import time
 from collections import Counter
@@ -17,13 +18,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from boxes import drop_in_any_pose, simulate
+from boxes import G, drop_in_any_pose, simulate
 
 import closedloop as cl
 
 # What is wrong: a gap below this, m; force outside the cone, of the largest; energy that grows in a step, of that
 # which there is; speed at rest, rad/s (m/s).
 GAP, CONE, RISE, REST = -1e-9, 1e-9, 1e-9, 1e-6
+# With a coefficient of friction below this a box may slide on for long.
+SLIPPERY = 0.04
 
 
 def examine(run: Any, mu: Any, rests: bool = True) -> dict[str, float]:
@@ -45,7 +48,7 @@ def examine(run: Any, mu: Any, rests: bool = True) -> dict[str, float]:
     ):
         if bad(value):
             wrong[name] = value
-    if rests and run.stopped is None and mu > 0.04:
+    if rests and run.stopped is None and mu > SLIPPERY:
         speed = float(np.max(np.abs(run.v[-1])))
         if speed > REST:
             wrong["moves"] = speed
@@ -70,7 +73,10 @@ def main() -> None:
                 break
             feet = args.feet[k % len(args.feet)]
             half, at, start, mu, e = drop_in_any_pose(feet, k)
-            changes = {"time.duration": args.duration, "time.integrator": args.integrator}
+            # Friction takes μ g of the speed in each second, be it of sliding or, at the feet, of turning.
+            fastest = float(np.linalg.norm(start[1][:3]) + np.linalg.norm(start[1][3:]) * np.linalg.norm(half))
+            slides = math.ceil(1.0 + fastest / (mu * G)) if mu > SLIPPERY else 0
+            changes = {"time.duration": max(args.duration, slides), "time.integrator": args.integrator}
             try:
                 since, failure = time.process_time(), ""
                 run = simulate(Path(folder), half, at, start, mu, e, **changes)

@@ -27,7 +27,7 @@ FIRST = [
                                                      "friction": {"kind": "lugre", "kinetic": 0.2, "static": 0.3,
                                                                   "stribeck_speed": 0.01, "stiffness": 1e4,
                                                                   "damping": 10.0}}, {}),
-    *(Case(name, shipped_tables(name), {}) for name in ("four_bar", "gripper_block", "panda_polish")),
+    *(Case(name, shipped_tables(name), {}) for name in ("four_bar", "gripper_gear", "panda_polish")),
 ]  # fmt: skip
 
 

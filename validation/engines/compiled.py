@@ -71,9 +71,9 @@ class Compiled(ClosedLoop):
         loop = make_loop(n, stages=scheme.stages)
         state, constants, w = loop
         constants.h = constants.node = 1e-3
-        w.frame[:] = contact_frame(normal)
-        state.sampled, state.risen = 0, 1  # the torque is given
-        state.nodes_per_step, state.semi_implicit = 1, 1
+        w.tip.frame[:] = contact_frame(normal)
+        state.sampled, state.cleared = 0, 1  # the torque is given
+        state.settings.nodes_per_step, state.settings.semi_implicit = 1, 1
         state.mode = FREE
         if b is not None:
             state.mode, constants.s_p = PRESSED, 1.0

@@ -94,7 +94,7 @@ class ClosedLoop(Engine):
         tip = SimpleNamespace(
             frame=contact_frame(normal), J=J, r=r, drift=moving, v=before, A=A, p=p, u=u, drift_c=drift
         )
-        interpreted(into_contact_frame)(tip)
+        interpreted(into_contact_frame)(tip, tip)
         return float(-drift[0] + baumgarte_acceleration(gains[0], gains[1], u[0], p[0] - offset))
 
     def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:

@@ -105,15 +105,15 @@ def ask_loop(case: Case, engine: str, fault: LoopFault = SOUND) -> Motion:
     entry, kept = sound, None
     if fault is not SOUND:
         entry = fault.entry(sound)
-        state.loops, kept = (interpreted_address(entry), None) if jit_disabled() else callback(entry)
-    state.sampled, state.steps = 0, 0  # the torque is given, and one row is all
+        state.loops.entry, kept = (interpreted_address(entry), None) if jit_disabled() else callback(entry)
+    state.sampled, state.settings.steps = 0, 0  # the torque is given, and one row is all
     w.torque[:] = case.torque
     memory.rows.q[:], memory.rows.v[:] = case.q, case.v
     interpreted(locate_rows)(memory.links, memory.rows)
     interpreted(factor)(memory.links, memory.rows, memory.rows.drift, int(memory.links.m))
     entry(memory.address, DRIVE)  # as after a law
     u = problem.frame @ problem.robot.terms(case.q, case.v).jacobian @ case.v
-    w.direction[:] = u[1:] / max(float(np.linalg.norm(u[1:])), 1e-300)
+    w.friction.direction[:] = u[1:] / max(float(np.linalg.norm(u[1:])), 1e-300)
     rows, events = np.zeros((1, Row.count(n))), np.zeros((4, EVENT_WIDTH))
     arrays = problem.table, problem.integrator.tableau(), rows
     _, many = driver(problem, loop_for(engine), loop, arrays, engine)

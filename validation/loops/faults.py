@@ -89,16 +89,16 @@ def _with_drift(drift: Callable[[LoopMemory], np.ndarray[Any, Any]]) -> Callable
 
     def spoil(memory: LoopMemory, w: Any) -> None:
         links, rows = memory
-        w.drift_c[:] -= rows.moved
+        w.tip.drift_c[:] -= rows.moved
         interpreted(meet)(links, rows, -drift(memory))
         rows.part[:] = rows.met
         interpreted(multiply_transposed)(w.L, rows.part, int(links.n))
         interpreted(take_free)(links, rows, rows.part)
         for k in range(3):
-            row = np.array(w.A[k])
+            row = np.array(w.tip.A[k])
             interpreted(forward_substitute)(w.L, row)
             rows.moved[k] = row @ rows.part
-        w.drift_c[:] += rows.moved
+        w.tip.drift_c[:] += rows.moved
 
     return _spoiled(BIND_TIP, spoil)
 
@@ -113,8 +113,8 @@ def _one_direction_more(memory: LoopMemory, w: Any) -> None:
     links, rows = memory
     links.free, links.spanned = 1, 0  # of a mechanism that has one way to move
     for k in range(3):
-        interpreted(leave_free)(links, rows, w.X[k])
-    w.S[:] = np.array(w.X) @ np.array(w.X).T
+        interpreted(leave_free)(links, rows, w.tip.X[k])
+    w.tip.S[:] = np.array(w.tip.X) @ np.array(w.tip.X).T
 
 
 def _counted(self: LoopOracle, q: Any, v: Any) -> list[RowsByHand]:

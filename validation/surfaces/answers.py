@@ -106,15 +106,15 @@ def ask_loop(case: Case, engine: str, fault: Callable[[Problem], Problem] = lamb
     n, loop = problem.robot.n, problem.loop()
     state, _, w = loop
     problem.connect(loop)
-    state.sampled, state.steps = 0, 0  # the torque is given, and one row is all
+    state.sampled, state.settings.steps = 0, 0  # the torque is given, and one row is all
     w.time, w.torque[:] = case.t, case.torque
     terms = problem.robot.terms(case.q, case.v)
     now = problem.surface.touching(terms.position, terms.jacobian @ case.v, case.t)
     u = now.frame @ terms.jacobian @ case.v - now.carried
-    w.direction[:] = u[1:] / np.linalg.norm(u[1:])
-    w.anchor[:] = case.anchor
+    w.friction.direction[:] = u[1:] / np.linalg.norm(u[1:])
+    w.tip.anchor[:] = case.anchor
     if problem.surface.fixed_plane:  # there a place on the surface is in the contact frame
-        w.anchor[:] = now.frame @ (case.axes.T @ case.anchor + case.origin)
+        w.tip.anchor[:] = now.frame @ (case.axes.T @ case.anchor + case.origin)
     rows, events = np.zeros((1, Row.count(n))), np.zeros((4, EVENT_WIDTH))
     arrays = problem.table, problem.integrator.tableau(), rows
     _, many = driver(problem, loop_for(engine), loop, arrays, engine)

@@ -15,6 +15,7 @@ from closedloop.control.reference.joint_path import JointPath
 from closedloop.control.reference.no_normal import refuse_without_normal
 from closedloop.control.reference.orientation import orientation_of
 from closedloop.control.reference.path import Path, path_on
+from closedloop.control.reference.table import Reference
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.control.reference.tool_fit import refuse_tool_too_large
 
@@ -69,19 +70,17 @@ class Desired:
     force: float
 
     def table(self, instants: Array, spare: int = 0) -> Array:
-        """Return the (P, 2n + 10) table at `instants` (P,), s; at a discontinuity with the right limit.
+        """Return the table at `instants` (P,), s, rows of `Reference`; at a discontinuity with the right limit.
 
         `spare` columns of zeros are appended.
-
-        Columns: q_des (n), rad (m), and q̇_des (n), rad/s (m/s); the tip's position (3), m, velocity (3), m/s, and
-        acceleration (3), m/s², base axes; f_des (1), N.
         """
         n = self.joints.q.shape[1]
-        table = np.zeros((instants.size, 2 * n + 10 + spare))
+        table = np.zeros((instants.size, Reference.count(n) + spare))
         self.joints.write(instants, table, 2)
-        for at, x in zip(range(2 * n, 2 * n + 9, 3), self.tip.sample(instants), strict=True):
-            table[:, at : at + 3] = x
-        table[:, 2 * n + 9] = force_at(self.profile, self.force, instants)
+        to = Reference(table.T, n)
+        for part, x in zip((to.position, to.velocity, to.acceleration), self.tip.sample(instants), strict=True):
+            part[:] = x.T
+        table[:, Reference.place("force", n)] = force_at(self.profile, self.force, instants)
         return table
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.export.mjcf_text import element, quaternion
 from closedloop.figures.scene.scene import Scene
+from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.record.columns.touching import placed_frame
 from robot_models.loop_joint import LoopJoint
 
@@ -28,7 +29,7 @@ HELD = ("point", "hinge", "weld", "gear", "distance")  # types of loop joints th
 
 
 def check_joined(scene: Scene) -> None:
-    """Refuse loop joints that MuJoCo has no equality for, and contacts of links with what is no plane at rest.
+    """Refuse loop joints that MuJoCo has no equality for, and contacts of links but of points and balls with planes.
 
     Raises
     ------
@@ -40,7 +41,17 @@ def check_joined(scene: Scene) -> None:
                 f"--to mjcf: MuJoCo has no equality for a {loop.type}, as {loop.name!r} of {scene.run.model.name} is; "
                 "use --to csv or --to mcap"
             )
-    for touching in scene.touching:
+    for section, touching in zip(scene.run.scenario.contact or (), scene.touching, strict=True):
+        if section.half_axes is not None:
+            raise ScenarioError(
+                f"--to mjcf: contact {touching.name!r} is of an ellipsoid or the edge of a disc, and only points and "
+                "balls are written; use --to csv or --to mcap"
+            )
+        if has_other_law(section):
+            raise ScenarioError(
+                f"--to mjcf: contact {touching.name!r} has a law of friction that MuJoCo has not; "
+                "use --to csv or --to mcap"
+            )
         if touching.surface is not None:
             raise ScenarioError(
                 f"--to mjcf: contact {touching.name!r} has a surface that is curved or moves, and only planes at rest "
@@ -60,11 +71,11 @@ def add_joined_parts(body: ElementTree.Element, joint: int, scene: Scene, mechan
                     element(body, "site", name=_site(loop, side, end), pos=place, quat=quaternion(turned), group=GROUP)
     for section, touching in zip(scene.run.scenario.contact or (), scene.touching, strict=True):
         if touching.point_frame == joint:
-            _add_geom(body, f"{touching.name} point", "sphere", touching.point, (BALL,))
+            _add_geom(body, f"{touching.name} point", "sphere", touching.point, (section.radius or BALL,))
         if touching.plane_frame == joint:
             _, rotation, origin = placed_frame(mechanism, section.against)
             normal, half = touching.axes[0], scene.size
-            place = origin + rotation @ np.array(section.through) - BALL * normal
+            place = origin + rotation @ np.array(section.through) - (0.0 if section.radius else BALL) * normal
             turned = quaternion(touching.axes[[1, 2, 0]].T)
             if joint:  # MuJoCo has planes in the world only
                 place = place - half * normal
@@ -106,9 +117,10 @@ def add_pairs(root: ElementTree.Element, scene: Scene) -> None:
         return
     pairs = element(root, "contact")
     for section, touching in zip(scene.run.scenario.contact or (), scene.touching, strict=True):
-        rubs = {"condim": 3, "friction": (section.friction, section.friction, 0.0, 0.0, 0.0)}
+        mu = coulomb_of(section)
+        rubs = {"condim": 3, "friction": (mu, mu, 0.0, 0.0, 0.0)}
         geoms = {"geom1": f"{touching.name} point", "geom2": f"{touching.name} plane"}
-        element(pairs, "pair", name=touching.name, **geoms, **(rubs if section.friction > 0.0 else {"condim": 1}))
+        element(pairs, "pair", name=touching.name, **geoms, **(rubs if mu > 0.0 else {"condim": 1}))
 
 
 def _add_geom(

@@ -13,14 +13,19 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.motion import SurfaceMotion
 from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.mechanics.surface.surface import Surface
 from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario
 from robot_models.cached import cached_property
+from robot_models.loop_joint import WORLD
 
 Array = NDArray[np.float64]
 
 # The patch of the surface reaches this far beyond the path, m, or a share of the path's size.
 MARGIN, SHARE = 0.06, 0.3
+# And a floor that links touch this share of the size of what is on it.
+FLOOR = 0.5
 # A surface that the tip never comes so near, m, is out of the way: the arms hold each other or a thing.
 FAR = 1.0
 # Vertices along a side of a curved surface.
@@ -89,6 +94,22 @@ class Ground:
         if self.placed is None:
             return np.eye(3), np.zeros(3)
         return self.placed.displacement(float(self.run.time[row]))
+
+
+def floor_mesh(scenario: Scenario, points: Array) -> tuple[Array, NDArray[np.uint32]]:
+    """Return the plane of the world that links touch, below and around points (k, 3), m, as two triangles.
+
+    Empty where no contact is with such a plane.
+    """
+    for section in scenario.contact or ():
+        if section.against == WORLD and (section.surface is None or section.surface.kind == "plane"):
+            frame, through = contact_frame(unit(section.normal, "normal")), np.array(section.through)
+            along = (points - through) @ frame[1:].T
+            low, high = along.min(axis=0), along.max(axis=0)
+            margin = max(MARGIN, FLOOR * float(np.max(high - low)))
+            corners = [(x, y) for x in (low[0] - margin, high[0] + margin) for y in (low[1] - margin, high[1] + margin)]
+            return through + np.array(corners) @ frame[1:], _triangles(2, 2)
+    return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32)
 
 
 def _whole(placed: PlacedSurface, cells: int) -> tuple[Array, NDArray[np.uint32]]:

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from closedloop.figures.scene.ground import Ground
+from closedloop.figures.scene.ground import Ground, floor_mesh
 from closedloop.figures.scene.joined import Joined, reactions_in, robot_in
 from closedloop.figures.scene.shapes import Shape, robot_shapes
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -102,8 +102,14 @@ class Scene:
 
     @cached_property
     def surface(self) -> tuple[Array, NDArray[np.uint32]]:
-        """The surface at t = 0: vertices (k, 3), m, base frame, and triangles (l, 3); none if it is out of the way."""
-        return self.ground.mesh if self.ground.there else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32))
+        """The surface at t = 0: vertices (k, 3), m, base frame, and triangles (l, 3); none if it is out of the way.
+
+        Where the tip has none, it is the plane of the world that links touch.
+        """
+        if self.ground.there:
+            return self.ground.mesh
+        rows = np.unique(np.linspace(0, len(self.run) - 1, 20).round().astype(int))
+        return floor_mesh(self.run.scenario, np.vstack([self.joint_places(int(row))[1] for row in rows]))
 
     @cached_property
     def marks(self) -> list[Mark]:
@@ -188,6 +194,7 @@ class Scene:
         """The kinds of arrows that this run has."""
         there = self.ground.there
         some = {LOOP: self.joined.loops, TOUCH: self.touching, "contact force": there, "friction": there}
+        some["commanded force"] = bool(np.any(self.run.reference_force))
         return [kind for kind in ARROWS if some.get(kind, True)]
 
     @cached_property

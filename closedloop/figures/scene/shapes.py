@@ -1,7 +1,7 @@
 """The visible shapes of a robot: triangles, each set fixed in the frame of a joint.
 
-The visual shapes of its URDF are used: boxes, cylinders, spheres, and meshes where their files are installed. A robot
-without any, or given as MJCF, is drawn as a rod from each joint to the next.
+The visual shapes of its URDF are used: boxes, cylinders, spheres, and meshes where their files are installed; or the
+geoms of its MJCF. A robot without any is drawn as a rod from each joint to the next.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_models import RobotModel
+from robot_models.collision import collision_shapes
+from robot_models.mesh_files import mesh_file, source_folder
 
 if TYPE_CHECKING:
     import trimesh
@@ -24,8 +26,6 @@ Array = NDArray[np.float64]
 
 # Triangles of one visual shape at most, where the library that reduces meshes is installed.
 MOST_TRIANGLES = 1500
-# Formats that are read; a description may name any file.
-FORMATS = (".dae", ".stl", ".obj", ".ply")
 GREY, ROD, MARK = (0.62, 0.65, 0.68), (0.30, 0.45, 0.60), (0.62, 0.48, 0.80)
 
 
@@ -55,7 +55,7 @@ class Shape:
 def robot_shapes(model: RobotModel, tip: str) -> tuple[Shape, ...]:
     """Return the shapes of a robot whose frame `tip` is the tip."""
     mechanism = model.pinocchio_model()
-    shapes = _visuals(model, mechanism) if model.format == "urdf" else []
+    shapes = _visuals(model, mechanism) if model.format == "urdf" else _geoms(model, mechanism)
     return tuple(shapes or _rods(mechanism, tip))
 
 
@@ -75,8 +75,32 @@ def _visuals(model: RobotModel, mechanism: Any) -> list[Shape]:
         for visual in link.visuals:
             origin = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=float)
             place = frame.placement.homogeneous @ origin
-            for mesh, colour in _meshes(visual, named, _source_folder(model)):
+            for mesh, colour in _meshes(visual, named, source_folder(model.source)):
                 shapes.append(_shape(int(frame.parentJoint), mesh, place, colour or GREY))
+    return shapes
+
+
+def _geoms(model: RobotModel, mechanism: Any) -> list[Shape]:
+    """Return the geoms that an MJCF gives, but for meshes and planes."""
+    import trimesh
+
+    shapes = []
+    for link in model.frames:
+        for geom in collision_shapes(model, link, visual=True):
+            a, b, _ = geom.size
+            if geom.kind == "box":
+                mesh = trimesh.creation.box(2.0 * geom.size)
+            elif geom.kind == "cylinder":
+                mesh = trimesh.creation.cylinder(a, 2.0 * b, sections=32)
+            elif geom.kind == "capsule":
+                mesh = trimesh.creation.capsule(2.0 * b, a)
+                mesh.apply_translation(-mesh.bounds.mean(axis=0))
+            else:
+                mesh = trimesh.creation.icosphere(3)
+                mesh.apply_scale(geom.size if geom.kind == "ellipsoid" else a)
+            frame = mechanism.frames[mechanism.getFrameId(link)]
+            place = frame.placement.homogeneous @ geom.place
+            shapes.append(_shape(int(frame.parentJoint), mesh, place, geom.colour or GREY))
     return shapes
 
 
@@ -103,7 +127,7 @@ def _meshes(visual: Any, named: dict[str, Any], folder: Path | None) -> list[tup
         return [(trimesh.creation.icosphere(3, shape.sphere.radius), colour)]
     if shape.mesh is None:
         return []
-    file = _file_of(shape.mesh.filename, folder)
+    file = mesh_file(shape.mesh.filename, folder)
     if file is None:
         return []
     scale = np.ones(3) if shape.mesh.scale is None else np.broadcast_to(np.asarray(shape.mesh.scale, dtype=float), 3)
@@ -142,36 +166,6 @@ def _reduced(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
         return mesh.simplify_quadric_decimation(face_count=most)
     except ImportError:
         return mesh
-
-
-def _source_folder(model: RobotModel) -> Path | None:
-    """Return the folder of the file that a robot was read from, None if it came with a package."""
-    source = Path(model.source)
-    return source.parent.resolve() if source.suffix == ".urdf" and source.is_file() else None
-
-
-def _file_of(name: str, folder: Path | None) -> Path | None:
-    """Return the file of a mesh if it is there: of example-robot-data, or below the parent of the URDF's folder."""
-    if name.startswith("package://"):
-        share = _share()
-        path, root = (None, None) if share is None else (share / name.removeprefix("package://"), share)
-    else:
-        path, root = (None, None) if folder is None else (folder / name.removeprefix("file://"), folder.parent)
-    if path is None or root is None or path.suffix.lower() not in FORMATS:
-        return None
-    path = path.resolve()
-    return path if path.is_relative_to(root.resolve()) and path.is_file() else None
-
-
-@lru_cache(maxsize=1)
-def _share() -> Path | None:
-    """Return the folder in which the package example-robot-data lies."""
-    from example_robot_data import robots_loader
-
-    try:
-        return Path(robots_loader.getModelPath("/panda_description/urdf/panda.urdf")).resolve().parents[1]
-    except OSError:
-        return None
 
 
 def _rods(mechanism: Any, tip: str) -> list[Shape]:

@@ -13,7 +13,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.phases import (
     AFTER_EVENT,
@@ -28,16 +27,17 @@ from closedloop.loop.events.phases import (
     request_terms,
 )
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
-from closedloop.loop.events.table import LIFTOFF, RELEASE, STOP, EventRow
-from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED
+from closedloop.loop.events.table import EDGE, LIFTOFF, RELEASE, STOP, EventRow
+from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED, open_margin
 from closedloop.loop.step.entries import RESTART
 from closedloop.loop.step.evaluate import call_law
-from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.loop.step.memory import Constants, State, Work, ask_contacts
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
-from closedloop.mechanics.contacts.given_modes import STILL
+from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
-from closedloop.mechanics.contacts.modes import HOVERING
+from closedloop.mechanics.contacts.modes import HOVERING, TOUCHING, touches
+from closedloop.mechanics.contacts.soft import stored_in
 
 Array = NDArray[np.float64]
 
@@ -45,39 +45,77 @@ Array = NDArray[np.float64]
 @kernel
 def apply_contact_event(w: Work, constants: Constants, state: State, events: Array) -> int:
     """Apply the impulses of the contacts that come together, if any do; the modes follow with the terms after them."""
-    links, c = contacts_at(state.contacts_at)
-    if state.events + 2 * links.k > events.shape[0]:
+    links, c = contacts_at(state.contacts.at)
+    if state.event.rows + 3 * links.k > events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
     if state.together == 0:
-        join_tip(w, links, c, constants, state)
-        request_terms(state, AT_EVENT)
+        if pass_beside(links, c):
+            join_tip(w, links, c, constants, state)
+        request_terms(state, AT_EVENT if state.together != 0 else AFTER_EVENT)
         return NEED_TERMS
     count_event(w, state)
-    state.kind = 0
-    links.stepped, links.tired = 0, 1 if state.rapid_events > MAX_RAPID else 0
+    leave_edges(w, links, c, state, events)
+    state.event.kind = 0
+    links.stepped, links.chattering = 0, 1 if state.event.rapid > MAX_RAPID else 0
     if too_many_events(state, 2 * MAX_RAPID):
-        state.status, links.tired = OK, 2
-    call_at(state.contacts, state.contacts_at, PLACE)
+        state.status, links.chattering = OK, 2
+    ask_contacts(state, PLACE)
     if state.striking >= 0:
         i = 3 * state.striking
         for j in range(3):
-            w.before[j] = c.u[i + j]
+            w.impact.before[j] = c.u[i + j]
         state.phase = IMPULSES_KNOWN
         return SOLVE_IMPACT
     return apply_contact_impulses(w, state, events)
 
 
 @kernel
+def pass_beside(links: ContactLinks, c: Contacts) -> bool:
+    """Let open contacts of links that come to their surface's level beyond its edge pass; whether others close."""
+    closes = False
+    for i in range(1, links.points):
+        if open_margin(c, i) <= TOUCHING:
+            c.past_edge[i] = 1.0 if c.inside[i] < 0.0 else 0.0
+            closes = closes or c.past_edge[i] == 0.0
+    return closes
+
+
+@kernel
+def leave_edges(w: Work, links: ContactLinks, c: Contacts, state: State, events: Array) -> None:
+    """End the contacts that have come to the edge of their surface, and let open ones beyond it pass.
+
+    The velocity stays what it is. What the spring of a soft contact has stored is not the robot's.
+    """
+    told = False
+    c.event.energy_lost = c.event.energy_rested = 0.0
+    for i in range(3 * links.k):
+        c.F[i], c.before[i], c.problem.after[i] = 0.0, c.u[i], c.u[i]
+    for i in range(links.k):
+        c.event.happened[i], c.event.struck[i] = 0.0, 0.0
+        if i >= links.points or c.inside[i] >= 0.0 or not touches(links, c, i):
+            continue
+        c.past_edge[i], c.friction.pulls[i] = 1.0, 0.0
+        if c.mode[i] != FREE:
+            c.mode[i], c.event.happened[i], c.cleared[i], told = FREE, EDGE, 0.0, True
+            c.event.energy_lost += stored_in(links, c, i) if c.soft[i] != 0.0 else 0.0
+    if told:
+        ask_contacts(state, PLACE)
+        log_contacts(w, links, c, state, events)
+        w.supply.energy += c.event.energy_lost
+    state.mode, state.past_edge = int(c.mode[0]), int(c.past_edge[0])
+
+
+@kernel
 def apply_contact_impulses(w: Work, state: State, events: Array) -> int:
     """Apply the impulses of contacts that strike, one alone by the law of restitution, or several together."""
-    links, c = contacts_at(state.contacts_at)
-    state.status = call_at(state.contacts, state.contacts_at, IMPULSE)
+    links, c = contacts_at(state.contacts.at)
+    state.status = ask_contacts(state, IMPULSE)
     if state.status != OK:
         return FAIL
     log_contacts(w, links, c, state, events)
     for i in range(links.k):
-        if c.struck[i] != 0.0:
+        if c.event.struck[i] != 0.0:
             call_law(state, RESTART)
             break
     links.undecided = 1
@@ -88,19 +126,20 @@ def apply_contact_impulses(w: Work, state: State, events: Array) -> int:
 @kernel
 def resume_with_contacts(w: Work, constants: Constants, state: State, events: Array) -> int:
     """Find the modes after an event; once they are found, continue to the end of the step."""
-    links, c = contacts_at(state.contacts_at)
+    links, c = contacts_at(state.contacts.at)
     if links.undecided != 0:
-        state.status = call_at(state.contacts, state.contacts_at, DECIDE)
+        state.status = ask_contacts(state, DECIDE)
         if state.status != OK:
             return FAIL
         log_contacts(w, links, c, state, events)
         links.undecided, links.fresh = 0, 0
         state.mode = int(c.mode[0])
+        w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
         if open_but_tip(links, c):
             leave_tip(w, links, c, constants, state)
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
-    if w.contact_margin < 0.0 or stopped_by_others(links, c):
+    if w.contacts.margin < 0.0 or stopped_by_others(links, c):
         return APPLY_EVENT
     return resume_step(w, constants, state)
 
@@ -109,7 +148,7 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
 def stopped_by_others(links: ContactLinks, c: Contacts) -> bool:
     """Whether a contact that slid at the event is at rest after it, by what stopped others: its mode ends."""
     for i in range(links.k):
-        slid = c.mode[i] == PRESSED and c.mu[i] > 0.0 and c.start_slip[i] > STICK_SPEED
+        slid = c.mode[i] == PRESSED and stops_slipping(c, i) and c.friction.start_slip[i] > STICK_SPEED
         if slid and math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) <= STILL:
             return True
     return False
@@ -119,7 +158,7 @@ def stopped_by_others(links: ContactLinks, c: Contacts) -> bool:
 def open_but_tip(links: ContactLinks, c: Contacts) -> bool:
     """Whether the contacts of links are all open: the tip and the stops are then solved by themselves."""
     closed = 0
-    for i in range(1, links.k - links.stops):
+    for i in range(1, links.points):
         closed += 1 if c.mode[i] != FREE else 0
     return closed == 0
 
@@ -127,67 +166,67 @@ def open_but_tip(links: ContactLinks, c: Contacts) -> bool:
 @kernel
 def join_tip(w: Work, links: ContactLinks, c: Contacts, constants: Constants, state: State) -> None:
     """Let the tip and the stops, as they are, take part where all contacts are solved together."""
-    state.together, w.stop_margin = 1, math.inf
-    c.mode[0], c.risen[0], c.start_slip[0] = state.mode, state.risen, w.start_slip_speed
-    c.floor[0], c.turned[0] = min(w.gap, 0.0), 0.0
-    c.direction[0, 0], c.direction[0, 1] = w.direction[0], w.direction[1]
-    for i in range(links.k - links.stops, links.k):
+    state.together, w.stops.margin = 1, math.inf
+    c.mode[0], c.cleared[0], c.friction.start_slip[0] = state.mode, state.cleared, w.start.slip_speed
+    c.floor[0], c.event.turned[0] = min(w.tip.gap, 0.0), 0.0
+    c.direction[0, 0], c.direction[0, 1] = w.friction.direction[0], w.friction.direction[1]
+    for i in range(links.points, links.points + links.stops):
         j = int(c.joint[i])
-        held = w.stopped[j]
+        held = w.stops.side[j]
         low, high = w.q[j] - constants.lower_stop[j], constants.upper_stop[j] - w.q[j]
         c.mode[i], c.side[i] = (FREE, 1.0) if held == 0.0 else (PRESSED, -held)
         c.floor[i] = min(low, high, 0.0)
-        c.risen[i] = 1.0 if min(low, high) > HOVERING else 0.0
-        w.stopped[j], w.stop_torque[j] = 0.0, 0.0
+        c.cleared[i] = 1.0 if min(low, high) > HOVERING else 0.0
+        w.stops.side[j], w.stops.torque[j] = 0.0, 0.0
 
 
 @kernel
 def leave_tip(w: Work, links: ContactLinks, c: Contacts, constants: Constants, state: State) -> None:
     """Let the tip and the stops, as they are, be solved by themselves: the contacts of links are open."""
-    state.together, state.kind, state.risen, links.stepped = 0, 0, int(c.risen[0]), 0
-    w.contact_power, w.contact_power_rate = 0.0, 0.0
-    w.direction[0], w.direction[1] = c.direction[0, 0], c.direction[0, 1]
+    state.together, state.event.kind, state.cleared, links.stepped = 0, 0, int(c.cleared[0]), 0
+    w.contacts.power, w.contacts.power_rate = 0.0, 0.0
+    w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
     for j in range(links.n):
-        w.contact_torque[j] = 0.0
+        w.contacts.torque[j] = 0.0
     for i in range(3 * links.k):
         c.F[i] = 0.0
-    for i in range(links.k - links.stops, links.k):
+    for i in range(links.points, links.points + links.stops):
         j = int(c.joint[i])
-        w.stopped[j] = 0.0 if c.mode[i] == FREE else -c.side[i]
+        w.stops.side[j] = 0.0 if c.mode[i] == FREE else -c.side[i]
         w.q[j] = min(max(w.q[j], constants.lower_stop[j]), constants.upper_stop[j])
 
 
 @kernel
 def log_contacts(w: Work, links: ContactLinks, c: Contacts, state: State, events: Array) -> None:
     """Write a row for each contact to which something happened; the first of them has the energy lost by all."""
-    lost, rested, first_stop = c.energy_lost, c.energy_rested, links.k - links.stops
-    w.supplied -= lost
+    lost, rested, first_stop = c.event.energy_lost, c.event.energy_rested, links.points
+    w.supply.energy -= lost
     for i in range(3):  # a surface that moves does work on the arm
-        w.supplied += c.F[i] * w.carried[i]
+        w.supply.energy += c.F[i] * w.tip.carried[i]
     for i in range(3, 3 * links.k):
-        w.supplied += c.F[i] * c.carried[i]
+        w.supply.energy += c.F[i] * c.carried[i]
     for i in range(links.k):
-        if c.happened[i] == 0.0:
+        if c.event.happened[i] == 0.0:
             continue
-        event, at = EventRow(events[state.events]), 3 * i
+        event, at = EventRow(events[state.event.rows]), 3 * i
         for j in range(events.shape[1]):
-            events[state.events, j] = 0.0
-        event.time, event.kind, event.contact = w.time, c.happened[i], i
+            events[state.event.rows, j] = 0.0
+        event.time, event.kind, event.contact = w.time, c.event.happened[i], i
         if i >= first_stop:
-            event.kind = RELEASE if c.happened[i] == LIFTOFF else STOP
-        event.rate_before, event.rate_after, event.compression = c.before[at], c.after[at], c.F[at]
+            event.kind = RELEASE if c.event.happened[i] == LIFTOFF else STOP
+        event.rate_before, event.rate_after, event.compression = c.before[at], c.problem.after[at], c.F[at]
         event.energy_lost, event.energy_rested = lost, rested
         lost = rested = 0.0
-        if i == state.striking and c.struck[i] != 0.0:
-            event.compression, event.decompression = w.compression[0], w.decompression[0]
-            event.rate_cut = w.discarded_rebound
+        if i == state.striking and c.event.struck[i] != 0.0:
+            event.compression, event.decompression = w.impact.compression[0], w.impact.decompression[0]
+            event.rate_cut = w.impact.discarded_rebound
         event.slip_before = math.hypot(c.before[at + 1], c.before[at + 2])
-        event.slip_after = math.hypot(c.after[at + 1], c.after[at + 2])
-        if i == state.striking and c.struck[i] != 0.0:
-            event.restitution = w.restitution_given
-        elif c.before[at] < 0.0 < c.after[at] and c.struck[i] != 0.0:
-            event.restitution = -c.after[at] / c.before[at]
+        event.slip_after = math.hypot(c.problem.after[at + 1], c.problem.after[at + 2])
+        if i == state.striking and c.event.struck[i] != 0.0:
+            event.restitution = w.impact.restitution_given
+        elif c.before[at] < 0.0 < c.problem.after[at] and c.event.struck[i] != 0.0:
+            event.restitution = -c.problem.after[at] / c.before[at]
         for j in range(3):
             event.tangential[j] = c.axes[at + 1, j] * c.F[at + 1] + c.axes[at + 2, j] * c.F[at + 2]
             event.position[j] = c.point[i, j]
-        state.events += 1
+        state.event.rows += 1

@@ -34,20 +34,20 @@ AT_LIMIT = 1e-12
 def event_function(w: Work, constants: Constants, state: State) -> float:
     """Return the event function, positive as long as nothing changes: a gap, m, a force, N, or a speed, mm/s.
 
-    Of joints with stops `Work.stop_margin` counts too, rad (m) or N m (N), and the gaps of open contacts of links where
-    one of them closes in the substep (`State.watched`): elsewhere they must not choose the instants that are tried.
+    Of joints with stops `Stops.margin` counts too, rad (m) or N m (N), and the gaps of open contacts of links where
+    one of them closes in the substep (`Trial.watched`): elsewhere they must not choose the instants that are tried.
     """
     if state.together != 0:
-        return float(w.contact_margin)
-    stops: float = w.stop_margin if state.stops != 0 else np.inf
-    if state.watched != 0:
-        stops = min(stops, float(w.contact_margin))
+        return float(w.contacts.margin)
+    stops: float = w.stops.margin
+    if state.trial.watched != 0:
+        stops = min(stops, float(w.contacts.margin))
     if state.mode == FREE:
-        return min(float(w.gap) if state.beside == 0 else 1.0, stops)
-    least: float = min(w.rigid_force if state.unilateral != 0 else 1.0, stops)
-    if state.surface != 0 and w.inside < least:
-        least = w.inside
-    if state.sticking in (RIGID_STICK, SPRING_STICK):
+        return min(float(w.tip.gap) if state.past_edge == 0 else 1.0, stops)
+    least: float = min(w.tip.rigid_force if state.settings.unilateral != 0 else 1.0, stops)
+    if w.tip.inside < least:
+        least = w.tip.inside
+    if state.friction.sticking in (RIGID_STICK, SPRING_STICK):
         least = min(least, cone_margin(w, state) if state.mode == STUCK else 1e3 * slip_margin(w, constants))
     return least
 
@@ -55,66 +55,68 @@ def event_function(w: Work, constants: Constants, state: State) -> float:
 @kernel
 def cone_margin(w: Work, state: State) -> float:
     """Return what is left of the friction cone to a tip that sticks, μ_s f − |F_t|, N."""
-    call_at(state.friction, state.address, LIMIT)
-    limit = w.stick_limit * abs(w.F[0])
-    if state.sticking == SPRING_STICK:
+    call_at(state.friction.entry, state.address, LIMIT)
+    limit = w.friction.stick_limit * abs(w.tip.F[0])
+    if state.friction.sticking == SPRING_STICK:
         limit += AT_LIMIT * limit
-    return float(limit - np.hypot(w.F[1], w.F[2]))
+    return float(limit - np.hypot(w.tip.F[1], w.tip.F[2]))
 
 
 @kernel
 def slip_margin(w: Work, constants: Constants) -> float:
     """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
     band = constants.capture_speed
-    along = w.u[1] * w.direction[0] + w.u[2] * w.direction[1]
-    if w.start_slip_speed <= constants.stick_speed:  # at the onset of slip its velocity is of the size of rounding
+    along = w.tip.u[1] * w.friction.direction[0] + w.tip.u[2] * w.friction.direction[1]
+    if w.start.slip_speed <= constants.stick_speed:  # at the onset of slip its velocity is of the size of rounding
         return float(along + constants.stick_speed)
-    return float(along - (band if w.start_slip_speed > band else 0.0))
+    return float(along - (band if w.start.slip_speed > band else 0.0))
 
 
 @kernel
 def choose_trial(w: Work, state: State) -> None:
-    """Choose the next trial instant between w.low and w.high: by the secant, and every third time by bisection."""
-    low, high = w.low, w.high
-    a, b = w.at_low, w.at_high
+    """Choose the next trial instant in the search's bracket: by the secant, and every third time by bisection."""
+    low, high = w.search.low, w.search.high
+    a, b = w.search.at_low, w.search.at_high
     tau = 0.5 * (low + high)
-    if state.trials % 3 != 2 and a > 0.0 > b and a > 1e-6 * -b:
+    if state.trial.steps % 3 != 2 and a > 0.0 > b and a > 1e-6 * -b:
         tau = low + (high - low) * (a / (a - b))
         tau = min(max(tau, low + 0.4 * INSTANT), high - 0.4 * INSTANT)
-    state.trials += 1
-    w.tau = tau
+    state.trial.steps += 1
+    w.search.tau = tau
 
 
 @kernel
 def refine_bracket(w: Work, state: State) -> int:
     """Shrink the bracket by the event function at the end of a trial step, until the instant is known."""
-    tau, value = w.tau, w.event_value
-    if state.trial == CHECK_STAGE:
-        state.trial = LOCATE_EVENT if value < 0.0 else STAGE_CHECKED
-        if state.trial == STAGE_CHECKED:
-            w.tau = w.length
+    tau, value = w.search.tau, w.search.value
+    if state.trial.purpose == CHECK_STAGE:
+        state.trial.purpose = LOCATE_EVENT if value < 0.0 else STAGE_CHECKED
+        if state.trial.purpose == STAGE_CHECKED:
+            w.search.tau = w.length
             return RETRY_SUBSTEP
-    if state.trial == LOCATE_MINIMUM:
-        if w.gap < -SHALLOW:  # the tip penetrates: locate the crossing before
-            state.trial = LOCATE_EVENT
-            w.low, w.at_low = 0.0, max(w.start_gap, 0.0)
+    if state.trial.purpose == LOCATE_MINIMUM:
+        if w.tip.gap < -SHALLOW:  # the tip penetrates: locate the crossing before
+            state.trial.purpose = LOCATE_EVENT
+            w.search.low, w.search.at_low = 0.0, max(w.start.gap, 0.0)
         else:
-            value = -w.rate
+            value = -w.tip.rate
     # The end that stays twice has its value halved, so that the secant moves towards it (Illinois).
     if value > 0.0 or (value == 0.0 and state.mode == FREE):
-        w.low, w.at_low = tau, value
-        w.at_high *= 0.5 if state.trials > 1 else 1.0
+        w.search.low, w.search.at_low = tau, value
+        w.search.at_high *= 0.5 if state.trial.steps > 1 else 1.0
     else:
-        w.high, w.at_high = tau, value
-        w.at_low *= 0.5 if state.trials > 1 else 1.0
-    if w.high - w.low > max(INSTANT, 4e-16 * w.time):
+        w.search.high, w.search.at_high = tau, value
+        w.search.at_low *= 0.5 if state.trial.steps > 1 else 1.0
+    if w.search.high - w.search.low > max(INSTANT, 4e-16 * w.time):
         choose_trial(w, state)
-    elif state.trial == LOCATE_MINIMUM or w.high == w.length:
+    elif state.trial.purpose == LOCATE_MINIMUM or w.search.high == w.length:
         # There is no event in the step, or it is at the row itself: the step is valid.
-        state.trial, state.no_search = NO_TRIAL, 1
-        w.tau = w.length
+        state.trial.purpose, state.trial.off = NO_TRIAL, 1
+        w.search.tau = w.length
     else:
         # An impact is applied just before penetration, every other event just after its mode has ended.
-        state.trial = REACH_EVENT
-        w.tau = w.low if state.mode == FREE and state.together == 0 and state.watched == 0 else w.high
+        state.trial.purpose = REACH_EVENT
+        w.search.tau = (
+            w.search.low if state.mode == FREE and state.together == 0 and state.trial.watched == 0 else w.search.high
+        )
     return RETRY_SUBSTEP

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)
 
 # Phases: what the terms requested last are for, see `closedloop.loop.events.proceed`.
-STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION, MEASURED, PART_END = range(9)
+STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION, MEASURED, PART_END, ASKED = range(10)
 
 # What a trial step is for. With STAGE_CHECKED a trial step has shown that a negative f at a stage was no event.
 NO_TRIAL, STAGE_CHECKED, CHECK_STAGE, LOCATE_EVENT, LOCATE_MINIMUM, REACH_EVENT = range(6)
@@ -56,9 +56,9 @@ OUTPACED = 100
 FAST, LARGEST_TURN = 20.0, 0.02
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
-# e = n·r − d is a sum of a few products of the order of a metre: 4 ε either way. Newton's method converges
-# quadratically: from the nanometres or micrometres after a step in one move; five are for a start a millimetre off.
-CLOSED, MAX_MOVES = 2e-15, 5
+# Moves of a projection: Newton's method converges quadratically, from the nanometres or micrometres after a step in one
+# move; five are for a start a millimetre off.
+MAX_MOVES = 5
 
 
 @kernel_inlined
@@ -67,8 +67,8 @@ def request_terms(state: State, phase: int) -> None:
     state.phase = phase
     if phase == PROJECTION:
         state.sampled = 0
-    elif state.hold > 0:
-        state.sampled = 1 if phase == STEP_END and state.row % state.hold == 0 else 0
+    elif state.settings.hold > 0:
+        state.sampled = 1 if phase == STEP_END and state.row % state.settings.hold == 0 else 0
     else:
         state.sampled = 1
 

@@ -31,8 +31,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import inlined_kernel
+from closedloop.loop.events.asked import answer_asked
 from closedloop.loop.events.contacts import apply_contact_impulses
 from closedloop.loop.events.impacts import apply_impact
 from closedloop.loop.events.locate import event_function, refine_bracket
@@ -41,6 +41,7 @@ from closedloop.loop.events.phases import (
     AFTER_EVENT,
     APPLY_EVENT,
     APPLY_IMPACT,
+    ASKED,
     AT_EVENT,
     BEGIN_SUBSTEP,
     DONE,
@@ -83,7 +84,7 @@ from closedloop.loop.step.energy_supplied import add_stage_work, commit_work
 from closedloop.loop.step.evaluate import evaluate, evaluate_law
 from closedloop.loop.step.joint_friction import stick_or_slip_joints
 from closedloop.loop.step.locate import locate_tip
-from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.loop.step.memory import Constants, State, Work, ask_contacts, ask_loops
 from closedloop.loop.step.record_row import record
 from closedloop.loop.step.seen import back_to_true, read_joints
 from closedloop.loop.step.transmission import lead_motors
@@ -114,7 +115,7 @@ def proceed(
     rows : (N, width) array
         The record, see `closedloop.loop.step.record_row.Row`; row state.row is the next to be written.
     events : (M, EVENT_WIDTH) array
-        The table of events, of which state.events rows are written.
+        The table of events, of which state.event.rows rows are written.
 
     Returns
     -------
@@ -123,7 +124,7 @@ def proceed(
         IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED with state.status.
     """
     phase = state.phase
-    if state.law != 0 and phase == MEASURED:
+    if state.settings.general != 0 and phase == MEASURED:
         status = evaluate_law(H, C, w, constants, state, table)
         if status != OK:
             state.status = status
@@ -132,51 +133,52 @@ def proceed(
         state.phase = STEP_END
         return TERMS
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
-    free = state.mode == FREE and state.stops == 0 and state.together == 0
-    if phase in (STEP_END, PART_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
+    free = state.mode == FREE and state.settings.stops == 0 and state.together == 0
+    if phase in (STEP_END, PART_END, STAGE, AFTER_EVENT, ASKED) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
             state.status = status
             return FAILED
-        if state.stops != 0 and state.together == 0 and phase != STAGE:
+        if phase == ASKED:
+            return answer_asked(H, C, w, constants, state, table, rows)
+        if state.settings.stops != 0 and state.together == 0 and phase != STAGE:
             measure_stops(H, C, w, constants, state)
     elif phase != IMPULSES_KNOWN:
         status = locate_tip(w, constants, state)
         if status != OK:
             state.status = status
             return FAILED
-    if state.contacts != 0 and state.together == 0 and phase in (STEP_END, PART_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
-        state.status = call_at(state.contacts, state.contacts_at, WATCH)
+    if state.together == 0 and phase in (STEP_END, PART_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
+        state.status = ask_contacts(state, WATCH)
         if state.status != OK:
             return FAILED
     todo = NEED_TERMS
     if phase in (STEP_END, PART_END):
-        w.event_value = event_function(w, constants, state)
-        todo = check_step(w, w.drift_c[0], state)
+        w.search.value = event_function(w, constants, state)
+        todo = check_step(w, w.tip.drift_c[0], state)
         if todo == BEGIN_SUBSTEP and phase == PART_END:
             commit_work(w)
             w.length = state.row * constants.h - w.time
         elif todo == BEGIN_SUBSTEP:
             commit_work(w)
             if state.row == 0:
-                w.supplied = 0.0  # row 0 is the state after the events of t = 0, and the balance begins with it
-            if state.law != 0:
-                stick_or_slip_joints(w, constants, state, rows)
+                w.supply.energy = 0.0  # row 0 is the state after the events of t = 0, and the balance begins with it
+            stick_or_slip_joints(w, constants, state, rows)
             record(H, C, w, constants, state, table, rows, state.row)
-            if state.row == state.steps:
+            if state.row == state.settings.steps:
                 return DONE
             state.row += 1
-            state.events_in_step, state.after_event = max(state.events_in_step - OUTPACED, 0), 0
+            state.event.in_step, state.after_event = max(state.event.in_step - OUTPACED, 0), 0
             w.length = constants.h
-        elif todo == RETRY_SUBSTEP and state.hold > 0 and state.sampled != 0:
+        elif todo == RETRY_SUBSTEP and state.settings.hold > 0 and state.sampled != 0:
             for j in range(w.torque.shape[0]):
-                w.torque[j] = w.held[j]  # until the end of the step the torque of the last sample acted
+                w.torque[j] = w.drives.held[j]  # until the end of the step the torque of the last sample acted
     elif phase == STAGE:
-        todo = check_stage(w, state) if state.unilateral != 0 else ADVANCE
-        if state.together != 0 and w.contact_margin <= NO_FORCES:
+        todo = check_stage(w, state) if state.settings.unilateral != 0 else ADVANCE
+        if state.together != 0 and w.contacts.margin <= NO_FORCES:
             todo = end_before_stage(w, state)
     elif phase == TRIAL_END:
-        w.event_value = event_function(w, constants, state)
+        w.search.value = event_function(w, constants, state)
         todo = refine_bracket(w, state)
     elif phase == AT_EVENT:
         todo = APPLY_EVENT
@@ -198,7 +200,7 @@ def proceed(
         else:
             apply_impact(w, constants, state, events)
             todo = NEED_TERMS
-            if state.project != 0 and state.mode != FREE:
+            if state.settings.project != 0 and state.mode != FREE:
                 state.projections, state.next_phase = 0, AFTER_EVENT
                 request_terms(state, PROJECTION)
             else:
@@ -212,18 +214,18 @@ def proceed(
         restore_state(w, state)
         todo = ADVANCE
     if todo == ADVANCE:
-        stage, tau = state.stage, w.tau
+        stage, tau = state.stage, w.search.tau
+        semi_implicit, substep = state.settings.semi_implicit != 0, state.after_event != 0
         add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage])
-        if state.law != 0 and state.semi_implicit != 0:
+        if state.settings.general != 0 and semi_implicit:
             advance_friction(w, state, tau)
-            if state.elastic != 0:
-                lead_motors(w, tau, state.after_event != 0)
-        if state.balls == 0:
-            advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
+            if state.settings.elastic != 0:
+                lead_motors(w, tau, substep)
+        if state.settings.balls == 0:
+            advance(stage, tau, semi_implicit, substep, tableau, w)
         else:
-            advance_on_manifold(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w, constants)
-        if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
-            call_at(state.loops, state.loops_at, CLOSE)
+            advance_on_manifold(stage, tau, semi_implicit, substep, tableau, w, constants)
+        ask_loops(state, CLOSE)  # at every stage: rows that depend on others do so only where the loops are closed
         finish_stage(w, constants.h, state, tableau)
     elif todo == ENLARGE_TABLE:
         return TABLE_FULL
@@ -231,7 +233,7 @@ def proceed(
         return IMPACT_LAW_WANTED
     elif todo == FAIL:
         return FAILED
-    if state.encoder != 0 and state.phase == STEP_END:
+    if state.settings.encoder != 0 and state.phase == STEP_END:
         read_joints(w, constants, state, table)
         state.phase = MEASURED
     return TERMS

@@ -6,13 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
-from closedloop.loop.events.phases import CLOSED, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
+from closedloop.loop.events.phases import FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
 from closedloop.loop.step.closed_loops import factorise_tip
+from closedloop.loop.step.contacts import CLOSE_GAPS, CLOSE_RATES, CLOSED
 from closedloop.loop.step.locate import off_anchor
-from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work
+from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts
 from closedloop.loop.step.turn import move
 from closedloop.mechanics.closure.contact_force import STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.contacts.memory import contacts_at
 
 Array = NDArray[np.float64]
 
@@ -27,35 +29,63 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
     state.status = factorise_tip(H, w, constants, state)
     if state.status != OK:
         return FAIL
-    stuck = state.mode == STUCK and state.sticking == RIGID_STICK
+    if state.together != 0:
+        return project_contacts(w, constants, state)
+    stuck = state.mode == STUCK and state.friction.sticking == RIGID_STICK
     for level in range(2):
-        w.a[0] = w.gap if level == 0 else w.u[0]
-        size = abs(w.a[0])
+        w.tip.a[0] = w.tip.gap if level == 0 else w.tip.u[0]
+        size = abs(w.tip.a[0])
         for i in range(1, 3):
-            w.a[i] = 0.0
+            w.tip.a[i] = 0.0
             if stuck:
-                w.a[i] = off_anchor(w, state, i) if level == 0 else w.u[i]
-                size = max(size, abs(w.a[i]))
+                w.tip.a[i] = off_anchor(w, state, i) if level == 0 else w.tip.u[i]
+                size = max(size, abs(w.tip.a[i]))
         if level == 0 and (size <= CLOSED or state.projections >= MAX_MOVES):
             continue
         if stuck:
             for i in range(3):
-                w.b[i] = 0.0
-            state.status = stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force)
+                w.tip.b[i] = 0.0
+            state.status = stuck_force(w.tip.S, w.tip.a, w.tip.b, w.tip.F, w.tip.stabiliser_force)
             if state.status != OK:
                 return FAIL
         else:
-            w.F[0] = -w.a[0] / w.S[0, 0] if w.S[0, 0] > 0.0 else 0.0
-            w.F[1], w.F[2] = 0.0, 0.0
+            w.tip.F[0] = -w.tip.a[0] / w.tip.S[0, 0] if w.tip.S[0, 0] > 0.0 else 0.0
+            w.tip.F[1], w.tip.F[2] = 0.0, 0.0
         if level == 0:
-            if state.balls == 0:
-                apply_impulse(w.L, w.X, w.F, w.column, w.q)
+            if state.settings.balls == 0:
+                apply_impulse(w.L, w.tip.X, w.tip.F, w.scratch.column, w.q)
             else:
-                answer_impulse(w.L, w.X, w.F, w.column)
+                answer_impulse(w.L, w.tip.X, w.tip.F, w.scratch.column)
                 move(w, constants)
             state.projections += 1
             request_terms(state, PROJECTION)
             return NEED_TERMS
-        apply_impulse(w.L, w.X, w.F, w.column, w.v)
+        apply_impulse(w.L, w.tip.X, w.tip.F, w.scratch.column, w.v)
+    request_terms(state, state.next_phase)
+    return NEED_TERMS
+
+
+@kernel
+def project_contacts(w: Work, constants: Constants, state: State) -> int:
+    """Do `project` for all contacts that are closed, where they are solved together."""
+    n = w.q.shape[0]
+    links, _ = contacts_at(state.contacts.at)
+    state.status = ask_contacts(state, CLOSE_GAPS)
+    if state.status != OK:
+        return FAIL
+    if links.moved != 0 and state.projections < MAX_MOVES:
+        if state.settings.balls == 0:
+            for j in range(n):
+                w.q[j] += w.scratch.column[j]
+        else:
+            move(w, constants)
+        state.projections += 1
+        request_terms(state, PROJECTION)
+        return NEED_TERMS
+    state.status = ask_contacts(state, CLOSE_RATES)
+    if state.status != OK:
+        return FAIL
+    for j in range(n):
+        w.v[j] += w.scratch.column[j]
     request_terms(state, state.next_phase)
     return NEED_TERMS

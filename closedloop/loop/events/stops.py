@@ -15,12 +15,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.loop.events.phases import MAX_RAPID, RESTING
 from closedloop.loop.step.closed_loops import BIND_TIP, IMPULSE, STOP_TORQUE, missing_torque
-from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work
+from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_loops
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import forward_substitute
 from closedloop.mechanics.contacts.impact import SLOWEST_REBOUND
@@ -44,18 +43,18 @@ def measure_stops(H: Array, C: Array, w: Work, constants: Constants, state: Stat
     """Write `stop_margin`, negative if a joint is beyond its stop or a stop would have to pull; and the torques."""
     least, holding = np.inf, False
     for j in range(w.q.shape[0]):
-        w.stop_torque[j] = 0.0
-        if w.stopped[j] == 0.0:
+        w.stops.torque[j] = 0.0
+        if w.stops.side[j] == 0.0:
             least = min(least, w.q[j] - constants.lower_stop[j] + BEYOND, constants.upper_stop[j] - w.q[j] + BEYOND)
         else:
             holding = True
     if holding:
         missing_torque(H, C, w, state)
-        call_at(state.loops, state.loops_at, STOP_TORQUE)
+        ask_loops(state, STOP_TORQUE)
         for j in range(w.q.shape[0]):
-            if w.stopped[j] != 0.0:
-                least = min(least, PULLING - w.stopped[j] * w.stop_torque[j])
-    w.stop_margin = least
+            if w.stops.side[j] != 0.0:
+                least = min(least, PULLING - w.stops.side[j] * w.stops.torque[j])
+    w.stops.margin = least
 
 
 @kernel
@@ -65,17 +64,17 @@ def reach_stops(w: Work, constants: Constants, state: State) -> bool:
     `before` and `after` are the tip's velocities, `compression` and `decompression` its impulses, `column` what q̇ has
     changed by. A joint that this drives into its stop strikes it next, in an event of its own.
     """
-    n, fastest, sides = w.q.shape[0], 0.0, w.y
+    n, fastest, sides = w.q.shape[0], 0.0, w.stops.held
     for j in range(n):
         to_lower, to_upper = w.q[j] - constants.lower_stop[j], constants.upper_stop[j] - w.q[j]
         low = to_lower <= REACHED and w.v[j] < (0.0 if to_lower + BEYOND < 0.0 else -LEAVING_SPEED)
         high = to_upper <= REACHED and w.v[j] > (0.0 if to_upper + BEYOND < 0.0 else LEAVING_SPEED)
-        if w.stopped[j] == 0.0 and (low or high):
-            w.stopped[j] = -1.0 if low else 1.0
+        if w.stops.side[j] == 0.0 and (low or high):
+            w.stops.side[j] = -1.0 if low else 1.0
             w.q[j] = constants.lower_stop[j] if low else constants.upper_stop[j]  # not beyond it, by rounding
             fastest = max(fastest, abs(w.v[j]))
-        sides[j] = w.stopped[j]
-        w.slope[j] = w.v[j]
+        sides[j] = w.stops.side[j]
+        w.stops.before[j] = w.v[j]
     if fastest == 0.0:
         return False
     mode = state.mode
@@ -85,38 +84,38 @@ def reach_stops(w: Work, constants: Constants, state: State) -> bool:
             break
         state.mode = mode
         for j in range(n):
-            w.v[j] = w.slope[j]
+            w.v[j] = w.stops.before[j]
     rebound = constants.stop_restitution
-    if rebound * fastest < SLOWEST_REBOUND or state.rapid_events >= MAX_RAPID:
+    if rebound * fastest < SLOWEST_REBOUND or state.event.rapid >= MAX_RAPID:
         rebound = 0.0
     for j in range(n):
-        w.column[j] = (1.0 + rebound) * (w.v[j] - w.slope[j])
-        w.v[j] = w.slope[j] + w.column[j]
-        if rebound > 0.0 and sides[j] * w.slope[j] > LEAVING_SPEED:
-            w.stopped[j] = 0.0
+        w.scratch.column[j] = (1.0 + rebound) * (w.v[j] - w.stops.before[j])
+        w.v[j] = w.stops.before[j] + w.scratch.column[j]
+        if rebound > 0.0 and sides[j] * w.stops.before[j] > LEAVING_SPEED:
+            w.stops.side[j] = 0.0
     for i in range(3):
-        w.decompression[i] = rebound * w.compression[i]
-    tip_velocity(w, w.after)
+        w.impact.decompression[i] = rebound * w.impact.compression[i]
+    tip_velocity(w, w.impact.after)
     return True
 
 
 @kernel
 def compress(w: Work, state: State) -> None:
     """Make q̇ obey the stops that hold, the loops and the tip in contact, and write the tip's impulse."""
-    call_at(state.loops, state.loops_at, IMPULSE)
+    ask_loops(state, IMPULSE)
     bind_again(w, state)
-    tip_velocity(w, w.a)
+    tip_velocity(w, w.tip.a)
     for i in range(3):
-        w.b[i], w.compression[i] = 0.0, 0.0
-    if state.mode != FREE and state.compliance == 0:
-        if state.unilateral != 0 and w.a[0] > RESTING:
-            state.mode, state.risen = FREE, 0
+        w.tip.b[i], w.impact.compression[i] = 0.0, 0.0
+    if state.mode != FREE and state.compliance.entry == 0:
+        if state.settings.unilateral != 0 and w.tip.a[0] > RESTING:
+            state.mode, state.cleared = FREE, 0
         else:
-            if state.mode == STUCK and state.sticking == RIGID_STICK:
-                stuck_force(w.S, w.a, w.b, w.compression, w.stabiliser_force)
-            elif state.mode == PRESSED and w.S[0, 0] > 0.0:
-                w.compression[0] = -w.a[0] / w.S[0, 0]
-            apply_impulse(w.L, w.X, w.compression, w.column, w.v)
+            if state.mode == STUCK and state.friction.sticking == RIGID_STICK:
+                stuck_force(w.tip.S, w.tip.a, w.tip.b, w.impact.compression, w.tip.stabiliser_force)
+            elif state.mode == PRESSED and w.tip.S[0, 0] > 0.0:
+                w.impact.compression[0] = -w.tip.a[0] / w.tip.S[0, 0]
+            apply_impulse(w.L, w.tip.X, w.impact.compression, w.scratch.column, w.v)
 
 
 @kernel
@@ -124,16 +123,16 @@ def bind_again(w: Work, state: State) -> None:
     """Write X and S of the tip with the joints at the stops that hold now."""
     for k in range(3):
         for j in range(w.q.shape[0]):
-            w.X[k, j] = w.A[k, j]
-        forward_substitute(w.L, row_of(w.X, k))
-    call_at(state.loops, state.loops_at, BIND_TIP)
+            w.tip.X[k, j] = w.tip.A[k, j]
+        forward_substitute(w.L, row_of(w.tip.X, k))
+    ask_loops(state, BIND_TIP)
 
 
 @kernel
 def note_sides(w: Work) -> None:
-    """Write into `y` the joints at stops before an impact of the tip, for `yield_stops`."""
+    """Keep the joints at stops before an impact of the tip, for `yield_stops`."""
     for j in range(w.q.shape[0]):
-        w.y[j] = w.stopped[j]
+        w.stops.held[j] = w.stops.side[j]
 
 
 @kernel
@@ -143,11 +142,11 @@ def yield_stops(w: Work, state: State) -> bool:
     Or hold one again that was let go, see `change_stop`; the mobility of the tip is then another.
     """
     for j in range(w.q.shape[0]):
-        w.slope[j] = w.v[j]
-    apply_impulse(w.L, w.X, w.compression, w.column, w.v)
-    changed = change_stop(w, state, w.y)
+        w.stops.before[j] = w.v[j]
+    apply_impulse(w.L, w.tip.X, w.impact.compression, w.scratch.column, w.v)
+    changed = change_stop(w, state, w.stops.held)
     for j in range(w.q.shape[0]):
-        w.v[j] = w.slope[j]
+        w.v[j] = w.stops.before[j]
     if changed:
         bind_again(w, state)
     return changed
@@ -162,22 +161,22 @@ def change_stop(w: Work, state: State, sides: Array) -> bool:
     """
     n = w.q.shape[0]
     for i in range(n):  # H (q̇ after − before) − Aᵀ P: what the loops and the stops gave, with H = L Lᵀ
-        w.column[i] = (w.v[i] - w.slope[i]) / w.L[i, i]  # L's diagonal holds reciprocals
+        w.scratch.column[i] = (w.v[i] - w.stops.before[i]) / w.L[i, i]  # L's diagonal holds reciprocals
         for k in range(i + 1, n):
-            w.column[i] += w.L[k, i] * (w.v[k] - w.slope[k])
+            w.scratch.column[i] += w.L[k, i] * (w.v[k] - w.stops.before[k])
     for i in range(n - 1, -1, -1):
-        w.column[i] /= w.L[i, i]
+        w.scratch.column[i] /= w.L[i, i]
         for k in range(i):
-            w.column[i] += w.L[i, k] * w.column[k]
+            w.scratch.column[i] += w.L[i, k] * w.scratch.column[k]
         for k in range(3):
-            w.column[i] -= w.A[k, i] * w.compression[k]
-    call_at(state.loops, state.loops_at, STOP_TORQUE)
+            w.scratch.column[i] -= w.tip.A[k, i] * w.impact.compression[k]
+    ask_loops(state, STOP_TORQUE)
     for j in range(n):
-        if w.stopped[j] * w.stop_torque[j] > PULLING_IMPULSE:
-            w.stopped[j] = 0.0
+        if w.stops.side[j] * w.stops.torque[j] > PULLING_IMPULSE:
+            w.stops.side[j] = 0.0
             return True
-        if w.stopped[j] == 0.0 and sides[j] * w.v[j] > LEAVING_SPEED:
-            w.stopped[j] = sides[j]
+        if w.stops.side[j] == 0.0 and sides[j] * w.v[j] > LEAVING_SPEED:
+            w.stops.side[j] = sides[j]
             return True
     return False
 
@@ -186,26 +185,26 @@ def change_stop(w: Work, state: State, sides: Array) -> bool:
 def tip_velocity(w: Work, u: Array) -> None:
     """Write the tip's velocity relative to the surface, (3,), m/s, contact frame, at the present q̇."""
     for i in range(3):
-        u[i] = -w.carried[i]
+        u[i] = -w.tip.carried[i]
         for j in range(w.v.shape[0]):
-            u[i] += w.A[i, j] * w.v[j]
+            u[i] += w.tip.A[i, j] * w.v[j]
 
 
 @kernel
 def energy_of_jump(w: Work) -> float:
-    """Return the energy lost where q̇ jumped from what is kept in `slope`, J, with H = L Lᵀ.
+    """Return the energy lost where q̇ jumped from what is kept in `Stops.before`, J, with H = L Lᵀ.
 
     What a surface that moves has given to the arm by the impulse at its tip is not lost: `log_event` counts it.
     """
     lost, n = 0.0, w.q.shape[0]
     for j in range(n):
-        first, second = w.slope[j] / w.L[j, j], w.v[j] / w.L[j, j]  # L's diagonal holds reciprocals
+        first, second = w.stops.before[j] / w.L[j, j], w.v[j] / w.L[j, j]  # L's diagonal holds reciprocals
         for i in range(j + 1, n):
-            first += w.L[i, j] * w.slope[i]
+            first += w.L[i, j] * w.stops.before[i]
             second += w.L[i, j] * w.v[i]
         lost += 0.5 * (first * first - second * second)
     for i in range(3):
-        lost += (w.compression[i] + w.decompression[i]) * w.carried[i]
+        lost += (w.impact.compression[i] + w.impact.decompression[i]) * w.tip.carried[i]
     return lost
 
 
@@ -214,6 +213,6 @@ def release_stops(w: Work) -> bool:
     """Let go of the joints that a stop would have to pull; return whether there were any."""
     released = False
     for j in range(w.q.shape[0]):
-        if w.stopped[j] * w.stop_torque[j] > PULLING:
-            w.stopped[j], released = 0.0, True
+        if w.stops.side[j] * w.stops.torque[j] > PULLING:
+            w.stops.side[j], released = 0.0, True
     return released

@@ -38,11 +38,11 @@ from closedloop.loop.events.phases import (
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
-from closedloop.loop.step.contacts import SAVE
+from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE
 from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.entries import ADVANCE_STATES
 from closedloop.loop.step.joint_friction import advance_joint_friction
-from closedloop.loop.step.memory import SMOOTH, Constants, State, Work
+from closedloop.loop.step.memory import SMOOTH, Constants, State, Work, ask_contacts
 from closedloop.loop.step.singular import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
@@ -54,32 +54,32 @@ Array = NDArray[np.float64]
 def save_state(w: Work, constants: Constants, state: State) -> None:
     """Save the state and its derivative at the beginning of a substep of length w.length."""
     n, extra = w.q.shape[0], w.z.shape[0]
-    if state.contacts != 0:
+    if state.contacts.entry != 0:
         divide_step(w, state)
     for j in range(n):
-        w.begin[j] = w.q[j]
-        w.begin[n + j] = w.v[j]
-        w.slope[j] = w.qdd[j]
-        w.held[j] = w.torque[j]
+        w.start.state[j] = w.q[j]
+        w.start.state[n + j] = w.v[j]
+        w.start.slope[j] = w.qdd[j]
+        w.drives.held[j] = w.torque[j]
     for j in range(extra):
-        w.begin[2 * n + j] = w.z[j]
-        w.slope[n + j] = w.dz[j]
-    w.begin_time, w.tau = w.time, w.length
-    w.start_gap, w.start_rate, w.start_contact_margin = w.gap, w.rate, w.contact_margin
-    state.trial, state.stage, state.no_search, state.watched = NO_TRIAL, 0, 0, 0
-    if state.sticking != SMOOTH:
-        speed = np.hypot(w.u[1], w.u[2])
-        w.start_slip_speed = speed
-        w.start_slip[0], w.start_slip[1] = w.u[1], w.u[2]
-        if state.mode == PRESSED and speed > max(constants.stick_speed, w.straight_speed):
-            w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
-    if state.mode == PRESSED and near_singular(w.S):
+        w.start.state[2 * n + j] = w.z[j]
+        w.start.slope[n + j] = w.dz[j]
+    w.start.time, w.search.tau = w.time, w.length
+    w.start.gap, w.start.rate, w.start.contact_margin = w.tip.gap, w.tip.rate, w.contacts.margin
+    state.trial.purpose, state.stage, state.trial.off, state.trial.watched = NO_TRIAL, 0, 0, 0
+    if state.friction.sticking != SMOOTH:
+        speed = np.hypot(w.tip.u[1], w.tip.u[2])
+        w.start.slip_speed = speed
+        w.start.slip[0], w.start.slip[1] = w.tip.u[1], w.tip.u[2]
+        if state.mode == PRESSED and speed > max(constants.stick_speed, w.friction.straight_speed):
+            w.friction.direction[0], w.friction.direction[1] = w.tip.u[1] / speed, w.tip.u[2] / speed
+    if state.mode == PRESSED and near_singular(w.tip.S):
         remember_approach(w, state)
     else:
         state.approached = 0
-    if state.contacts != 0:
-        call_at(state.contacts, state.contacts_at, SAVE)
-    w.start_event_value = event_function(w, constants, state)
+    if state.contacts.entry != 0:
+        ask_contacts(state, SAVE)
+    w.start.value = event_function(w, constants, state)
     save_power(w, state)
 
 
@@ -90,52 +90,55 @@ def divide_step(w: Work, state: State) -> None:
     for j in range(w.q.shape[0]):
         fastest = max(fastest, abs(w.v[j]))
     state.divided = 0
-    if fastest > FAST and fastest * left > LARGEST_TURN and state.steps > 0:
+    if fastest > FAST and fastest * left > LARGEST_TURN and state.settings.adaptive == 0:
         w.length = left / np.ceil(fastest * left / LARGEST_TURN)
         state.divided = 1
 
 
 @kernel_inlined
 def restore_state(w: Work, state: State) -> None:
-    """Restore the saved state, for a step of another length, w.tau, from it."""
+    """Restore the saved state, for a step of another length, w.search.tau, from it."""
     n, extra = w.q.shape[0], w.z.shape[0]
     for j in range(n):
-        w.q[j] = w.begin[j]
-        w.v[j] = w.begin[n + j]
-        w.qdd[j] = w.slope[j]
+        w.q[j] = w.start.state[j]
+        w.v[j] = w.start.state[n + j]
+        w.qdd[j] = w.start.slope[j]
     for j in range(extra):
-        w.z[j] = w.begin[2 * n + j]
-        w.dz[j] = w.slope[n + j]
+        w.z[j] = w.start.state[2 * n + j]
+        w.dz[j] = w.start.slope[n + j]
     state.stage = 0
 
 
 @kernel
 def advance_friction(w: Work, state: State, h: float) -> None:
     """Advance the states of friction by h at the velocity of the substep's beginning, exactly."""
-    if state.mode != FREE and state.friction_states > 0:
-        w.slip[0], w.slip[1], w.friction_span = w.start_slip[0], w.start_slip[1], h
-        call_at(state.friction, state.address, ADVANCE_STATES)
+    if state.mode != FREE and state.friction.states > 0 and state.together == 0:
+        w.friction.slip[0], w.friction.slip[1], w.friction.span = w.start.slip[0], w.start.slip[1], h
+        call_at(state.friction.entry, state.address, ADVANCE_STATES)
+    if state.together != 0:
+        w.friction.span = h
+        ask_contacts(state, ADVANCE_FRICTION)
     advance_joint_friction(w, state, h)
 
 
 @kernel_inlined
 def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
     """Request the terms after a stage: those of the next stage, or of the substep's end."""
-    stage, tau = state.stage, w.tau
-    if stage + 1 < state.stages:
+    stage, tau = state.stage, w.search.tau
+    if stage + 1 < state.settings.stages:
         state.stage = stage + 1
         node = 0.0
         for i in range(stage + 1):
             node += tableau[stage + 1, i]
-        w.time = w.begin_time + node * tau
+        w.time = w.start.time + node * tau
         request_terms(state, STAGE)
-    elif state.trial > STAGE_CHECKED:
-        w.time = w.begin_time + tau
-        request_terms(state, AT_EVENT if state.trial == REACH_EVENT else TRIAL_END)
+    elif state.trial.purpose > STAGE_CHECKED:
+        w.time = w.start.time + tau
+        request_terms(state, AT_EVENT if state.trial.purpose == REACH_EVENT else TRIAL_END)
     else:
-        w.time = state.row * h if state.divided == 0 else w.begin_time + tau
+        w.time = state.row * h if state.divided == 0 else w.start.time + tau
         end = STEP_END if state.divided == 0 else PART_END
-        if state.project != 0 and state.mode != FREE:
+        if state.settings.project != 0 and (state.mode != FREE or state.together != 0):
             state.projections, state.next_phase = 0, end
             request_terms(state, PROJECTION)
         else:
@@ -147,7 +150,7 @@ def resume_step(w: Work, constants: Constants, state: State) -> int:
     """Continue after an event to the end of the step, or let the step end here."""
     left = state.row * constants.h - w.time
     if left <= INSTANT:
-        state.no_search = 1
+        state.trial.off = 1
         w.time = state.row * constants.h
         request_terms(state, STEP_END)
         return NEED_TERMS
@@ -159,22 +162,22 @@ def resume_step(w: Work, constants: Constants, state: State) -> int:
 @kernel
 def count_event(w: Work, state: State) -> None:
     """Count an event of this step, and those in a row within `RAPID` of each other."""
-    state.events_in_step += 1
+    state.event.in_step += 1
     if w.time - w.last_event > RAPID:
-        state.rapid_events = 0
+        state.event.rapid = 0
     else:
-        state.rapid_events += 1
+        state.event.rapid += 1
     w.last_event = w.time
 
 
 @kernel
 def too_many_events(state: State, most_rapid: int) -> bool:
     """Return whether there are too many events at one instant, or in the latest steps, and write the status then."""
-    if state.events_in_step > MAX_IN_STEP:
+    if state.event.in_step > MAX_IN_STEP:
         state.status = CROWDED
         return True
-    if state.rapid_events > most_rapid:
-        state.status = RUBS if state.kind in (STICK, SLIP_AGAIN, REVERSAL) else CHATTER
+    if state.event.rapid > most_rapid:
+        state.status = RUBS if state.event.kind in (STICK, SLIP_AGAIN, REVERSAL) else CHATTER
         return True
     return False
 
@@ -186,33 +189,33 @@ def check_stage(w: Work, state: State) -> int:
     So a negative f that begins and ends within the step is found if a stage samples it. A stage is of lower order than
     the step: the event is searched for only if f is negative at the end of the trial step too.
     """
-    tau = w.time - w.begin_time
+    tau = w.time - w.start.time
     if (
         state.together != 0
-        or state.trial != NO_TRIAL
+        or state.trial.purpose != NO_TRIAL
         or state.mode == FREE
-        or not w.rigid_force < 0.0
+        or not w.tip.rigid_force < 0.0
         or tau > w.length - INSTANT
     ):
         return ADVANCE
-    state.trial, state.trials = CHECK_STAGE, 0
-    w.low, w.high, w.tau = 0.0, tau, tau
-    w.at_low = max(w.start_event_value, 0.0)
+    state.trial.purpose, state.trial.steps = CHECK_STAGE, 0
+    w.search.low, w.search.high, w.search.tau = 0.0, tau, tau
+    w.search.at_low = max(w.start.value, 0.0)
     return RETRY_SUBSTEP
 
 
 @kernel
 def end_before_stage(w: Work, state: State) -> int:
     """Search for the event before a stage at which no forces go with the modes of the contacts."""
-    if state.trial == REACH_EVENT:
-        w.tau = w.low
+    if state.trial.purpose == REACH_EVENT:
+        w.search.tau = w.search.low
         return RETRY_SUBSTEP
-    if state.trial > STAGE_CHECKED:
-        w.event_value = -1.0
+    if state.trial.purpose > STAGE_CHECKED:
+        w.search.value = -1.0
         return int(refine_bracket(w, state))
-    state.trial, state.trials = LOCATE_EVENT, 0
-    w.low, w.high = 0.0, w.tau - INSTANT
-    w.at_low, w.at_high = max(w.start_event_value, 0.0), -1.0
+    state.trial.purpose, state.trial.steps = LOCATE_EVENT, 0
+    w.search.low, w.search.high = 0.0, w.search.tau - INSTANT
+    w.search.at_low, w.search.at_high = max(w.start.value, 0.0), -1.0
     choose_trial(w, state)
     return RETRY_SUBSTEP
 
@@ -220,42 +223,42 @@ def end_before_stage(w: Work, state: State) -> int:
 @kernel_inlined
 def check_step(w: Work, drift: float, state: State) -> int:
     """Return the action at the end of a step: BEGIN_SUBSTEP, APPLY_EVENT here, or RETRY_SUBSTEP to locate an event."""
-    here = state.row == 0 or state.no_search != 0  # there is no earlier instant to search
+    here = state.row == 0 or state.trial.off != 0  # there is no earlier instant to search
     trial = NO_TRIAL
     if state.mode != FREE or state.together != 0:
-        if w.event_value < 0.0:
+        if w.search.value < 0.0:
             trial = REACH_EVENT if here else LOCATE_EVENT
-    elif state.unilateral != 0:
-        leaving = LEAVING + (w.length * w.length * abs(drift) if state.stages == 1 else 0.0)
-        if state.beside != 0:
-            if w.gap > leaving:
-                state.beside = 0
+    elif state.settings.unilateral != 0:
+        leaving = LEAVING + (w.length * w.length * abs(drift) if state.settings.stages == 1 else 0.0)
+        if state.past_edge != 0:
+            if w.tip.gap > leaving:
+                state.past_edge = 0
         elif here:
-            if w.gap <= TOUCHING and w.rate < -RESTING:
+            if w.tip.gap <= TOUCHING and w.tip.rate < -RESTING:
                 trial = REACH_EVENT
-        elif w.gap < -(SHALLOW if state.risen != 0 else leaving):
+        elif w.tip.gap < -(SHALLOW if state.cleared != 0 else leaving):
             trial = LOCATE_EVENT
-        elif state.risen != 0 and w.start_rate < -RESTING and w.rate > 0.0:
+        elif state.cleared != 0 and w.start.rate < -RESTING and w.tip.rate > 0.0:
             trial = LOCATE_MINIMUM  # down and up again: locate the lowest point
-        if w.gap > leaving:
-            state.risen = 1
+        if w.tip.gap > leaving:
+            state.cleared = 1
     if state.together == 0:
-        if state.stops != 0 and w.stop_margin < 0.0:
+        if w.stops.margin < 0.0:
             trial = REACH_EVENT if here else LOCATE_EVENT
-        if state.contacts != 0 and w.contact_margin < 0.0:
-            trial, state.watched = REACH_EVENT if here else LOCATE_EVENT, 1
-            w.start_event_value = min(w.start_event_value, w.start_contact_margin)
-            w.event_value = min(w.event_value, w.contact_margin)
-    state.trial = trial
+        if w.contacts.margin < 0.0:
+            trial, state.trial.watched = REACH_EVENT if here else LOCATE_EVENT, 1
+            w.start.value = min(w.start.value, w.start.contact_margin)
+            w.search.value = min(w.search.value, w.contacts.margin)
+    state.trial.purpose = trial
     if trial == NO_TRIAL:
         return BEGIN_SUBSTEP
     if trial == REACH_EVENT:
         return APPLY_EVENT
-    state.trials = 0
-    w.low, w.high = 0.0, w.length
+    state.trial.steps = 0
+    w.search.low, w.search.high = 0.0, w.length
     if trial == LOCATE_MINIMUM:
-        w.at_low, w.at_high = -w.start_rate, -w.rate
+        w.search.at_low, w.search.at_high = -w.start.rate, -w.tip.rate
     else:
-        w.at_low, w.at_high = max(w.start_event_value, 0.0), w.event_value
+        w.search.at_low, w.search.at_high = max(w.start.value, 0.0), w.search.value
     choose_trial(w, state)
     return RETRY_SUBSTEP

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.loop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.loop.events.impacts import log_event, make_contact
 from closedloop.loop.events.locate import cone_margin
@@ -75,6 +75,12 @@ Array = NDArray[np.float64]
 LEAST_PULL = 1e-9
 
 
+@kernel_inlined
+def would_pull(w: Work, state: State) -> bool:
+    """Whether a surface from which the tip can lift off would have to pull at it."""
+    return state.settings.unilateral != 0 and w.tip.rigid_force < 0.0
+
+
 @kernel
 def resume_after_event(C: Array, w: Work, constants: Constants, state: State, events: Array) -> int:
     """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
@@ -83,19 +89,21 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
     if state.mode == FREE:
         # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
         # still positive; or the law presses when the tip is free and lifts when it is in contact.
-        let_go = state.kind == LIFTOFF and w.last_event == w.time
-        back = let_go and w.gap <= TOUCHING and abs(w.rate) <= RESTING and w.a[0] < 0.0
-        if back and w.a[0] < -normal_rounding(w.L, w.X, w.drift_c, w.torque, w.joint_friction, C, w.column):
-            make_contact(w, constants, state, np.hypot(w.u[1], w.u[2]))
-            state.events -= 1
-            state.events_in_step += 1
+        let_go = state.event.kind == LIFTOFF and w.last_event == w.time
+        back = let_go and w.tip.gap <= TOUCHING and abs(w.tip.rate) <= RESTING and w.tip.a[0] < 0.0
+        if back and w.tip.a[0] < -normal_rounding(
+            w.L, w.tip.X, w.tip.drift_c, w.torque, w.joint_friction.torque, C, w.scratch.column
+        ):
+            make_contact(w, constants, state, np.hypot(w.tip.u[1], w.tip.u[2]))
+            state.event.rows -= 1
+            state.event.in_step += 1
             if too_many_events(state, MAX_RAPID):
                 return FAIL
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
-    elif (state.unilateral != 0 and w.rigid_force < 0.0) or (state.mode == STUCK and cone_margin(w, state) < 0.0):
+    elif would_pull(w, state) or (state.mode == STUCK and cone_margin(w, state) < 0.0):
         return APPLY_EVENT
-    if (state.stops != 0 and w.stop_margin < 0.0) or (state.contacts != 0 and w.contact_margin < 0.0):
+    if min(w.stops.margin, w.contacts.margin) < 0.0:
         return APPLY_EVENT
     return resume_step(w, constants, state)
 
@@ -103,15 +111,15 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
 @kernel
 def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
     """Apply the event at this state: an impact, the end of the contact, of slip or of sticking."""
-    if state.events >= events.shape[0]:
+    if state.event.rows >= events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
     # The instant may be a rounding before the one at which a contact closes.
-    closes = w.contact_margin < 0.0 or (state.mode == FREE and w.contact_margin <= min(w.gap, TOUCHING))
-    if state.contacts != 0 and (state.together != 0 or closes):
+    closes = w.contacts.margin < 0.0 or (state.mode == FREE and w.contacts.margin <= min(w.tip.gap, TOUCHING))
+    if state.together != 0 or closes:
         return apply_contact_event(w, constants, state, events)
-    if state.mode == FREE and state.surface != 0 and w.inside < 0.0:  # there is no surface to touch
-        state.beside = 1
+    if state.mode == FREE and w.tip.inside < 0.0:  # there is no surface to touch
+        state.past_edge = 1
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     count_event(w, state)
@@ -122,51 +130,52 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         if state.status != OK:
             return FAIL
     for i in range(3):
-        w.before[i] = w.u[i]
-        w.after[i] = w.u[i]
-        w.compression[i] = 0.0
-        w.decompression[i] = 0.0
-    w.discarded_rebound, w.restitution_given, w.energy_rested = 0.0, 0.0, 0.0
-    if state.stops != 0 and w.stop_margin < BEYOND + REACHED:
+        w.impact.before[i] = w.tip.u[i]
+        w.impact.after[i] = w.tip.u[i]
+        w.impact.compression[i] = 0.0
+        w.impact.decompression[i] = 0.0
+    w.impact.discarded_rebound, w.impact.restitution_given, w.impact.energy_rested = 0.0, 0.0, 0.0
+    if w.stops.margin < BEYOND + REACHED:
         if reach_stops(w, constants, state):
-            state.kind = STOP
+            state.event.kind = STOP
             log_event(w, constants, state, events, energy_of_jump(w))
-            if state.law != 0:
-                call_law(state, RESTART)
+            call_law(state, RESTART)
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
         if release_stops(w):
-            state.kind = RELEASE
+            state.event.kind = RELEASE
             log_event(w, constants, state, events, 0.0)
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
-    if state.stops != 0 and state.mode == FREE and w.gap > TOUCHING + REACHED:  # it was for a stop, and there is none
+    if (
+        state.settings.stops != 0 and state.mode == FREE and w.tip.gap > TOUCHING + REACHED
+    ):  # it was for a stop, and there is none
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     if state.mode == FREE:
         # At the end of a step of first order the gap may be negative and the velocity upwards: contact, no impulse.
-        state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN
-        return SOLVE_IMPACT if w.u[0] < 0.0 and state.compliance == 0 else APPLY_IMPACT
-    if state.surface != 0 and w.inside < 0.0:
+        state.phase, state.event.kind = IMPULSES_KNOWN, TOUCHDOWN
+        return SOLVE_IMPACT if w.tip.u[0] < 0.0 and state.compliance.entry == 0 else APPLY_IMPACT
+    if w.tip.inside < 0.0:
         # The velocity stays what it is: f ends, there and then. What the spring has stored is not the arm's.
-        state.mode, state.risen, state.beside, state.kind = FREE, 0, 1, EDGE
-        stored = spring_energy(w, constants, state) if state.compliance != 0 else 0.0
+        state.mode, state.cleared, state.past_edge, state.event.kind = FREE, 0, 1, EDGE
+        stored = spring_energy(w, constants, state) if state.compliance.entry != 0 else 0.0
         log_event(w, constants, state, events, stored)
-        w.supplied += stored
+        w.supply.energy += stored
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
-    if state.unilateral != 0 and w.rigid_force < 0.0 and not held_by_pulling(w, state):
-        state.mode, state.risen, state.kind = FREE, 0, LIFTOFF
-        if state.compliance != 0:
+    if would_pull(w, state) and not held_by_pulling(w, state):
+        state.mode, state.cleared, state.event.kind = FREE, 0, LIFTOFF
+        if state.compliance.entry != 0:
             log_event(w, constants, state, events, 0.0)
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
-        w.after[0] = 0.0
-        log_event(w, constants, state, events, 0.5 * w.u[0] * w.u[0] / w.S[0, 0])
+        w.impact.after[0] = 0.0
+        log_event(w, constants, state, events, 0.5 * w.tip.u[0] * w.tip.u[0] / w.tip.S[0, 0])
         # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
         state.projections, state.next_phase = 0, AFTER_EVENT
         return PROJECT
-    if state.sticking in (RIGID_STICK, SPRING_STICK):
+    if state.friction.sticking in (RIGID_STICK, SPRING_STICK):
         return end_stick_or_slip(w, constants, state, rows, events)
     request_terms(state, AFTER_EVENT)
     return NEED_TERMS
@@ -178,54 +187,54 @@ def held_by_pulling(w: Work, state: State) -> bool:
 
     The force that holds it along the surface lifts it. It cannot leave, nor stick: it slips.
     """
-    return state.mode == STUCK and w.a[0] < 0.0 and state.compliance == 0
+    return state.mode == STUCK and w.tip.a[0] < 0.0 and state.compliance.entry == 0
 
 
 @kernel
 def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
     """Apply the end of sticking, or of slip: it sticks, or goes on in another direction."""
-    loss, size = 0.0, np.hypot(w.F[1], w.F[2])
+    loss, size = 0.0, np.hypot(w.tip.F[1], w.tip.F[2])
     if state.mode == STUCK and not size > 0.0:  # no tangential force: f goes to zero, and is not negative yet
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     if state.mode == STUCK:  # slip starts against the friction force that held the tip
-        state.mode, state.kind = PRESSED, SLIP_AGAIN
-        w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
-        if state.unilateral != 0 and w.rigid_force < 0.0:
+        state.mode, state.event.kind = PRESSED, SLIP_AGAIN
+        w.friction.direction[0], w.friction.direction[1] = -w.tip.F[1] / size, -w.tip.F[2] / size
+        if would_pull(w, state):
             find_direction(w, state)
-        if state.sticking == RIGID_STICK:  # slip starts from rest: the velocity left by errors is removed
+        if state.friction.sticking == RIGID_STICK:  # slip starts from rest: the velocity left by errors is removed
             loss = stop_tip(w, state)
-            w.start_slip_speed = 0.0  # that of the substep before was such an error, and judges this slip no more
+            w.start.slip_speed = 0.0  # that of the substep before was such an error, and judges this slip no more
     else:
-        speed = np.hypot(w.u[1], w.u[2])
+        speed = np.hypot(w.tip.u[1], w.tip.u[2])
         slow = speed <= max(2.0 * constants.stick_speed, constants.capture_speed * (1.0 + 1e-9))
-        if state.sticking == SPRING_STICK:
-            w.delayed_slip = delayed_speed(w, constants, state, rows, constants.lag, speed)
-            w.event_value = 0.0
-            call_at(state.friction, state.address, END_OF_SLIP)
-            state.mode, state.kind = STUCK, STICK
+        if state.friction.sticking == SPRING_STICK:
+            w.friction.delayed_slip = delayed_speed(w, constants, state, rows, constants.lag, speed)
+            w.search.value = 0.0
+            call_at(state.friction.entry, state.address, END_OF_SLIP)
+            state.mode, state.event.kind = STUCK, STICK
         else:
             held = OK
             for i in range(3):
-                w.b[i] = 0.0
-            if state.compliance != 0:
-                stuck_tangentially(w.S, w.a, w.b, w.F)
+                w.tip.b[i] = 0.0
+            if state.compliance.entry != 0:
+                stuck_tangentially(w.tip.S, w.tip.a, w.tip.b, w.tip.F)
             else:
-                held = stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force)
-            size = np.hypot(w.F[1], w.F[2])
-            call_at(state.friction, state.address, LIMIT)
-            pulls = state.unilateral != 0 and w.F[0] < -LEAST_PULL
-            if held == OK and slow and not pulls and size <= w.stick_limit * abs(w.F[0]):
-                state.mode, state.kind = STUCK, STICK
+                held = stuck_force(w.tip.S, w.tip.a, w.tip.b, w.tip.F, w.tip.stabiliser_force)
+            size = np.hypot(w.tip.F[1], w.tip.F[2])
+            call_at(state.friction.entry, state.address, LIMIT)
+            pulls = state.settings.unilateral != 0 and w.tip.F[0] < -LEAST_PULL
+            if held == OK and slow and not pulls and size <= w.friction.stick_limit * abs(w.tip.F[0]):
+                state.mode, state.event.kind = STUCK, STICK
                 set_anchor(w, state)
                 loss = stop_tip(w, state)
             elif not slow:  # slip has turned by a right angle since the substep began, and goes on
-                w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
+                w.friction.direction[0], w.friction.direction[1] = w.tip.u[1] / speed, w.tip.u[2] / speed
                 request_terms(state, AFTER_EVENT)
                 return NEED_TERMS
             else:
-                state.kind = REVERSAL
-                w.start_slip_speed = 0.0  # as where sticking ends: the slip in the new direction starts from rest
+                state.event.kind = REVERSAL
+                w.start.slip_speed = 0.0  # as where sticking ends: the slip in the new direction starts from rest
                 find_direction(w, state)
     log_event(w, constants, state, events, loss)
     request_terms(state, AFTER_EVENT)
@@ -236,15 +245,17 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
 def stop_tip(w: Work, state: State) -> float:
     """Set the tip's velocity u to zero by an impulse, on a soft surface that along it; return the energy lost, J."""
     for i in range(3):
-        w.a[i], w.b[i], w.after[i] = w.u[i], 0.0, 0.0
-    if state.compliance != 0:
-        w.compression[0] = 0.0
-        stuck_tangentially(w.S, w.a, w.b, w.compression)
-        w.after[0] = w.u[0] + w.S[0, 1] * w.compression[1] + w.S[0, 2] * w.compression[2]
+        w.tip.a[i], w.tip.b[i], w.impact.after[i] = w.tip.u[i], 0.0, 0.0
+    if state.compliance.entry != 0:
+        w.impact.compression[0] = 0.0
+        stuck_tangentially(w.tip.S, w.tip.a, w.tip.b, w.impact.compression)
+        w.impact.after[0] = (
+            w.tip.u[0] + w.tip.S[0, 1] * w.impact.compression[1] + w.tip.S[0, 2] * w.impact.compression[2]
+        )
     else:
-        stuck_force(w.S, w.a, w.b, w.compression, w.stabiliser_force)
-    apply_impulse(w.L, w.X, w.compression, w.column, w.v)
-    return float(energy_lost(w.before, w.after, w.compression))
+        stuck_force(w.tip.S, w.tip.a, w.tip.b, w.impact.compression, w.tip.stabiliser_force)
+    apply_impulse(w.L, w.tip.X, w.impact.compression, w.scratch.column, w.v)
+    return float(energy_lost(w.impact.before, w.impact.after, w.impact.compression))
 
 
 @kernel
@@ -254,7 +265,7 @@ def find_direction(w: Work, state: State) -> None:
     The tip's mobility is anisotropic, so the direction is a root of the angle between it and the acceleration with
     friction against it, found by a scan of the circle and bisection.
     """
-    w.slip[0], w.slip[1], w.delayed_slip = 0.0, 0.0, 0.0
+    w.friction.slip[0], w.friction.slip[1], w.friction.delayed_slip = 0.0, 0.0, 0.0
     best, here, before = -1.0, 0.0, 0.0
     low = 0.0
     for i in range(DIRECTIONS + 1):
@@ -273,19 +284,19 @@ def find_direction(w: Work, state: State) -> None:
             if along_middle > best:
                 best, here = along_middle, b
         low, before = angle, across
-    w.direction[0], w.direction[1] = math.cos(here), math.sin(here)
+    w.friction.direction[0], w.friction.direction[1] = math.cos(here), math.sin(here)
 
 
 @kernel
 def slip_onset(w: Work, state: State, angle: float) -> tuple[float, float]:
     """Return the acceleration across and along a direction if slip starts in it, m/s²."""
-    w.direction[0], w.direction[1] = math.cos(angle), math.sin(angle)
-    call_at(state.friction, state.address, SLIDE)
-    if state.compliance != 0:  # f is that of the depth
+    w.friction.direction[0], w.friction.direction[1] = math.cos(angle), math.sin(angle)
+    call_at(state.friction.entry, state.address, SLIDE)
+    if state.compliance.entry != 0:  # f is that of the depth
         rub_softly(w)
     else:
         rubbed_force(0.0, w, state)
-    a1 = w.a[1] + w.S[1, 0] * w.F[0] + w.S[1, 1] * w.F[1] + w.S[1, 2] * w.F[2]
-    a2 = w.a[2] + w.S[2, 0] * w.F[0] + w.S[2, 1] * w.F[1] + w.S[2, 2] * w.F[2]
-    d1, d2 = w.direction[0], w.direction[1]
+    a1 = w.tip.a[1] + w.tip.S[1, 0] * w.tip.F[0] + w.tip.S[1, 1] * w.tip.F[1] + w.tip.S[1, 2] * w.tip.F[2]
+    a2 = w.tip.a[2] + w.tip.S[2, 0] * w.tip.F[0] + w.tip.S[2, 1] * w.tip.F[1] + w.tip.S[2, 2] * w.tip.F[2]
+    d1, d2 = w.friction.direction[0], w.friction.direction[1]
     return float(d1 * a2 - d2 * a1), float(d1 * a1 + d2 * a2)

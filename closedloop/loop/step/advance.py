@@ -31,7 +31,7 @@ def advance(stage: int, h: float, semi_implicit: bool, substep: bool, tableau: A
         `dz`; `stages` (S, 2 n + k), the derivatives of the state at each stage so far. Written: this stage's
         derivatives, and q, v and z of the next.
     """
-    begin, stages, qdd, dz, q, v, z = w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z
+    begin, stages, qdd, dz, q, v, z = w.start.state, w.stages, w.qdd, w.dz, w.q, w.v, w.z
     n, k = q.shape[0], z.shape[0]
     if semi_implicit:
         for j in range(n):

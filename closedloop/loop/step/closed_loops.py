@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.control.seen import Seen
-from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.energy_supplied import driving_torque
-from closedloop.loop.step.memory import Constants, State, Work, loop_at
+from closedloop.loop.step.memory import Constants, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.contact_force import factorise
 from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, back_substitute, forward_substitute
 from closedloop.mechanics.loops.close import close_state
@@ -42,9 +41,9 @@ BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, IMPULSE, 
 @kernel_inlined
 def factorise_tip(H: Array, w: Work, constants: Constants, state: State) -> int:
     """Do `factorise` for the tip of the closed mechanism, where it has just been located."""
-    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
-    if status == OK and state.loops != 0:
-        call_at(state.loops, state.loops_at, BIND_TIP)
+    status = factorise(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach)
+    if status == OK:
+        ask_loops(state, BIND_TIP)
     return status
 
 
@@ -66,11 +65,11 @@ def closed_loops(address: int, what: int) -> int:
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
     for j in range(links.n if links.stops > 0 else 0):
-        rows.held[j] = w.stopped[j]
+        rows.held[j] = w.stops.side[j]
     if what == BIND_TIP:
-        bind_tip(links, rows, w, w.L, w.X, w.S)
+        bind_tip(links, rows, w, w.L, w.tip.X, w.tip.S)
         for k in range(3):
-            w.drift_c[k] += rows.moved[k]
+            w.tip.drift_c[k] += rows.moved[k]
     elif what == BIND_SEEN:
         seen = Seen(w.seen, links.n)
         bind_tip(links, rows, w, seen.L, seen.X, seen.S)
@@ -81,7 +80,7 @@ def closed_loops(address: int, what: int) -> int:
         for j in range(links.n):
             w.y[j] += rows.part[j]
     elif what == BIND_ANSWER:
-        leave_free(links, rows, w.column)
+        leave_free(links, rows, w.scratch.column)
     elif what == DRIVE:
         drive(links, rows, w.torque)
     elif what == CLOSE:
@@ -93,7 +92,7 @@ def closed_loops(address: int, what: int) -> int:
     else:
         reaction(links, rows, w)
         for k in range(3):
-            w.drift_c[k] -= rows.moved[k]
+            w.tip.drift_c[k] -= rows.moved[k]
     return 0
 
 
@@ -139,23 +138,23 @@ def drive(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
 @kernel
 def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Replace `column`, what is missing in the equation of motion, by the part of it that the loops can give."""
-    forward_substitute(w.L, w.column)
-    take_free(links, rows, w.column)
+    forward_substitute(w.L, w.scratch.column)
+    take_free(links, rows, w.scratch.column)
     for i in range(links.n - 1, -1, -1):  # L x, with the reciprocals on L's diagonal
-        s = w.column[i] / w.L[i, i]
+        s = w.scratch.column[i] / w.L[i, i]
         for j in range(i):
-            s += w.L[i, j] * w.column[j]
-        w.column[i] = s
+            s += w.L[i, j] * w.scratch.column[j]
+        w.scratch.column[i] = s
 
 
 @kernel
 def stop_torque(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Write the torque of each stop that holds a joint, of what is missing in the equation of motion, `column`."""
     sides = integers_at(links.bound, 3 * links.m)
-    force_of(links, rows, w.column)
+    force_of(links, rows, w.scratch.column)
     for k in range(links.m):
         if sides[k] == STOP:
-            w.stop_torque[sides[links.m + k]] = rows.force[k]
+            w.stops.torque[sides[links.m + k]] = rows.force[k]
 
 
 @kernel
@@ -176,11 +175,11 @@ def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
     """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF, and of other contacts."""
     n = w.q.shape[0]
     for i in range(n):
-        s = C[i] - driving_torque(w, state, i) - w.joint_friction[i]
+        s = C[i] - driving_torque(w, state, i) - w.joint_friction.torque[i]
         for k in range(3):
-            s -= w.A[k, i] * w.F[k]
+            s -= w.tip.A[k, i] * w.tip.F[k]
         if state.together != 0:
-            s -= w.contact_torque[i]
+            s -= w.contacts.torque[i]
         for j in range(n):
             s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
-        w.column[i] = s
+        w.scratch.column[i] = s

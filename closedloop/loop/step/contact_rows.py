@@ -6,24 +6,31 @@ t1, t2 of the surface at the point; a stop of a joint has the row ± q̇ of it.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of, vector_at
+from closedloop.jit.user_code import RAISED
+from closedloop.loop.step.joint_limits import joint_limits
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, baumgarte_acceleration
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute
+from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.given_modes import mobility_of
-from closedloop.mechanics.contacts.memory import LINE, OFF, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import HOVERING
+from closedloop.mechanics.contacts.rolling import roll_on_plane, roll_on_surface
+from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.soft import write_soft_forces
 from closedloop.mechanics.loops.memory import loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.mechanics.loops.solve import leave_free
-from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at
+from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at, edge_distance
 from closedloop.mechanics.surface.geometry import Touch
 
 Array = NDArray[np.float64]
@@ -45,28 +52,30 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         return NO_NORMAL
     locate_stops(links, c, w, constants)
     for i in range(3):
-        c.located[i] = w.gap if i == 0 else off_anchor(w, state, i)
-        c.u[i], c.drift[i], c.a[i], c.carried[i], c.turning[i] = w.u[i], w.drift_c[i], w.a[i], 0.0, 0.0
+        c.located[i] = w.tip.gap if i == 0 else off_anchor(w, state, i)
+        c.u[i], c.drift[i], c.a[i], c.carried[i], c.turning[i] = w.tip.u[i], w.tip.drift_c[i], w.tip.a[i], 0.0, 0.0
+    c.friction.pulls[0] = 1.0 if state.settings.unilateral == 0 and c.mode[0] != FREE else 0.0
+    c.past_edge[0] = state.past_edge
+    c.inside[0] = w.tip.inside if state.surface.entry != 0 else math.inf
     for j in range(n):
         c.load[j] = w.y[j]
-    for i in range(k):
-        near = c.mode[i] != FREE or c.located[3 * i] <= HOVERING or (i == 0 and state.unilateral == 0)
+    for i in range(links.points + links.stops):
+        near = c.mode[i] != FREE or c.located[3 * i] <= HOVERING or (i == 0 and state.settings.unilateral == 0)
         if near or c.near[i] != 0.0:
             write_mobility_rows(c, i, near, w, state)
         c.near[i] = 1.0 if near else 0.0
     mobility_of(c, k)
-    for i in range(k):
+    for i in range(links.points + links.stops):
         for j in range(3 * i, 3 * i + 3):
             off = c.located[j]
             if j > 3 * i and i > 0 and not asked(links, i):
                 c.at[j] = c.located[j]
                 off -= c.anchor[j]
+            if j > 3 * i and links.shapes != 0 and rolls(shapes_at(links.shapes), i):
+                off = 0.0  # what rolls without slip does not stay where it stuck
             c.b[j] = baumgarte_acceleration(constants.s_v, constants.s_p, c.u[j], off)
-    c.kind[0] = OFF
-    if state.unilateral == 0:
-        c.kind[0] = LINE
-        for i in range(2):
-            c.along[0, i], c.viscous[1 + i] = w.c[i], w.viscous[i]
+    take_states(links, c, w.z)
+    write_delayed(c, w.time, constants.h, state.row - 1)
     write_soft_forces(links, c)
     return int(OK)
 
@@ -78,12 +87,16 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     for j in range(links.n):
         rows.q[j], rows.v[j] = w.q[j], w.v[j]
     locate_rows(joints, rows)
+    for i in range(1, links.k - links.stops if links.shapes != 0 else 0):
+        shapes = shapes_at(links.shapes)
+        if rolls(shapes, i) and not asked(links, i):
+            roll_on_plane(joints, rows, shapes, i)
     for r in range(joints.m):
         i = r + 3
         c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
         for j in range(links.n):
             c.G[i, j] = rows.G[r, j]
-    for i in range(1, links.k if links.surfaces != 0 else 0):
+    for i in range(1, links.points if links.surfaces != 0 else 0):
         if not turn_to_surface(links, c, i, w.time, constants.h, state):
             return int(NO_NORMAL)
     return int(OK)
@@ -96,7 +109,7 @@ def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) 
     for r in range(3 * i, 3 * i + 3):
         if i == 0:
             for j in range(n):
-                c.G[r, j], c.X[r, j] = w.A[r, j], w.X[r, j] if near else 0.0
+                c.G[r, j], c.X[r, j] = w.tip.A[r, j], w.tip.X[r, j] if near else 0.0
             continue
         for j in range(n):
             c.X[r, j] = c.G[r, j] if near else 0.0
@@ -108,8 +121,8 @@ def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) 
         forward_substitute(w.L, row_of(c.X, r))
         for j in range(n):
             c.a[r] += c.X[r, j] * w.y[j]
-        if state.loops != 0:
-            bound, loops = loops_at(state.loops_at)
+        if state.loops.entry != 0:
+            bound, loops = loops_at(state.loops.at)
             leave_free(bound, loops, row_of(c.X, r))
 
 
@@ -132,9 +145,12 @@ def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: fl
     ask.time = time
     for j in range(3):
         ask.r[j], ask.velocity[j] = c.located[n + j], c.u[n + j]
-    if call_at(where[2 * i], own.address, CONTACT) != FOUND:
+    answer = call_at(where[2 * i], own.address, CONTACT)
+    if answer != FOUND:
+        links.raised = 1 if answer == RAISED else 0
         return False
     touch, N = Touch(ask.touch), ask.frame
+    c.inside[i] = edge_distance(touch.at, ask.bounds)
     if c.mode[i] != FREE and touch.growth * h < -1.0:
         return False
     for j in range(links.n):
@@ -152,13 +168,16 @@ def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: fl
             c.located[n + a] = 0.0
             for j in range(3):
                 c.located[n + a] += touch.local[a, j] * (touch.at[j] - c.anchor[n + j])
+    if links.shapes != 0 and rolls(shapes_at(links.shapes), i):
+        joints, rows = loops_at(links.rows)
+        roll_on_surface(joints, rows, shapes_at(links.shapes), c, ask, i)
     return True
 
 
 @kernel
 def locate_stops(links: ContactLinks, c: Contacts, w: Work, constants: Constants) -> None:
     """Write rows, gaps and rates of the stops: of a joint that is at none the nearer of its two."""
-    for i in range(links.k - links.stops, links.k):
+    for i in range(links.points, links.points + links.stops):
         at, j = 3 * i, int(c.joint[i])
         low, high = w.q[j] - constants.lower_stop[j], constants.upper_stop[j] - w.q[j]
         if c.mode[i] == FREE:
@@ -176,14 +195,19 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
     for j in range(3):
         c.point[0, j] = w.r[j]
         for i in range(3):
-            c.axes[i, j] = w.frame[i, j]
+            c.axes[i, j] = w.tip.frame[i, j]
     a, b = row_of(rows.motions, 0), row_of(rows.motions, 1)
     for r in range(joints.m):
         move_point(tree, work, sides[joints.m + r], row_of(rows.at_a, r), a)
         turn_direction(tree, work, sides[2 * joints.m + r], row_of(rows.along_b, r), b)
         for j in range(3):
             c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]
-    for i in range(1, links.k if links.surfaces != 0 else 0):
+    for i in range(1, links.points if links.shapes != 0 else 0):
+        reach = row_of(shapes_at(links.shapes).reach, i)  # before the axes are turned to those of a curved surface
+        for j in range(3):
+            for m in range(3):
+                c.point[i, j] += reach[m] * c.axes[3 * i + m, j]
+    for i in range(1, links.points if links.surfaces != 0 else 0):
         if asked(links, i):
             _, ask = ask_at(integers_at(links.surfaces, 2 * links.k)[2 * i + 1])
             for j in range(3):
@@ -191,6 +215,61 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
                 for axis in range(3):
                     turned = ask.frame[axis, 0] * x + ask.frame[axis, 1] * y + ask.frame[axis, 2] * z
                     c.axes[3 * i + axis, j] = turned
-    for i in range(links.k - links.stops, links.k):
+    for i in range(links.points, links.points + links.stops):
         for j in range(3):
             c.point[i, j] = w.r[j]
+
+
+@kernel
+def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> None:
+    """Write what stands for the dry friction of each joint in the search for modes.
+
+    It is a contact whose normal force is the largest torque d that friction can give, N m (N), and whose slip is
+
+        q̇/h + q̈        so that |F_t| <= d, and F_t holds the joint at the end of a step, or is against its motion
+
+    the condition of `closedloop.loop.step.joint_friction`. Its normal row is its own, as that of a soft contact.
+    """
+    first, n = links.points + links.stops, links.n
+    if first == links.k:
+        return
+    joint_limits(w, constants, state)
+    for i in range(first, links.k):
+        j, at = i - first, 3 * i
+        for r in range(at, at + 3):
+            c.a[r], c.b[r], c.drift[r], c.viscous[r] = 0.0, 0.0, 0.0, 0.0
+            for m in range(n):
+                c.X[r, m] = 0.0
+        c.X[at + 1, j], c.near[i], c.mu[i] = 1.0, 1.0, 1.0
+        forward_substitute(w.L, row_of(c.X, at + 1))
+        if state.loops.entry != 0:
+            bound, loops = loops_at(state.loops.at)
+            leave_free(bound, loops, row_of(c.X, at + 1))
+        c.a[at + 1] = w.v[j] / constants.h
+        for m in range(n):
+            c.a[at + 1] += c.X[at + 1, m] * c.load[m]
+    for i in range(first, links.k):
+        t = 3 * i + 1
+        for r in range(3 * links.k):
+            s = 0.0
+            for m in range(n):
+                s += c.X[t, m] * c.X[r, m]
+            c.W[t, r], c.W[r, t] = s, s
+        own = max(c.W[t, t], 0.0)
+        c.W[t - 1, t - 1], c.a[t - 1] = own, -own * w.joint_friction.limit[i - first]
+    for i in range(first):  # whose normal force is known: its row stays its own
+        for r in range(3 * first, 3 * links.k if c.soft[i] != 0.0 else 0):
+            c.W[3 * i, r], c.W[r, 3 * i] = 0.0, 0.0
+
+
+@kernel
+def forget_joints(links: ContactLinks, c: Contacts) -> None:
+    """Take out what `locate_joints` has written."""
+    for i in range(links.points + links.stops, links.k):
+        c.near[i] = 0.0
+        for r in range(3 * i, 3 * i + 3):
+            c.F[r], c.a[r] = 0.0, 0.0
+            for m in range(links.n):
+                c.X[r, m] = 0.0
+            for m in range(3 * links.k):
+                c.W[r, m], c.W[m, r] = 0.0, 0.0

@@ -15,20 +15,46 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import row_of
-from closedloop.loop.step.contact_rows import locate_contacts, locate_points, place_contacts
+from closedloop.loop.step.contact_rows import (
+    asked,
+    forget_joints,
+    locate_contacts,
+    locate_joints,
+    locate_points,
+    place_contacts,
+)
 from closedloop.loop.step.locate import set_anchor
 from closedloop.loop.step.memory import State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
-from closedloop.mechanics.closure.solve import OK, PAINLEVE, back_substitute
+from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
+from closedloop.mechanics.contacts.friction import (
+    STILL,
+    advance_states,
+    cone_limit,
+    give_states,
+    stops_slipping,
+    write_rates,
+)
 from closedloop.mechanics.contacts.given_modes import (
     keep_in_cones,
     kinds_of_modes,
     own_mobility,
     solve_modes,
+    stopping_impulses,
     write_after,
 )
 from closedloop.mechanics.contacts.impact import RESTING, STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
-from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, ContactLinks, Contacts, contacts_at
+from closedloop.mechanics.contacts.memory import (
+    CONE,
+    DOUBLE,
+    LINE,
+    OFF,
+    RAY,
+    SPRING_STICK,
+    ContactLinks,
+    Contacts,
+    contacts_at,
+)
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
@@ -38,6 +64,7 @@ Array = NDArray[np.float64]
 
 # What the contacts are asked for.
 FORCE, WATCH, SAVE, PLACE, IMPULSE, DECIDE = range(6)
+CLOSE_GAPS, CLOSE_RATES, FRICTION_RATES, ADVANCE_FRICTION, ANSWER = range(6, 11)
 
 
 @entry_kernel
@@ -50,6 +77,10 @@ def contacts_in_step(address: int, what: int) -> int:
     PLACE    write where the contacts are, and which of them strikes alone
     IMPULSE  apply the impulses of contacts that come together to q̇; `happened` says what
     DECIDE   write the modes after an event or at the start, `happened` likewise, and take what velocity they have not
+    CLOSE_GAPS, CLOSE_RATES     write as `column` what moves q, or q̇, onto the contacts; `moved` says whether it is any
+    FRICTION_RATES     write the rates of the states of the laws of friction
+    ADVANCE_FRICTION   advance these states by `friction_span`
+    ANSWER   add to `column`, L⁻¹ of a torque, what the contacts answer in their modes
     """
     links, c = contacts_at(address)
     state, constants, w = loop_at(links.loop)
@@ -61,11 +92,13 @@ def contacts_in_step(address: int, what: int) -> int:
     elif what == WATCH:
         status = locate_points(links, c, w, constants, state)
         c.margin = math.inf
-        for i in range(1, links.k - links.stops):
+        for i in range(1, links.points):
             c.margin = min(c.margin, open_margin(c, i))
-        w.contact_margin = c.margin
+        w.contacts.margin = c.margin
     elif what == SAVE:
         save_contacts(links, c)
+        if state.together != 0 and state.settings.unilateral != 0:
+            state.past_edge = int(c.past_edge[0])
     elif what == PLACE:
         place_contacts(links, c, w)
         state.striking = striking_alone(links, c)
@@ -73,19 +106,81 @@ def contacts_in_step(address: int, what: int) -> int:
         if state.striking < 0:
             status = apply_impulses(links, c, constants.rest_speed)
         else:
-            apply_impulse_alone(links, c, w, state.striking, state.kind == int(STRUCK_AND_LEFT))
+            apply_impulse_alone(links, c, w, state.striking, state.event.kind == int(STRUCK_AND_LEFT))
         move(links, c, w)
+        if links.fresh == 0:
+            give_states(links, c, w.z)
+    elif what in (CLOSE_GAPS, CLOSE_RATES):
+        status = locate_contacts(links, c, w, constants, state)
+        if status == OK:
+            close_contacts(links, c, w, what == CLOSE_RATES)
+    elif what == ANSWER:
+        answer_torque(links, c, w)
+    elif what == FRICTION_RATES:
+        write_rates(links, c, w.dz)
+    elif what == ADVANCE_FRICTION:
+        advance_states(links, c, w.friction.span, w.z)
     else:
         place_contacts(links, c, w)
         status = PAINLEVE
-        if links.tired < 2:
-            status = decide(links, c, (3.0 if state.steps < 0 else 1.0) * constants.stick_speed)
+        if links.chattering < 2:
+            locate_joints(links, c, w, constants, state)
+            status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)
         if status == PAINLEVE and links.fresh == 0:
             status = begin_time_step(links, c, w.time)
+        forget_joints(links, c)
         move(links, c, w)
-        if c.mode[0] == STUCK and c.happened[0] != 0.0:
+        if c.mode[0] == STUCK and c.event.happened[0] != 0.0:
             set_anchor(w, state)
+        give_states(links, c, w.z)
+    if links.raised != 0:
+        state.raised = 1
+        return int(LAW_FAILED)
     return int(status)
+
+
+@kernel
+def close_contacts(links: ContactLinks, c: Contacts, w: Work, rates: bool) -> None:
+    """Write as `column` the least change, in the norm of H, of q or q̇ after which what is closed has no error, or rate.
+
+    What sticks as a constraint is put back to where it stuck; what slides, or is held by a spring, onto its surface.
+    """
+    k, size = links.k, 0.0
+    for i in range(k):
+        at, held = 3 * i, c.mode[i] == STUCK and c.friction.sticks[i] != SPRING_STICK
+        c.problem.form[i], c.problem.along[i, 0], c.problem.along[i, 1] = OFF, 0.0, 0.0
+        for j in range(at, at + 3):
+            off = c.located[j] - (c.anchor[j] if j > at and i > 0 and not asked(links, i) else 0.0)
+            c.before[j] = c.u[j] if rates else off
+        if c.soft[i] == 0.0 and (c.mode[i] != FREE or c.friction.pulls[i] != 0.0):
+            c.problem.form[i] = DOUBLE if held else LINE
+            for j in range(at, at + (3 if held else 1)):
+                size = max(size, abs(c.before[j]))
+    links.moved = 1 if size > CLOSED else 0
+    stopping_impulses(c, k)
+    answer(links, c, w)
+
+
+@kernel
+def answer_torque(links: ContactLinks, c: Contacts, w: Work) -> None:
+    """Add to `column` what the contacts answer in their modes: none while these are sought, or in a time step."""
+    if links.undecided != 0 or links.stepped != 0:
+        return
+    for i in range(links.k):
+        c.problem.form[i] = (
+            LINE if c.problem.form[i] == RAY else (DOUBLE if c.problem.form[i] == CONE else c.problem.form[i])
+        )
+        for r in range(3 * i, 3 * i + 3):
+            c.before[r] = 0.0
+            if (
+                r > 3 * i or c.soft[i] == 0.0
+            ):  # f of a soft one follows its depth, which a torque does not change at once
+                for j in range(links.n):
+                    c.before[r] += c.X[r, j] * w.scratch.column[j]
+    stopping_impulses(c, links.k)
+    for i in range(3 * links.k):
+        for j in range(links.n):
+            w.scratch.column[j] += c.X[i, j] * c.F[i]
 
 
 @kernel
@@ -98,40 +193,50 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
         c.margin = -1.0
     elif links.stepped != 0:
         for i in range(3 * k):
-            c.F[i] = c.rigid[i] = c.step_force[i]
-        c.margin = c.step_end - w.time
+            c.F[i] = c.rigid[i] = c.step.force[i]
+        c.margin = c.step.end - w.time
         for i in range(k):
-            if c.mode[i] == FREE and c.kind[i] != LINE:
+            if c.mode[i] == FREE and c.friction.pulls[i] == 0.0:
                 c.margin = min(c.margin, open_margin(c, i))
     else:
-        kinds_of_modes(c, k)
+        kinds_of_modes(links, c)
         status = solve_closed(c, k)
-        if c.kind[0] == LINE and c.rigid[0] < 0.0 and (c.along[0, 0] != 0.0 or c.along[0, 1] != 0.0):
-            c.along[0, 0], c.along[0, 1] = -c.along[0, 0], -c.along[0, 1]  # what pulls rubs with |f|
+        if (
+            c.problem.form[0] == LINE
+            and c.rigid[0] < 0.0
+            and (c.problem.along[0, 0] != 0.0 or c.problem.along[0, 1] != 0.0)
+        ):
+            c.problem.along[0, 0], c.problem.along[0, 1] = (
+                -c.problem.along[0, 0],
+                -c.problem.along[0, 1],
+            )  # what pulls rubs with |f|
             status = solve_modes(c, k)
         keep_in_cones(c, k)
-        c.margin = margin_of(c, k, STICK_SPEED, 2.0 * STICK_SPEED if state.steps < 0 else 0.0)
+        rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
+        if k > links.points + links.stops:
+            rest = max(rest, STILL)  # dry friction of the joints stops a slip within a step, which then does not turn
+        c.margin = margin_of(c, k, STICK_SPEED, rest)
         if status != OK and w.time > 0.0:  # these modes end here: others, or a time step, go on
             status, c.margin = OK, NO_FORCES
-    w.contact_margin, w.contact_power, w.contact_power_rate = c.margin, 0.0, 0.0
+    w.contacts.margin, w.contacts.power, w.contacts.power_rate = c.margin, 0.0, 0.0
     for i in range(3):
-        w.F[i], w.b[i], w.stabiliser_force[i] = c.F[i], c.b[i], c.F[i] - c.rigid[i]
-    w.rigid_force = c.rigid[0]
+        w.tip.F[i], w.tip.b[i], w.tip.stabiliser_force[i] = c.F[i], c.b[i], c.F[i] - c.rigid[i]
+    w.tip.rigid_force = c.rigid[0]
     for j in range(n):
-        w.contact_torque[j] = 0.0
+        w.contacts.torque[j] = 0.0
     for i in range(3, 3 * k):
         if c.F[i] == 0.0:
             continue
-        w.contact_power += c.F[i] * (c.u[i] + c.carried[i])
+        w.contacts.power += c.F[i] * (c.u[i] + c.carried[i])
         for j in range(n):
-            w.contact_torque[j] += c.G[i, j] * c.F[i]
+            w.contacts.torque[j] += c.G[i, j] * c.F[i]
             w.y[j] += c.X[i, j] * c.F[i]
-    accelerate(w.L, w.X, w.y, w.F, w.qdd)
-    for i in range(3, 3 * k if state.stages == 1 else 0):
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
+    for i in range(3, 3 * k if state.settings.stages == 1 else 0):
         growth = c.drift[i] - c.turning[i]
         for j in range(n):
             growth += c.G[i, j] * w.qdd[j]
-        w.contact_power_rate += c.F[i] * growth
+        w.contacts.power_rate += c.F[i] * growth
     return status
 
 
@@ -140,8 +245,8 @@ def solve_closed(c: Contacts, k: int) -> int:
     """Write F, `rigid` and `rounding` in the present modes: of one contact by its closed form, else of all."""
     alone = -1
     for i in range(k):
-        if c.kind[i] != OFF:
-            if alone >= 0 or c.kind[i] == LINE:
+        if c.problem.form[i] != OFF:
+            if alone >= 0 or c.friction.pulls[i] != 0.0:
                 return int(solve_modes(c, k))
             alone = i
     if alone < 0 or not solve_one(c, k, alone):
@@ -153,12 +258,12 @@ def solve_closed(c: Contacts, k: int) -> int:
 def solve_one(c: Contacts, k: int, i: int) -> bool:
     """Do `solve_modes` for contact i, the only one closed, by the closed form of the tip, where there is one."""
     at, n, asked = 3 * i, c.X.shape[1], 0.0
-    S, a, b, F, rigid = c.slope, c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
+    S, a, b, F, rigid = c.scratch.slope, c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
     own_mobility(c, i, S)
     for j in range(3 * k):
         c.F[j], c.rigid[j] = 0.0, 0.0
-    if c.kind[i] == RAY:
-        along, viscous = row_of(c.along, i), c.viscous[at + 1 : at + 3]
+    if c.problem.form[i] == RAY:
+        along, viscous = row_of(c.problem.along, i), c.viscous[at + 1 : at + 3]
         status, share = pressed_force(S, a, b[0], along, viscous, F)
         if status != OK:
             return False
@@ -170,17 +275,19 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
         for j in range(3):
             rigid[j] = F[j] - rigid[j]
     size, most = 0.0, 0.0
-    for r in range(at, at + (1 if c.kind[i] == RAY else 3)):
+    for r in range(at, at + (1 if c.problem.form[i] == RAY else 3)):
         s = abs(c.drift[r]) + abs(c.b[r])
         for j in range(n):
             s += abs(c.X[r, j] * c.load[j])
         asked = max(asked, s)
     for j in range(3):
         size, most = max(size, abs(rigid[j])), max(most, S[j, j])
-    c.rounding = 1e-10 * max(size, asked / most)
+    c.problem.rounding = 1e-10 * max(size, asked / most)
     return True
 
 
+# An error below this is rounding, m: e = n·r − d is a sum of a few products of the order of a metre; or a rate, m/s.
+CLOSED = 2e-15
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
 # The speed of slip below which it is none, m/s.
@@ -191,31 +298,34 @@ STICK_SPEED = 1e-7
 def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
     """Return what is left until the mode of a contact ends: a gap, m, a force, N, or a speed of slip, m/s.
 
-    Slip ends at the speed `rest`, m/s: 0 with steps of fixed length. An integrator that chooses its steps would need
-    endlessly many for the turns of the direction at the very end.
+    Slip ends at the speed `rest`, m/s: 0 with steps of fixed length, if no dry friction of joints stops it. An
+    integrator that chooses its steps would need endlessly many for the turns of the direction at the very end.
     """
     least = math.inf
     for i in range(k):
         n = 3 * i
-        if c.kind[i] == LINE:
-            continue
-        if c.mode[i] == FREE:
-            least = min(least, open_margin(c, i))
-            continue
-        least = min(least, c.rigid[n] + c.rounding if c.soft[i] == 0.0 else soft_margin(c, i))
+        if c.friction.pulls[i] == 0.0:
+            if c.mode[i] == FREE:
+                least = min(least, open_margin(c, i))
+                continue
+            least = min(least, c.rigid[n] + c.problem.rounding if c.soft[i] == 0.0 else soft_margin(c, i))
+        least = min(least, c.inside[i])
         if c.mode[i] == STUCK:
-            left = c.mu[i] * c.rigid[n] - math.hypot(c.rigid[n + 1], c.rigid[n + 2])
-            least = min(least, left + c.rounding)
-        elif c.mu[i] > 0.0:
+            left = cone_limit(c, i) * abs(c.rigid[n]) - math.hypot(c.rigid[n + 1], c.rigid[n + 2])
+            least = min(least, left + c.problem.rounding)
+        elif stops_slipping(c, i):
             along = c.u[n + 1] * c.direction[i, 0] + c.u[n + 2] * c.direction[i, 1]
-            least = min(least, along + (slow if c.start_slip[i] <= max(slow, rest) else -rest))
+            end = max(rest, c.friction.capture[i] if c.friction.start_slip[i] > c.friction.capture[i] else 0.0)
+            least = min(least, along + (slow if c.friction.start_slip[i] <= max(slow, rest) else -end))
     return float(least)
 
 
 @kernel
 def open_margin(c: Contacts, i: int) -> float:
-    """Return what is left until contact i, which is open, closes, m."""
-    return float(c.located[3 * i] - c.floor[i] + (CLOSED_GAP if c.risen[i] != 0.0 else HOVERING))
+    """Return what is left until contact i, which is open, closes, m: beside its surface it does not."""
+    if c.past_edge[i] != 0.0:
+        return math.inf
+    return float(c.located[3 * i] - c.floor[i] + (CLOSED_GAP if c.cleared[i] != 0.0 else HOVERING))
 
 
 @kernel
@@ -225,11 +335,11 @@ def striking_alone(links: ContactLinks, c: Contacts) -> int:
     for i in range(links.k):
         if c.soft[i] != 0.0:
             continue
-        if c.kind[i] == LINE or (touches(links, c, i) and (alone >= 0 or c.mode[i] != FREE)):
+        if c.friction.pulls[i] != 0.0 or (touches(links, c, i) and (alone >= 0 or c.mode[i] != FREE)):
             return -1
         if touches(links, c, i):
             alone = i
-    if alone < 0 or alone >= links.k - links.stops or not c.u[3 * alone] < -RESTING:
+    if alone < 0 or alone >= links.points or not c.u[3 * alone] < -RESTING:
         return -1
     return alone
 
@@ -241,14 +351,18 @@ def apply_impulse_alone(links: ContactLinks, c: Contacts, w: Work, i: int, leave
     for j in range(3 * k):
         c.F[j], c.before[j] = 0.0, c.u[j]
     for j in range(k):
-        c.happened[j], c.struck[j], c.pulled[j], c.outside[j] = 0.0, 0.0, 0.0, 0.0
+        c.event.happened[j], c.event.struck[j], c.event.pulled[j], c.event.outside[j] = 0.0, 0.0, 0.0, 0.0
     for j in range(3):
-        c.F[at + j] = w.compression[j] + w.decompression[j]
+        c.F[at + j] = w.impact.compression[j] + w.impact.decompression[j]
     write_after(c, k)
-    c.energy_lost, c.restitution_share, c.struck[i] = energy_lost(w.before, w.after, c.F[at : at + 3]), 1.0, 1.0
-    c.energy_rested = w.energy_rested
-    c.happened[i] = STRUCK_AND_LEFT if leaves else STRUCK_AND_STAYED
-    c.mode[i], c.risen[i], c.floor[i] = FREE if leaves else PRESSED, 1.0, min(c.located[at], 0.0)
+    c.event.energy_lost, c.event.restitution_share, c.event.struck[i] = (
+        energy_lost(w.impact.before, w.impact.after, c.F[at : at + 3]),
+        1.0,
+        1.0,
+    )
+    c.event.energy_rested = w.impact.energy_rested
+    c.event.happened[i] = STRUCK_AND_LEFT if leaves else STRUCK_AND_STAYED
+    c.mode[i], c.cleared[i], c.floor[i] = FREE if leaves else PRESSED, 1.0, min(c.located[at], 0.0)
 
 
 @kernel
@@ -256,21 +370,31 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
     """Keep speed and direction of the slips at the beginning of a substep, and which contacts have come clear."""
     for i in range(links.k):
         speed = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
-        c.start_slip[i] = speed
+        c.friction.start_slip[i], c.friction.start_u[i, 0], c.friction.start_u[i, 1] = (
+            speed,
+            c.u[3 * i + 1],
+            c.u[3 * i + 2],
+        )
         if c.mode[i] == PRESSED and speed > STICK_SPEED:
             c.direction[i, 0], c.direction[i, 1] = c.u[3 * i + 1] / speed, c.u[3 * i + 2] / speed
         if c.located[3 * i] > HOVERING:
-            c.risen[i], c.floor[i] = 1.0, 0.0
+            c.cleared[i], c.floor[i], c.past_edge[i] = 1.0, 0.0, 0.0
 
 
 @kernel
 def move(links: ContactLinks, c: Contacts, w: Work) -> None:
-    """Add to q̇ what the impulses F of the contacts make of it, L⁻ᵀ Xᵀ F."""
+    """Add to q̇ what the impulses F of the contacts make of it."""
+    answer(links, c, w)
+    for j in range(links.n):
+        w.v[j] += w.scratch.column[j]
+
+
+@kernel
+def answer(links: ContactLinks, c: Contacts, w: Work) -> None:
+    """Write as `column` what the impulses F of the contacts make of q̇, L⁻ᵀ Xᵀ F."""
     for j in range(links.n):
         s = 0.0
         for i in range(3 * links.k):
             s += c.X[i, j] * c.F[i]
-        w.column[j] = s
-    back_substitute(w.L, w.column)
-    for j in range(links.n):
-        w.v[j] += w.column[j]
+        w.scratch.column[j] = s
+    back_substitute(w.L, w.scratch.column)

@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 def driving_torque(w: Work, state: State, j: int) -> float:
     """Return the torque that drives the link of joint j, N m: Q, or what an elastic joint passes on."""
     torque: float = w.torque[j]
-    if state.elastic != 0:
-        torque = w.transmitted[j]
+    if state.settings.elastic != 0:
+        torque = w.drives.transmitted[j]
     return torque
 
 
@@ -36,43 +36,47 @@ def driving_torque(w: Work, state: State, j: int) -> float:
 def power(w: Work, state: State) -> float:
     """Return the power P of all forces but gravity at the state evaluated last, W."""
     total: float = (
-        w.F[0] * (w.u[0] + w.carried[0]) + w.F[1] * (w.u[1] + w.carried[1]) + w.F[2] * (w.u[2] + w.carried[2])
+        w.tip.F[0] * (w.tip.u[0] + w.tip.carried[0])
+        + w.tip.F[1] * (w.tip.u[1] + w.tip.carried[1])
+        + w.tip.F[2] * (w.tip.u[2] + w.tip.carried[2])
     )
     for j in range(w.v.shape[0]):
-        total += (driving_torque(w, state, j) + w.joint_friction[j]) * w.v[j]
+        total += (driving_torque(w, state, j) + w.joint_friction.torque[j]) * w.v[j]
     if state.together != 0:
-        total += w.contact_power
+        total += w.contacts.power
     return total
 
 
 @kernel_inlined
 def save_power(w: Work, state: State) -> None:
     """Save the power at the beginning of a substep, W, and its rate with the forces held constant, W/s."""
-    w.start_power = power(w, state)
-    w.start_power_rate = 0.0
-    if state.stages == 1:
+    w.supply.power = power(w, state)
+    w.supply.power_rate = 0.0
+    if state.settings.stages == 1:
         growth = 0.0
         for i in range(3):
-            growth += w.F[i] * (w.a[i] - w.turning[i])  # N r̈ = u̇ − turning, u̇ = a + S F
-            growth += w.F[i] * (w.S[i, 0] * w.F[0] + w.S[i, 1] * w.F[1] + w.S[i, 2] * w.F[2])
+            growth += w.tip.F[i] * (w.tip.a[i] - w.tip.turning[i])  # N r̈ = u̇ − turning, u̇ = a + S F
+            growth += w.tip.F[i] * (
+                w.tip.S[i, 0] * w.tip.F[0] + w.tip.S[i, 1] * w.tip.F[1] + w.tip.S[i, 2] * w.tip.F[2]
+            )
         for j in range(w.v.shape[0]):
-            growth += (driving_torque(w, state, j) + w.joint_friction[j]) * w.qdd[j]
+            growth += (driving_torque(w, state, j) + w.joint_friction.torque[j]) * w.qdd[j]
         if state.together != 0:
-            growth += w.contact_power_rate
-        w.start_power_rate = growth
+            growth += w.contacts.power_rate
+        w.supply.power_rate = growth
 
 
 @kernel_inlined
 def add_stage_work(w: Work, state: State, stage: int, tau: float, weight: float) -> None:
     """Add a stage, of the given weight in the scheme, to the work of the substep of length tau, s."""
     if stage == 0:  # a substep may be repeated with another length from the same beginning
-        w.substep_work = tau * weight * (w.start_power + 0.5 * tau * w.start_power_rate)
+        w.supply.work = tau * weight * (w.supply.power + 0.5 * tau * w.supply.power_rate)
     else:
-        w.substep_work += tau * weight * power(w, state)
+        w.supply.work += tau * weight * power(w, state)
 
 
 @kernel_inlined
 def commit_work(w: Work) -> None:
     """Add the work of a substep that is complete to the energy supplied."""
-    w.supplied += w.substep_work
-    w.substep_work = 0.0
+    w.supply.energy += w.supply.work
+    w.supply.work = 0.0

@@ -1,6 +1,6 @@
 """Entries: the functions by which the loop calls the plug-ins of a scenario, compiled separately, all of one signature.
 
-    call_at(state.law, address, TORQUE)        see `closedloop.jit.calls`
+    call_at(state.law.entry, address, TORQUE)        see `closedloop.jit.calls`
 
 An entry takes the address of the loop's memory, and calls the member's functions with their arguments.
 """
@@ -8,6 +8,7 @@ An entry takes the address of the loop's memory, and calls the member's function
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,18 +42,20 @@ def mark_raised(address: int) -> None:
 @kernel_inlined
 def law_input(state: State, constants: Constants, w: Work) -> LawInput:
     """Return the input of the law at the state evaluated last."""
-    n, wanted = w.q.shape[0], w.reference
-    if state.seen != 0:
-        s = Seen(w.seen, n)
-        return LawInput(
-            w.time, s.q, s.v, w.H, w.C, s.L, s.A, s.X, s.S, s.drift_c, s.p, s.u, s.r, s.J, s.drift, s.frame,
-            wanted[0:n], wanted[n : 2 * n], w.qdd_des, wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
-            wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
-        )  # fmt: skip
+    if state.settings.seen != 0:
+        seen = Seen(w.seen, state.n)
+        return _input(state, w, seen, seen)
+    return _input(state, w, w, w.tip)
+
+
+@kernel_inlined
+def _input(state: State, w: Work, arm: Any, tip: Any) -> LawInput:
+    """Return the input of the law, of an arm (q, v, L, r, J, drift) whose tip has `frame` and the rows of Eq. 24."""
+    wanted, pressed = w.reference, 0.0 if state.mode == FREE else 1.0
     return LawInput(
-        w.time, w.q, w.v, w.H, w.C, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, w.r, w.J, w.drift, w.frame,
-        wanted[0:n], wanted[n : 2 * n], w.qdd_des, wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
-        wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
+        w.time, arm.q, arm.v, w.H, w.C, arm.L, tip.A, tip.X, tip.S, tip.drift_c, tip.p, tip.u, arm.r, arm.J, arm.drift,
+        tip.frame, wanted.q, wanted.v, w.qdd_des, wanted.position, wanted.velocity, wanted.acceleration, wanted.force,
+        w.sensing.measured, pressed, w.scratch.numbers,
     )  # fmt: skip
 
 
@@ -70,15 +73,17 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
         def entry(address: int, what: int) -> int:
             state, constants, w = loop_at(address)
             x, par = law_input(state, constants, w), Parameters(constants.compensation, state.n)
-            z = States(w.z[state.own_law_states : state.law_states], state.n)
+            z = States(w.z[state.law.states : state.law_states], state.n)
             if what == TORQUE:
                 torque(x, par, z, w.torque)
             elif what == RATES:
-                rates(x, par, z, w.reading, w.torque, States(w.dz[state.own_law_states : state.law_states], state.n))
+                rates(
+                    x, par, z, w.sensing.reading, w.torque, States(w.dz[state.law.states : state.law_states], state.n)
+                )
             elif what == START:
                 start(x, par, z)
             else:
-                restart(w.column, par, z)
+                restart(w.scratch.column, par, z)
             return 0
 
     else:
@@ -86,15 +91,15 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
         def entry(address: int, what: int) -> int:
             state, constants, w = loop_at(address)
             x, par = law_input(state, constants, w), Parameters(constants.law, state.n)
-            z = States(w.z[0 : state.own_law_states], state.n)
+            z = States(w.z[0 : state.law.states], state.n)
             if what == TORQUE:
                 torque(x, par, z, w.torque)
             elif what == RATES:
-                rates(x, par, z, w.reading, w.torque, States(w.dz[0 : state.own_law_states], state.n))
+                rates(x, par, z, w.sensing.reading, w.torque, States(w.dz[0 : state.law.states], state.n))
             elif what == START:
                 start(x, par, z)
             else:
-                restart(w.column, par, z)
+                restart(w.scratch.column, par, z)
             return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_{member.__name__}"
@@ -120,22 +125,22 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
     def entry(address: int, what: int) -> int:
         state, constants, w = loop_at(address)
         par, stuck = Parameters(constants.friction, state.n), state.mode == STUCK
-        at = state.law_states + state.sensor_states
-        z = States(w.z[at : at + state.friction_states], 2)
-        x = Slip(w.slip, length_of(w.slip), w.delayed_slip, w.direction)
+        at = state.law_states + state.sensor.states
+        z = States(w.z[at : at + state.friction.states], 2)
+        x = Slip(w.friction.slip, length_of(w.friction.slip), w.friction.delayed_slip, w.friction.direction)
         if what in (SLIDE, HOLD):
             for k in range(2):
-                w.c[k], w.viscous[k] = 0.0, 0.0
+                w.friction.c[k], w.friction.viscous[k] = 0.0, 0.0
             if what == SLIDE:
-                slide(x, par, z, w.c, w.viscous)
+                slide(x, par, z, w.friction.c, w.friction.viscous)
             else:
-                hold(par, z, w.c)
+                hold(par, z, w.friction.c)
         elif what == RATES:
-            rates(x, par, z, stuck, States(w.dz[at : at + state.friction_states], 2))
+            rates(x, par, z, stuck, States(w.dz[at : at + state.friction.states], 2))
         elif what == ADVANCE_STATES:
-            advance(x, par, z, stuck, w.friction_span)
+            advance(x, par, z, stuck, w.friction.span)
         elif what == LIMIT:
-            w.stick_limit = stick_limit(par, z)
+            w.friction.stick_limit = stick_limit(par, z)
         elif what == STICK:
             stick(x, par, z)
         return 0
@@ -157,15 +162,15 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
 
     def entry(address: int, what: int) -> int:
         state, constants, w = loop_at(address)
-        count = state.joint_states
-        here = state.law_states + state.sensor_states + state.friction_states
+        count = state.joint_friction.states
+        here = state.law_states + state.sensor.states + state.friction.states
         for j in range(state.n):
-            par, stuck = Parameters(row_of(constants.joint_friction, j), 1), w.stuck[j] != 0.0
+            par, stuck = Parameters(row_of(constants.joint_friction, j), 1), w.joint_friction.stuck[j] != 0.0
             z = States(w.z[here : here + count], 1)
-            u, direction = w.joint_slip[j : j + 1], w.joint_direction[j : j + 1]
-            x = Slip(u, abs(u[0]), w.joint_lagged[j], direction)
+            u, direction = w.joint_friction.slip[j : j + 1], w.joint_friction.direction[j : j + 1]
+            x = Slip(u, abs(u[0]), w.joint_friction.lagged[j], direction)
             if what == SLIDE:
-                c, viscous = w.joint_dry[j : j + 1], w.joint_viscous[j : j + 1]
+                c, viscous = w.joint_friction.dry[j : j + 1], w.joint_friction.viscous[j : j + 1]
                 c[0], viscous[0] = 0.0, 0.0
                 if stuck:
                     hold(par, z, c)
@@ -174,9 +179,9 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
             elif what == RATES:
                 rates(x, par, z, stuck, States(w.dz[here : here + count], 1))
             elif what == ADVANCE_STATES:
-                advance(x, par, z, stuck, w.friction_span)
+                advance(x, par, z, stuck, w.friction.span)
             elif what == LIMIT:
-                w.joint_limit[j] = stick_limit(par, z)
+                w.joint_friction.limit[j] = stick_limit(par, z)
             elif what == STICK and direction[0] != 0.0:
                 stick(x, par, z)
             here += count

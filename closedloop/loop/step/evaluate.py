@@ -3,7 +3,8 @@
 The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or another source. `closedloop.loop.events` decides
 which states are evaluated, and when.
 
-The paper's law on a smooth surface is part of the loop, with loop joints too: `State.law` is 0. For everything else
+The paper's law on a smooth surface is part of the loop, with loop joints too: `Settings.general` is 0. For everything
+else
 (other laws, friction of the tip and of the joints, a force sensor) it is the address of the law's entry.
 """
 
@@ -21,10 +22,11 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.parameters import parameter_block
 from closedloop.jit.simd8 import every
 from closedloop.loop.step.closed_loops import DRIVE, factorise_tip
+from closedloop.loop.step.contacts import FRICTION_RATES
 from closedloop.loop.step.entries import RATES, START, TORQUE
 from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.loop.step.locate import in_contact_frame, locate_tip
-from closedloop.loop.step.memory import RIGID_STICK, Constants, Reference, State, Work
+from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
 from closedloop.loop.step.reference_row import desired_acceleration, reference_row
 from closedloop.loop.step.seen import keep_terms, see
 from closedloop.loop.step.share_friction import share_friction
@@ -75,24 +77,24 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
     status = factorise_tip(H, w, constants, state)
     if status != OK:
         return status
-    if state.law != 0 or state.sampled != 0:
-        reference_row(w.time, constants.node, table, n, w.reference)
-    if state.law == 0:
+    if state.settings.general != 0 or state.sampled != 0:
+        reference_row(w.time, constants.node, table, n, w.reference.memory)
+    if state.settings.general == 0:
         if state.sampled != 0:
             paper_torque(C, w, constants, w.time)
-            if state.loops != 0:
-                call_at(state.loops, state.loops_at, DRIVE)
+            ask_loops(state, DRIVE)
     else:
         status = ask_through_sensors(H, C, w, constants, state, table)
         if status != OK:
             return status
-        surface_friction(w, constants, state, rows)
+        if state.together == 0:
+            surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
     status = contact_force(C, w, constants, state)
     if status != OK:
         return status
-    if state.law != 0:
-        if state.joint_sticking == RIGID_STICK:
+    if state.settings.general != 0:
+        if state.joint_friction.sticking == RIGID_STICK:
             hold_joints(w, constants, state)
             status = contact_force(C, w, constants, state)
             if status != OK:
@@ -110,20 +112,20 @@ def ask_through_sensors(H: Array, C: Array, w: Work, constants: Constants, state
 
     Returns OK, NOT_POSITIVE_DEFINITE or LAW_FAILED; see `evaluate`.
     """
-    if state.feed_forward != 0:
+    if state.settings.feed_forward != 0:
         desired_acceleration(w.time, constants.node, table, w.qdd_des)
-    if state.seen == 0:
-        in_contact_frame(w.frame, w.carried, w.turning, Reference(w.reference, w.q.shape[0]))
+    if state.settings.seen == 0:
+        in_contact_frame(w.tip.frame, w.tip.carried, w.tip.turning, w.reference)
         keep_terms(H, C, w)
-    elif state.encoder == 0:
+    elif state.settings.encoder == 0:
         if see(H, C, w, constants, state) != OK:
             return NOT_POSITIVE_DEFINITE
     else:  # the law has been asked at the state that the encoders read, see `evaluate_law`
         seen = Seen(w.seen, w.q.shape[0])
-        in_contact_frame(seen.frame, seen.carried, seen.turning, Reference(w.reference, w.q.shape[0]))
-    if state.encoder == 0 and ask_law(w, constants, state) != OK:
+        in_contact_frame(seen.frame, seen.carried, seen.turning, w.reference)
+    if state.settings.encoder == 0 and ask_law(w, constants, state) != OK:
         return LAW_FAILED
-    if state.elastic != 0:
+    if state.settings.elastic != 0:
         transmit(w, constants)
     return OK
 
@@ -131,22 +133,24 @@ def ask_through_sensors(H: Array, C: Array, w: Work, constants: Constants, state
 @kernel_inlined
 def write_rates(w: Work, constants: Constants, state: State) -> None:
     """Write the sensor's reading, and the rates of the states of law, sensor, friction and motors, under the forces."""
-    sensor = w.z[state.law_states : state.law_states + state.sensor_states]
-    w.reading = w.measured
-    if state.sensor_sampled == 0:
-        w.reading = continuous_reading(w.F[0], SensorParameters(constants.sensor, 0), sensor)
+    sensor = w.z[state.law_states : state.law_states + state.sensor.states]
+    w.sensing.reading = w.sensing.measured
+    if state.sensor.sampled == 0:
+        w.sensing.reading = continuous_reading(w.tip.F[0], SensorParameters(constants.sensor, 0), sensor)
     call_law(state, RATES)
-    at = state.law_states + state.sensor_states
-    sensor_rates(w.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
+    at = state.law_states + state.sensor.states
+    sensor_rates(w.tip.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
     for i in range(at, w.z.shape[0]):
         w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
-    if state.semi_implicit == 0:
-        if state.mode != FREE and state.friction_states > 0:
-            w.slip[0], w.slip[1] = w.u[1], w.u[2]
-            call_at(state.friction, state.address, RATES)
-        if state.joint_states > 0:
-            call_at(state.joint_friction, state.address, RATES)
-    if state.elastic != 0:
+    if state.settings.semi_implicit == 0:
+        if state.together != 0:
+            ask_contacts(state, FRICTION_RATES)
+        elif state.mode != FREE and state.friction.states > 0:
+            w.friction.slip[0], w.friction.slip[1] = w.tip.u[1], w.tip.u[2]
+            call_at(state.friction.entry, state.address, RATES)
+        if state.joint_friction.states > 0:
+            call_at(state.joint_friction.entry, state.address, RATES)
+    if state.settings.elastic != 0:
         motor_rates(w, constants)
 
 
@@ -154,8 +158,8 @@ def write_rates(w: Work, constants: Constants, state: State) -> None:
 def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
     """Write the torque of the paper's law at t, s, with what is desired in the reference."""
     n = w.q.shape[0]
-    par, wanted = PaperParameters(constants.law, n), Reference(w.reference, n)
-    paper_law(t, wanted.force, par, (wanted.q, wanted.v), (w.q, w.v), C, w.A, w.torque)
+    par, wanted = PaperParameters(constants.law, n), w.reference
+    paper_law(t, wanted.force, par, (wanted.q, wanted.v), (w.q, w.v), C, w.tip.A, w.torque)
 
 
 @kernel
@@ -164,8 +168,8 @@ def evaluate_law(H: Array, C: Array, w: Work, constants: Constants, state: State
     status = locate_tip(w, constants, state)
     if status != OK:
         return status
-    reference_row(w.time, constants.node, table, w.q.shape[0], w.reference)
-    if state.feed_forward != 0:
+    reference_row(w.time, constants.node, table, w.q.shape[0], w.reference.memory)
+    if state.settings.feed_forward != 0:
         desired_acceleration(w.time, constants.node, table, w.qdd_des)
     if see(H, C, w, constants, state) != OK:
         return NOT_POSITIVE_DEFINITE
@@ -186,20 +190,21 @@ def ask_law(w: Work, constants: Constants, state: State) -> int:
 @kernel
 def drive_torque(w: Work, constants: Constants, state: State) -> int:
     """Write the torque that the law asks for, as the drives can give it; return 0, or the law's error."""
-    if state.drives != 0 and w.time != w.sampled_at:  # a sample may be taken anew, after an event in the step before it
-        w.sampled_at = w.time
+    limited = state.settings.drives != 0
+    if limited and w.time != w.drives.sampled_at:  # a sample may be taken anew, after an event in the step before it
+        w.drives.sampled_at = w.time
         for j in range(w.q.shape[0]):
-            w.torque_before[j] = w.torque[j]
+            w.drives.before[j] = w.torque[j]
     failed = call_law(state, TORQUE)
-    if state.loops != 0:
-        call_at(state.loops, state.seen_loops_at if state.seen_loops_at != 0 else state.loops_at, DRIVE)
+    if state.loops.entry != 0:
+        call_at(state.loops.entry, state.loops.seen_at if state.loops.seen_at != 0 else state.loops.at, DRIVE)
     else:
         for j in range(w.q.shape[0]):
             w.torque[j] *= constants.driven[j]
-    if state.drives != 0 and failed == 0:
+    if limited and failed == 0:
         cut_torque(
-            w.torque, w.torque_before, constants.torque_change, constants.torque_limit, not w.time > 0.0,
-            w.torque_limited,
+            w.torque, w.drives.before, constants.torque_change, constants.torque_limit, not w.time > 0.0,
+            w.drives.limited,
         )  # fmt: skip
     return failed
 
@@ -207,16 +212,18 @@ def drive_torque(w: Work, constants: Constants, state: State) -> int:
 @kernel
 def call_law(state: State, what: int) -> int:
     """Call the law and its compensation, see `closedloop.loop.step.entries`; return 0, or the law's error."""
-    failed = call_at(state.law, state.address, what)
-    if failed == 0 and state.compensation != 0:
-        call_at(state.compensation, state.address, what)
+    if state.settings.general == 0:  # the built-in law has nothing to be told
+        return 0
+    failed = call_at(state.law.entry, state.address, what)
+    if failed == 0 and state.compensation.entry != 0:
+        call_at(state.compensation.entry, state.address, what)
     return failed
 
 
 @kernel_inlined
 def bounded(w: Work) -> bool:
     """Whether F, q̈ and q̇ are numbers, F and q̈ within `LARGEST`, and q̇ within `SPEED_LIMIT`."""
-    total = abs(w.F[0])
+    total = abs(w.tip.F[0])
     for j in range(w.q.shape[0]):
         total += abs(w.qdd[j])
         if not every(abs(w.v[j]) <= SPEED_LIMIT):

@@ -16,9 +16,20 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.loop.step.closed_loops import BIND_ANSWER
+from closedloop.loop.step.contacts import ANSWER
 from closedloop.loop.step.entries import ADVANCE_STATES, LIMIT, SLIDE
 from closedloop.loop.step.entries import STICK as END_OF_SLIP
-from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
+from closedloop.loop.step.joint_limits import joint_limits
+from closedloop.loop.step.memory import (
+    RIGID_STICK,
+    SMOOTH,
+    SPRING_STICK,
+    Constants,
+    State,
+    Work,
+    ask_contacts,
+    ask_loops,
+)
 from closedloop.mechanics.closure.contact_force import (
     FREE,
     PRESSED,
@@ -28,7 +39,7 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_force,
     stuck_tangentially,
 )
-from closedloop.mechanics.friction.quantities import AT_REST
+from closedloop.mechanics.contacts.memory import contacts_at
 
 Array = NDArray[np.float64]
 
@@ -57,23 +68,23 @@ def _delayed(w: Work, constants: Constants, state: State, rows: Array, j: int) -
 def _ask_slide(w: Work, constants: Constants, state: State, rows: Array) -> None:
     """Ask what friction is on each joint at its velocity, where no motion is to start."""
     for j in range(w.q.shape[0]):
-        w.joint_slip[j], w.joint_direction[j] = w.v[j], 0.0
-        w.joint_lagged[j] = _delayed(w, constants, state, rows, j)
-    call_at(state.joint_friction, state.address, SLIDE)
+        w.joint_friction.slip[j], w.joint_friction.direction[j] = w.v[j], 0.0
+        w.joint_friction.lagged[j] = _delayed(w, constants, state, rows, j)
+    call_at(state.joint_friction.entry, state.address, SLIDE)
 
 
 @kernel
 def add_joint_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
     """Write the torque of friction on each joint, joint_friction (n,), N m, as far as the state determines it."""
-    n, sticking = w.q.shape[0], state.joint_sticking
+    n, sticking = w.q.shape[0], state.joint_friction.sticking
     if sticking != SMOOTH:
         _ask_slide(w, constants, state, rows)
     for j in range(n):
-        w.joint_friction[j] = 0.0
+        w.joint_friction.torque[j] = 0.0
         if sticking == RIGID_STICK:
-            w.joint_friction[j] = -w.joint_viscous[j]
+            w.joint_friction.torque[j] = -w.joint_friction.viscous[j]
         elif sticking != SMOOTH:
-            w.joint_friction[j] = -w.joint_dry[j] - w.joint_viscous[j]
+            w.joint_friction.torque[j] = -w.joint_friction.dry[j] - w.joint_friction.viscous[j]
 
 
 @kernel
@@ -83,13 +94,15 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
     Reads q̈ and F of Eq. 24 without it; afterwards Eq. 24 is to be solved again.
     """
     n, h = w.q.shape[0], constants.h
-    F, y, a = w.before, w.column, w.after
-    limit, dry, none = w.joint_limit, w.scratch[8 : 8 + n], w.scratch[4:6]
+    F, y, a, target = w.scratch.force, w.scratch.column, w.scratch.acceleration, w.scratch.target
+    limit, dry, none = w.joint_friction.limit, w.scratch.dry, w.scratch.none
     none[0], none[1] = 0.0, 0.0
-    call_at(state.joint_friction, state.address, LIMIT)
+    if state.together != 0:
+        links, _ = contacts_at(state.contacts.at)
+        if links.undecided != 0:  # the modes and the friction of joints are sought together
+            return
+    joint_limits(w, constants, state)
     for j in range(n):
-        if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], AT_REST):
-            limit[j] = abs(w.joint_dry[j])
         dry[j] = 0.0
         # Column j of the answer: q̈ to a torque of 1 N m in joint j, the contact as it is.
         for i in range(n):
@@ -100,71 +113,72 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             for m in range(j, i):
                 s -= w.L[i, m] * y[m]
             y[i] = s * w.L[i, i]
-        if state.loops != 0:
-            call_at(state.loops, state.loops_at, BIND_ANSWER)
+        ask_loops(state, BIND_ANSWER)
         for i in range(3):
             F[i] = 0.0
             a[i] = 0.0
             for m in range(n):
-                a[i] += w.X[i, m] * y[m]
-        if state.compliance != 0:  # f follows the depth, which a torque does not change at once
-            if state.mode == STUCK and state.sticking == RIGID_STICK:
+                a[i] += w.tip.X[i, m] * y[m]
+        if state.together != 0:
+            ask_contacts(state, ANSWER)
+        elif state.compliance.entry != 0:  # f follows the depth, which a torque does not change at once
+            if state.mode == STUCK and state.friction.sticking == RIGID_STICK:
                 for i in range(3):
-                    w.b_stabiliser[i] = 0.0
-                stuck_tangentially(w.S, a, w.b_stabiliser, F)
-        elif state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
-            pressed_force(w.S, a, 0.0, w.c, none, F)
+                    target[i] = 0.0
+                stuck_tangentially(w.tip.S, a, target, F)
+        elif state.mode == PRESSED or (state.mode == STUCK and state.friction.sticking == SPRING_STICK):
+            pressed_force(w.tip.S, a, 0.0, w.friction.c, none, F)
         elif state.mode != FREE:
             for i in range(3):
-                w.b_stabiliser[i] = 0.0
-            stuck_force(w.S, a, w.b_stabiliser, F, w.compression)
-        accelerate(w.L, w.X, y, F, row_of(w.gain, j))
+                target[i] = 0.0
+            stuck_force(w.tip.S, a, target, F, w.scratch.unused)
+        accelerate(w.L, w.tip.X, y, F, row_of(w.joint_friction.gain, j))
     for _ in range(MOST_SWEEPS):
         change = 0.0
         for j in range(n):
-            if not (limit[j] > 0.0 and w.gain[j, j] > 0.0):
+            if not (limit[j] > 0.0 and w.joint_friction.gain[j, j] > 0.0):
                 continue
-            wanted = dry[j] - (w.v[j] / h + w.qdd[j]) / w.gain[j, j]
+            wanted = dry[j] - (w.v[j] / h + w.qdd[j]) / w.joint_friction.gain[j, j]
             new = min(max(wanted, -limit[j]), limit[j])
             moved = new - dry[j]
             dry[j] = new
             change = max(change, abs(moved) / limit[j])
             for i in range(n):
-                w.qdd[i] += w.gain[j, i] * moved
+                w.qdd[i] += w.joint_friction.gain[j, i] * moved
         if change <= SETTLED:
             break
     for j in range(n):
-        w.joint_friction[j] += dry[j]
+        w.joint_friction.torque[j] += dry[j]
 
 
 @kernel
 def advance_joint_friction(w: Work, state: State, h: float) -> None:
     """Advance the joints' friction states by h seconds at the velocity of the step's beginning."""
-    if state.joint_states == 0:
+    if state.joint_friction.states == 0:
         return
     n = w.q.shape[0]
     for j in range(n):
-        w.joint_slip[j] = w.begin[n + j]
-    w.friction_span = h
-    call_at(state.joint_friction, state.address, ADVANCE_STATES)
+        w.joint_friction.slip[j] = w.start.state[n + j]
+    w.friction.span = h
+    call_at(state.joint_friction.entry, state.address, ADVANCE_STATES)
 
 
 @kernel
 def stick_or_slip_joints(w: Work, constants: Constants, state: State, rows: Array) -> None:
     """At a row, let joints stick whose motion has turned, and slip whose spring is stretched out."""
     n, i = w.q.shape[0], state.row
-    if state.joint_sticking != SPRING_STICK or i == 0:
+    if state.joint_friction.sticking != SPRING_STICK or i == 0:
         return
     _ask_slide(w, constants, state, rows)
-    call_at(state.joint_friction, state.address, LIMIT)
+    call_at(state.joint_friction.entry, state.address, LIMIT)
     for j in range(n):
         before = rows[i - 1, n + j]
-        if w.stuck[j] != 0.0:
-            if abs(w.joint_dry[j]) >= w.joint_limit[j]:
-                w.stuck[j] = 0.0
+        if w.joint_friction.stuck[j] != 0.0:
+            if abs(w.joint_friction.dry[j]) >= w.joint_friction.limit[j]:
+                w.joint_friction.stuck[j] = 0.0
         elif w.v[j] * before <= 0.0:
-            w.joint_direction[j] = 1.0 if before > 0.0 else -1.0
-    call_at(state.joint_friction, state.address, END_OF_SLIP)
+            w.joint_friction.direction[j] = 1.0 if before > 0.0 else -1.0
+    call_at(state.joint_friction.entry, state.address, END_OF_SLIP)
     for j in range(n):
-        if w.joint_direction[j] != 0.0:
-            w.stuck[j] = 1.0
+        if w.joint_friction.direction[j] != 0.0:
+            w.joint_friction.stuck[j] = 1.0

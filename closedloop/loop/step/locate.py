@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.reference.table import Reference
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.user_code import RAISED
-from closedloop.loop.step.memory import Constants, Reference, State, Work
+from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, into_contact_frame
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at, edge_distance
@@ -24,23 +25,23 @@ Array = NDArray[np.float64]
 @kernel_inlined
 def locate_on_plane(w: Work, constants: Constants) -> None:
     """Write the tip's motion in the contact frame of a plane at rest, and the gap and its rate."""
-    into_contact_frame(w)
-    w.gap, w.rate = w.p[0] - constants.offset, w.u[0]
+    into_contact_frame(w, w.tip)
+    w.tip.gap, w.tip.rate = w.tip.p[0] - constants.offset, w.tip.u[0]
 
 
 @kernel_inlined
 def locate_tip(w: Work, constants: Constants, state: State) -> int:
     """Write the contact frame, the tip's motion in it, and the gap and its rate; return OK or NO_NORMAL."""
-    if state.surface != 0 and not ask_surface(w, constants.h, state):
+    if state.surface.entry == 0:
+        locate_on_plane(w, constants)
+        return OK
+    if not ask_surface(w, constants.h, state):
         return NO_NORMAL
-    gap = w.gap
-    locate_on_plane(w, constants)
-    if state.surface != 0:
-        w.gap = gap
-        for i in range(3):
-            w.u[i] -= w.carried[i]
-            w.drift_c[i] += w.turning[i]
-        w.rate = w.u[0]
+    into_contact_frame(w, w.tip)
+    for i in range(3):
+        w.tip.u[i] -= w.tip.carried[i]
+        w.tip.drift_c[i] += w.tip.turning[i]
+    w.tip.rate = w.tip.u[0]
     return OK
 
 
@@ -51,7 +52,7 @@ def ask_surface(w: Work, h: float, state: State) -> bool:
     Or if a tip in contact is coming to where it has none: a step of `h`, s, leads over a point without showing it, so
     that the run stops where |∇φ|, as it falls along the motion, would vanish within the step.
     """
-    links, ask = ask_at(state.surface_at)
+    links, ask = ask_at(state.surface.at)
     ask.time = w.time
     for i in range(3):
         speed = 0.0
@@ -59,18 +60,18 @@ def ask_surface(w: Work, h: float, state: State) -> bool:
             speed += w.J[i, j] * w.v[j]
         ask.velocity[i] = speed
         ask.r[i] = w.r[i]
-    answer = call_at(state.surface, links.address, CONTACT)
+    answer = call_at(state.surface.entry, links.address, CONTACT)
     if answer != FOUND:
         state.raised = 1 if answer == RAISED else 0
         return False
     touch = Touch(ask.touch)
     if state.mode != FREE and touch.growth * h < -1.0:
         return False
-    w.gap, w.inside = touch.level / touch.size, edge_distance(touch.at, ask.bounds)
+    w.tip.gap, w.tip.inside = touch.level / touch.size, edge_distance(touch.at, ask.bounds)
     for i in range(3):
-        w.carried[i], w.turning[i] = touch.carried[i], touch.turning[i]
+        w.tip.carried[i], w.tip.turning[i] = touch.carried[i], touch.turning[i]
         for k in range(3):
-            w.frame[i, k] = ask.frame[i, k]
+            w.tip.frame[i, k] = ask.frame[i, k]
     return True
 
 
@@ -78,23 +79,23 @@ def ask_surface(w: Work, h: float, state: State) -> bool:
 def set_anchor(w: Work, state: State) -> None:
     """Write where the tip is, as a place on the surface, which carries it along: it has stuck there."""
     for i in range(3):
-        w.anchor[i] = w.p[i]
-    if state.surface != 0:
-        _, ask = ask_at(state.surface_at)
+        w.tip.anchor[i] = w.tip.p[i]
+    if state.surface.entry != 0:
+        _, ask = ask_at(state.surface.at)
         touch = Touch(ask.touch)
         for i in range(3):
-            w.anchor[i] = touch.at[i]
+            w.tip.anchor[i] = touch.at[i]
 
 
 @kernel
 def off_anchor(w: Work, state: State, tangent: int) -> float:
     """Return how far the tip is from where it stuck, m, along tangent 1 or 2."""
-    if state.surface == 0:
-        return float(w.p[tangent] - w.anchor[tangent])
-    _, ask = ask_at(state.surface_at)
+    if state.surface.entry == 0:
+        return float(w.tip.p[tangent] - w.tip.anchor[tangent])
+    _, ask = ask_at(state.surface.at)
     touch, off = Touch(ask.touch), 0.0
     for k in range(3):
-        off += touch.local[tangent, k] * (touch.at[k] - w.anchor[k])
+        off += touch.local[tangent, k] * (touch.at[k] - w.tip.anchor[k])
     return off
 
 

@@ -55,9 +55,10 @@ def make_loop(
     constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
     w = Work(np.zeros(Work.count(n, extra, stages, ring)), n, extra, stages, ring)
     state.address = address_of(state.memory)
-    state.n, state.extra, state.stages, state.sensor_ring = n, extra, stages, ring
-    state.law_size, state.compensation_size = law, compensation
-    state.friction_size, state.joint_friction_size, state.compliance_size = friction, joint_friction, compliance
-    state.constants_at, state.constants_size = address_of(constants.memory), constants.memory.size
-    state.work_at, state.work_size = address_of(w.memory), w.memory.size
+    state.n, state.addresses.extra, state.settings.stages, state.sensor.ring = n, extra, stages, ring
+    state.law.size, state.compensation.size = law, compensation
+    state.friction.size, state.joint_friction.size, state.compliance.size = friction, joint_friction, compliance
+    state.addresses.constants, state.addresses.constants_size = address_of(constants.memory), constants.memory.size
+    state.addresses.work, state.addresses.work_size = address_of(w.memory), w.memory.size
+    w.stops.margin = w.contacts.margin = w.tip.inside = np.inf  # of what there may not be: it is nowhere near
     return Loop(state, constants, w)

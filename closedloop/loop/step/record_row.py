@@ -7,15 +7,16 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.reference.table import TableRow
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
-from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import row_of
 from closedloop.jit.simd8 import every, select
 from closedloop.loop.step.closed_loops import REACTION, missing_torque
 from closedloop.loop.step.energy_supplied import driving_torque
-from closedloop.loop.step.memory import RIGID_STICK, Constants, K, N, State, Work, loop_at
+from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_loops, loop_at
+from closedloop.loop.step.records import K, N
 from closedloop.mechanics.closure.conditioning import (
     BATCH,
     LONG_ARM,
@@ -25,6 +26,7 @@ from closedloop.mechanics.closure.conditioning import (
 )
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.closure.residuals import residuals
+from closedloop.mechanics.contacts.friction import remember_speed
 from closedloop.mechanics.contacts.memory import contacts_at
 
 Array = NDArray[np.float64]
@@ -151,25 +153,27 @@ def rows_there(state: State, done: int, n: int) -> int:
     return done if n > LONG_ARM or state.batched == done % BATCH else done + 1
 
 
-@kernel_inlined
+@kernel
 def record(
     H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, place: int
 ) -> None:
     """Write a row in the order of `Row`, and take the sample of the force sensor that is part of it."""
     record_state(H, C, w, state, rows, place)
-    if state.law == 0:
+    if state.contacts.entry != 0:  # not in `record_state`, which lanes share: their numbers are not a contact's
+        record_contacts(w, state, row_of(rows, place))
+    if state.settings.general == 0:
         return
-    n, count, sensor = w.q.shape[0], state.law_states, state.sensor_states
-    w.measured = sense(
-        w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
-        table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
+    n, count, sensor = w.q.shape[0], state.law_states, state.sensor.states
+    w.sensing.measured = sense(
+        w.tip.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
+        TableRow(row_of(table, place * state.settings.nodes_per_step), n).noise, w.sensing.ring[0 : state.sensor.ring],
     )  # fmt: skip
-    if state.arm_at != 0:
-        record_arm(w, state, row_of(rows, place)[state.arm_at :])
-    Row(row_of(rows, place), n).measured_force = w.measured
-    if state.states_at != 0:
+    if state.settings.arm_at != 0:
+        record_arm(w, state, row_of(rows, place)[state.settings.arm_at :])
+    Row(row_of(rows, place), n).measured_force = w.sensing.measured
+    if state.settings.states_at != 0:
         for k in range(state.law_states):
-            row_of(rows, place)[state.states_at + k] = w.z[k]
+            row_of(rows, place)[state.settings.states_at + k] = w.z[k]
 
 
 @kernel_inlined
@@ -185,53 +189,53 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
         row.v[j] = w.v[j]
         row.acceleration[j] = w.qdd[j]
         row.torque[j] = w.torque[j]
-        row.joint_friction[j] = w.joint_friction[j]
-        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
+        row.joint_friction[j] = w.joint_friction.torque[j]
+        w.scratch.column[j] = driving_torque(w, state, j) + w.joint_friction.torque[j]
     for i in range(3):
         row.position[i] = w.r[i]
         speed = 0.0
         for j in range(n):
             speed += w.J[i, j] * w.v[j]
         row.velocity[i] = speed
-        row.friction_force[i] = w.frame[1, i] * w.F[1] + w.frame[2, i] * w.F[2]
-        row.slip_velocity[i] = w.frame[1, i] * w.u[1] + w.frame[2, i] * w.u[2]
-        row.surface_normal[i] = w.frame[0, i]
+        row.friction_force[i] = w.tip.frame[1, i] * w.tip.F[1] + w.tip.frame[2, i] * w.tip.F[2]
+        row.slip_velocity[i] = w.tip.frame[1, i] * w.tip.u[1] + w.tip.frame[2, i] * w.tip.u[2]
+        row.surface_normal[i] = w.tip.frame[0, i]
     mode = state.mode
     # in a singular pose Eq. 24 has no row
-    closed_by_row = mode != FREE and state.compliance == 0 and every(w.S[0, 0] > 0.0)
-    first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
-    if state.loops != 0:
+    closed_by_row = mode != FREE and state.compliance.entry == 0 and every(w.tip.S[0, 0] > 0.0)
+    first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.friction.sticking == RIGID_STICK else 1
+    if state.loops.entry != 0:
         missing_torque(H, C, w, state)
-        call_at(state.loops, state.loops_at, REACTION)
+        ask_loops(state, REACTION)
         for j in range(n):
-            w.column[j] += driving_torque(w, state, j) + w.joint_friction[j]
+            w.scratch.column[j] += driving_torque(w, state, j) + w.joint_friction.torque[j]
     if state.together != 0:
         for j in range(n):
-            w.column[j] += w.contact_torque[j]
-    motion, closed = residuals(H, w.column, C, w, first, last)
-    trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
-    row.contact_force = w.F[0]
-    row.stabiliser_force = w.stabiliser_force[0]
-    row.closure_error = w.gap
-    row.closure_rate = w.rate
+            w.scratch.column[j] += w.contacts.torque[j]
+    motion, closed = residuals(H, w.scratch.column, C, w.qdd, w.tip, first, last)
+    trace = w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
+    row.contact_force = w.tip.F[0]
+    row.stabiliser_force = w.tip.stabiliser_force[0]
+    row.closure_error = w.tip.gap
+    row.closure_rate = w.tip.rate
     row.mode = mode
     row.residual_motion = motion
     row.residual_closure = closed
-    bordered = closed_by_row and state.loops == 0
+    bordered = closed_by_row and state.loops.entry == 0
     if n > LONG_ARM:
-        row.kkt_condition = condition_number(H, row_of(w.A, 0), w.L, row_of(w.X, 0), w.S[0, 0], bordered, w.scratch)
+        row.kkt_condition = condition_number(
+            H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
+        )
     else:
-        add_to_batch(H, row_of(w.A, 0), w.L, row_of(w.X, 0), w.S[0, 0], bordered, w.batch, lane)
+        add_to_batch(H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.batch, lane)
         state.batched = lane + 1
         if lane + 1 >= BATCH:
             record_conditions(w.batch, rows, state, place + 1, n)
-    row.normal_mobility = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
+    row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v)
-    w.measured = w.F[0]
-    row.measured_force = w.measured
-    row.energy_supplied = w.supplied
-    if state.contacts != 0:
-        record_contacts(state, row_of(rows, place))
+    w.sensing.measured = w.tip.F[0]
+    row.measured_force = w.sensing.measured
+    row.energy_supplied = w.supply.energy
 
 
 @kernel
@@ -240,19 +244,23 @@ def record_arm(w: Work, state: State, part: Array) -> None:
     n = w.q.shape[0]
     row, motors = ArmRow(part, n), w.z.shape[0] - 2 * n
     for j in range(n):
-        row.torque_limited[j] = w.torque_limited[j]
-        row.measured_position[j] = w.last_read_q[j] = w.read_q[j]
-        row.measured_velocity[j] = w.last_read_v[j] = w.read_v[j]
-        row.transmitted_torque[j] = w.transmitted[j]
-        if state.elastic != 0:
+        row.torque_limited[j] = w.drives.limited[j]
+        row.measured_position[j] = w.encoders.last_q[j] = w.encoders.q[j]
+        row.measured_velocity[j] = w.encoders.last_v[j] = w.encoders.v[j]
+        row.transmitted_torque[j] = w.drives.transmitted[j]
+        if state.settings.elastic != 0:
             row.motor_position[j], row.motor_velocity[j] = w.z[motors + j], w.z[motors + n + j]
 
 
 @kernel
-def record_contacts(state: State, part: Array) -> None:
+def record_contacts(w: Work, state: State, part: Array) -> None:
     """Write the part of a row that is a `ContactRow`."""
-    links, c = contacts_at(state.contacts_at)
-    points = links.k - links.stops
+    links, c = contacts_at(state.contacts.at)
+    points = links.points
+    if state.together == 0:
+        for j in range(3):
+            c.u[j] = w.tip.u[j]
+    remember_speed(c, state.row)
     row = ContactRow(part[links.record_at :], points - 1)
     for i in range(1, points):
         at, to = 3 * i, i - 1

@@ -11,19 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.control.encoder import EncoderParameters, read_encoder
+from closedloop.control.reference.table import DrawnRow
 from closedloop.control.seen import Seen
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
 from closedloop.loop.step.belief import believe
 from closedloop.loop.step.closed_loops import BIND_SEEN, CLOSE
 from closedloop.loop.step.locate import in_contact_frame
-from closedloop.loop.step.memory import Constants, Reference, State, Work
+from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import factorise, into_contact_frame
 from closedloop.mechanics.closure.solve import OK
 
 Array = NDArray[np.float64]
 
-# Of `State.elastic`: the encoders are on the motors.
+# Of `Settings.elastic`: the encoders are on the motors.
 MOTORS_MEASURED = 2
 
 
@@ -45,32 +47,34 @@ def see(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
     The normal that it believes in is the true one, turned by `constants.tilt`.
     """
     n, tilt = w.q.shape[0], constants.tilt
-    seen, wanted = Seen(w.seen, n), Reference(w.reference, n)
+    seen, wanted = Seen(w.seen, n), w.reference
     for i in range(3):
         seen.r[i], seen.drift[i] = w.r[i], w.drift[i]
         seen.carried[i], seen.turning[i] = 0.0, 0.0
         for k in range(3):
-            seen.carried[i] += tilt[i, k] * w.carried[k]
-            seen.turning[i] += tilt[i, k] * w.turning[k]
-            seen.frame[i, k] = tilt[i, 0] * w.frame[0, k] + tilt[i, 1] * w.frame[1, k] + tilt[i, 2] * w.frame[2, k]
+            seen.carried[i] += tilt[i, k] * w.tip.carried[k]
+            seen.turning[i] += tilt[i, k] * w.tip.turning[k]
+            seen.frame[i, k] = (
+                tilt[i, 0] * w.tip.frame[0, k] + tilt[i, 1] * w.tip.frame[1, k] + tilt[i, 2] * w.tip.frame[2, k]
+            )
         for j in range(n):
             seen.J[i, j] = w.J[i, j]
     for j in range(n):
         seen.q[j], seen.v[j] = w.q[j], w.v[j]
-    into_contact_frame(seen)
+    into_contact_frame(seen, seen)
     for i in range(3):
         seen.u[i] -= seen.carried[i]
         seen.drift_c[i] += seen.turning[i]
     in_contact_frame(seen.frame, seen.carried, seen.turning, wanted)
     keep_terms(H, C, w)
-    if state.model_error != 0:
+    if state.settings.model_error != 0:
         believe(w, constants)
-    if state.elastic != 0:  # the controller takes the joints for rigid
+    if state.settings.elastic != 0:  # the controller takes the joints for rigid
         for j in range(n):
             w.H[j, j] += constants.motor_inertia[j]
     status = int(factorise(w.H, seen.A, seen.L, seen.X, seen.S, constants.reach))
-    if status == OK and state.seen_loops_at != 0:
-        call_at(state.loops, state.seen_loops_at, BIND_SEEN)
+    if status == OK and state.loops.seen_at != 0:
+        call_at(state.loops.entry, state.loops.seen_at, BIND_SEEN)
     return status
 
 
@@ -79,24 +83,30 @@ def read_joints(w: Work, constants: Constants, state: State, table: Array) -> No
     """Put what the encoders read in place of q and q̇, for the terms that the law sees; keep the true ones aside."""
     n, row = w.q.shape[0], state.row
     par = EncoderParameters(constants.encoder, n)
-    normal = table[row * state.nodes_per_step][2 * n + 11 :]
+    normal = DrawnRow(row_of(table, row * state.settings.nodes_per_step), n).draws
     motors = w.z.shape[0] - 2 * n
     for j in range(n):
-        w.true_q[j], w.true_v[j] = w.q[j], w.v[j]
+        w.encoders.true_q[j], w.encoders.true_v[j] = w.q[j], w.v[j]
         q, v = w.q[j], w.v[j]
-        if state.elastic == MOTORS_MEASURED and constants.motor_inertia[j] > 0.0:
+        if state.settings.elastic == MOTORS_MEASURED and constants.motor_inertia[j] > 0.0:
             q, v = w.z[motors + j], w.z[motors + n + j]
         position, velocity = read_encoder(
-            state.encoder, (q, v), j, par, normal, constants.h if row > 0 else 0.0, (w.last_read_q, w.last_read_v)
+            state.settings.encoder,
+            (q, v),
+            j,
+            par,
+            normal,
+            constants.h if row > 0 else 0.0,
+            (w.encoders.last_q, w.encoders.last_v),
         )
-        w.read_q[j], w.read_v[j] = position, velocity
+        w.encoders.q[j], w.encoders.v[j] = position, velocity
         w.q[j], w.v[j] = position, velocity
-    if state.loops != 0 and state.seen_loops_at != 0:
-        call_at(state.loops, state.seen_loops_at, CLOSE)
+    if state.loops.entry != 0 and state.loops.seen_at != 0:
+        call_at(state.loops.entry, state.loops.seen_at, CLOSE)
 
 
 @kernel
 def back_to_true(w: Work) -> None:
     """Put the true q and q̇ back."""
     for j in range(w.q.shape[0]):
-        w.q[j], w.v[j] = w.true_q[j], w.true_v[j]
+        w.q[j], w.v[j] = w.encoders.true_q[j], w.encoders.true_v[j]

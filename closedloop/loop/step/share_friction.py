@@ -36,7 +36,11 @@ HEAVIEST, HALVINGS, RIM = 1e8, 40, 1e-12
 def at_rest(w: Work, constants: Constants) -> bool:
     """Return whether every joint has friction that may hold it, and rests at the end of a step too."""
     for j in range(w.q.shape[0]):
-        if not w.joint_limit[j] > 0.0 or abs(w.v[j]) > AT_REST or abs(w.v[j] + constants.h * w.qdd[j]) > AT_REST:
+        if (
+            not w.joint_friction.limit[j] > 0.0
+            or abs(w.v[j]) > AT_REST
+            or abs(w.v[j] + constants.h * w.qdd[j]) > AT_REST
+        ):
             return False
     return True
 
@@ -45,24 +49,24 @@ def at_rest(w: Work, constants: Constants) -> bool:
 def share_friction(w: Work, constants: Constants, state: State) -> None:
     """Replace F, and the friction of the joints, by those of least friction that hold the arm alike, where it rests."""
     n = w.q.shape[0]
-    held = state.mode == STUCK and state.sticking == RIGID_STICK
-    if state.mode == FREE or state.loops != 0 or state.contacts != 0 or not at_rest(w, constants):
+    held = state.mode == STUCK and state.friction.sticking == RIGID_STICK
+    if state.mode == FREE or state.loops.entry != 0 or state.together != 0 or not at_rest(w, constants):
         return
-    if not held and (state.compliance != 0 or state.sticking != SMOOTH):
+    if not held and (state.compliance.entry != 0 or state.friction.sticking != SMOOTH):
         return
-    first, count = 1 if state.compliance != 0 else 0, 3 if held else 1
+    first, count = 1 if state.compliance.entry != 0 else 0, 3 if held else 1
     at = 16 + n
-    d = w.scratch[at : at + n]
+    d = w.scratch.numbers[at : at + n]
     multipliers, change, trial = (
-        w.scratch[at + n : at + 2 * n],
-        w.scratch[at + 2 * n :][:3],
-        w.scratch[at + 2 * n :][3:6],
+        w.scratch.numbers[at + n : at + 2 * n],
+        w.scratch.numbers[at + 2 * n :][:3],
+        w.scratch.numbers[at + 2 * n :][3:6],
     )
-    inverse = w.scratch[at + 2 * n + 6 :][:9]
+    inverse = w.scratch.numbers[at + 2 * n + 6 :][:9]
     for j in range(n):
-        d[j] = w.joint_friction[j] + w.joint_viscous[j]
+        d[j] = w.joint_friction.torque[j] + w.joint_friction.viscous[j]
     if held:
-        call_at(state.friction, state.address, LIMIT)
+        call_at(state.friction.entry, state.address, LIMIT)
     if not weigh(w, d, 1.0, first, count, inverse, multipliers, change):
         return
     if held and not in_cone(w, change):
@@ -83,21 +87,21 @@ def share_friction(w: Work, constants: Constants, state: State) -> None:
 @kernel
 def in_cone(w: Work, change: Array) -> bool:
     """Return whether F with this change is in the cone of friction of a tip that sticks."""
-    size = math.hypot(w.F[1] + change[1], w.F[2] + change[2])
-    return bool(size <= (1.0 - RIM) * w.stick_limit * (w.F[0] + change[0]))
+    size = math.hypot(w.tip.F[1] + change[1], w.tip.F[2] + change[2])
+    return bool(size <= (1.0 - RIM) * w.friction.stick_limit * (w.tip.F[0] + change[0]))
 
 
 @kernel
 def move_force(w: Work, change: Array) -> None:
     """Add a change to F and take its torque from the joints' friction: q̈ stays; what Eq. 24 was solved from moves."""
     for i in range(3):
-        w.F[i] += change[i]
+        w.tip.F[i] += change[i]
         for k in range(3):
-            w.a[i] -= w.S[i, k] * change[k]
+            w.tip.a[i] -= w.tip.S[i, k] * change[k]
         for j in range(w.q.shape[0]):
-            w.joint_friction[j] -= w.A[i, j] * change[i]
-            w.y[j] -= w.X[i, j] * change[i]
-    w.rigid_force += change[0]
+            w.joint_friction.torque[j] -= w.tip.A[i, j] * change[i]
+            w.y[j] -= w.tip.X[i, j] * change[i]
+    w.tip.rigid_force += change[0]
 
 
 @kernel
@@ -116,9 +120,9 @@ def weigh(
     for j in range(n):
         multipliers[j] = 0.0
     for k in range(first, first + min(count, 3 - first)):
-        b = -weight * w.F[k] if k > 0 else 0.0
+        b = -weight * w.tip.F[k] if k > 0 else 0.0
         for j in range(n):
-            b += w.A[k, j] * d[j]
+            b += w.tip.A[k, j] * d[j]
         for i in range(3):
             change[i] += inverse[3 * i + k] * b
     for _ in range(SWEEPS):
@@ -126,17 +130,17 @@ def weigh(
         for j in range(n):
             gain, torque = 0.0, d[j]
             for i in range(3):
-                torque -= w.A[i, j] * change[i]
+                torque -= w.tip.A[i, j] * change[i]
                 for k in range(3):
-                    gain += w.A[i, j] * inverse[3 * i + k] * w.A[k, j]
+                    gain += w.tip.A[i, j] * inverse[3 * i + k] * w.tip.A[k, j]
             if not gain > 0.0:
                 continue
             free = torque - multipliers[j] * gain
-            most_torque = w.joint_limit[j]
+            most_torque = w.joint_friction.limit[j]
             new = (min(max(free, -most_torque), most_torque) - free) / gain
             for i in range(3):
                 for k in range(3):
-                    change[i] -= inverse[3 * i + k] * w.A[k, j] * (new - multipliers[j])
+                    change[i] -= inverse[3 * i + k] * w.tip.A[k, j] * (new - multipliers[j])
             most = max(most, abs(new - multipliers[j]) * gain)
             multipliers[j] = new
         if most <= UNCHANGED:
@@ -153,7 +157,7 @@ def invert(w: Work, weight: float, first: int, count: int, inverse: Array) -> bo
             s = 0.0
             if first <= i < first + count and first <= k < first + count:
                 for j in range(w.q.shape[0]):
-                    s += w.A[i, j] * w.A[k, j]
+                    s += w.tip.A[i, j] * w.tip.A[k, j]
                 if i == k and i > 0:
                     s += weight
             elif i == k:

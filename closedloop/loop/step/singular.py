@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
-from closedloop.loop.step.memory import Constants, N, State, Work
+from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.loop.step.records import N
 from closedloop.mechanics.closure.contact_force import accelerate
 from closedloop.mechanics.closure.solve import OK, PUSHED, SINGULAR, SINGULAR_MOBILITY, forward_substitute
 
@@ -56,15 +57,15 @@ def near_singular(S: Array) -> bool:
 @kernel
 def remember_approach(w: Work, state: State) -> None:
     """Remember ℓ and g at the beginning of a substep, of a tip on the surface near a singular pose."""
-    if not w.S[0, 0] > 0.0:
+    if not w.tip.S[0, 0] > 0.0:
         return
-    n, lever = w.q.shape[0], math.sqrt(w.S[0, 0])
+    n, lever = w.q.shape[0], math.sqrt(w.tip.S[0, 0])
     way = Approach(w.approach, n)
     way.time[1], way.lever[1], way.push[1] = way.time[0], way.lever[0], way.push[0]
-    way.time[0], way.lever[0] = w.begin_time, lever
-    way.push[0] = (w.F[0] - w.stabiliser_force[0]) * lever
+    way.time[0], way.lever[0] = w.start.time, lever
+    way.push[0] = (w.tip.F[0] - w.tip.stabiliser_force[0]) * lever
     for j in range(n):
-        way.row[j] = w.X[0, j]
+        way.row[j] = w.tip.X[0, j]
     state.approached += 1
 
 
@@ -84,10 +85,10 @@ def pushed_on_the_way(C: Array, w: Work, constants: Constants, rigid: float) -> 
     n, turned = C.shape[0], 0.0
     way = Approach(w.approach, n)
     for j in range(n):
-        turned += way.row[j] * w.X[0, j]
+        turned += way.row[j] * w.tip.X[0, j]
     if turned >= 0.0:
         return False
-    lever = math.sqrt(w.S[0, 0])
+    lever = math.sqrt(w.tip.S[0, 0])
     # A has turned round: the same push has the other sign
     pushed = (way.push[0] * lever - rigid * lever * way.lever[0]) / (way.lever[0] + lever)
     elapsed = w.time - way.time[0]
@@ -108,7 +109,7 @@ def force_in_singular_pose(C: Array, w: Work, constants: Constants, state: State
         `b`, `rigid_force`, and S_nn, which is zero.
     state : State
     """
-    way, trace = Approach(w.approach, C.shape[0]), w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
+    way, trace = Approach(w.approach, C.shape[0]), w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
     if state.approached < 2 or not way.lever[1] > way.lever[0]:
         return SINGULAR
     nearer = way.lever[1] - way.lever[0]
@@ -116,16 +117,20 @@ def force_in_singular_pose(C: Array, w: Work, constants: Constants, state: State
     if not (w.time - way.time[0]) * rate <= PATIENCE * max(way.lever[0], math.sqrt(SINGULAR_MOBILITY * trace)):
         return SINGULAR
     pushed = (way.push[0] * way.lever[1] - way.push[1] * way.lever[0]) / nearer
-    along = w.a[0] - w.S[0, 1] * w.viscous[0] - w.S[0, 2] * w.viscous[1]
+    along = w.tip.a[0] - w.tip.S[0, 1] * w.friction.viscous[0] - w.tip.S[0, 2] * w.friction.viscous[1]
     most = no_push(C, w, constants, rate)
     if not (abs(pushed) <= most and abs(along) <= most * math.sqrt(trace)):
         return PUSHED
     f = (way.push[1] - way.push[0]) / nearer
-    if state.unilateral != 0:
+    if state.settings.unilateral != 0:
         f = max(f, 0.0)  # it would have lifted off before
-    w.F[0], w.F[1], w.F[2] = f, -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
-    w.rigid_force, w.stabiliser_force[0], w.b[0], w.S[0, 0] = f, 0.0, 0.0, 0.0
-    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+    w.tip.F[0], w.tip.F[1], w.tip.F[2] = (
+        f,
+        -w.friction.c[0] * f - w.friction.viscous[0],
+        -w.friction.c[1] * f - w.friction.viscous[1],
+    )
+    w.tip.rigid_force, w.tip.stabiliser_force[0], w.tip.b[0], w.tip.S[0, 0] = f, 0.0, 0.0, 0.0
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
     return OK
 
 
@@ -136,12 +141,12 @@ def no_push(C: Array, w: Work, constants: Constants, rate: float) -> float:
     A share of what Q (in `column`) and C would do one by one, |L⁻¹Q| + |L⁻¹C|, of what it takes to accelerate the tip
     by gravity, and of the velocity, |Lᵀq̇|, as A turns.
     """
-    n, trace = C.shape[0], w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
+    n, trace = C.shape[0], w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
     total = length(constants.gravity) / math.sqrt(trace)
-    x = w.scratch[0:n]
+    x = w.scratch.numbers[0:n]
     for side in range(2):
         for j in range(n):
-            x[j] = w.column[j] if side == 0 else C[j]
+            x[j] = w.scratch.column[j] if side == 0 else C[j]
         forward_substitute(w.L, x)
         total += length(x)
     for j in range(n):

@@ -14,11 +14,7 @@ from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, St
 from closedloop.loop.step.tip_friction import turn_with_slip
 from closedloop.mechanics.closure.contact_force import STUCK, accelerate, baumgarte_acceleration, stuck_tangentially
 from closedloop.mechanics.contacts.soft import AS_FORCE
-from closedloop.mechanics.surface.compliance import Compliance
-
-# Gauss and Legendre's rule with eight points, on −1 to 1: half of the points, and their weights.
-POINTS = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
-WEIGHTS = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)
+from closedloop.mechanics.surface.compliance import POINTS, WEIGHTS, Compliance
 
 
 @cache
@@ -28,8 +24,8 @@ def compliance_entry(member: type[Compliance]) -> Entry:
 
     def entry(address: int, what: int) -> int:
         state, constants, w = loop_at(address)
-        f = force(-w.gap, -w.rate, Parameters(constants.compliance, state.n))
-        w.F[0] = max(f, 0.0) if state.unilateral != 0 else f
+        f = force(-w.tip.gap, -w.tip.rate, Parameters(constants.compliance, state.n))
+        w.tip.F[0] = max(f, 0.0) if state.settings.unilateral != 0 else f
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_compliance_{member.__name__}"
@@ -43,29 +39,36 @@ def soft_contact_force(w: Work, constants: Constants, state: State) -> None:
     `rigid_force`, which decides liftoff where it is negative, has the sign of the depth. Just after touchdown the gap
     may be a rounding above zero: a tip that moves into the surface is in contact.
     """
-    call_at(state.compliance, state.address, 0)
-    f = w.F[0]
-    if state.unilateral != 0:
-        w.rigid_force = -AS_FORCE * w.gap if w.rate > 0.0 else max(-AS_FORCE * w.gap, 0.0)
-    if state.mode == STUCK and state.sticking != SPRING_STICK:
+    call_at(state.compliance.entry, state.address, 0)
+    f = w.tip.F[0]
+    if state.settings.unilateral != 0:
+        w.tip.rigid_force = -AS_FORCE * w.tip.gap if w.tip.rate > 0.0 else max(-AS_FORCE * w.tip.gap, 0.0)
+    if state.mode == STUCK and state.friction.sticking != SPRING_STICK:
         for i in range(1, 3):
-            w.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.u[i], off_anchor(w, state, i))
-        stuck_tangentially(w.S, w.a, w.b, w.F)
+            w.tip.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.tip.u[i], off_anchor(w, state, i))
+        stuck_tangentially(w.tip.S, w.tip.a, w.tip.b, w.tip.F)
     else:
         rub_softly(w)
-        slips = state.mode != STUCK and state.steps > 0 and state.sticking in (RIGID_STICK, SPRING_STICK)
+        slips = (
+            state.mode != STUCK
+            and state.settings.adaptive == 0
+            and state.friction.sticking in (RIGID_STICK, SPRING_STICK)
+        )
         if slips and turn_with_slip(w, constants.h):
-            w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
-    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+            w.tip.F[1], w.tip.F[2] = (
+                -w.friction.c[0] * f - w.friction.viscous[0],
+                -w.friction.c[1] * f - w.friction.viscous[1],
+            )
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
 
 
 @kernel
 def rub_softly(w: Work) -> None:
     """Write the friction of a tip that slips, for the f of a soft surface: of |f| where a bilateral one pulls."""
-    f = w.F[0]
+    f = w.tip.F[0]
     if f < 0.0:
-        w.c[0], w.c[1] = -w.c[0], -w.c[1]
-    w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
+        w.friction.c[0], w.friction.c[1] = -w.friction.c[0], -w.friction.c[1]
+    w.tip.F[1], w.tip.F[2] = -w.friction.c[0] * f - w.friction.viscous[0], -w.friction.c[1] * f - w.friction.viscous[1]
 
 
 @kernel
@@ -74,13 +77,13 @@ def spring_energy(w: Work, constants: Constants, state: State) -> float:
 
     With the depth x = δ s² the integrand is a polynomial of low degree in s for a spring k x, and for Hertz's k x^1.5.
     """
-    gap, rate, f, stored = w.gap, w.rate, w.F[0], 0.0
-    w.rate = 0.0
+    gap, rate, f, stored = w.tip.gap, w.tip.rate, w.tip.F[0], 0.0
+    w.tip.rate = 0.0
     for k in range(4):
         for side in range(2):
             s = 0.5 * (1.0 + (POINTS[k] if side == 0 else -POINTS[k]))
-            w.gap = gap * s * s
-            call_at(state.compliance, state.address, 0)
-            stored -= WEIGHTS[k] * w.F[0] * gap * s
-    w.gap, w.rate, w.F[0] = gap, rate, f
+            w.tip.gap = gap * s * s
+            call_at(state.compliance.entry, state.address, 0)
+            stored -= WEIGHTS[k] * w.tip.F[0] * gap * s
+    w.tip.gap, w.tip.rate, w.tip.F[0] = gap, rate, f
     return float(stored)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.loop.step.closed_loops import BIND_LOAD
 from closedloop.loop.step.contacts import FORCE
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.locate import off_anchor
-from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
+from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, ask_contacts, ask_loops
 from closedloop.loop.step.singular import force_in_singular_pose, pushed_on_the_way
 from closedloop.loop.step.soft_contact import soft_contact_force
 from closedloop.loop.step.tip_friction import rub_without_pressure, turn_with_slip
@@ -39,60 +38,59 @@ TURNS, SETTLED = 40, 1e-12
 def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
-        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
-    free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
-    if state.loops != 0:
-        call_at(state.loops, state.loops_at, BIND_LOAD)
+        w.scratch.column[j] = driving_torque(w, state, j) + w.joint_friction.torque[j]
+    free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.scratch.column, C, w.y, w.tip.a)
+    ask_loops(state, BIND_LOAD)
     if state.together != 0:
-        return call_at(state.contacts, state.contacts_at, FORCE)
-    w.rigid_force = 0.0
+        return ask_contacts(state, FORCE)
+    w.tip.rigid_force = 0.0
     for i in range(3):
-        w.F[i] = 0.0
-        w.stabiliser_force[i] = 0.0
-        w.b[i] = 0.0
-    if state.compliance != 0 and state.mode != FREE:
+        w.tip.F[i] = 0.0
+        w.tip.stabiliser_force[i] = 0.0
+        w.tip.b[i] = 0.0
+    if state.compliance.entry != 0 and state.mode != FREE:
         soft_contact_force(w, constants, state)
         return OK
-    if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
-        b = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
+    if state.mode == PRESSED or (state.mode == STUCK and state.friction.sticking == SPRING_STICK):
+        b = baumgarte_acceleration(constants.s_v, constants.s_p, w.tip.rate, w.tip.gap)
         status, share = rubbed_force(b, w, state)
         if status == SINGULAR and state.mode == PRESSED:
             return force_in_singular_pose(C, w, constants, state)
         if status != OK:
             return status
-        sticking = state.sticking
-        if state.mode == PRESSED and state.steps > 0 and sticking in (RIGID_STICK, SPRING_STICK):
+        sticking = state.friction.sticking
+        if state.mode == PRESSED and state.settings.adaptive == 0 and sticking in (RIGID_STICK, SPRING_STICK):
             for _ in range(TURNS):
-                before = w.F[0]
+                before = w.tip.F[0]
                 if not turn_with_slip(w, constants.h):
                     break
-                status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
+                status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)
                 if status != OK:
                     return status
-                if abs(w.F[0] - before) <= SETTLED * abs(before):
+                if abs(w.tip.F[0] - before) <= SETTLED * abs(before):
                     break
-        rigid = w.F[0] - share
+        rigid = w.tip.F[0] - share
         if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
             return PUSHED
-        w.rigid_force = kept_force(rigid, C, w, state)
-        if state.unilateral != 0 and w.rigid_force < 0.0 and w.a[0] < 0.0:
-            w.rigid_force = -w.a[0] / w.S[0, 0]  # it is friction alone that lifts the tip
-            if w.F[0] < 0.0:
+        w.tip.rigid_force = kept_force(rigid, C, w, state)
+        if state.settings.unilateral != 0 and w.tip.rigid_force < 0.0 and w.tip.a[0] < 0.0:
+            w.tip.rigid_force = -w.tip.a[0] / w.tip.S[0, 0]  # it is friction alone that lifts the tip
+            if w.tip.F[0] < 0.0:
                 b, share = rub_without_pressure(w, b), 0.0
-        elif state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
+        elif state.settings.unilateral != 0 and w.tip.F[0] < 0.0 <= w.tip.rigid_force:
             # The stabiliser may reduce f of a unilateral contact to zero, but not below.
             share = -rigid
-            b = share * (w.S[0, 0] - w.S[0, 1] * w.c[0] - w.S[0, 2] * w.c[1])
-            w.F[0], w.F[1], w.F[2] = 0.0, -w.viscous[0], -w.viscous[1]
-        w.b[0], w.stabiliser_force[0] = b, share
+            b = share * (w.tip.S[0, 0] - w.tip.S[0, 1] * w.friction.c[0] - w.tip.S[0, 2] * w.friction.c[1])
+            w.tip.F[0], w.tip.F[1], w.tip.F[2] = 0.0, -w.friction.viscous[0], -w.friction.viscous[1]
+        w.tip.b[0], w.tip.stabiliser_force[0] = b, share
     elif state.mode == STUCK:
-        w.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
+        w.tip.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.tip.rate, w.tip.gap)
         for i in range(1, 3):
-            w.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.u[i], off_anchor(w, state, i))
-        if stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force) != OK:
+            w.tip.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.tip.u[i], off_anchor(w, state, i))
+        if stuck_force(w.tip.S, w.tip.a, w.tip.b, w.tip.F, w.tip.stabiliser_force) != OK:
             return SINGULAR
-        w.rigid_force = kept_force(w.F[0] - w.stabiliser_force[0], C, w, state)
-    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+        w.tip.rigid_force = kept_force(w.tip.F[0] - w.tip.stabiliser_force[0], C, w, state)
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
     return OK
 
 
@@ -102,13 +100,13 @@ def rubbed_force(b: float, w: Work, state: State) -> tuple[int, float]:
 
     Where it pulls, friction is that of |f| on the other side, and there is no paradox if that solution exists.
     """
-    status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
-    rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
-    if state.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
-        w.c[0], w.c[1] = -w.c[0], -w.c[1]
+    status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)
+    rubbed = w.friction.c[0] != 0.0 or w.friction.c[1] != 0.0
+    if state.settings.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.tip.F[0] < 0.0)):
+        w.friction.c[0], w.friction.c[1] = -w.friction.c[0], -w.friction.c[1]
         wedged = status == PAINLEVE
-        status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
-        if status == OK and wedged and not w.F[0] < 0.0:
+        status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)
+        if status == OK and wedged and not w.tip.F[0] < 0.0:
             status = PAINLEVE
     return status, share
 
@@ -121,6 +119,9 @@ def kept_force(rigid: float, C: Array, w: Work, state: State) -> float:
     sign, and the tip stays in contact.
     """
     kept = rigid
-    if state.unilateral != 0 and rigid < 0.0:
-        kept += normal_rounding(w.L, w.X, w.drift_c, w.torque, w.joint_friction, C, w.column) / w.S[0, 0]
+    if state.settings.unilateral != 0 and rigid < 0.0:
+        kept += (
+            normal_rounding(w.L, w.tip.X, w.tip.drift_c, w.torque, w.joint_friction.torque, C, w.scratch.column)
+            / w.tip.S[0, 0]
+        )
     return kept

@@ -39,23 +39,23 @@ def turn_with_slip(w: Work, h: float) -> bool:
     h : float
         The step, s.
     """
-    level, speed, f = math.hypot(w.c[0], w.c[1]), math.hypot(w.u[1], w.u[2]), w.F[0]
+    level, speed, f = math.hypot(w.friction.c[0], w.friction.c[1]), math.hypot(w.tip.u[1], w.tip.u[2]), w.tip.F[0]
     reach = h * level * abs(f)
-    if not reach * (w.S[1, 1] + w.S[2, 2]) > speed:
+    if not reach * (w.tip.S[1, 1] + w.tip.S[2, 2]) > speed:
         return False
-    u1, u2, before1, before2 = w.u[1], w.u[2], w.u[1], w.u[2]
+    u1, u2, before1, before2 = w.tip.u[1], w.tip.u[2], w.tip.u[1], w.tip.u[2]
     if speed <= STILL:
-        u1, u2, before1, before2 = 0.0, 0.0, w.direction[0], w.direction[1]
-    elif not u1 * w.direction[0] + u2 * w.direction[1] > 0.0:
+        u1, u2, before1, before2 = 0.0, 0.0, w.friction.direction[0], w.friction.direction[1]
+    elif not u1 * w.friction.direction[0] + u2 * w.friction.direction[1] > 0.0:
         return False  # past the end of slip
-    det = w.S[1, 1] * w.S[2, 2] - w.S[1, 2] * w.S[1, 2]
-    trace, largest = w.S[1, 1] + w.S[2, 2], level * f
+    det = w.tip.S[1, 1] * w.tip.S[2, 2] - w.tip.S[1, 2] * w.tip.S[1, 2]
+    trace, largest = w.tip.S[1, 1] + w.tip.S[2, 2], level * f
     if not det > IMMOBILE * trace * trace:
         return False  # a tip that moves along a line does not turn
-    a1 = w.a[1] + w.S[1, 0] * f - w.S[1, 1] * w.viscous[0] - w.S[1, 2] * w.viscous[1]
-    a2 = w.a[2] + w.S[2, 0] * f - w.S[1, 2] * w.viscous[0] - w.S[2, 2] * w.viscous[1]
-    p1, p2 = (w.S[2, 2] * u1 - w.S[1, 2] * u2) / det, (w.S[1, 1] * u2 - w.S[1, 2] * u1) / det
-    q1, q2 = (w.S[2, 2] * a1 - w.S[1, 2] * a2) / det, (w.S[1, 1] * a2 - w.S[1, 2] * a1) / det
+    a1 = w.tip.a[1] + w.tip.S[1, 0] * f - w.tip.S[1, 1] * w.friction.viscous[0] - w.tip.S[1, 2] * w.friction.viscous[1]
+    a2 = w.tip.a[2] + w.tip.S[2, 0] * f - w.tip.S[1, 2] * w.friction.viscous[0] - w.tip.S[2, 2] * w.friction.viscous[1]
+    p1, p2 = (w.tip.S[2, 2] * u1 - w.tip.S[1, 2] * u2) / det, (w.tip.S[1, 1] * u2 - w.tip.S[1, 2] * u1) / det
+    q1, q2 = (w.tip.S[2, 2] * a1 - w.tip.S[1, 2] * a2) / det, (w.tip.S[1, 1] * a2 - w.tip.S[1, 2] * a1) / det
     if math.hypot(p1 / h + q1, p2 / h + q2) < level * abs(f):
         if speed <= STILL:
             return False  # it does not leave: friction is against the direction in which it is pulled
@@ -63,7 +63,7 @@ def turn_with_slip(w: Work, h: float) -> bool:
         rate = (math.sqrt(along * along + square * (largest * largest - q1 * q1 - q2 * q2)) - along) / square
         d1, d2 = rate * p1 + q1, rate * p2 + q2
     else:
-        g11, g12, g22 = reach * w.S[1, 1], reach * w.S[1, 2], reach * w.S[2, 2]
+        g11, g12, g22 = reach * w.tip.S[1, 1], reach * w.tip.S[1, 2], reach * w.tip.S[2, 2]
         x1, x2 = u1 + h * a1, u2 + h * a2
         low, high, d1, d2 = 0.0, math.hypot(x1, x2), x1, x2
         for _ in range(60):
@@ -77,31 +77,31 @@ def turn_with_slip(w: Work, h: float) -> bool:
     if not size > 0.0 or d1 * before1 + d2 * before2 < 0.0:
         return False  # slip ends within the step; until then friction is against it
     along = math.copysign(level / size, f)
-    w.c[0], w.c[1] = along * d1, along * d2
+    w.friction.c[0], w.friction.c[1] = along * d1, along * d2
     return True
 
 
 @kernel
 def surface_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
     """Write c and w of the tip's friction F_t = −c f − w in the present mode; zero where there is none."""
-    w.c[0], w.c[1], w.viscous[0], w.viscous[1] = 0.0, 0.0, 0.0, 0.0
-    sticking = state.sticking
+    w.friction.c[0], w.friction.c[1], w.friction.viscous[0], w.friction.viscous[1] = 0.0, 0.0, 0.0, 0.0
+    sticking = state.friction.sticking
     if sticking == SMOOTH or state.mode == FREE or (state.mode == STUCK and sticking == RIGID_STICK):
         return
     if state.mode == STUCK:
-        call_at(state.friction, state.address, HOLD)
+        call_at(state.friction.entry, state.address, HOLD)
         return
-    speed = math.hypot(w.u[1], w.u[2])
-    w.delayed_slip = delayed_speed(w, constants, state, rows, constants.lag, speed)
-    s = w.slip
-    s[0], s[1] = w.u[1], w.u[2]
-    along = s[0] * w.direction[0] + s[1] * w.direction[1]
+    speed = math.hypot(w.tip.u[1], w.tip.u[2])
+    w.friction.delayed_slip = delayed_speed(w, constants, state, rows, constants.lag, speed)
+    s = w.friction.slip
+    s[0], s[1] = w.tip.u[1], w.tip.u[2]
+    along = s[0] * w.friction.direction[0] + s[1] * w.friction.direction[1]
     if sticking != RIGID_STICK and sticking != SPRING_STICK:
         along = 1.0
-    if along < 0.0 or speed <= w.straight_speed:
+    if along < 0.0 or speed <= w.friction.straight_speed:
         # Past the instant at which slip stops the law goes on as before, so that the instant can be found.
-        s[0], s[1] = speed * w.direction[0], speed * w.direction[1]
-    call_at(state.friction, state.address, SLIDE)
+        s[0], s[1] = speed * w.friction.direction[0], speed * w.friction.direction[1]
+    call_at(state.friction.entry, state.address, SLIDE)
 
 
 @kernel
@@ -121,10 +121,10 @@ def rub_without_pressure(w: Work, b: float) -> float:
     b : float
         That of the stabiliser, m/s²: 0 without one.
     """
-    lifting = -w.S[0, 1] * w.viscous[0] - w.S[0, 2] * w.viscous[1]
-    share = min(max((b - w.a[0]) / lifting, 0.0), 1.0)
-    w.F[0], w.F[1], w.F[2] = 0.0, -share * w.viscous[0], -share * w.viscous[1]
-    return float(w.a[0] + share * lifting)
+    lifting = -w.tip.S[0, 1] * w.friction.viscous[0] - w.tip.S[0, 2] * w.friction.viscous[1]
+    share = min(max((b - w.tip.a[0]) / lifting, 0.0), 1.0)
+    w.tip.F[0], w.tip.F[1], w.tip.F[2] = 0.0, -share * w.friction.viscous[0], -share * w.friction.viscous[1]
+    return float(w.tip.a[0] + share * lifting)
 
 
 @kernel

@@ -13,7 +13,7 @@ def transmit(w: Work, constants: Constants) -> None:
     at = w.z.shape[0] - 2 * n
     for j in range(n):
         spring = constants.stiffness[j] * (w.z[at + j] - w.q[j])
-        w.transmitted[j] = spring + constants.shaft_damping[j] * (w.z[at + n + j] - w.v[j])
+        w.drives.transmitted[j] = spring + constants.shaft_damping[j] * (w.z[at + n + j] - w.v[j])
 
 
 @kernel
@@ -24,7 +24,7 @@ def motor_rates(w: Work, constants: Constants) -> None:
     for j in range(n):
         w.dz[at + j] = w.z[at + n + j]
         if constants.motor_inertia[j] > 0.0:
-            w.dz[at + n + j] = (w.torque[j] - w.transmitted[j]) / constants.motor_inertia[j]
+            w.dz[at + n + j] = (w.torque[j] - w.drives.transmitted[j]) / constants.motor_inertia[j]
         else:  # a joint without a drive
             w.dz[at + n + j] = 0.0
 

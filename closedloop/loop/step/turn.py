@@ -84,7 +84,7 @@ def advance_on_manifold(
     stage: int, h: float, semi_implicit: bool, substep: bool, tableau: Array, w: Work, constants: Constants
 ) -> None:
     """Do what `closedloop.loop.step.advance.advance` does, with ball joints; see there."""
-    n, begin, stages, v = w.q.shape[0], w.begin, w.stages, w.v
+    n, begin, stages, v = w.q.shape[0], w.start.state, w.stages, w.v
     advance(stage, h, semi_implicit, substep, tableau, w)
     for j in range(n):
         if constants.turns[j] == 0.0:
@@ -104,7 +104,7 @@ def advance_on_manifold(
 @kernel
 def move(w: Work, constants: Constants) -> None:
     """Move the position by the small step in `column` (n,), rad (m), of ball joints in their links' axes."""
-    q, step = w.q, w.column
+    q, step = w.q, w.scratch.column
     for j in range(q.shape[0]):
         if constants.turns[j] == 1.0:
             turn(q, j, q, j, step[j], step[j + 1], step[j + 2])

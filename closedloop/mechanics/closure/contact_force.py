@@ -44,17 +44,18 @@ IMMOBILE = 1e-10
 
 
 @kernel_inlined
-def into_contact_frame(x: Any) -> None:
+def into_contact_frame(arm: Any, tip: Any) -> None:
     """Write A = N Jᵣ, p = N r, u = A q̇ and N J̇ᵣq̇ for the contact frame N (rows n, t1, t2).
 
     Parameters
     ----------
-    x : Work, Seen or the like
-        In: `frame`, N (3, 3); `J` (3, n), `r` (3,), m, and `drift` (3,), J̇ᵣq̇, m/s², in base axes; `v` (n,), q̇.
-        Written: `A` (3, n), `p`, `u` and `drift_c` (3,).
+    arm : Work, Seen or the like
+        `J` (3, n), `r` (3,), m, and `drift` (3,), J̇ᵣq̇, m/s², in base axes; `v` (n,), q̇.
+    tip : TipContact, Seen or the like
+        In: `frame`, N (3, 3). Written: `A` (3, n), `p`, `u` and `drift_c` (3,).
     """
-    frame, J, r, drift, v = x.frame, x.J, x.r, x.drift, x.v
-    A, p, u, drift_c = x.A, x.p, x.u, x.drift_c
+    frame, J, r, drift, v = tip.frame, arm.J, arm.r, arm.drift, arm.v
+    A, p, u, drift_c = tip.A, tip.p, tip.u, tip.drift_c
     for k in range(3):
         n0, n1, n2 = frame[k, 0], frame[k, 1], frame[k, 2]
         speed = 0.0

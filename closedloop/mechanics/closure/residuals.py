@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 @kernel_inlined
-def residuals(H: Array, torque: Array, C: Array, x: Any, first: int, last: int) -> tuple[float, float]:
+def residuals(H: Array, torque: Array, C: Array, qdd: Array, tip: Any, first: int, last: int) -> tuple[float, float]:
     """Return the relative residuals of the equation of motion, and of the closure rows first .. last − 1.
 
     Each is the largest |left − right| over the largest sum of the magnitudes of the terms. In a closure row these
@@ -28,13 +28,15 @@ def residuals(H: Array, torque: Array, C: Array, x: Any, first: int, last: int) 
         Mass matrix; the upper triangle is read.
     torque, C : (n,) arrays
         N m (N).
-    x : Work or the like
-        A (3, n), S (3, 3), `drift_c`, b, a and F (3,), and `qdd` (n,), as `factorise`, `free_acceleration`,
-        `pressed_force` and `accelerate` left them.
+    qdd : (n,) array
+        Acceleration, rad/s² (m/s²).
+    tip : closedloop.loop.step.records.TipContact or the like
+        A (3, n), S (3, 3), `drift_c`, b, a and F (3,), as `factorise`, `free_acceleration` and `pressed_force` left
+        them.
     first, last : int
         See above.
     """
-    A, S, drift_c, b, a, qdd, F = x.A, x.S, x.drift_c, x.b, x.a, x.qdd, x.F
+    A, S, drift_c, b, a, F = tip.A, tip.S, tip.drift_c, tip.b, tip.a, tip.F
     n = torque.shape[0]
     worst, scale = 0.0, 0.0
     for i in range(n):

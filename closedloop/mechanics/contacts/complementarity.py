@@ -15,6 +15,8 @@ P. Alart and A. Curnier (Comput. Methods Appl. Mech. Eng. 92, 1991) on the equat
 
     f = max(0, f − ρ u_n),    F_t = the nearest to F_t − ρ u_t with no more than μ max(0, f − ρ u_n)
 
+(of a contact that also pulls: u_n = 0, and no more than μ|f|)
+
 (review: V. Acary, M. Brémond and O. Huber, in Advanced Topics in Nonsmooth Dynamics, Springer, 2018).
 """
 
@@ -28,7 +30,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.continuation import follow_path, force_size
 from closedloop.mechanics.contacts.linear import DEPENDENT, solve_any_rank
-from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
 
 Array = NDArray[np.float64]
 
@@ -47,7 +49,7 @@ STARTS = (2.0, 5.0, 1.0, 40.0)
 def velocities(c: Contacts, k: int, F: Array, u: Array) -> None:
     """Write u = q + W F."""
     for i in range(3 * k):
-        s = c.q[i]
+        s = c.problem.q[i]
         for j in range(3 * k):
             s += c.W[i, j] * F[j]
         u[i] = s
@@ -70,7 +72,7 @@ def into_cone(F: Array, mu: float) -> None:
 def scale_of(c: Contacts, i: int, largest: float) -> float:
     """Return ρ of contact i, kg: the inverse of its mobility, times `penalty`."""
     most = max(c.W[3 * i, 3 * i], c.W[3 * i + 1, 3 * i + 1], c.W[3 * i + 2, 3 * i + 2])
-    return float(c.penalty / (most if most > 1e-9 * largest else largest))
+    return float(c.problem.penalty / (most if most > 1e-9 * largest else largest))
 
 
 @kernel
@@ -85,25 +87,25 @@ def largest_mobility(c: Contacts, k: int) -> float:
 @kernel
 def write_residuals(c: Contacts, k: int, F: Array, largest: float) -> float:
     """Write what the equations of Alart and Curnier are off at F, N, and u there; return the largest."""
-    velocities(c, k, F, c.after)
-    worst, r, u = 0.0, c.residuals, c.after
+    velocities(c, k, F, c.problem.after)
+    worst, r, u = 0.0, c.scratch.residuals, c.problem.after
     for i in range(k):
         n, t, s = 3 * i, 3 * i + 1, 3 * i + 2
-        kind, rho = c.kind[i], scale_of(c, i, largest)
+        kind, rho = c.problem.form[i], scale_of(c, i, largest)
         if kind == OFF:
             r[n], r[t], r[s] = F[n], F[t], F[s]
-        elif kind == CONE:
-            level = max(0.0, F[n] - rho * u[n])
+        elif kind in (CONE, DOUBLE):
+            level = abs(F[n]) if kind == DOUBLE else max(0.0, F[n] - rho * u[n])
             x1, x2, g = F[t] - rho * u[t], F[s] - rho * u[s], c.mu[i] * level
             size = math.hypot(x1, x2)
-            r[n] = F[n] - level
+            r[n] = rho * u[n] if kind == DOUBLE else F[n] - level
             if size <= g:
                 r[t], r[s] = rho * u[t], rho * u[s]
             else:
                 r[t], r[s] = F[t] - g * x1 / size, F[s] - g * x2 / size
         else:
             r[n] = rho * u[n] if kind == LINE else F[n] - max(0.0, F[n] - rho * u[n])
-            r[t], r[s] = F[t] + c.along[i, 0] * F[n], F[s] + c.along[i, 1] * F[n]
+            r[t], r[s] = F[t] + c.problem.along[i, 0] * F[n], F[s] + c.problem.along[i, 1] * F[n]
         for j in range(n, n + 3):
             if not abs(r[j]) < math.inf:
                 return math.inf
@@ -114,15 +116,15 @@ def write_residuals(c: Contacts, k: int, F: Array, largest: float) -> float:
 @kernel
 def sweep(c: Contacts, k: int, F: Array, largest: float) -> None:
     """Do one sweep of Gauss and Seidel's method: each contact once, with the forces of the others as they are."""
-    u = c.vector
+    u = c.scratch.vector
     for i in range(k):
-        n, kind = 3 * i, c.kind[i]
+        n, kind = 3 * i, c.problem.form[i]
         if kind == OFF:
             F[n], F[n + 1], F[n + 2] = 0.0, 0.0, 0.0
             continue
-        for _ in range(3 if kind == CONE else 1):
+        for _ in range(3 if kind in (CONE, DOUBLE) else 1):
             for j in range(3):
-                s = c.q[n + j]
+                s = c.problem.q[n + j]
                 for m in range(3 * k):
                     s += c.W[n + j, m] * F[m]
                 u[j] = s
@@ -133,8 +135,16 @@ def sweep(c: Contacts, k: int, F: Array, largest: float) -> None:
                     u[j] = F[n + j] - rho * u[j]
                 into_cone(u, mu)
                 F[n], F[n + 1], F[n + 2] = u[0], u[1], u[2]
+            elif kind == DOUBLE:
+                if c.W[n, n] > 1e-9 * largest:
+                    F[n] -= u[0] / c.W[n, n]
+                rho = 1.0 / (c.W[n + 1, n + 1] + c.W[n + 2, n + 2] + 1e-12 * largest)
+                u[1], u[2] = F[n + 1] - rho * u[1], F[n + 2] - rho * u[2]
+                size, most = math.hypot(u[1], u[2]), c.mu[i] * abs(F[n])
+                share = most / size if size > most else 1.0
+                F[n + 1], F[n + 2] = share * u[1], share * u[2]
             else:
-                c1, c2 = c.along[i, 0], c.along[i, 1]
+                c1, c2 = c.problem.along[i, 0], c.problem.along[i, 1]
                 mobility = c.W[n, n] - c.W[n, n + 1] * c1 - c.W[n, n + 2] * c2
                 if mobility > 1e-9 * largest:
                     f = F[n] - u[0] / mobility
@@ -145,21 +155,22 @@ def sweep(c: Contacts, k: int, F: Array, largest: float) -> None:
 @kernel
 def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
     """Write the step of Newton's method at F, whose residuals are written, as the first row of `solution`."""
-    m, S, u = 3 * k, c.system, c.after
+    m, S, u = 3 * k, c.scratch.system, c.problem.after
     for i in range(k):
         n, t, s = 3 * i, 3 * i + 1, 3 * i + 2
-        kind, rho = c.kind[i], scale_of(c, i, largest)
+        kind, rho = c.problem.form[i], scale_of(c, i, largest)
         for row in range(n, n + 3):
             for j in range(m):
                 S[row, j] = 0.0
-            S[row, m] = -c.residuals[row]
-        if kind == LINE or (kind != OFF and F[n] - rho * u[n] > 0.0):
+            S[row, m] = -c.scratch.residuals[row]
+        if kind >= LINE or (kind != OFF and F[n] - rho * u[n] > 0.0):
             for j in range(m):
                 S[n, j] = rho * c.W[n, j]
         else:
             S[n, n] = 1.0
-        if kind == CONE:
-            level = max(0.0, F[n] - rho * u[n])
+        if kind in (CONE, DOUBLE):
+            level = abs(F[n]) if kind == DOUBLE else max(0.0, F[n] - rho * u[n])
+            sense, own = (math.copysign(1.0, F[n]), 0.0) if kind == DOUBLE else (1.0, rho)
             x1, x2, g = F[t] - rho * u[t], F[s] - rho * u[s], c.mu[i] * level
             size = math.hypot(x1, x2)
             if size <= g and g > 0.0:
@@ -172,15 +183,15 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
                     for j in range(m):
                         y1 = (1.0 if j == t else 0.0) - rho * c.W[t, j]
                         y2 = (1.0 if j == s else 0.0) - rho * c.W[s, j]
-                        y0 = c.mu[i] * ((1.0 if j == n else 0.0) - rho * c.W[n, j])
+                        y0 = c.mu[i] * ((sense if j == n else 0.0) - own * c.W[n, j])
                         across = turn * (d1 * y2 - d2 * y1)
                         S[t, j] -= d1 * y0 - d2 * across
                         S[s, j] -= d2 * y0 + d1 * across
         else:
             S[t, t], S[s, s] = 1.0, 1.0
             if kind != OFF:
-                S[t, n], S[s, n] = c.along[i, 0], c.along[i, 1]
-    solve_any_rank(S, m, 1, c.column_order, c.solution, DEPENDENT)
+                S[t, n], S[s, n] = c.problem.along[i, 0], c.problem.along[i, 1]
+    solve_any_rank(S, m, 1, c.scratch.column_order, c.scratch.solution, DEPENDENT)
 
 
 @kernel
@@ -192,11 +203,11 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
     F, best = c.F, math.inf
     size = 0.0
     for j in range(m):
-        size = max(size, abs(c.q[j]) / largest)
-        c.best[j] = F[j]
+        size = max(size, abs(c.problem.q[j]) / largest)
+        c.scratch.best[j] = F[j]
     count = sweeps
     for attempt in range(rounds):
-        c.penalty = 10.0 ** ((attempt + 1) // 2 * (1 - 2 * (attempt % 2)))  # 1, 0.1, 10, 0.01 ...
+        c.problem.penalty = 10.0 ** ((attempt + 1) // 2 * (1 - 2 * (attempt % 2)))  # 1, 0.1, 10, 0.01 ...
         best = math.inf
         for _ in range(count):
             sweep(c, k, F, largest)
@@ -208,15 +219,15 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
             if worst < best:
                 best = worst
                 for j in range(m):
-                    c.best[j] = F[j]
+                    c.scratch.best[j] = F[j]
             if worst <= SOLVED * scale or not worst < math.inf:
                 break
             newton_step(c, k, F, largest)
             share, before = 1.0, worst
             for _ in range(HALVINGS):
                 for j in range(m):
-                    c.trial[j] = F[j] + share * c.solution[0, j]
-                worst = write_residuals(c, k, c.trial, largest)
+                    c.scratch.trial[j] = F[j] + share * c.scratch.solution[0, j]
+                worst = write_residuals(c, k, c.scratch.trial, largest)
                 if worst < (1.0 - 0.1 * share) * before:
                     break
                 share *= 0.5
@@ -224,20 +235,20 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
                 if attempt % 2 == 0:
                     break
                 for j in range(m):  # a residual may have to grow before it shrinks
-                    c.trial[j] = F[j] + c.solution[0, j]
-                worst = write_residuals(c, k, c.trial, largest)
+                    c.scratch.trial[j] = F[j] + c.scratch.solution[0, j]
+                worst = write_residuals(c, k, c.scratch.trial, largest)
             for j in range(m):
-                F[j] = c.trial[j]
+                F[j] = c.scratch.trial[j]
         for j in range(m):
-            F[j] = c.best[j]
-        c.penalty = 1.0
+            F[j] = c.scratch.best[j]
+        c.problem.penalty = 1.0
         best = write_residuals(c, k, F, largest)
         if best <= 1e-13 * size or best <= SOLVED * force_size(F, m):
             break
         count = min(max(2 * count, SWEEPS), MOST_SWEEPS)
-    c.residual = best
+    c.problem.residual = best
     most = force_size(F, m)
-    return bool(c.residual <= max(ACCEPTED * size, SOLVED * most) and most <= WEDGED * size)
+    return bool(c.problem.residual <= max(ACCEPTED * size, SOLVED * most) and most <= WEDGED * size)
 
 
 @kernel

@@ -7,9 +7,10 @@ algebra gives every x two eigenvalues x_0 ± |x_t|. The path has
     y = p(x), z = p(−x):  y ∘ z = τ² e,      p(λ) = (λ + √(λ² + 4τ²))/2 of each eigenvalue,  |u_t| -> √(|u_t|² + τ²/ρ²)
 
 (M. Fukushima, Z.-Q. Luo and P. Tseng, SIAM J. Optim. 12, 2002). Of a contact that slides already, or has no friction,
-f and ρ u_n + τ take the place of y and z. At τ0 any x0 solves the problem whose residual is less by R(x0, τ0); the path
-is R(x, τ) = (τ/τ0) R(x0, τ0), from there to τ = 0. It is followed by its arc length (E. L. Allgower and K. Georg,
-Numerical Continuation Methods, 1990), for it may turn back to larger τ in between.
+f and ρ u_n + τ take the place of y and z. One that also pulls, and may stick, is followed without friction: the path
+leads near enough. At τ0 any x0 solves the problem whose residual is less by R(x0, τ0); the path is R(x, τ) = (τ/τ0)
+R(x0, τ0), from there to τ = 0. It is followed by its arc length (E. L. Allgower and K. Georg, Numerical Continuation
+Methods, 1990), for it may turn back to larger τ in between.
 
 Where q is a velocity that joints can have and friction is Coulomb's alone, as in an impact without restitution, forces
 are bounded for every τ > 0: Fᵀ(W F + q) + τ Σ f is, and q and W F belong to velocities of the same joints. The path
@@ -66,9 +67,9 @@ def write_pairs(c: Contacts, k: int, x: Array, tau: float) -> None:
     """Write `trial`, the forces F at x, and z into `residuals`, with their derivatives by x and by τ."""
     for i in range(k):
         n = 3 * i
-        F, by_x, by_tau = c.trial[n : n + 3], c.path_force[n : n + 3], c.path_force_rate[n : n + 3]
-        z, dz, z_rate = c.residuals[n : n + 3], c.path_gap[n : n + 3], c.path_gap_rate[n : n + 3]
-        if c.kind[i] == CONE and c.mu[i] > 0.0:
+        F, by_x, by_tau = c.scratch.trial[n : n + 3], c.path.force[n : n + 3], c.path.force_rate[n : n + 3]
+        z, dz, z_rate = c.scratch.residuals[n : n + 3], c.path.gap[n : n + 3], c.path.gap_rate[n : n + 3]
+        if c.problem.form[i] == CONE and c.mu[i] > 0.0:
             smooth_part(x[n : n + 3], 1.0, tau, F, by_x, by_tau)
             smooth_part(x[n : n + 3], -1.0, tau, z, dz, z_rate)
             F[0] /= c.mu[i]
@@ -78,13 +79,13 @@ def write_pairs(c: Contacts, k: int, x: Array, tau: float) -> None:
             continue
         by_x[:], dz[:], z[:], z_rate[:] = 0.0, 0.0, 0.0, 0.0
         f, slope, rate = x[n], 1.0, 0.0
-        if c.kind[i] == OFF:
+        if c.problem.form[i] == OFF:
             f, slope = 0.0, 0.0
-        elif c.kind[i] != LINE:
+        elif c.problem.form[i] < LINE:
             f, slope, rate = positive_part(x[n], tau)
             z[0], dz[0, 0], z_rate[0] = positive_part(-x[n], tau)
         for j in range(3):
-            share = 1.0 if j == 0 else (0.0 if c.kind[i] == CONE else -c.along[i, j - 1])
+            share = 1.0 if j == 0 else (0.0 if c.problem.form[i] == CONE else -c.problem.along[i, j - 1])
             F[j], by_x[j, 0], by_tau[j] = share * f, share * slope, share * rate
 
 
@@ -94,38 +95,38 @@ def write_path(c: Contacts, k: int, x: Array, log_tau: float, tau0: float) -> fl
 
     Divided by τ0, as the columns for x / τ0 and log τ are.
     """
-    m, S, share = 3 * k, c.system, math.exp(log_tau)
+    m, S, share = 3 * k, c.scratch.system, math.exp(log_tau)
     tau = share * tau0
     write_pairs(c, k, x, tau)
     for row in range(m):
-        c.after[row], S[row, m] = c.q[row], 0.0
+        c.problem.after[row], S[row, m] = c.problem.q[row], 0.0
         for j in range(k):
             n = 3 * j
             for b in range(3):
-                c.after[row] += c.W[row, n + b] * c.trial[n + b]
-                S[row, m] += c.W[row, n + b] * c.path_force_rate[n + b]
+                c.problem.after[row] += c.W[row, n + b] * c.scratch.trial[n + b]
+                S[row, m] += c.W[row, n + b] * c.path.force_rate[n + b]
             for b in range(3):
                 s = 0.0
                 for a in range(3):
-                    s += c.W[row, n + a] * c.path_force[n + a, b]
+                    s += c.W[row, n + a] * c.path.force[n + a, b]
                 S[row, n + b] = s
     worst = 0.0
     for i in range(k):
         write_rows(c, i, x, tau, m)
         for row in range(3 * i, 3 * i + 3):
-            c.residuals[row] = (c.residuals[row] - share * c.path_start[row]) / tau0
-            S[row, m] = S[row, m] * share - share * c.path_start[row] / tau0
-            if not abs(c.residuals[row]) < math.inf:
+            c.scratch.residuals[row] = (c.scratch.residuals[row] - share * c.path.start[row]) / tau0
+            S[row, m] = S[row, m] * share - share * c.path.start[row] / tau0
+            if not abs(c.scratch.residuals[row]) < math.inf:
                 return math.inf
-            worst = max(worst, abs(c.residuals[row]))
+            worst = max(worst, abs(c.scratch.residuals[row]))
     return worst
 
 
 @kernel
 def write_rows(c: Contacts, i: int, x: Array, tau: float, m: int) -> None:
     """Write the three equations of contact i, z − ρ (...), and their derivatives, where `system` has those of u."""
-    S, n, rho, u = c.system, 3 * i, c.path_scale[i], c.after
-    rough = c.kind[i] == CONE and c.mu[i] > 0.0
+    S, n, rho, u = c.scratch.system, 3 * i, c.path.scale[i], c.problem.after
+    rough = c.problem.form[i] == CONE and c.mu[i] > 0.0
     if rough:
         small = tau / rho
         slip = math.hypot(math.hypot(u[n + 1], u[n + 2]), small)
@@ -137,16 +138,16 @@ def write_rows(c: Contacts, i: int, x: Array, tau: float, m: int) -> None:
         if row == n or rough:
             for j in range(m + 1):
                 S[row, j] *= rho
-            c.residuals[row] = rho * (value if row == n else u[row]) - c.residuals[row]
-            S[row, m] -= c.path_gap_rate[row]
+            c.scratch.residuals[row] = rho * (value if row == n else u[row]) - c.scratch.residuals[row]
+            S[row, m] -= c.path.gap_rate[row]
             for j in range(3):
-                S[row, n + j] += c.path_gap[row, j]
-        if (row == n and c.kind[i] == OFF) or (row > n and not rough):
+                S[row, n + j] += c.path.gap[row, j]
+        if (row == n and c.problem.form[i] == OFF) or (row > n and not rough):
             for j in range(m + 1):
                 S[row, j] = 0.0
-            S[row, row], c.residuals[row] = 1.0, x[row]
-    if not rough and c.kind[i] != OFF and c.kind[i] != LINE:
-        c.residuals[n] += tau
+            S[row, row], c.scratch.residuals[row] = 1.0, x[row]
+    if not rough and c.problem.form[i] != OFF and c.problem.form[i] < LINE:
+        c.scratch.residuals[n] += tau
         S[n, m] += 1.0
 
 
@@ -154,11 +155,11 @@ def write_rows(c: Contacts, i: int, x: Array, tau: float, m: int) -> None:
 def solve_bordered(c: Contacts, m: int, right: float) -> None:
     """Solve the m equations of `system` and one that gives the part along the path's tangent, `right`."""
     for j in range(m + 1):
-        c.system[m, j] = c.path_tangent[j]
+        c.scratch.system[m, j] = c.path.tangent[j]
     for row in range(m):
-        c.system[row, m + 1] = -c.residuals[row] if right == 0.0 else 0.0
-    c.system[m, m + 1] = right
-    solve_any_rank(c.system, m + 1, 1, c.column_order, c.solution, 0.0)
+        c.scratch.system[row, m + 1] = -c.scratch.residuals[row] if right == 0.0 else 0.0
+    c.scratch.system[m, m + 1] = right
+    solve_any_rank(c.scratch.system, m + 1, 1, c.scratch.column_order, c.scratch.solution, 0.0)
 
 
 @kernel
@@ -167,9 +168,9 @@ def turn_tangent(c: Contacts, m: int) -> None:
     solve_bordered(c, m, 1.0)
     length = 0.0
     for j in range(m + 1):
-        length = math.hypot(length, c.solution[0, j])
+        length = math.hypot(length, c.scratch.solution[0, j])
     for j in range(m + 1):
-        c.path_tangent[j] = c.solution[0, j] / length
+        c.path.tangent[j] = c.scratch.solution[0, j] / length
 
 
 @kernel
@@ -184,19 +185,21 @@ def start_path(c: Contacts, k: int, apart: float) -> float:
     for i in range(k):
         n = 3 * i
         most = max(c.W[n, n], c.W[n + 1, n + 1], c.W[n + 2, n + 2])
-        c.path_scale[i] = 1.0 / (most if most > 1e-9 * largest else largest)
+        c.path.scale[i] = 1.0 / (most if most > 1e-9 * largest else largest)
         for j in range(n, n + 3):
-            tau0 = max(tau0, c.path_scale[i] * abs(c.q[j]))
+            tau0 = max(tau0, c.path.scale[i] * abs(c.problem.q[j]))
     for j in range(m + 1):
-        c.path[j], c.path_tangent[j] = 0.0, 0.0
+        c.path.point[j], c.path.tangent[j] = 0.0, 0.0
     for j in range(m):
-        c.path_start[j] = 0.0
+        c.path.start[j] = 0.0
     for i in range(k):
-        c.path[3 * i] = tau0 * (1.0 / apart - apart) if c.kind[i] != LINE and c.kind[i] != OFF else 0.0
-    c.path_tangent[m] = -1.0
-    write_path(c, k, c.path, 0.0, tau0)
+        c.path.point[3 * i] = (
+            tau0 * (1.0 / apart - apart) if c.problem.form[i] < LINE and c.problem.form[i] != OFF else 0.0
+        )
+    c.path.tangent[m] = -1.0
+    write_path(c, k, c.path.point, 0.0, tau0)
     for j in range(m):
-        c.path_start[j] = c.residuals[j] * tau0
+        c.path.start[j] = c.scratch.residuals[j] * tau0
     return tau0
 
 
@@ -218,24 +221,24 @@ def follow_path(c: Contacts, k: int, apart: float) -> bool:
     tau0 = start_path(c, k, apart)
     if not 0.0 < tau0 < math.inf:
         return False
-    x, after = c.path, c.path_trial
+    x, after = c.path.point, c.path.trial
     for _ in range(STEPS):
         write_path(c, k, x, x[m], tau0)
-        most = force_size(c.trial, m)
+        most = force_size(c.scratch.trial, m)
         if most > MOST_FORCE * tau0 or x[m] > math.log(MOST_TAU):
             return False
         for j in range(m):
-            c.F[j] = c.trial[j]
+            c.F[j] = c.scratch.trial[j]
         if x[m] <= math.log(END):
             return True
         turn_tangent(c, m)
-        if length * abs(c.path_tangent[m]) > LONGEST:
-            length = LONGEST / abs(c.path_tangent[m])
+        if length * abs(c.path.tangent[m]) > LONGEST:
+            length = LONGEST / abs(c.path.tangent[m])
         corrections = CORRECTIONS
         while corrections == CORRECTIONS:
             for j in range(m):
-                after[j] = x[j] + length * tau0 * c.path_tangent[j]
-            after[m] = x[m] + length * c.path_tangent[m]
+                after[j] = x[j] + length * tau0 * c.path.tangent[j]
+            after[m] = x[m] + length * c.path.tangent[m]
             corrections = correct(c, k, tau0)
             if corrections == CORRECTIONS:
                 length *= 0.4
@@ -253,7 +256,7 @@ def correct(c: Contacts, k: int, tau0: float) -> int:
     """Bring `path_trial` onto the path by Newton's method, across the tangent; return its steps, or CORRECTIONS."""
     m, before = 3 * k, math.inf
     for step in range(CORRECTIONS):
-        off = write_path(c, k, c.path_trial, c.path_trial[m], tau0)
+        off = write_path(c, k, c.path.trial, c.path.trial[m], tau0)
         if off <= ON_PATH:
             return step
         if not off <= 0.5 * before:
@@ -261,6 +264,6 @@ def correct(c: Contacts, k: int, tau0: float) -> int:
         before = off
         solve_bordered(c, m, 0.0)
         for j in range(m):
-            c.path_trial[j] += tau0 * c.solution[0, j]
-        c.path_trial[m] = min(c.path_trial[m] + c.solution[0, m], 10.0)
+            c.path.trial[j] += tau0 * c.scratch.solution[0, j]
+        c.path.trial[m] = min(c.path.trial[m] + c.scratch.solution[0, m], 10.0)
     return CORRECTIONS

@@ -16,9 +16,19 @@ from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
+from closedloop.mechanics.contacts.friction import slide, write_limits
 from closedloop.mechanics.contacts.least_norm import least_norm
 from closedloop.mechanics.contacts.linear import solve_any_rank
-from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, Contacts
+from closedloop.mechanics.contacts.memory import (
+    CONE,
+    DOUBLE,
+    LINE,
+    OFF,
+    RAY,
+    SPRING_STICK,
+    ContactLinks,
+    Contacts,
+)
 from closedloop.mechanics.loops.solve import orthonormal_rows
 
 Array = NDArray[np.float64]
@@ -27,6 +37,8 @@ Array = NDArray[np.float64]
 # that asks for more than this share beyond what the others give contradicts them: points of one body that stick
 # contradict each other by the square of what a step's error leaves of the velocity between them.
 SAME_ROW, CONTRADICTS = 1e-10, 1e-3
+# What is outside its cone by no more than this share of `rounding` is at its edge.
+ON_EDGE = 1e-3
 # What equations of dependent rows may be off, of what they ask for, and how often they are solved for what is left.
 EXACT, REFINEMENTS = 1e-13, 5
 
@@ -54,31 +66,24 @@ def own_mobility(c: Contacts, i: int, S: Array) -> None:
 
 
 @kernel
-def kinds_of_modes(c: Contacts, k: int) -> None:
-    """Write the kind of each contact but a LINE by its mode, and F_t = −along f of one that slides."""
-    for i in range(k):
-        if c.kind[i] == LINE:
-            continue
-        c.kind[i] = OFF
-        if c.mode[i] == STUCK:
-            c.kind[i] = CONE
-        elif c.mode[i] != FREE:
-            c.kind[i] = RAY
-            slip_direction(c, i)
+def sticks(c: Contacts, i: int) -> bool:
+    """Whether contact i has three rows in the problem, not one."""
+    return bool(c.problem.form[i] in (CONE, DOUBLE))
 
 
 @kernel
-def slip_direction(c: Contacts, i: int) -> None:
-    """Write F_t = −along f of a contact that slides: against its slip, or against `direction` while it has none."""
-    u1, u2 = c.u[3 * i + 1], c.u[3 * i + 2]
-    d1, d2, speed = c.direction[i, 0], c.direction[i, 1], math.hypot(u1, u2)
-    if speed > STILL and u1 * d1 + u2 * d2 > 0.0:
-        d1, d2 = u1 / speed, u2 / speed
-    c.along[i, 0], c.along[i, 1] = c.mu[i] * d1, c.mu[i] * d2
-
-
-# A slip below this has no direction, m/s: it is rounding.
-STILL = 1e-9
+def kinds_of_modes(links: ContactLinks, c: Contacts) -> None:
+    """Write the kind of each contact by its mode, and F_t = −along f − viscous of one that slides."""
+    write_limits(links, c)
+    for i in range(links.k):
+        c.problem.form[i] = OFF
+        c.viscous[3 * i + 1], c.viscous[3 * i + 2] = 0.0, 0.0
+        pulls = c.friction.pulls[i] != 0.0
+        if c.mode[i] == STUCK and c.friction.sticks[i] != SPRING_STICK:
+            c.problem.form[i] = DOUBLE if pulls else CONE
+        elif pulls or c.mode[i] != FREE:
+            c.problem.form[i] = LINE if pulls else RAY
+            slide(links, c, i, c.mode[i] == STUCK)
 
 
 @kernel
@@ -99,35 +104,35 @@ def solve_modes(c: Contacts, k: int) -> int:
         c.F[i] = c.rigid[i]
         most = max(most, c.W[i, i])
     p = list_unknowns(c, k, most)
-    c.rounding = 0.0
+    c.problem.rounding = 0.0
     if p == 0:
         return OK
-    if p == 1 and pulled_in(c, int(c.unknown[0]) // 3):
+    if p == 1 and pulled_in(c, int(c.scratch.unknown[0]) // 3):
         return PAINLEVE
     asked = write_system(c, k, p)
     rank = independent_rows(c, p)
     if rank < p and shortest_solutions(c, p, rank, asked):
         write_forces(c, p)
         if inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F):
-            c.rounding = rounding_of(c, k, asked / most)
+            c.problem.rounding = rounding_of(c, k, asked / most)
             return OK
         for i in range(3 * k):
             c.rigid[i] = 0.0 - c.viscous[i]
             c.F[i] = c.rigid[i]
     for i in range(p):
         for j in range(p):
-            c.unknowns[i, j] = c.system[i, j]
-    rank = solve_any_rank(c.system, p, 2, c.column_order, c.solution, SAME_ROW)
+            c.scratch.unknowns[i, j] = c.scratch.system[i, j]
+    rank = solve_any_rank(c.scratch.system, p, 2, c.scratch.column_order, c.scratch.solution, SAME_ROW)
     write_forces(c, p)
     if rank < p:
         for i in range(p):
-            left = -c.sought[i]
+            left = -c.scratch.sought[i]
             for j in range(p):
-                left += c.unknowns[i, j] * c.solution[0, j]
+                left += c.scratch.unknowns[i, j] * c.scratch.solution[0, j]
             if not abs(left) <= CONTRADICTS * asked:
                 return SINGULAR
         share_forces(c, k, p)
-    c.rounding = rounding_of(c, k, asked / most)
+    c.problem.rounding = rounding_of(c, k, asked / most)
     return OK
 
 
@@ -144,9 +149,9 @@ def rounding_of(c: Contacts, k: int, asked: float) -> float:
 def write_forces(c: Contacts, p: int) -> None:
     """Add to `rigid` and F what the unknowns in `solution` stand for."""
     for j in range(p):
-        row = int(c.unknown[j])
-        add_unknown(c, row, c.solution[0, j], c.rigid)
-        add_unknown(c, row, c.solution[1, j], c.F)
+        row = int(c.scratch.unknown[j])
+        add_unknown(c, row, c.scratch.solution[0, j], c.rigid)
+        add_unknown(c, row, c.scratch.solution[1, j], c.F)
 
 
 @kernel
@@ -155,9 +160,9 @@ def independent_rows(c: Contacts, p: int) -> int:
 
     By Cholesky's factors of W with pivots.
     """
-    R, order, left, first = c.unknowns, c.column_order, c.trial, 0.0
+    R, order, left, first = c.scratch.unknowns, c.scratch.column_order, c.scratch.trial, 0.0
     for i in range(p):
-        row = int(c.unknown[i])
+        row = int(c.scratch.unknown[i])
         order[i], left[i] = i, c.W[row, row]
         first = max(first, left[i])
     for r in range(p):
@@ -169,10 +174,10 @@ def independent_rows(c: Contacts, p: int) -> int:
         i = int(order[r])
         if not left[i] > SAME_ROW * first:
             return r
-        root, row = math.sqrt(left[i]), int(c.unknown[i])
+        root, row = math.sqrt(left[i]), int(c.scratch.unknown[i])
         for m in range(r + 1, p):
             j = int(order[m])
-            s = c.W[row, int(c.unknown[j])]
+            s = c.W[row, int(c.scratch.unknown[j])]
             for t in range(r):
                 s -= R[t, i] * R[t, j]
             s /= root
@@ -192,11 +197,19 @@ def shortest_solutions(c: Contacts, p: int, rank: int, asked: float) -> bool:
     bool
         False if rounding is in the way, or the other equations contradict them.
     """
-    A, B, order, weight, left = c.system, c.unknowns, c.column_order, c.best, c.multiplier
+    A, B, order, weight, left = (
+        c.scratch.system,
+        c.scratch.unknowns,
+        c.scratch.column_order,
+        c.scratch.best,
+        c.scratch.multiplier,
+    )
     for j in range(p):
-        i, weight[j] = int(c.unknown[j]) // 3, 1.0
-        if c.kind[i] != CONE:
-            weight[j] = 1.0 / (1.0 + c.along[i, 0] * c.along[i, 0] + c.along[i, 1] * c.along[i, 1])
+        i, weight[j] = int(c.scratch.unknown[j]) // 3, 1.0
+        if not sticks(c, i):
+            weight[j] = 1.0 / (
+                1.0 + c.problem.along[i, 0] * c.problem.along[i, 0] + c.problem.along[i, 1] * c.problem.along[i, 1]
+            )
     for r in range(rank):
         i = int(order[r])
         for q in range(r + 1):
@@ -213,7 +226,7 @@ def shortest_solutions(c: Contacts, p: int, rank: int, asked: float) -> bool:
             else:
                 return False
     for side in range(2):
-        x = row_of(c.solution, side)
+        x = row_of(c.scratch.solution, side)
         for j in range(p):
             x[j] = 0.0
         worst, size = math.inf, 0.0
@@ -248,7 +261,7 @@ def shortest_solutions(c: Contacts, p: int, rank: int, asked: float) -> bool:
         i = int(order[r])
         s = A[i, p]
         for j in range(p):
-            s -= A[i, j] * c.solution[0, j]
+            s -= A[i, j] * c.scratch.solution[0, j]
         if not abs(s) <= CONTRADICTS * asked:
             return False
     return True
@@ -259,11 +272,11 @@ def inside_cones(c: Contacts, k: int, F: Array) -> bool:
     """Whether forces F press and are inside their cones, those of the contacts that only press."""
     for i in range(k):
         n, mu = 3 * i, c.mu[i]
-        if c.kind[i] == RAY and F[n] < 0.0:
+        if c.problem.form[i] == RAY and F[n] < 0.0:
             return False
-        if c.kind[i] == CONE:
+        if sticks(c, i):
             within = mu * mu * F[n] * F[n] - F[n + 1] * F[n + 1] - F[n + 2] * F[n + 2]
-            if F[n] < 0.0 or within < 0.0:
+            if (c.problem.form[i] == CONE and F[n] < 0.0) or within < 0.0:
                 return False
     return True
 
@@ -277,16 +290,30 @@ def share_forces(c: Contacts, k: int, p: int) -> None:
             return
     span_rows(c, k, p)
     for i in range(m):
-        c.trial[i] = c.F[i] - c.rigid[i]
-        c.after[i] = c.trial[i]
-    if not least_norm(c, k, c.rigid, True):
+        c.scratch.trial[i] = c.F[i] - c.rigid[i]
+        c.problem.after[i] = c.scratch.trial[i]
+    if not least_inside(c, k, c.rigid):
         least_norm(c, k, c.rigid, False)
-    if not least_norm(c, k, c.F, True):
+    if not least_inside(c, k, c.F):
         for i in range(m):
-            c.F[i] = c.after[i] - c.viscous[i]
+            c.F[i] = c.problem.after[i] - c.viscous[i]
         least_norm(c, k, c.F, False)
         for i in range(m):
             c.F[i] += c.rigid[i] + c.viscous[i]
+
+
+@kernel
+def least_inside(c: Contacts, k: int, force: Array) -> bool:
+    """Do `least_norm` inside the cones: of what also pulls, that of the sign of f that the force has, or the other."""
+    pulls = False
+    for i in range(k):
+        c.friction.sense[i] = 1.0 if force[3 * i] >= 0.0 else -1.0
+        pulls = pulls or c.problem.form[i] == DOUBLE
+    if least_norm(c, k, force, True):
+        return True
+    for i in range(k):
+        c.friction.sense[i] = -c.friction.sense[i]
+    return pulls and least_norm(c, k, force, True)
 
 
 @kernel
@@ -294,7 +321,7 @@ def keep_in_cones(c: Contacts, k: int) -> None:
     """Lessen the stabiliser's part of all forces by one factor, so that no force pulls or leaves its cone by it."""
     share = 1.0
     for i in range(k):
-        if c.kind[i] == RAY or c.kind[i] == CONE:
+        if c.problem.form[i] == RAY or c.problem.form[i] == CONE:
             share = min(share, share_inside(c, i))
     if share < 1.0:
         for i in range(3 * k):
@@ -309,17 +336,18 @@ def share_inside(c: Contacts, i: int) -> float:
     """
     n, mu = 3 * i, c.mu[i]
     f, grown = c.rigid[n], c.F[n] - c.rigid[n]
-    if f < -c.rounding:
+    if f < -c.problem.rounding:
         return 1.0
     share = 1.0 if c.F[n] >= 0.0 else max(0.0, f) / (max(0.0, f) - c.F[n])
-    if c.kind[i] == RAY or mu * c.F[n] >= math.hypot(c.F[n + 1], c.F[n + 2]):
+    # The shortest of forces that are not unique is often at the cone's edge, but for rounding.
+    if c.problem.form[i] == RAY or mu * c.F[n] + ON_EDGE * c.problem.rounding >= math.hypot(c.F[n + 1], c.F[n + 2]):
         return share
     r1, r2, d1, d2 = c.rigid[n + 1], c.rigid[n + 2], c.F[n + 1] - c.rigid[n + 1], c.F[n + 2] - c.rigid[n + 2]
     # The first root of (μ (f + s df))² − |F_t + s dF_t|², a parabola in s that is positive at 0.
     a, half = (mu * grown) * (mu * grown) - d1 * d1 - d2 * d2, mu * mu * f * grown - r1 * d1 - r2 * d2
     inside = (mu * f) * (mu * f) - r1 * r1 - r2 * r2
     if not inside > 0.0:
-        return 0.0 if math.hypot(r1, r2) <= mu * f + c.rounding else 1.0
+        return 0.0 if math.hypot(r1, r2) <= mu * f + c.problem.rounding else 1.0
     below = math.sqrt(max(0.0, half * half - a * inside)) - half
     return min(share, inside / below) if below > 0.0 else share
 
@@ -328,8 +356,10 @@ def share_inside(c: Contacts, i: int) -> float:
 def pulled_in(c: Contacts, i: int) -> bool:
     """Whether contact i, alone, slides so that a larger force does not push it out."""
     at = 3 * i
-    own = c.W[at, at] - c.W[at, at + 1] * c.along[i, 0] - c.W[at, at + 2] * c.along[i, 1]
-    return bool(c.kind[i] == RAY and not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2]))
+    own = c.W[at, at] - c.W[at, at + 1] * c.problem.along[i, 0] - c.W[at, at + 2] * c.problem.along[i, 1]
+    return bool(
+        c.problem.form[i] == RAY and not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2])
+    )
 
 
 @kernel
@@ -341,30 +371,30 @@ def span_rows(c: Contacts, k: int, p: int) -> None:
     """
     n, rubbed = c.X.shape[1], False
     for i in range(k):
-        rubbed = rubbed or (c.kind[i] != OFF and (c.along[i, 0] != 0.0 or c.along[i, 1] != 0.0))
+        rubbed = rubbed or (c.problem.form[i] != OFF and (c.problem.along[i, 0] != 0.0 or c.problem.along[i, 1] != 0.0))
     rank = n
     if rubbed:
         for r in range(p):
             for j in range(n):
-                c.basis[r, j] = c.X[int(c.unknown[r]), j]
-        rank = orthonormal_rows(c.basis, p, c.column_order, c.unknowns, c.sought)
+                c.scratch.basis[r, j] = c.X[int(c.scratch.unknown[r]), j]
+        rank = orthonormal_rows(c.scratch.basis, p, c.scratch.column_order, c.scratch.unknowns, c.scratch.sought)
     for i in range(3 * k):
         for j in range(n):
-            c.Y[i, j] = 0.0 if rubbed else c.X[i, j]
+            c.scratch.Y[i, j] = 0.0 if rubbed else c.X[i, j]
         for r in range(rank if rubbed else 0):
             for j in range(n):
-                c.Y[i, r] += c.X[i, j] * c.basis[r, j]
+                c.scratch.Y[i, r] += c.X[i, j] * c.scratch.basis[r, j]
 
 
 @kernel
 def stopping_impulses(c: Contacts, k: int) -> None:
     """Write in F the impulses that take the velocities `before` along the rows of the kinds; none if there are none."""
     for i in range(3 * k):
-        c.q[i], c.after[i] = c.viscous[i], c.a[i]
+        c.problem.q[i], c.problem.after[i] = c.viscous[i], c.a[i]
         c.a[i], c.b[i], c.viscous[i] = c.before[i], 0.0, 0.0
     status = solve_modes(c, k)
     for i in range(3 * k):
-        c.a[i], c.viscous[i] = c.after[i], c.q[i]
+        c.a[i], c.viscous[i] = c.problem.after[i], c.problem.q[i]
         c.F[i] = c.rigid[i] if status == OK else 0.0
 
 
@@ -375,7 +405,7 @@ def write_after(c: Contacts, k: int) -> None:
         s = c.before[i]
         for j in range(3 * k):
             s += c.W[i, j] * c.F[j]
-        c.after[i] = s
+        c.problem.after[i] = s
 
 
 @kernel
@@ -383,8 +413,8 @@ def energy_gained(c: Contacts, k: int) -> float:
     """Return the kinetic energy that the impulses give, Pᵀ(u⁻ + u⁺)/2, J; zero if it is rounding."""
     gained, size = 0.0, 0.0
     for i in range(3 * k):
-        gained += 0.5 * c.F[i] * (c.before[i] + c.after[i])
-        size += abs(c.F[i]) * (abs(c.before[i]) + abs(c.after[i]))
+        gained += 0.5 * c.F[i] * (c.before[i] + c.problem.after[i])
+        size += abs(c.F[i]) * (abs(c.before[i]) + abs(c.problem.after[i]))
     return gained if abs(gained) > 1e-13 * size else 0.0
 
 
@@ -393,11 +423,11 @@ def list_unknowns(c: Contacts, k: int, most: float) -> int:
     """Write which rows an active contact has: 3 i + 0, 1, 2; those that no joint moves are left out."""
     p = 0
     for i in range(k):
-        if c.kind[i] == OFF:
+        if c.problem.form[i] == OFF:
             continue
-        for j in range(3 if c.kind[i] == CONE else 1):
+        for j in range(3 if sticks(c, i) else 1):
             if c.W[3 * i + j, 3 * i + j] > IMMOBILE * 1e-6 * most:
-                c.unknown[p] = 3 * i + j
+                c.scratch.unknown[p] = 3 * i + j
                 p += 1
     return p
 
@@ -407,9 +437,9 @@ def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
     """Add what an unknown stands for to a force: a component of one that sticks, f of one that slides."""
     force[row] += value
     i = row // 3
-    if c.kind[i] != CONE:
-        force[row + 1] -= c.along[i, 0] * value
-        force[row + 2] -= c.along[i, 1] * value
+    if not sticks(c, i):
+        force[row + 1] -= c.problem.along[i, 0] * value
+        force[row + 2] -= c.problem.along[i, 1] * value
 
 
 @kernel
@@ -417,18 +447,18 @@ def write_system(c: Contacts, k: int, p: int) -> float:
     """Write the equations of the unknowns with −a and b on the right; return the size of the terms on the right."""
     n, asked = c.X.shape[1], 0.0
     for r in range(p):
-        row, s = int(c.unknown[r]), 0.0
+        row, s = int(c.scratch.unknown[r]), 0.0
         for j in range(3 * k):
             if c.viscous[j] != 0.0:
                 s -= c.W[row, j] * c.viscous[j]
         for q in range(p):
-            column = int(c.unknown[q])
+            column = int(c.scratch.unknown[q])
             i, w = column // 3, c.W[row, column]
-            if c.kind[i] != CONE:
-                w -= c.W[row, column + 1] * c.along[i, 0] + c.W[row, column + 2] * c.along[i, 1]
-            c.system[r, q] = w
-        c.sought[r] = -c.a[row] - s
-        c.system[r, p], c.system[r, p + 1] = c.sought[r], c.sought[r] + c.b[row]
+            if not sticks(c, i):
+                w -= c.W[row, column + 1] * c.problem.along[i, 0] + c.W[row, column + 2] * c.problem.along[i, 1]
+            c.scratch.system[r, q] = w
+        c.scratch.sought[r] = -c.a[row] - s
+        c.scratch.system[r, p], c.scratch.system[r, p + 1] = c.scratch.sought[r], c.scratch.sought[r] + c.b[row]
         size = abs(c.drift[row]) + abs(c.b[row])
         for j in range(n):
             size += abs(c.X[row, j] * c.load[j])

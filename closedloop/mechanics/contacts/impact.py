@@ -22,8 +22,9 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import STARTS, largest_mobility, solve_contacts
 from closedloop.mechanics.contacts.continuation import force_size
+from closedloop.mechanics.contacts.friction import cone_limit, take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
-from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SMOOTH, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import touches
 
 Array = NDArray[np.float64]
@@ -51,36 +52,43 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         OK, or PAINLEVE if they were not found.
     """
     k, coming = links.k, 0
-    c.energy_lost, c.energy_rested, c.restitution_share = 0.0, 0.0, 1.0
+    c.event.energy_lost, c.event.energy_rested, c.event.restitution_share = 0.0, 0.0, 1.0
     for i in range(3 * k):
-        c.F[i], c.before[i], c.after[i] = 0.0, c.u[i], c.u[i]
+        c.F[i], c.before[i], c.problem.after[i] = 0.0, c.u[i], c.u[i]
     for i in range(k):
-        c.happened[i], c.struck[i] = 0.0, 0.0
-        c.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.rounding else 0.0
+        c.event.happened[i], c.event.struck[i] = 0.0, 0.0
+        c.event.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.problem.rounding else 0.0
         rub = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
-        left = c.mu[i] * c.rigid[3 * i] - rub + c.rounding
-        c.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
-        if c.kind[i] != LINE:
-            c.kind[i] = OFF
-            if touches(links, c, i) and c.soft[i] == 0.0:
-                c.kind[i] = CONE if c.mu[i] > 0.0 else RAY
-        c.along[i, 0], c.along[i, 1] = 0.0, 0.0
-        if c.kind[i] != OFF and c.kind[i] != LINE and c.mode[i] == FREE and c.u[3 * i] < -RESTING:
-            coming, c.struck[i] = coming + 1, 1.0
+        left = cone_limit(c, i) * abs(c.rigid[3 * i]) - rub + c.problem.rounding
+        c.event.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
+        if (
+            c.event.outside[i] != 0.0 and c.friction.sticks[i] != SMOOTH and rub > 0.0
+        ):  # where it slips, if it begins to
+            c.direction[i, 0], c.direction[i, 1] = -c.rigid[3 * i + 1] / rub, -c.rigid[3 * i + 2] / rub
+    take_kinetic(links, c)
+    for i in range(k):
+        c.problem.form[i] = OFF
+        if c.friction.pulls[i] != 0.0:
+            c.problem.form[i] = OFF if c.soft[i] != 0.0 else (DOUBLE if c.mu[i] > 0.0 else LINE)
+        elif touches(links, c, i) and c.soft[i] == 0.0:
+            c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
+        c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
+        if c.friction.pulls[i] == 0.0 and c.problem.form[i] != OFF and c.mode[i] == FREE and c.u[3 * i] < -RESTING:
+            coming, c.event.struck[i] = coming + 1, 1.0
     if coming == 0:
         return OK
     if not (solve_with(links, c, 1.0, rest_speed) and energy_gained(c, k) <= 0.0):
-        c.restitution_share = lessened_restitution(links, c, rest_speed)
-        if not solve_with(links, c, c.restitution_share, rest_speed):
+        c.event.restitution_share = lessened_restitution(links, c, rest_speed)
+        if not solve_with(links, c, c.event.restitution_share, rest_speed):
             return PAINLEVE
     for i in range(k):
-        if c.kind[i] == LINE or c.kind[i] == OFF:
+        if c.friction.pulls[i] != 0.0 or c.problem.form[i] == OFF:
             continue
-        parts = c.after[3 * i] > 0.5 * slowest_rebound(links, i, rest_speed)
-        if c.struck[i] != 0.0:
-            c.happened[i] = STRUCK_AND_LEFT if parts else STRUCK_AND_STAYED
+        parts = c.problem.after[3 * i] > 0.5 * slowest_rebound(links, c, i, rest_speed)
+        if c.event.struck[i] != 0.0:
+            c.event.happened[i] = STRUCK_AND_LEFT if parts else STRUCK_AND_STAYED
         if parts:
-            c.mode[i], c.risen[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
+            c.mode[i], c.cleared[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
         elif c.mode[i] == FREE:
             c.mode[i] = PRESSED
     let_stay(links, c, rest_speed)
@@ -95,23 +103,27 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
     """
     k, fastest, struck = links.k, 0.0, -energy_gained(c, links.k)
     for i in range(k):
-        stays = c.kind[i] != LINE and c.kind[i] != OFF and c.mode[i] != FREE
+        pulls = c.friction.pulls[i] != 0.0
+        stays = not pulls and c.problem.form[i] != OFF and c.mode[i] != FREE
         if stays:
-            fastest = max(fastest, c.after[3 * i])
-        if c.kind[i] != LINE:
-            slow = math.hypot(c.after[3 * i + 1], c.after[3 * i + 2]) <= rest_speed
-            c.kind[i] = OFF if not stays else (CONE if slow and c.mu[i] > 0.0 else RAY)
-            c.along[i, 0], c.along[i, 1] = 0.0, 0.0
+            fastest = max(fastest, c.problem.after[3 * i])
+        slow = math.hypot(c.problem.after[3 * i + 1], c.problem.after[3 * i + 2]) <= own_rest_speed(c, i, rest_speed)
+        rests = slow and c.mu[i] > 0.0
+        if not pulls:
+            c.problem.form[i] = OFF if not stays else (CONE if rests else RAY)
+        elif c.problem.form[i] != OFF:
+            c.problem.form[i] = DOUBLE if rests else LINE
+        c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
     if fastest > RESTING:
         for i in range(3 * k):
-            c.residuals[i], c.start[i], c.before[i] = c.F[i], c.before[i], c.after[i]
+            c.scratch.residuals[i], c.scratch.start[i], c.before[i] = c.F[i], c.before[i], c.problem.after[i]
         stopping_impulses(c, k)
         for i in range(3 * k):
-            c.F[i] += c.residuals[i]
-            c.before[i] = c.start[i]
+            c.F[i] += c.scratch.residuals[i]
+            c.before[i] = c.scratch.start[i]
         write_after(c, k)
-    c.energy_lost = -energy_gained(c, k)
-    c.energy_rested = c.energy_lost - struck
+    c.event.energy_lost = -energy_gained(c, k)
+    c.event.energy_rested = c.event.energy_lost - struck
 
 
 @kernel
@@ -142,14 +154,14 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
     """Solve for the impulses with restitution times `share`; `after` is then u⁺. See `solve_contacts` for `starts`."""
     k = links.k
     for i in range(3 * k):
-        c.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
+        c.problem.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
     for i in range(k):
         bounce = -share * c.restitution[i] * c.before[3 * i]
-        if c.struck[i] != 0.0 and links.tired == 0 and bounce >= slowest_rebound(links, i, rest_speed):
-            c.q[3 * i] -= bounce
+        if c.event.struck[i] != 0.0 and links.chattering == 0 and bounce >= slowest_rebound(links, c, i, rest_speed):
+            c.problem.q[3 * i] -= bounce
     if not solve_contacts(c, k, starts):
         return False
-    asked = force_size(c.q, 3 * k) / largest_mobility(c, k)
+    asked = force_size(c.problem.q, 3 * k) / largest_mobility(c, k)
     if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:
         return False
     write_after(c, k)
@@ -157,6 +169,12 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
 
 
 @kernel
-def slowest_rebound(links: ContactLinks, i: int, rest_speed: float) -> float:
-    """Return the speed below which contact i does not rebound: `rest_speed`, m/s, or that of stops, rad/s (m/s)."""
-    return SLOWEST_REBOUND if i >= links.k - links.stops else rest_speed
+def slowest_rebound(links: ContactLinks, c: Contacts, i: int, rest_speed: float) -> float:
+    """Return the speed below which contact i does not rebound: its own, m/s, or that of stops, rad/s (m/s)."""
+    return SLOWEST_REBOUND if i >= links.points else own_rest_speed(c, i, rest_speed)
+
+
+@kernel
+def own_rest_speed(c: Contacts, i: int, rest_speed: float) -> float:
+    """Return the speed below which contact i is at rest, m/s: `rest_speed` where it has none of its own."""
+    return float(c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.complementarity import into_cone
 from closedloop.mechanics.contacts.linear import solve_any_rank
-from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
 
 Array = NDArray[np.float64]
 
@@ -34,13 +34,13 @@ def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
     With `inside` it is in the cones of its contacts, as `kind`, mu and along have them; else in the spaces that they
     span.
     """
-    n, m = c.Y.shape[1], 3 * k
+    n, m = c.scratch.Y.shape[1], 3 * k
     size, scale = 0.0, 0.0
     for j in range(n):
         s = 0.0
         for i in range(m):
-            s += c.Y[i, j] * (force[i] + c.viscous[i])
-        c.sum[j], c.multiplier[j] = s, 0.0
+            s += c.scratch.Y[i, j] * (force[i] + c.viscous[i])
+        c.scratch.sum[j], c.scratch.multiplier[j] = s, 0.0
         size = max(size, abs(s))
     for i in range(m):
         scale = max(scale, c.W[i, i])
@@ -51,63 +51,67 @@ def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
     left, now = 0.0, 0.0
     for phase in range(2 if inside else 1):  # the shortest of all forces is the first guess
         spans = phase == 0
-        left = project_all(c, k, c.multiplier, spans)
+        left = project_all(c, k, c.scratch.multiplier, spans)
         for _ in range(STEPS):
             if left <= FOUND * size:
                 break
             newton(c, k, spans, scale)
             share, before, slope = 1.0, value_of(c, k), 0.0
             for j in range(n):
-                slope += c.solution[0, j] * c.solution[1, j]
-                c.sum_trial[j] = c.multiplier[j]
+                slope += c.scratch.solution[0, j] * c.scratch.solution[1, j]
+                c.scratch.sum_trial[j] = c.scratch.multiplier[j]
             for _ in range(HALVINGS):
                 for j in range(n):
-                    c.multiplier[j] = c.sum_trial[j] + share * c.solution[0, j]
-                now = project_all(c, k, c.multiplier, spans)
+                    c.scratch.multiplier[j] = c.scratch.sum_trial[j] + share * c.scratch.solution[0, j]
+                now = project_all(c, k, c.scratch.multiplier, spans)
                 if now < 0.5 * left or value_of(c, k) <= before - 1e-4 * share * slope:
                     break
                 share *= 0.5
             if now >= left and left <= NEAR * size:
                 for j in range(n):
-                    c.multiplier[j] = c.sum_trial[j]
-                left = project_all(c, k, c.multiplier, spans)
+                    c.scratch.multiplier[j] = c.scratch.sum_trial[j]
+                left = project_all(c, k, c.scratch.multiplier, spans)
                 break
             left = now
     if not left <= NEAR * size:
         return False
     for i in range(m):
-        force[i] = c.trial[i] - c.viscous[i]
+        force[i] = c.scratch.trial[i] - c.viscous[i]
     return True
 
 
 @kernel
 def project_all(c: Contacts, k: int, multiplier: Array, spans: bool) -> float:
     """Write `trial` = Π(X λ), and s − Xᵀ Π(X λ) as the second row of `solution`; return its largest number."""
-    n, m = c.Y.shape[1], 3 * k
+    n, m = c.scratch.Y.shape[1], 3 * k
     for i in range(m):
         s = 0.0
         for j in range(n):
-            s += c.Y[i, j] * multiplier[j]
-        c.best[i], c.trial[i] = s, s
+            s += c.scratch.Y[i, j] * multiplier[j]
+        c.scratch.best[i], c.scratch.trial[i] = s, s
     for i in range(k):
-        F, kind = c.trial[3 * i : 3 * i + 3], c.kind[i]
+        F, kind = c.scratch.trial[3 * i : 3 * i + 3], c.problem.form[i]
         if kind == OFF:
             F[0], F[1], F[2] = 0.0, 0.0, 0.0
-        elif kind == CONE:
+        elif kind in (CONE, DOUBLE):
+            if kind == DOUBLE:
+                F[0] *= c.friction.sense[i]
             if not spans:
                 into_cone(F, c.mu[i])
+            if kind == DOUBLE:
+                F[0] *= c.friction.sense[i]
         else:
-            c1, c2 = c.along[i, 0], c.along[i, 1]
+            c1, c2 = c.problem.along[i, 0], c.problem.along[i, 1]
             f = (F[0] - c1 * F[1] - c2 * F[2]) / (1.0 + c1 * c1 + c2 * c2)
-            if f < 0.0 and kind != LINE and not spans:
+            if f < 0.0 and kind < LINE and not spans:
                 f = 0.0
             F[0], F[1], F[2] = f, -c1 * f, -c2 * f
     worst = 0.0
     for j in range(n):
-        s = c.sum[j]
+        s = c.scratch.sum[j]
         for i in range(m):
-            s -= c.Y[i, j] * c.trial[i]
-        c.solution[1, j] = s
+            s -= c.scratch.Y[i, j] * c.scratch.trial[i]
+        c.scratch.solution[1, j] = s
         worst = max(worst, abs(s))
     return worst
 
@@ -117,56 +121,59 @@ def value_of(c: Contacts, k: int) -> float:
     """Return the convex function whose gradient is −`solution[1]`, where `project_all` was asked last."""
     total = 0.0
     for i in range(3 * k):
-        total += 0.5 * c.trial[i] * c.trial[i]
-    for j in range(c.Y.shape[1]):
-        total -= c.sum[j] * c.multiplier[j]
+        total += 0.5 * c.scratch.trial[i] * c.scratch.trial[i]
+    for j in range(c.scratch.Y.shape[1]):
+        total -= c.scratch.sum[j] * c.scratch.multiplier[j]
     return total
 
 
 @kernel
 def newton(c: Contacts, k: int, spans: bool, scale: float) -> None:
     """Write the step (Xᵀ DΠ X + ε)⁻¹(s − Xᵀ Π(X λ)) as the first row of `solution`; ε only makes it unique."""
-    n, S = c.Y.shape[1], c.system
+    n, S = c.scratch.Y.shape[1], c.scratch.system
     for j in range(n):
         for i in range(n):
             S[j, i] = 0.0
         S[j, j] = 1e-11 * scale
-        S[j, n] = c.solution[1, j]
+        S[j, n] = c.scratch.solution[1, j]
     for i in range(k):
-        if c.kind[i] == OFF or not write_slope(c, i, spans):
+        if c.problem.form[i] == OFF or not write_slope(c, i, spans):
             continue
         for a in range(3):
             for b in range(3):
-                d = c.slope[a, b]
+                d = c.scratch.slope[a, b]
                 if d != 0.0:
                     for j in range(n):
                         for m in range(n):
-                            S[j, m] += c.Y[3 * i + a, j] * d * c.Y[3 * i + b, m]
+                            S[j, m] += c.scratch.Y[3 * i + a, j] * d * c.scratch.Y[3 * i + b, m]
     for j in range(n):
-        c.sum_trial[j] = c.solution[1, j]
-    solve_any_rank(S, n, 1, c.column_order, c.solution, 0.0)
+        c.scratch.sum_trial[j] = c.scratch.solution[1, j]
+    solve_any_rank(S, n, 1, c.scratch.column_order, c.scratch.solution, 0.0)
     for j in range(n):
-        c.solution[1, j] = c.sum_trial[j]
+        c.scratch.solution[1, j] = c.scratch.sum_trial[j]
 
 
 @kernel
 def write_slope(c: Contacts, i: int, spans: bool) -> bool:
     """Write the derivative (3, 3) of the projection of contact i, where `project_all` was asked; False if zero."""
-    D, kind = c.slope, c.kind[i]
+    D, kind = c.scratch.slope, c.problem.form[i]
     for a in range(3):
         for b in range(3):
             D[a, b] = 1.0 if a == b else 0.0
-    x0, x1, x2 = c.best[3 * i], c.best[3 * i + 1], c.best[3 * i + 2]
+    x0, x1, x2, sense = c.scratch.best[3 * i], c.scratch.best[3 * i + 1], c.scratch.best[3 * i + 2], 1.0
+    if kind == DOUBLE:
+        sense = c.friction.sense[i]
+        x0 *= sense
     mu, size = c.mu[i], math.hypot(x1, x2)
-    v0, v1, v2, turn = 1.0, -c.along[i, 0], -c.along[i, 1], 0.0
-    if kind == CONE:
+    v0, v1, v2, turn = 1.0, -c.problem.along[i, 0], -c.problem.along[i, 1], 0.0
+    if kind in (CONE, DOUBLE):
         if spans or size <= mu * x0:
             return True
         if mu * size <= -x0:
             return False
         v1, v2 = mu * x1 / size, mu * x2 / size
         turn = mu * (x0 + mu * size) / (1.0 + mu * mu) / size
-    elif kind != LINE and not spans and not c.trial[3 * i] > 0.0:
+    elif kind < LINE and not spans and not c.scratch.trial[3 * i] > 0.0:
         return False
     length = v0 * v0 + v1 * v1 + v2 * v2
     for a in range(3):
@@ -180,4 +187,7 @@ def write_slope(c: Contacts, i: int, spans: bool) -> bool:
         D[1, 2] += turn * e1 * e2
         D[2, 1] += turn * e1 * e2
         D[2, 2] += turn * e2 * e2
+    for j in range(1, 3):
+        D[0, j] *= sense
+        D[j, 0] *= sense
     return True

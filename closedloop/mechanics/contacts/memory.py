@@ -1,8 +1,9 @@
 """The memory of the contacts: what they are, and their rows, forces and modes at the state asked about last.
 
 Contact 0 is the tip with the scenario's surface; then come those of the sections [[contact]], in their order; then, of
-each joint with stops, the nearer of its two. Every contact has three rows, along its normal and two tangents, so k
-contacts have 3 k; those of a stop are ± q̇ of its joint and two of zeros, in rad (m) and N m (N).
+each joint with stops, the nearer of its two; then each joint, if dry friction may hold it: a contact with its largest
+torque as normal force, there only while modes are sought. Every contact has three rows, along its normal and two
+tangents, so k contacts have 3 k; those of a stop are ± q̇ of its joint and two of zeros, in rad (m) and N m (N).
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from closedloop.mechanics.loops.memory import LoopMemory
 
 Array = NDArray[np.float64]
 
-N, K = Count.of("n"), Count.of("k")
+N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
 
 # Kinds of a contact in a problem: without force; that slides in a known direction, F = f (1, −μ d) with f >= 0; inside
-# Coulomb's cone; and one that also pulls, F = f (1, −c).
-OFF, RAY, CONE, LINE = range(4)
+# Coulomb's cone; and of those that also pull one with F = f (1, −c), and one with |F_t| <= μ|f|.
+OFF, RAY, CONE, LINE, DOUBLE = range(5)
+# How a law of friction sticks: not, there being none; with u = 0 as a constraint; and see `FrictionLaw.sticks`.
+SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 
 
 class ContactLinks(Block):
@@ -34,35 +37,130 @@ class ContactLinks(Block):
     total: int  # of its numbers
     n: int  # joints
     k: int  # contacts, the tip's and the stops of joints among them
-    stops: int  # how many of them, the last, are stops
+    points: int  # how many of them, the first, are points that touch surfaces
+    stops: int  # how many, after these; what follows is of joints with friction, while modes are sought alone
     surfaces: int  # address of the entry and the memory of the surface of each, 0 of a plane at rest; 0: all are such
     compliances: int  # address of the same of the compliance of each, 0 of a rigid one; 0: all are rigid
+    shapes: int  # address of the memory of their shapes, see `closedloop.mechanics.contacts.shapes`; 0: all are points
+    frictions: int  # and of the law of friction of each, 0 of Coulomb's μ; 0: all have that
+    past: int  # speeds of slip that are kept of each, see `closedloop.mechanics.contacts.friction.delayed_speed`
+    moved: int  # 1 if a projection found something to move
+    raised: int  # 1 once a user's member has raised something
     rows: int  # address of the memory of their rows, see `closedloop.mechanics.loops.memory`
     loop: int  # and of the loop that they are for; 0: none
     undecided: int  # 1 until the modes after an event, or at the start, are found
     fresh: int  # 1 at the start
-    tired: int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit; 2 after
+    chattering: (
+        int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit; 2 after
+    )
     # too many: their modes are not sought
     stepped: int  # 1 while the forces are those of a time step, see `closedloop.mechanics.contacts.time_step`
     record_at: int  # where in a row of the record there is a `ContactRow`
 
 
-class Contacts(Block, sizes=("n", "k")):
+class Problem(Block, sizes=("k",)):
+    """The problem that is solved: u⁺ = q + W F with each contact's form."""
+
+    form: Annotated[Array, K]  # OFF, RAY, CONE, LINE or DOUBLE
+    along: Annotated[Array, K, 2]  # F_t = −along f − viscous of a RAY or a LINE
+    q: Annotated[Array, 3 * K]
+    after: Annotated[Array, 3 * K]  # u⁺
+    rounding: float  # force below which there is none, N
+    penalty: float  # see `closedloop.mechanics.contacts.complementarity`
+    residual: float  # of the last problem, N or N s
+
+
+class ContactEvent(Block, sizes=("k",)):
+    """What happens to the contacts in an event."""
+
+    happened: Annotated[Array, K]  # to each, a kind of `closedloop.loop.events.table`; 0: nothing
+    struck: Annotated[Array, K]  # 1 if it was an impact
+    pulled: Annotated[Array, K]  # 1 if its mode would have had it pull
+    outside: Annotated[Array, K]  # 1 if it would have had to hold with more than friction can
+    turned: Annotated[Array, K]  # 1 if its slip has turned round
+    energy_lost: float  # J
+    energy_rested: float  # what of it was taken so that contacts that part slowly rest
+    restitution_share: float  # by which the restitution of an impact was lessened, so that it creates no energy
+
+
+class TimeStep(Block, sizes=("k",)):
+    """A time step of its own, see `closedloop.mechanics.contacts.time_step`."""
+
+    end: float  # s
+    force: Annotated[Array, 3 * K]  # N
+
+
+class Path(Block, sizes=("k",)):
+    """The path of `closedloop.mechanics.contacts.continuation`: x, N, and log τ."""
+
+    point: Annotated[Array, 3 * K + 1]
+    trial: Annotated[Array, 3 * K + 1]
+    tangent: Annotated[Array, 3 * K + 1]
+    start: Annotated[Array, 3 * K]
+    scale: Annotated[Array, K]
+    force: Annotated[Array, 3 * K, 3]  # ∂F/∂x and ∂F/∂τ of each contact, and −∂z/∂x and ∂z/∂τ
+    force_rate: Annotated[Array, 3 * K]
+    gap: Annotated[Array, 3 * K, 3]
+    gap_rate: Annotated[Array, 3 * K]
+
+
+class ContactScratch(Block, sizes=("n", "k")):
+    """What one kernel uses, and nothing outlives."""
+
+    start: Annotated[Array, 3 * K]
+    system: Annotated[Array, 3 * K + N, 3 * K + N + 2]
+    column_order: Annotated[Array, 3 * K + N]
+    solution: Annotated[Array, 2, 3 * K + N]
+    unknown: Annotated[Array, 3 * K]
+    unknowns: Annotated[Array, 3 * K, 3 * K]
+    basis: Annotated[Array, 3 * K, N]
+    Y: Annotated[Array, 3 * K, N]
+    residuals: Annotated[Array, 3 * K]
+    trial: Annotated[Array, 3 * K]
+    best: Annotated[Array, 3 * K]
+    multiplier: Annotated[Array, N]
+    sum: Annotated[Array, N]
+    sum_trial: Annotated[Array, N]
+    sought: Annotated[Array, 3 * K]
+    slope: Annotated[Array, 3, 3]
+    vector: Annotated[Array, 3]
+
+
+class ContactFriction(Block, sizes=("k", "past")):
+    """What the law of friction of each contact is, and its state; of Coulomb's μ too."""
+
+    limit: Annotated[Array, K]  # up to which it sticks: μ_s, zero of a law without a mode of sticking
+    kinetic: Annotated[Array, K]  # μ of an impact
+    sticks: Annotated[Array, K]  # how, see SMOOTH
+    capture: Annotated[Array, K]  # speed of slip up to which sticking is tried, m/s
+    lag: Annotated[Array, K]  # by which friction is behind the slip, s
+    held: Annotated[Array, K]  # 1 if its spring holds it, in the present problem
+    states: Annotated[Array, K]  # how many its law of friction has
+    states_at: Annotated[Array, K]  # and where in `Work.z` they are
+    pulls: Annotated[Array, K]  # 1 of a contact that cannot part
+    sense: Annotated[Array, K]  # sign of f that is tried of a DOUBLE whose force is not unique
+    start_slip: Annotated[Array, K]  # speed of slip at the beginning of the substep, m/s
+    start_u: Annotated[Array, K, 2]  # and its velocity
+    delayed: Annotated[Array, K]  # speed of slip that friction with memory answers to, m/s
+    speeds: Annotated[Array, K, PAST]  # of slip at the latest rows, m/s
+
+
+class Contacts(Block, sizes=("n", "k", "past")):
     """What k contacts are, and what they are at a state of n joints; rows n, t1, t2 of each contact."""
 
-    mu: Annotated[Array, K]
+    mu: Annotated[Array, K]  # of the cone in the present problem: `friction.limit`, or in an impact `friction.kinetic`
+    rest_speed: Annotated[Array, K]  # below which it does not rebound, m/s, or of a stop rad/s (m/s)
+    inside: Annotated[Array, K]  # distance from the edge of its surface, m, negative beyond it
+    past_edge: Annotated[Array, K]  # 1 while it is not above its surface because it has gone beyond the edge
     restitution: Annotated[Array, K]
     soft: Annotated[Array, K]  # 1 of a surface that gives way, see `closedloop.mechanics.contacts.soft`
     joint: Annotated[Array, K]  # of a stop, as the next
     side: Annotated[Array, K]  # 1 of a lower stop, −1 of an upper
     mode: Annotated[Array, K]  # see `closedloop.mechanics.closure.contact_force`
-    kind: Annotated[Array, K]  # in the present problem
     near: Annotated[Array, K]  # 1 while its rows X and W are written: while it is closed, or about to be
-    risen: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
+    cleared: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
     floor: Annotated[Array, K]  # the gap at which it parted, m, if that was negative
     direction: Annotated[Array, K, 2]  # of its slip at the beginning of the substep
-    start_slip: Annotated[Array, K]  # and the speed there, m/s
-    along: Annotated[Array, K, 2]  # F_t = −along f of a RAY or a LINE
     anchor: Annotated[Array, 3 * K]  # where it stuck
     located: Annotated[Array, 3 * K]  # gap and place along the surface, m
     u: Annotated[Array, 3 * K]  # velocity, m/s
@@ -81,52 +179,15 @@ class Contacts(Block, sizes=("n", "k")):
     rigid: Annotated[Array, 3 * K]  # the force without the stabiliser's part, N
     load: Annotated[Array, N]  # L⁻¹(Q − C), of the tree
     viscous: Annotated[Array, 3 * K]  # the part of the friction that does not depend on f, N
-    q: Annotated[Array, 3 * K]  # of a problem u⁺ = q + W F
-    after: Annotated[Array, 3 * K]  # and its u⁺
     before: Annotated[Array, 3 * K]
-    start: Annotated[Array, 3 * K]  # scratch
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)
-    happened: Annotated[Array, K]  # to each contact in an event, a kind of `closedloop.loop.events.table`; 0: nothing
-    struck: Annotated[Array, K]  # 1 if it was an impact
-    pulled: Annotated[Array, K]  # 1 if its mode would have had it pull
-    outside: Annotated[Array, K]  # 1 if it would have had to hold with more than friction can
-    turned: Annotated[Array, K]  # 1 if its slip has turned round
-    energy_lost: float  # J, in an event
-    energy_rested: float  # what of it was taken so that contacts that part slowly rest
-    step_end: float  # of a time step, s
-    step_force: Annotated[Array, 3 * K]  # and its force, N
-    restitution_share: float  # by which the restitution of an impact was lessened, so that it creates no energy
     margin: float  # of the event function
-    rounding: float  # force below which there is none, N
-    penalty: float  # see `closedloop.mechanics.contacts.complementarity`
-    residual: float  # of the last problem, N or N s
-    system: Annotated[Array, 3 * K + N, 3 * K + N + 2]  # scratch, as all that follow
-    column_order: Annotated[Array, 3 * K + N]
-    solution: Annotated[Array, 2, 3 * K + N]
-    unknown: Annotated[Array, 3 * K]
-    unknowns: Annotated[Array, 3 * K, 3 * K]
-    basis: Annotated[Array, 3 * K, N]
-    Y: Annotated[Array, 3 * K, N]
-    residuals: Annotated[Array, 3 * K]
-    trial: Annotated[Array, 3 * K]
-    best: Annotated[Array, 3 * K]
-    multiplier: Annotated[Array, N]
-    sum: Annotated[Array, N]
-    sum_trial: Annotated[Array, N]
-    sought: Annotated[Array, 3 * K]
-    slope: Annotated[Array, 3, 3]
-    vector: Annotated[Array, 3]
-    path: Annotated[
-        Array, 3 * K + 1
-    ]  # of `closedloop.mechanics.contacts.continuation`: x, N, and log τ, as all that follow
-    path_trial: Annotated[Array, 3 * K + 1]
-    path_tangent: Annotated[Array, 3 * K + 1]
-    path_start: Annotated[Array, 3 * K]
-    path_scale: Annotated[Array, K]
-    path_force: Annotated[Array, 3 * K, 3]  # ∂F/∂x and ∂F/∂τ of each contact, and −∂z/∂x and ∂z/∂τ
-    path_force_rate: Annotated[Array, 3 * K]
-    path_gap: Annotated[Array, 3 * K, 3]
-    path_gap_rate: Annotated[Array, 3 * K]
+    friction: ContactFriction
+    problem: Problem
+    event: ContactEvent
+    step: TimeStep
+    path: Path
+    scratch: ContactScratch
 
 
 CONTACT_LINKS = ContactLinks.count()
@@ -136,7 +197,7 @@ CONTACT_LINKS = ContactLinks.count()
 def contacts_at(address: int) -> tuple[ContactLinks, Contacts]:
     """Return the memory of the contacts, by the address of its `ContactLinks`."""
     links = ContactLinks(integers_at(address, CONTACT_LINKS))
-    return links, Contacts(vector_at(links.numbers, links.total), links.n, links.k)
+    return links, Contacts(vector_at(links.numbers, links.total), links.n, links.k, links.past)
 
 
 class ContactMemory(NamedTuple):
@@ -151,17 +212,23 @@ class ContactMemory(NamedTuple):
         return int(self.links.address)
 
 
-def make_contact_memory(n: int, k: int, rows: LoopMemory | None = None, stops: int = 0) -> ContactMemory:
-    """Return the memory of k contacts of a tree of n joints, the last of them `stops`; `rows` of the others but 0."""
+def make_contact_memory(
+    n: int, k: int, rows: LoopMemory | None = None, stops: int = 0, joints: int = 0, past: int = 0
+) -> ContactMemory:
+    """Return the memory of k contacts of a tree of n joints: points, `rows` of all but the first, stops, and joints.
+
+    Of each the speeds of slip at `past` rows are kept.
+    """
     links = ContactLinks(np.zeros(CONTACT_LINKS, dtype=np.int64))
-    contacts = Contacts(np.zeros(Contacts.count(n, k)), n, k)
+    contacts = Contacts(np.zeros(Contacts.count(n, k, past)), n, k, past)
     links.address, links.numbers, links.total = (
         address_of(links.memory),
         address_of(contacts.memory),
         contacts.memory.size,
     )
-    links.n, links.k, links.stops = n, k, stops
+    links.n, links.k, links.points, links.stops, links.past = n, k, k - stops - joints, stops, past
+    contacts.past_edge[k - joints :] = 1.0
     links.rows = 0 if rows is None else rows.address
-    contacts.direction[:, 0], contacts.near[:] = 1.0, 1.0
+    contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

@@ -16,8 +16,18 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import solve_contacts
+from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
 from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
-from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import (
+    CONE,
+    DOUBLE,
+    LINE,
+    OFF,
+    RAY,
+    SPRING_STICK,
+    ContactLinks,
+    Contacts,
+)
 
 Array = NDArray[np.float64]
 
@@ -26,6 +36,8 @@ Array = NDArray[np.float64]
 TOUCHING, CLOSED_GAP, HOVERING = 1e-12, 1e-13, 1e-9
 # A contact that parts slower than this does not, m/s. A slip that has turned round is none below the second, m/s.
 PARTING, TURNED = 1e-8, 1e-6
+# A slip that was no faster when the substep began, m/s, has only just begun, where its law sticks as a spring.
+STICKING_AGAIN = 1e-7
 # An acceleration below this share of the terms that it is made of is none.
 NO_ACCELERATION = 1e-11
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
@@ -35,6 +47,8 @@ CAME, LEFT, STUCK_NOW, SLIPPED, TURNED_ROUND = 2.0, 3.0, 4.0, 5.0, 6.0
 @kernel
 def touches(links: ContactLinks, c: Contacts, i: int) -> bool:
     """Whether a contact is closed, or about to be."""
+    if c.past_edge[i] != 0.0:
+        return False
     return bool(c.mode[i] != FREE or c.located[3 * i] <= (HOVERING if links.fresh != 0 else TOUCHING))
 
 
@@ -48,24 +62,34 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
         OK, or PAINLEVE if no forces in the cones were found, with any modes.
     """
     k = links.k
+    write_limits(links, c)
     size = choose_kinds(links, c, slow)
     for i in range(3 * k):
-        c.F[i], c.q[i] = 0.0, c.a[i]
+        c.F[i], c.problem.q[i] = 0.0, c.a[i]
     for i in range(3 * k):
         for j in range(3 * k):
-            c.q[i] -= c.W[i, j] * c.viscous[j]
+            c.problem.q[i] -= c.W[i, j] * c.viscous[j]
     found = solve_contacts(c, k)
+    for i in range(k):  # what pulls rubs with |f|
+        if (
+            found
+            and c.problem.form[i] == LINE
+            and c.F[3 * i] < 0.0
+            and (c.problem.along[i, 0] != 0.0 or c.problem.along[i, 1] != 0.0)
+        ):
+            c.problem.along[i, 0], c.problem.along[i, 1] = -c.problem.along[i, 0], -c.problem.along[i, 1]
+            found = solve_contacts(c, k)
     if not found:
         return PAINLEVE
-    for i in range(k):
-        if c.kind[i] != LINE:
-            mode = mode_after(c, i, NO_ACCELERATION * size, links.tired != 0)
-            c.happened[i] = 0.0 if links.fresh != 0 else happened_to(c, i, mode)
+    for i in range(links.points + links.stops):
+        if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
+            mode = mode_after(c, i, NO_ACCELERATION * size, links.chattering != 0)
+            c.event.happened[i] = 0.0 if links.fresh != 0 else happened_to(c, i, mode)
             if mode == STUCK and c.mode[i] != STUCK:
                 for j in range(3 * i, 3 * i + 3):
                     c.anchor[j] = c.at[j]
             if mode == FREE and c.mode[i] != FREE:
-                c.risen[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
+                c.cleared[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
             if mode == FREE:  # it parts from where it is, be that inside by the error of a step
                 c.floor[i] = min(c.floor[i], c.located[3 * i])
             c.mode[i] = mode
@@ -74,59 +98,86 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
 
 @kernel
 def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
-    """Write the kind of each contact and the direction of those that slide; return the size of accelerations."""
+    """Write the kind of each contact and the direction of those that slip; return the size of accelerations."""
     n, size = c.X.shape[1], 0.0
-    for i in range(links.k):
+    for i in range(links.points + links.stops, links.k):
+        c.problem.form[i] = CONE if c.a[3 * i] != 0.0 else OFF
+    for i in range(links.points + links.stops):
         at = 3 * i
         for row in range(at, at + 3):
             s = abs(c.drift[row])
             for j in range(n):
                 s += abs(c.X[row, j] * c.load[j])
             size = max(size, s)
-        if c.kind[i] == LINE:
+        c.problem.form[i], c.problem.along[i, 0], c.problem.along[i, 1] = OFF, 0.0, 0.0
+        c.viscous[at + 1], c.viscous[at + 2] = 0.0, 0.0
+        pulls = c.friction.pulls[i] != 0.0
+        if not pulls and (not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > PARTING and c.soft[i] == 0.0)):
             continue
-        c.kind[i], c.along[i, 0], c.along[i, 1] = OFF, 0.0, 0.0
-        if not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > PARTING and c.soft[i] == 0.0):
-            continue
-        if c.soft[i] != 0.0 and c.located[at] >= 0.0 and c.u[at] > 0.0:
+        if not pulls and c.soft[i] != 0.0 and c.located[at] >= 0.0 and c.u[at] > 0.0:
             continue
         u1, u2 = c.u[at + 1], c.u[at + 2]
         speed = math.hypot(u1, u2)
         turned = c.mode[i] == PRESSED and u1 * c.direction[i, 0] + u2 * c.direction[i, 1] <= 0.0
-        c.kind[i] = RAY
-        if speed <= (TURNED if turned else slow):
-            c.kind[i] = CONE if c.mu[i] > 0.0 else RAY
+        band = slow if speed > c.friction.capture[i] else c.friction.capture[i] * (1.0 + 1e-9)
+        c.problem.form[i] = LINE if pulls else RAY
+        if c.friction.sticks[i] == SPRING_STICK:
+            hold_by_spring(links, c, i, speed <= slow, turned and speed <= TURNED)
+        elif c.mode[i] == STUCK and c.event.outside[i] != 0.0 and has_law(links, i) and c.friction.kinetic[i] < c.mu[i]:
+            slide(links, c, i)  # what moves is held by less than what rests
+        elif speed <= (TURNED if turned else band) and c.mu[i] > 0.0:
+            c.problem.form[i] = DOUBLE if pulls else CONE
+        elif has_law(links, i):
+            if speed > 0.0:
+                c.direction[i, 0], c.direction[i, 1] = u1 / speed, u2 / speed
+            slide(links, c, i)
         elif c.mu[i] > 0.0:
-            c.along[i, 0], c.along[i, 1] = c.mu[i] * u1 / speed, c.mu[i] * u2 / speed
+            c.direction[i, 0], c.direction[i, 1] = u1 / speed, u2 / speed
+            c.problem.along[i, 0], c.problem.along[i, 1] = c.mu[i] * u1 / speed, c.mu[i] * u2 / speed
     return size
 
 
 @kernel
+def hold_by_spring(links: ContactLinks, c: Contacts, i: int, slow: bool, turned: bool) -> None:
+    """Let a contact that sticks as a spring slip, where that pulls more than it can, or stick, where slip has ended."""
+    c.friction.held[i] = 0.0
+    if c.mode[i] == STUCK:
+        c.friction.held[i] = 1.0 if c.event.outside[i] == 0.0 else 0.0
+    elif c.mode[i] == FREE:
+        c.friction.held[i] = 1.0 if slow else 0.0
+    elif turned or (slow and c.friction.start_slip[i] > STICKING_AGAIN):
+        stick_as_spring(links, c, i)
+        c.friction.held[i] = 1.0
+    slide(links, c, i, c.friction.held[i] != 0.0)
+
+
+@kernel
 def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
-    """Return the mode that goes with force and acceleration of contact i, and write the direction of its slip.
+    """Return the mode that goes with force and acceleration of contact i, and write that of a slip that begins.
 
     At the edge of the cone there is hardly any acceleration: a contact that is found to stick there again and again
     slips, against the friction that would have to hold it.
     """
     at = 3 * i
-    if c.kind[i] == OFF or c.after[at] > nothing:
+    if c.friction.pulls[i] == 0.0 and (c.problem.form[i] == OFF or c.problem.after[at] > nothing):
         return FREE
     # Where a force has just become zero there is hardly any acceleration; that the mode would have it pull says more.
-    if c.pulled[i] != 0.0 and c.F[at] <= c.rounding:
+    if c.friction.pulls[i] == 0.0 and c.event.pulled[i] != 0.0 and c.F[at] <= c.problem.rounding:
         return FREE
-    a1, a2 = c.after[at + 1], c.after[at + 2]
+    if c.friction.sticks[i] == SPRING_STICK:
+        return STUCK if c.friction.held[i] != 0.0 else PRESSED
+    a1, a2 = c.problem.after[at + 1], c.problem.after[at + 2]
     size = math.hypot(a1, a2)
-    if c.kind[i] == CONE:
+    if c.problem.form[i] in (CONE, DOUBLE):
         if size <= nothing:
             rub = math.hypot(c.F[at + 1], c.F[at + 2])
-            if not (tired and c.outside[i] != 0.0 and rub > 0.0):
+            if not (tired and c.event.outside[i] != 0.0 and rub > 0.0):
                 return STUCK
             a1, a2, size = -c.F[at + 1], -c.F[at + 2], rub
-        c.turned[i] = 1.0 if a1 * c.direction[i, 0] + a2 * c.direction[i, 1] < 0.0 else 0.0
+        c.event.turned[i] = 1.0 if a1 * c.direction[i, 0] + a2 * c.direction[i, 1] < 0.0 else 0.0
         c.direction[i, 0], c.direction[i, 1] = a1 / size, a2 / size
-    elif c.mu[i] > 0.0:
-        c.turned[i] = 0.0
-        c.direction[i, 0], c.direction[i, 1] = c.along[i, 0] / c.mu[i], c.along[i, 1] / c.mu[i]
+    else:
+        c.event.turned[i] = 0.0
     return PRESSED
 
 
@@ -138,26 +189,27 @@ def happened_to(c: Contacts, i: int, mode: int) -> float:
         return CAME if mode != FREE else 0.0
     if mode == FREE:
         return LEFT
-    if c.struck[i] != 0.0:
+    if c.event.struck[i] != 0.0:
         return 0.0
     if mode == STUCK:
         return STUCK_NOW if before != STUCK else 0.0
     if before == STUCK:
         return SLIPPED
-    return TURNED_ROUND if c.turned[i] != 0.0 and c.kind[i] == CONE else 0.0
+    return TURNED_ROUND if c.event.turned[i] != 0.0 and (c.problem.form[i] in (CONE, DOUBLE)) else 0.0
 
 
 @kernel
 def remove_motion(c: Contacts, k: int) -> int:
     """Write in F the impulses after which contacts that stick or begin to slip are at rest, and others stay closed."""
     for i in range(k):
-        if c.kind[i] != LINE and c.mode[i] == FREE:
-            c.kind[i] = OFF
-        c.start_slip[i] = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) if c.kind[i] == RAY else 0.0
-        c.along[i, 0], c.along[i, 1] = 0.0, 0.0
+        if c.friction.pulls[i] == 0.0 and c.mode[i] == FREE:
+            c.problem.form[i] = OFF
+        rests = c.problem.form[i] in (CONE, DOUBLE, OFF)
+        c.friction.start_slip[i] = 0.0 if rests else math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
+        c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
     for i in range(3 * k):
         c.before[i] = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]
     stopping_impulses(c, k)
     write_after(c, k)
-    c.energy_lost = c.energy_rested = -energy_gained(c, k)
+    c.event.energy_lost = c.event.energy_rested = -energy_gained(c, k)
     return OK

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
 
 from closedloop.base.families import OneOf
 from closedloop.base.sections import (
     COEFFICIENT,
+    PLACE,
     Coordinate,
     Direction,
     NotNegative,
@@ -17,6 +19,7 @@ from closedloop.base.sections import (
     Section,
     Size,
 )
+from closedloop.mechanics.friction.law import SURFACE_LAWS, SurfaceFriction
 from closedloop.mechanics.impact.restitution import RESTITUTIONS
 from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
@@ -50,13 +53,40 @@ def _one_line(value: Any) -> Any:
 OneLine = Annotated[str, BeforeValidator(_one_line)]
 
 
+# What `at` says of all collision shapes of the link.
+COLLISION = "collision"
+# A shape thinner than this share of its largest half axis has one half axis less.
+THIN = 1e-6
+HalfAxis = tuple[Coordinate, Coordinate, Coordinate]
+
+
+def _a_place(value: Any) -> Any:
+    """Refuse a word other than "collision" in place of a point."""
+    if isinstance(value, str) and value != COLLISION:
+        raise ValueError('must be a point, a list of points, or "collision"')
+    return value
+
+
+Place = Annotated[tuple[Coordinate, Coordinate, Coordinate] | Literal["collision"], Field(union_mode="left_to_right")]
+
+
 class ContactSection(Section):
-    """[[contact]]: a point of a link that touches a surface of another link, or of the world; any number of them."""
+    """[[contact]]: a point or a round shape of a link that touches a surface of another link, or of the world."""
 
     name: OneLine = Field("", description="name of the contact; contact 1, contact 2 ... if left out")
     link: str = Field(description="frame that the point belongs to")
-    at: tuple[Coordinate, Coordinate, Coordinate] = Field(
-        (0.0, 0.0, 0.0), description="the point, m, axes of that frame; or a list of points, each a contact of its own"
+    at: Annotated[Place, BeforeValidator(_a_place)] = Field(
+        (0.0, 0.0, 0.0),
+        description="the point, m, axes of that frame; or a list of points, each a contact of its own; or "
+        '"collision": the corners, balls, capsules, ellipsoids and rims of the collision shapes of the link',
+    )
+    radius: Annotated[NotNegative, PLACE] = Field(
+        0.0, description="radius of a ball about the point, which rolls on the surface, m; 0: the point itself touches"
+    )
+    half_axes: tuple[HalfAxis, ...] | None = Field(
+        None,
+        description="half axes of an ellipsoid about the point, m, axes of that frame: a list of three vectors, or of "
+        "two, for the edge of a disc; on a plane at rest in the frame against",
     )
     against: str = Field("world", description="frame that the surface belongs to; world: the base frame")
     normal: Direction = Field(
@@ -75,9 +105,45 @@ class ContactSection(Section):
         None, description="how it gives way, as [compliance] says it; not at all if left out"
     )
     friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
+    friction_law: Annotated[SurfaceFriction, SURFACE_LAWS] | None = Field(
+        None, description="another law of friction in its place, with the keys of [friction]; Coulomb's if left out"
+    )
     restitution: Restitution = Field(
         0.0, description="coefficient of restitution, 0 to 1: of its law alone, Newton's with others"
     )
     restitution_law: Annotated[str, OneOf(RESTITUTIONS, words=(AS_IMPACT,))] = Field(
         AS_IMPACT, description=f"law of restitution where it strikes alone; {AS_IMPACT}: that of impact.law"
     )
+
+    @model_validator(mode="after")
+    def _of_one_shape(self) -> Self:
+        """Refuse half axes that are none, and a shape beside those of the link."""
+        if self.at == COLLISION and (self.radius or self.half_axes is not None):
+            given = "radius" if self.radius else "half_axes"
+            raise ValueError(f'at = "collision" takes the shapes of the link: {given} must be left out')
+        if self.half_axes is not None:
+            H = np.array(self.half_axes).reshape(-1, 3)
+            if len(H) not in (2, 3) or np.min(np.linalg.svd(H, compute_uv=False)) < THIN * np.max(np.abs(H)):
+                raise ValueError("half_axes must be two or three vectors in different directions")
+        return self
+
+    @property
+    def point(self) -> tuple[float, float, float]:
+        """The point, m, of a contact that is not of all collision shapes of its link."""
+        assert not isinstance(self.at, str)
+        return self.at
+
+    @property
+    def rolls(self) -> bool:
+        """Whether a round shape touches, and not a point."""
+        return self.radius > 0.0 or self.half_axes is not None
+
+    rest_speed: Annotated[Positive, REST_SPEED] | None = Field(
+        None, description="a bounce slower than this becomes contact, m/s; impact.rest_speed if left out"
+    )
+
+    @model_validator(mode="after")
+    def _one_friction(self) -> Self:
+        if self.friction_law is not None and self.friction != 0.0:
+            raise ValueError("friction and friction_law are both given: leave one of them out")
+        return self

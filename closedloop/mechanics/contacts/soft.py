@@ -17,17 +17,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import ScenarioError
-from closedloop.base.families import is_users
 from closedloop.jit.calls import Entry, call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import pack, parameter_block
 from closedloop.jit.pointers import address_of, integers_at, vector_at
-from closedloop.jit.user_code import function_of, member_entry
+from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.contacts.memory import LINE, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.surface.compliance import Compliance
+from closedloop.mechanics.contacts.surfaces import Called
+from closedloop.mechanics.surface.compliance import POINTS, WEIGHTS, Compliance
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -59,9 +58,12 @@ class ContactCompliances(NamedTuple):
     addresses: IntArray  # (2 k,), zero of a rigid one
     members: dict[int, tuple[Compliance, Array]]  # by the number of the contact
 
-    def entries(self) -> list[Any]:
-        """Return the entry kernels of the compliances."""
-        return [depth_entry(type(section)) for section, _ in self.members.values()]
+    def entries(self) -> list[Called]:
+        """Return the entry kernels of the compliances, and what they are of."""
+        return [
+            Called(i, "compliance", section, depth_entry(type(section)), address_of(memory))
+            for i, (section, memory) in self.members.items()
+        ]
 
     def connect(self, address: Callable[[Any], int]) -> None:
         """Write where the entries are, by what gives the address of one."""
@@ -77,21 +79,14 @@ def is_soft(section: ContactSection) -> bool:
 def compliances_of(
     tip: Compliance, sections: tuple[ContactSection, ...], names: tuple[str, ...], k: int
 ) -> ContactCompliances:
-    """Return the compliances of k contacts, that of the tip's the first.
-
-    Raises
-    ------
-    ScenarioError
-        If one is of a class of the user's own.
-    """
+    """Return the compliances of k contacts, that of the tip's the first."""
     members: dict[int, tuple[Compliance, Array]] = {}
     places = ["compliance", *(f"contact {name!r}: compliance" for name in names)]
     for i, (own, where) in enumerate(zip((tip, *(each.compliance for each in sections)), places, strict=True)):
         if own is None or own.kind == "none":
             continue
-        if is_users(own):
-            raise ScenarioError(f"{where}.kind = {own.kind!r}: must be one that ships, beside several contacts")
-        members[i] = own, np.concatenate([np.zeros(ASKED), pack(own, 1, where)])
+        with of_users(own, f"{where}.kind"):
+            members[i] = own, np.concatenate([np.zeros(ASKED), pack(own, 1, where)])
     return ContactCompliances(np.zeros(2 * k, dtype=np.int64), members)
 
 
@@ -108,16 +103,38 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
         if c.soft[i] == 0.0:
             continue
         n, f = 3 * i, 0.0
-        if c.mode[i] != FREE or c.located[n] <= 0.0:
+        if c.past_edge[i] == 0.0 and (c.mode[i] != FREE or c.located[n] <= 0.0):
             asked = vector_at(where[2 * i + 1], ASKED)
             asked[0], asked[1] = -c.located[n], -c.u[n]
-            call_at(where[2 * i], where[2 * i + 1], 0)
-            f = asked[2] if c.kind[i] == LINE else max(asked[2], 0.0)
+            f = soft_force(links, i, asked)
+            f = f if c.friction.pulls[i] != 0.0 else max(f, 0.0)
         own = max(c.W[n, n], c.W[n + 1, n + 1], c.W[n + 2, n + 2])
         for j in range(m):
             c.a[j] += c.W[j, n] * f
             c.W[j, n], c.W[n, j] = 0.0, 0.0
         c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
+
+
+@kernel
+def soft_force(links: ContactLinks, i: int, asked: Array) -> float:
+    """Return what the compliance of contact i gives at the depth and rate in `asked`, N."""
+    where = integers_at(links.compliances, 2 * links.k)
+    if call_at(where[2 * i], where[2 * i + 1], 0) == RAISED:
+        links.raised, asked[2] = 1, 0.0
+    return float(asked[2])
+
+
+@kernel
+def stored_in(links: ContactLinks, c: Contacts, i: int) -> float:
+    """Return what the spring of a soft contact has stored, J; see `closedloop.mechanics.surface.compliance`."""
+    asked = vector_at(integers_at(links.compliances, 2 * links.k)[2 * i + 1], ASKED)
+    gap, stored = c.located[3 * i], 0.0
+    for k in range(4):
+        for side in range(2):
+            s = 0.5 * (1.0 + (POINTS[k] if side == 0 else -POINTS[k]))
+            asked[0], asked[1] = -gap * s * s, 0.0
+            stored -= WEIGHTS[k] * soft_force(links, i, asked) * gap * s
+    return stored
 
 
 @kernel

@@ -13,16 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import ScenarioError
-from closedloop.base.families import is_users
+from closedloop.base.families.member import Member
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.surface.contact import SurfaceMemory
 from closedloop.mechanics.surface.motion import MOTIONS
-from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.placed import PlacedSurface, Touching
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.mechanics.surface.surface import SURFACES, Surface
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+class Called(NamedTuple):
+    """A member of contact `contact`, by its key in [[contact]], its entry kernel, and the address that it takes."""
+
+    contact: int
+    key: str
+    member: Member
+    entry: Any
+    address: int
 
 
 class ContactSurfaces(NamedTuple):
@@ -31,9 +41,14 @@ class ContactSurfaces(NamedTuple):
     addresses: IntArray  # (2 k,), zero of a plane at rest
     placed: dict[int, tuple[PlacedSurface, SurfaceMemory]]  # by the number of the contact
 
-    def entries(self) -> list[Any]:
-        """Return the entry kernels of the surfaces and of their motions."""
-        return [entry for surface, _ in self.placed.values() for entry in surface.entries().values()]
+    def entries(self) -> list[Called]:
+        """Return the entry kernels of the surfaces and of their motions, and what they are of."""
+        found = []
+        for i, (surface, memory) in self.placed.items():
+            for what, entry in surface.entries().items():
+                key, member = ("motion", surface.motion) if what == "surface_motion" else ("surface", surface.section)
+                found.append(Called(i, key, member, entry, memory.address))
+        return found
 
     def connect(self, address: Callable[[Any], int]) -> None:
         """Write where the entries are, by what gives the address of one."""
@@ -50,7 +65,8 @@ def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:
     Raises
     ------
     ScenarioError
-        If it says what the contact says, or is of a class of the user's own; `name` is the contact's in the message.
+        If it says what the contact says, or is neither flat nor at rest where the shape that touches it is no ball;
+        `name` is the contact's in the message.
     """
     surface, motion = section.surface, section.motion
     if surface is None and motion is None:
@@ -58,20 +74,21 @@ def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:
     where = f"contact {name!r}"
     surface = SURFACES["plane"]() if surface is None else surface
     motion = MOTIONS["none"]() if motion is None else motion
-    for key, each in (("surface", surface), ("motion", motion)):
-        if is_users(each):
-            raise ScenarioError(f"{where}: {key}.kind = {each.kind!r}: must be one of the package's own kinds")
     if surface.kind == "none":
         raise ScenarioError(f"{where}: surface.kind = 'none': must be a surface: leave the contact out")
-    said = {*Surface.model_fields, "point", "offset"} - {"kind"}
+    said = {*Surface.model_fields, "point", "offset"} - {"kind", "extent", "edge_radius"}
     for key in said & surface.model_fields_set:
         if getattr(surface, key) != type(surface).model_fields[key].default:
-            raise ScenarioError(
-                f"{where}: surface.{key}: must be left out: normal and through say where it is, and it has no edge"
-            )
+            raise ScenarioError(f"{where}: surface.{key}: must be left out: normal and through say where it is")
     frame = contact_frame(unit(section.normal, f"{where}: normal"))
-    placed = PlacedSurface(surface, motion, frame, np.array(section.through), False)
-    return None if placed.fixed_plane else placed
+    placed = PlacedSurface(surface, motion, frame, np.array(section.through), False, section.radius)
+    if placed.fixed_plane:
+        return None
+    if section.half_axes is not None:
+        raise ScenarioError(
+            f"{where}: half_axes: must be left out with a surface that is curved or moves: give a ball's radius"
+        )
+    return placed
 
 
 def surfaces_of(sections: tuple[ContactSection, ...], names: tuple[str, ...]) -> dict[int, PlacedSurface]:
@@ -87,8 +104,8 @@ def contact_surfaces(surfaces: dict[int, PlacedSurface], k: int) -> ContactSurfa
     )
 
 
-def check_surface(surface: PlacedSurface, place: Array, name: str) -> float:
-    """Return the gap at the start of a point at `place` (3,), m, axes of the frame that carries a surface.
+def check_surface(surface: PlacedSurface, place: Array, name: str) -> Touching:
+    """Return how a point at `place` (3,), m, axes of the frame that carries a surface, is to it at the start.
 
     Raises
     ------
@@ -96,6 +113,6 @@ def check_surface(surface: PlacedSurface, place: Array, name: str) -> float:
         If the surface's parameters do not go together, or it has no normal there; `name` is the contact's.
     """
     try:
-        return surface.touching(place).gap
+        return surface.touching(place)
     except ScenarioError as error:
         raise ScenarioError(*(f"contact {name!r}: {line}" for line in str(error).splitlines())) from None

@@ -19,7 +19,8 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import largest_mobility, solve_contacts, sweep, write_residuals
 from closedloop.mechanics.contacts.continuation import force_size
-from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.friction import take_kinetic
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches
 
 Array = NDArray[np.float64]
@@ -41,48 +42,51 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
         OK, or PAINLEVE if no impulses were found.
     """
     k = links.k
+    take_kinetic(links, c)
     for i in range(3 * k):
-        c.F[i], c.before[i], c.q[i] = 0.0, c.u[i], c.u[i] + SPAN * c.a[i]
+        moves = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]  # f of a soft one is given
+        c.F[i], c.before[i], c.problem.q[i] = 0.0, c.u[i], moves + SPAN * c.a[i]
     for i in range(k):
-        c.along[i, 0], c.along[i, 1] = 0.0, 0.0
-        if c.kind[i] != LINE:
-            c.kind[i] = OFF
-            if touches(links, c, i):
-                c.kind[i] = CONE if c.mu[i] > 0.0 else RAY
+        c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
+        c.problem.form[i] = OFF
+        if c.friction.pulls[i] != 0.0:
+            c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
+        elif touches(links, c, i):
+            c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
     if not solve_contacts(c, k) and not come_near(c, k):
         return PAINLEVE
-    links.stepped, c.step_end = 1, time + SPAN
+    links.stepped, c.step.end = 1, time + SPAN
     told = False
     for i in range(k):
         at = 3 * i
         for j in range(at, at + 3):
-            c.step_force[j] = c.F[j] / SPAN
-        c.happened[i], c.start_slip[i] = 0.0, 0.0
-        if c.kind[i] == LINE:
+            c.step.force[j] = c.F[j] / SPAN
+        c.event.happened[i], c.friction.start_slip[i] = 0.0, 0.0
+        if c.friction.pulls[i] != 0.0:
             continue
         mode = PRESSED if c.F[at] > 0.0 else FREE  # what sticks after the step is found then
-        c.happened[i] = happened_to(c, i, mode)
-        if mode == FREE and c.kind[i] != OFF:
-            c.risen[i], c.floor[i] = 0.0, min(c.located[at], 0.0)
+        c.event.happened[i] = happened_to(c, i, mode)
+        if mode == FREE and c.problem.form[i] != OFF:
+            c.cleared[i], c.floor[i] = 0.0, min(c.located[at], 0.0)
         if mode != FREE and not told:
-            c.happened[i], told = TIME_STEP, True
+            c.event.happened[i], told = TIME_STEP, True
         c.mode[i] = mode
     for i in range(3 * k):
-        c.F[i], c.after[i] = 0.0, c.u[i]
-    c.energy_lost = c.energy_rested = 0.0
+        c.F[i], c.problem.after[i] = 0.0, c.u[i]
+    c.event.energy_lost = c.event.energy_rested = 0.0
     return OK
 
 
 @kernel
 def come_near(c: Contacts, k: int) -> bool:
     """Write F by sweeps of Gauss and Seidel's method alone; return whether it is near a solution."""
-    largest, asked = largest_mobility(c, k), force_size(c.q, 3 * k)
+    largest, asked = largest_mobility(c, k), force_size(c.problem.q, 3 * k)
     if not largest > 0.0:
         return False
     for i in range(3 * k):
         c.F[i] = 0.0
     for _ in range(SWEEPS):
         sweep(c, k, c.F, largest)
-    c.penalty = 1.0
-    c.residual = write_residuals(c, k, c.F, largest)
-    return bool(c.residual <= NEAR * max(asked / largest, force_size(c.F, 3 * k)))
+    c.problem.penalty = 1.0
+    c.problem.residual = write_residuals(c, k, c.F, largest)
+    return bool(c.problem.residual <= NEAR * max(asked / largest, force_size(c.F, 3 * k)))

@@ -19,6 +19,7 @@ from closedloop.base.sections import (
     stiffness_in,
     viscous_in,
 )
+from closedloop.jit.parameters import Named
 
 Figure = float | tuple[float, ...]
 
@@ -52,7 +53,10 @@ JointNotNegative = Annotated[Gain, AfterValidator(_none_negative)]
 JointPositive = Annotated[Gain, AfterValidator(_all_positive)]
 
 Coefficient = Annotated[NotNegative, COEFFICIENT]
+# Of a law with one level: the functions of the law have it as `kinetic`, as a joint's.
+Level = Annotated[Coefficient, Named("kinetic")]
 PositiveCoefficient = Annotated[Positive, COEFFICIENT]
+PositiveLevel = Annotated[PositiveCoefficient, Named("kinetic")]
 Viscous = Annotated[NotNegative, viscous_in("N s/m")]
 Damping = Annotated[NotNegative, viscous_in("s/m")]
 SlipSpeed = Annotated[Positive, SPEED_SCALE]

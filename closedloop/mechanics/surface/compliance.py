@@ -15,6 +15,10 @@ from typing import Any, ClassVar
 
 from closedloop.base.families import Family, Parameters
 
+# Gauss and Legendre's rule with eight points, on −1 to 1: half of the points, and their weights.
+POINTS = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
+WEIGHTS = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)
+
 
 class Compliance(Parameters):
     """[compliance]: how the surface gives way."""

@@ -20,6 +20,14 @@ from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.parameters import parameter_block
 from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.jit.user_code import RAISED, function_of, member_entry
+from closedloop.mechanics.surface.distance import (
+    MOST_NEAREST,
+    Nearest,
+    begin_nearest,
+    improve_nearest,
+    is_rounding,
+    write_distance,
+)
 from closedloop.mechanics.surface.geometry import Pose, Touch, contact_geometry, into_surface_axes
 from closedloop.mechanics.surface.motion import Move, SurfaceMotion, begin_move, displace
 from closedloop.mechanics.surface.surface import Surface
@@ -59,6 +67,8 @@ class Ask(Block, sizes=("size", "motion_size")):
     par: Annotated[Array, Count.of("size")]
     motion_par: Annotated[Array, Count.of("motion_size")]
     bounds: Annotated[Array, 2]  # see `edge_distance`
+    radius: float  # of a ball that touches in place of a point, m; φ is then the distance of its centre, less it
+    near: Annotated[Array, Nearest.count()]
 
 
 LINKS = Links.count()
@@ -84,8 +94,9 @@ class SurfaceMemory(NamedTuple):
 
 
 def make_memory(
-    par: Array, motion_par: Array, entries: int, origin: Array, axes: Array, bounds: tuple[float, float]
-) -> SurfaceMemory:
+    par: Array, motion_par: Array, entries: int, origin: Array, axes: Array, bounds: tuple[float, float],
+    radius: float = 0.0,
+) -> SurfaceMemory:  # fmt: skip
     """Return the memory of a surface at rest.
 
     Parameters
@@ -98,13 +109,15 @@ def make_memory(
         Of the surface at t = 0: m, and rows x, y, z; base frame.
     bounds : tuple of two floats
         Of its edge, see `closedloop.mechanics.surface.surface.Surface.bounds`.
+    radius : float
+        Of a ball that touches it, m; 0: a point does.
     """
     sizes = par.size, motion_par.size
     links, ask = Links(np.zeros(LINKS, dtype=np.int64)), Ask(np.zeros(Ask.count(*sizes)), *sizes)
     links.address, links.numbers, links.total = address_of(links.memory), address_of(ask.memory), ask.memory.size
     links.size, links.motion_size, links.entries = *sizes, entries
     ask.par[:], ask.motion_par[:], ask.origin[:], ask.axes[:] = par, motion_par, origin, axes
-    ask.bounds[:] = bounds
+    ask.bounds[:], ask.radius = bounds, radius
     pose = Pose(ask.pose)
     pose.origin[:], pose.axes[:] = origin, axes
     return SurfaceMemory(links, ask)
@@ -142,6 +155,24 @@ def surface_entry(member: type[Surface]) -> Entry:
         pose, touch = Pose(ask.pose), Touch(ask.touch)
         into_surface_axes(pose, ask.r, touch)
         touch.level = level(touch.at, Parameters(ask.par, links.entries), touch.gradient, touch.hessian)
+        if ask.radius > 0.0:
+            near, size = Nearest(ask.near), math.inf
+            if not begin_nearest(touch, near):
+                return NO_NORMAL
+            for _ in range(MOST_NEAREST):
+                for i in range(3):
+                    near.gradient[i] = 0.0
+                    for j in range(3):
+                        near.hessian[i, j] = 0.0
+                value = level(near.at, Parameters(ask.par, links.entries), near.gradient, near.hessian)
+                if size == 0.0:  # gradient and Hessian are those at the nearest point
+                    break
+                step = improve_nearest(touch.at, value, near)
+                if not step < math.inf:
+                    return NO_NORMAL
+                size = 0.0 if is_rounding(step, size, near) else step
+            if not write_distance(near, ask.radius, touch):
+                return NO_NORMAL
         if what == CONTACT and not contact_geometry(pose, links.motion != 0, ask.r, ask.velocity, ask.frame, touch):
             return NO_NORMAL
         return FOUND

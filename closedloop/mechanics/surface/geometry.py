@@ -109,6 +109,31 @@ def frame_and_turning(v: Array, touch: Touch) -> bool:
 
 
 @kernel
+def normal_rate(v: Array, touch: Touch, rate: Array) -> None:
+    """Write ṅ (3,), 1/s, of a point that moves with v (3,), m/s, relative to the surface, in the surface's axes."""
+    n, B, share = touch.local[0], touch.hessian, 1.0 / touch.size
+    bend = 0.0
+    for i in range(3):
+        rate[i] = share * (B[i, 0] * v[0] + B[i, 1] * v[1] + B[i, 2] * v[2])
+        bend += n[i] * rate[i]
+    for i in range(3):
+        rate[i] -= bend * n[i]
+
+
+@kernel
+def tangent_rates(rate: Array, w: Array, touch: Touch) -> tuple[float, float]:
+    """Return ṫ1·w and ṫ2·w for ṅ = `rate` and any vector w (3,), both in the surface's axes."""
+    n = touch.local[0]
+    if 1.0 + n[2] <= ANTIPODE:
+        return 0.0, 0.0
+    over = 1.0 / (1.0 + n[2])
+    forward = over * (n[0] * w[0] + n[1] * w[1] + (n[2] + 1.0) * w[2])
+    along = rate[0] * w[0] + rate[1] * w[1] + rate[2] * w[2]
+    m0, m1 = n[0] * over, n[1] * over
+    return (m0 * rate[2] - rate[0]) * forward - m0 * along, (m1 * rate[2] - rate[1]) * forward - m1 * along
+
+
+@kernel
 def contact_geometry(pose: Pose, moving: bool, r: Array, velocity: Array, frame: Array, touch: Touch) -> bool:
     """Write the contact frame of a point and what its motion is relative to; after `into_surface_axes` and `level`.
 

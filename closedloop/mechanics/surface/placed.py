@@ -81,6 +81,8 @@ class PlacedSurface:
         A point of it at t = 0, with the normal n, m, base frame.
     below_start : bool
         Whether it is placed `surface.gap` below the tip at the start.
+    radius : float
+        Of a ball that touches it in place of a point, m: gaps are those of the ball about the point that is asked for.
     """
 
     section: Surface
@@ -88,12 +90,16 @@ class PlacedSurface:
     frame: Array
     origin: Array
     below_start: bool
+    radius: float = 0.0
 
     @classmethod
-    def of(cls, section: Surface, motion: SurfaceMotion, tip: Array, depth: float = 0.0) -> PlacedSurface:
+    def of(
+        cls, section: Surface, motion: SurfaceMotion, tip: Array, depth: float = 0.0, radius: float = 0.0
+    ) -> PlacedSurface:
         """Place the surface of a scenario whose tip is at `tip` (3,), m, base frame, at the start.
 
-        One that is soft, and placed below the tip, is placed so that the tip is `depth` in it, m.
+        One that is soft, and placed below the tip, is placed so that the tip is `depth` in it, m. The tip is the centre
+        of a ball of this radius, m.
 
         Raises
         ------
@@ -105,8 +111,8 @@ class PlacedSurface:
         if given is not None and section.gap:
             key = "offset" if isinstance(section, PlaneSurface) else "point"
             raise ScenarioError(f'surface.gap: acts with {key} = "start" only; leave it out')
-        origin = tip - (section.gap - depth) * normal if given is None else given
-        return cls(section, motion, contact_frame(normal), origin, given is None)
+        origin = tip - (radius + section.gap - depth) * normal if given is None else given
+        return cls(section, motion, contact_frame(normal), origin, given is None, radius)
 
     @property
     def fixed_plane(self) -> bool:
@@ -127,10 +133,10 @@ class PlacedSurface:
 
     @property
     def offset(self) -> float:
-        """n·p of its origin at t = 0, m: d of a plane."""
+        """n·p of its origin at t = 0, m: d of a plane; of a ball's centre where it touches that plane."""
         if isinstance(self.section, PlaneSurface) and self.section.offset != "start":
-            return float(self.section.offset)
-        return float(self.normal @ self.origin)
+            return float(self.section.offset) + self.radius
+        return float(self.normal @ self.origin) + self.radius
 
     @property
     def normal(self) -> Array:
@@ -158,7 +164,8 @@ class PlacedSurface:
             par = pack(self.section, entries, "surface")
         with of_users(self.motion, "surface_motion.kind"):
             motion_par = pack(self.motion, 0, "surface_motion")
-        return make_memory(par, motion_par, entries, self.origin, self.frame[[1, 2, 0]], self.section.bounds())
+        axes, bounds = self.frame[[1, 2, 0]], self.section.bounds()
+        return make_memory(par, motion_par, entries, self.origin, axes, bounds, self.radius)
 
     @cached_property
     def _interpreted(self) -> SurfaceMemory:

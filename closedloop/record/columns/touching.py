@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.contacts.shapes import lowest_point, shape_of
 from closedloop.mechanics.contacts.surfaces import surface_of
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import contact_frame, unit
@@ -20,7 +22,8 @@ Array = NDArray[np.float64]
 class Touching(NamedTuple):
     """A contact of links: its name; the number of the frame that has the point, 0 the base, and the point (3,), m,
     in it; the number of the frame that has the surface, and there the normal and tangents of a plane, the rows of a
-    (3, 3) array. Of any other surface these are the axes that it is in, from an origin (3,), m, in that frame.
+    (3, 3) array. Of any other surface these are the axes that it is in, from an origin (3,), m, in that frame. Last the
+    shape about the point, see `closedloop.mechanics.contacts.shapes`, in axes of the frame that has it.
     """
 
     name: str
@@ -30,9 +33,10 @@ class Touching(NamedTuple):
     axes: Array
     origin: Array
     surface: PlacedSurface | None
+    shape: Array
 
     def force(self, normal: float, friction: Array, axes: Array, origins: Array, t: float = 0.0) -> tuple[Array, Array]:
-        """Return where the point is (3,), m, and the force (3,), N, on the link that has it, base frame.
+        """Return where the contact is (3,), m, and the force (3,), N, on the link that has the point, base frame.
 
         Parameters
         ----------
@@ -51,6 +55,10 @@ class Touching(NamedTuple):
             within = self.axes @ (turn.T @ (place - origins[self.plane_frame]) - self.origin)
             frame = self.surface.touching(within, t=t).frame @ self.axes
         force = turn @ (np.array([normal, *friction]) @ frame)
+        if np.any(self.shape):
+            reach = np.zeros(3)
+            interpreted(lowest_point)(self.shape, axes[self.point_frame], turn @ frame[0], reach)
+            place = place + reach
         return place, force
 
 
@@ -106,6 +114,6 @@ def contacts_of(scenario: Scenario, mechanism: Any) -> tuple[Touching, ...]:
         other, turned, place = placed_frame(mechanism, section.against)
         surface = surface_of(section, name)
         axes = np.eye(3) if surface is not None else contact_frame(unit(section.normal, "normal"))
-        at = origin + rotation @ np.array(section.at)
-        found.append(Touching(name, joint, at, other, axes @ turned.T, place, surface))
+        at, shape = origin + rotation @ np.array(section.point), shape_of(section, rotation)
+        found.append(Touching(name, joint, at, other, axes @ turned.T, place, surface, shape))
     return tuple(found)

@@ -67,6 +67,15 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
         said = f"{len(found.names)} contacts besides: cone to {cone:.0e} N, force times gap {product:.0e} N m"
         report["single_point"] = {"held": False, "first_failed": 0.0, "measured": said}
         outside |= {"single_point"}
+        rub = np.hypot(run.link_frictions[:, ::2], run.link_frictions[:, 1::2])
+        if np.any(rub):
+            before = report["frictionless"]
+            first = float(run.time[np.argmax(np.any(rub > 0.0, axis=1))])
+            first = first if before["first_failed"] is None else min(first, before["first_failed"])
+            said = f"friction at the contacts ≤ {np.max(rub):.3g} N"
+            said = said if before["held"] else f"{before['measured']}; {said}"
+            report["frictionless"] = {"held": False, "first_failed": first, "measured": said}
+            outside |= {"frictionless"}
     if passed := outside_by_the_run(measures, run.stopped):
         verdict = report["nonsingular"]
         verdict["measured"] = f"passed at t = {run.time[stiffest]:.4g} s; {verdict['measured']}"

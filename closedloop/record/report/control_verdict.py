@@ -146,7 +146,7 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
     rows = np.flatnonzero(s.commanded)
     if not rows.size:
         return []
-    met = np.flatnonzero(s.touching & s.commanded)
+    met = rows if np.all(s.touching) else np.flatnonzero(s.touching & s.commanded)
     struck = s.touchdowns[s.commanded[np.minimum((s.touchdowns / s.h).astype(int), len(s.commanded) - 1)]]
     if not met.size and not struck.size:
         if s.approaching:
@@ -155,7 +155,7 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
         return [_problem("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and did not occur",
                          rows[0] * s.h)]  # fmt: skip
     first = min([*met[:1], *np.ceil(struck[:1] / s.h).astype(int)])  # an impact leaves no row in contact
-    rows = rows[rows >= first] if np.any(rows >= first) else rows[-1:]
+    rows = rows[min(int(np.searchsorted(rows, first)), rows.size - 1) :]
     free, lost = _longest_free(s, rows)
     problems = [free] if free else []
     later = rows[rows.size // 2 :]
@@ -165,11 +165,11 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
         at = float(s.touchdowns[s.touchdowns > begin][0])
         said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, at most {BOUNCES - 1} belong to a touchdown"
         problems = [problem for problem in problems if problem["name"] != "bouncing"] + [_problem("bouncing", said, at)]
-    return (
-        problems
-        if lost
-        else problems + judge_force((s.force - s.wanted)[rows], rms(s.wanted[rows]), s.h, rows, s.sparse)
-    )
+    if lost:
+        return problems
+    # Of rows without a gap a view, as it is in most runs.
+    part = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] + 1 == rows.size else rows
+    return problems + judge_force(s.force[part] - s.wanted[part], rms(s.wanted[part]), s.h, rows, s.sparse)
 
 
 def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, bool]:
@@ -216,7 +216,7 @@ def judge_force(miss: Array, scale: float, h: float, rows: NDArray[np.int64], sp
         See `Signals`.
     """
     late = miss[rows.size // 2 :]
-    off = max(float(np.max(late)), -float(np.min(late)))
+    off = max(float(late.max()), -float(late.min()))
     if off <= MEAN_SHARE * scale:
         return []
     problems = []

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.mechanics.contacts.soft import is_soft
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import contact_torques
@@ -43,9 +44,10 @@ def contact_faults(run: Record) -> ContactFaults | None:
     if not sections or not len(run):
         return None
     f, rub = run.link_forces, run.link_frictions.reshape(len(run), len(sections), 2)
-    mu = np.array([section.friction for section in sections])
+    mu = np.array([coulomb_of(section) for section in sections])
+    others = np.array([has_other_law(section) for section in sections])  # which have bounds of their own
     soft = np.array([is_soft(section) for section in sections])
-    outside = np.maximum(np.hypot(rub[..., 0], rub[..., 1]) - mu * f, -f)
+    outside = np.maximum(np.where(others, 0.0, np.hypot(rub[..., 0], rub[..., 1]) - mu * f), -f)
     return ContactFaults(
         names_of(sections), np.max(np.maximum(outside, 0.0), axis=0), np.max(np.abs(f * run.link_gaps * ~soft), axis=0)
     )
@@ -66,11 +68,12 @@ def share_not_determined(run: Record) -> tuple[float, int, int] | None:
     if not sections or not len(run) or run.loops is not None:
         return None
     mechanism, k = run.model.pinocchio_model(), len(sections)
+    held = [coulomb_of(each) > 0.0 or getattr(each.friction_law, "sticks", "") == "rigid" for each in sections]
     firsts = np.sort(np.unique(run.link_modes, axis=0, return_index=True)[1])
     for row in firsts[:MOST_SETS]:
         modes = run.link_modes[row]
         units = [(i, 0) for i in np.flatnonzero(modes != FREE)]
-        units += [(i, j) for i in np.flatnonzero(modes == STUCK) if sections[i].friction > 0.0 for j in (1, 2)]
+        units += [(i, j) for i in np.flatnonzero(modes == STUCK) if held[i] for j in (1, 2)]
         forces, frictions = np.zeros((len(units), k)), np.zeros((len(units), 2 * k))
         for at, (i, j) in enumerate(units):
             if j == 0:

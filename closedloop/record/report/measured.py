@@ -13,11 +13,11 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select
 from closedloop.loop.events.table import KINDS, EventRow
-from closedloop.loop.step.memory import Reference
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.tree import Tree, tree_potential_energy
@@ -40,18 +40,24 @@ from closedloop.record.report.step_variation import SIGNALS, Swing, Swings, begi
 
 Array = NDArray[np.float64]
 
+# Numbers of a row that `write_control` writes.
+CONTROL = 10
 # In the table of values: after `MEASURES` how often each kind of event was, and when each assumption first failed, s,
 # NaN if it held; then `JOINT_MEASURES`, each for all joints.
 EVENTS_AT = len(MEASURES)
 FAILED_AT = EVENTS_AT + len(KINDS)
 WIDTH = FAILED_AT + len(NAMES)
 _NONSINGULAR = NAMES.index("nonsingular")
-# In steady motion a run with a scheme of order one lags by half a step; one of a higher order by far less, but what
-# only follows, as a closure or a surface that breathes, it still gets wrong in that proportion: half of
-# it is assumed. A tip whose pose is off by a radian presses with another force altogether, and posture
-# and weight both count: four times the force itself. Rounding is a share of the force, and of the metre that an arm is
-# long, `RESIDUAL_TOLERANCE`.
-LAG, HIGHER, POSE = 0.5, 0.5, 4.0
+# In steady motion a run with a scheme of order one lags by half a step, and by a whole one where readings are as old;
+# one of a higher order by far less, but what only follows, as a closure or a surface that breathes, it still gets wrong
+# in that proportion: half of it is assumed. A tip whose pose is off by a radian presses with another force altogether,
+# and posture and weight both count: twice the force itself. Rounding is a share of the force, and of the metre that an
+# arm is long, `RESIDUAL_TOLERANCE`.
+LAG, HIGHER, POSE = 1.0, 0.5, 2.0
+# A torque that is held lets f drift until the next sample, where it returns by what the torque changes: as many newtons
+# as newton metres at an arm a metre long. At half a metre it is twice as many, which is assumed. The share is chosen,
+# not a bound: at a shorter arm it is more.
+HELD_SHARE = 2.0
 _VALUES: dict[str, Any] = {
     **dict.fromkeys(MEASURES, float),
     "events": Annotated[Array, len(KINDS)],
@@ -82,13 +88,13 @@ class Tally(Block, sizes=("n",)):
     first: Annotated[Array, Flags.count(N)]
     signals: Annotated[Array, Signals.count(N), Signal.count()]
     sample: Annotated[Array, Sample.count(N)]
-    swings: Annotated[Array, Swings.count()]
+    swings: Annotated[Array, Swings.count(N)]
 
 
 @entry_kernel
 def measure_rows(
-    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int, int, int], h: float,
-    limits: Array, events: Array, out: Array,
+    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int, int, int, int], h: float,
+    limits: Array, events: Array, out: Array, signals: Array,
 ) -> None:  # fmt: skip
     """Write the values of a run.
 
@@ -100,7 +106,7 @@ def measure_rows(
         From `closedloop.simulation.engines.compiled.compiled_work`, and (Tally.count(n),).
     rows : (N, width) array
         The record, N >= 1 of `closedloop.loop.step.record_row.Row`s, `h` seconds apart.
-    wanted : (P, >= 2 n + 10) array, int, int, int
+    wanted : (P, >= 2 n + 10) array, int, int, int, int
         The table of what is desired, see `closedloop.loop.step.reference_row`, how many of its rows there are to each
         of the record's, and what `closedloop.record.report.step_error.resolution_of` returns.
     limits : (4 n,) array
@@ -109,9 +115,11 @@ def measure_rows(
         See `closedloop.loop.events.table`.
     out : (Values.count(n),) array
         Written.
+    signals : (CONTROL, N) array
+        Written, see `write_control`.
     """
     n, count = tree.n, rows.shape[0]
-    (terms, memory), (table, nodes, held, order) = scratch, wanted
+    (terms, memory), (table, nodes, held, order, sampled) = scratch, wanted
     largest = 0.0
     for i in range(count):
         largest = max(largest, abs(Reference(table[i * nodes], n).force))
@@ -123,8 +131,9 @@ def measure_rows(
         potential = tree_potential_energy(tree, row.q, sines)
         count_row(row, n, potential, Reference(table[i * nodes], n), joint_limits, i, tally)
         count_condition(row, tally)
-        count_swings(row, Reference(table[i * nodes], n), i, held, order, Swings(tally.swings))
-    end_stretch(held, order, Swings(tally.swings))
+        write_control(row, Reference(table[i * nodes], n), signals, i)
+        count_swings(row, Reference(table[i * nodes], n), i, held, order, sampled, Swings(tally.swings, n))
+    end_stretch(held, order, Swings(tally.swings, n))
     write_values(Row(rows[count - 1], n), n, count, tally, values)
     for i in range(events.shape[0]):
         event = EventRow(events[i])
@@ -132,6 +141,24 @@ def measure_rows(
         values.energy_taken_at_rest += event.energy_rested
         values.largest_rate_cut = max(values.largest_rate_cut, event.rate_cut)
         values.events[int(event.kind) - 1] += 1.0
+
+
+@kernel_inlined
+def write_control(row: Row, wanted: Reference, signals: Array, i: int) -> None:
+    """Write what the control of a run is judged by (`closedloop.record.report.control_signals`) of row i.
+
+    It is f and f_des, N, whether in contact, by how much the path is off the surface, m, the tip less its path along
+    the surface, m, and the path, m.
+    """
+    out, normal = 0.0, row.surface_normal
+    for k in range(3):
+        out += normal[k] * (row.position[k] - wanted.position[k])
+    signals[0, i], signals[1, i] = row.contact_force, wanted.force
+    signals[2, i] = 1.0 if row.mode != FREE else 0.0
+    signals[3, i] = row.closure_error - out
+    for k in range(3):
+        signals[4 + k, i] = row.position[k] - wanted.position[k] - out * normal[k]
+        signals[7 + k, i] = wanted.position[k]
 
 
 @kernel
@@ -148,7 +175,7 @@ def begin_tally(tally: Tally, n: int, h: float, largest: float, order: int) -> N
     scale.largest_force = largest
     for k in range(tally.swings.shape[0]):
         tally.swings[k] = 0.0
-    begin_swings(Swings(tally.swings))
+    begin_swings(Swings(tally.swings, n))
     for k in range(tally.work.shape[0]):
         tally.work[k] = tally.powers_before[k] = 0.0
     for k in range(tally.greatest.shape[0]):
@@ -257,7 +284,7 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
 def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
     """Write the errors of the step, see `closedloop.record.report.step_error`; near a singular pose that of f is
     NaN."""
-    swings, squared, fastest = Swings(tally.swings), 0.0 * tally.h, 0.0 * tally.h
+    swings, squared, fastest = Swings(tally.swings, n), 0.0 * tally.h, 0.0 * tally.h
     first_order = tally.order < 2.0
     for k in range(1, SIGNALS):
         swing = Swing(swings.each[k])
@@ -268,9 +295,10 @@ def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
     for j in range(n):
         fastest = max(fastest, most.joint_speed[j])
     largest = max(most.force, most.minus_force)
-    of_events = select(first_order & (swings.stretches > 1.0), swings.steepest, 0.0)
+    moved = select(swings.jump < swings.steepest, swings.jump, swings.steepest)
+    moved = select(first_order | (swings.stretches > 1.0), swings.steepest, moved)
     swing = Swing(swings.each[0])
-    error = min(swing.error, swing.highest - swing.lowest) + of_events
+    error = min(swing.error, swing.highest - swing.lowest) + moved + HELD_SHARE * swings.kick + swings.struck
     error = error + (POSE * lag * fastest + RESIDUAL_TOLERANCE) * largest
     singular = values.failed_at[_NONSINGULAR]
     values.step_error_force = select(singular == singular, math.nan, error)

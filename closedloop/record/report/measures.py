@@ -42,9 +42,9 @@ MEASURES: dict[str, Measure] = {
     "energy_lost_in_impacts": Measure("J", "energy that impacts took, and what a soft surface had stored at its edge"),
     "energy_taken_at_rest": Measure("J", "energy of that, taken so that what parts too slowly rests"),
     "largest_rate_cut": Measure("m s-1", "fastest bounce that was cut to rest"),
-    "rms_force_error": Measure("N", "RMS error of the contact force, while in contact"),
+    "rms_force_error": Measure("N", "RMS error of the contact force over the rows in contact"),
     "force_settled_at": Measure("s", "instant from which the contact force stays within 2 % of that desired"),
-    "rms_path_error": Measure("m", "RMS distance of the tip from its path, along the surface"),
+    "rms_path_error": Measure("m", "RMS distance of the tip from its path, along the surface, over the rows"),
     "max_kinetic_energy": Measure("J", "highest kinetic energy"),
     "start_closure_error": Measure("m", "closure error at the start, if in contact then; positive off the surface"),
     "largest_reference_force": Measure("N", "largest contact force asked for, either way"),
@@ -56,7 +56,8 @@ MEASURES: dict[str, Measure] = {
 _OF_THE_TIP = (
     "final_contact_force", "peak_contact_force", "min_contact_force", "max_stabiliser_force", "max_abs_closure_error",
     "final_closure_error", "max_abs_closure_rate", "min_normal_mobility", "deepest_penetration", "time_in_contact",
-    "max_friction_force", "rms_force_error", "force_settled_at", "start_closure_error", "force_chatter",
+    "max_friction_force", "rms_force_error", "force_settled_at", "start_closure_error", "step_error_force",
+    "force_chatter",
 )  # fmt: skip
 
 

@@ -66,7 +66,7 @@ def run_values(run: Record) -> Any:
         signals = np.hstack([signals[:, 1 - SPAN :], sample.signals])
         tally.signals[:, -1] += alternation(signals.T)
     tally.condition = np.max(run.kkt_condition)
-    write_swings(run, Swings(tally.swings))
+    write_swings(run, Swings(tally.swings, n))
     last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in _LAST})
     interpreted(write_values)(last, n, count, tally, values)
     if "torque_limited" in run.columns:

@@ -12,9 +12,12 @@ in friction or at a sample of a sensor, the order is lost, and how smooth it is 
 (`closedloop.record.report.step_variation.local_error`). A law that is sampled, or reads encoders, makes every scheme
 one of order one.
 
-To this three things are added that variations do not show. Events move by up to a step, and the force with them, by
-its steepest change from row to row. In steady motion a run lags by a share of a step behind: the tip by as much of its
-way, and the force, which depends on the pose, by about itself for each radian. And rounding.
+To this is added what variations do not show. Events, and paths that start between two rows, move by up to a step, and
+the force with them, by its steepest change from row to row; with order one the force lags by as much anyway. A torque
+that is held lets the force drift until the next sample, where it comes back by what the torque changes; and contact
+that begins beside a sample may begin on the other side of it, so that the error of the force in that row counts. In
+steady motion a run lags by a share of a step behind: the tip by as much of its way, and the force, which depends on the
+pose, by about itself for each radian. And rounding.
 
 It is an estimate, not a bound that is proved: `tests/closedloop/test_step_error.py` compares it with runs at short
 steps. It is about rows apart from those where contact begins, ends, sticks or slips: there the force jumps, at an
@@ -30,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.interpreted import interpreted
+from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
@@ -38,31 +42,60 @@ from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 
+# A path that starts smoothly leaves an error as t⁵ at most, which grows by 9⁵ from the first to the ninth equal part.
+PARTS, GROWING, GROWTH = 20, 8, 1e5
+# Joints slower than this, rad/s (m/s), rest: in motion friction has its direction.
+AT_REST = 1e-6
+# Rows in one mode of contact of which the signals are taken one by one.
+LONG = 2048
+
 
 def write_swings(run: Record, swings: Swings) -> None:
     """Write what the rows of a run, at least one, come to, see `closedloop.record.report.step_variation`."""
     signals = np.empty((1 + run.position.shape[1], len(run)))
     np.multiply(run.contact_force - run.reference_force, run.mode != FREE, out=signals[0])
     np.subtract(run.position.T, run.reference_tip.T, out=signals[1:])
-    (held, order), total = resolution_of(run.scenario), np.zeros(signals.shape[0])
+    (held, order, sampled), total = resolution_of(run.scenario), np.zeros(signals.shape[0])
     ends = [0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]
-    swings.stretches, swings.steepest = len(ends) - 1, 0.0
+    swings.stretches, swings.steepest, swings.jump, swings.struck = len(ends) - 1, 0.0, 0.0, 0.0
     for begin, end in pairwise(ends):
-        stretch = signals[:, -(-begin // held) * held : end : held]
-        cut = cut_slopes(stretch)
-        total += _errors(stretch, cut, order) / held
-        swings.steepest = max(swings.steepest, np.max(np.abs(cut[0]), initial=0.0) / held)
+        # Of long stretches one signal after the other: what is between would take as much memory as half the columns.
+        each = 1 if end - begin > LONG else signals.shape[0]
+        for k in range(0, signals.shape[0], each):
+            stretch = signals[k : k + each, -(-begin // held) * held : end : held]
+            cut = cut_slopes(stretch)
+            total[k : k + each] += _errors(stretch, cut, order) / held
+            if k == 0:
+                sizes, size = np.abs(np.diff(stretch[0])), np.abs(cut[0])
+                swings.steepest = max(swings.steepest, np.max(size, initial=0.0) / held)
+                swings.jump = max(swings.jump, np.max(sizes - size[: sizes.size], initial=0.0))
+        if sampled and begin and run.mode[begin] != FREE and run.mode[begin - 1] == FREE:
+            swings.struck = max(swings.struck, abs(signals[0, begin]))
+    swings.kick = _kick(run, held) if sampled else 0.0
     low, high = np.min(signals, axis=1), np.max(signals, axis=1)
     for k, error in enumerate(total):
         swing = Swing(swings.each[k])
         swing.error, swing.lowest, swing.highest = error, low[k], high[k]
 
 
-def resolution_of(scenario: Scenario) -> tuple[int, int]:
-    """Return for how many steps the law's torque is held, at least 1, and the order that the law leaves the scheme."""
+def _kick(run: Record, held: int) -> float:
+    """Return `Swings.kick` of a run whose torque is held for so many rows."""
+    torque, touching = run.torque[::held], run.mode[::held] != FREE
+    size = np.zeros(max(0, len(torque) - 2))
+    for column in torque.T:
+        size += np.abs(cut_slopes(column[None])[0, : size.size])
+    return float(np.max(size * touching[2:], initial=0.0))
+
+
+def resolution_of(scenario: Scenario) -> tuple[int, int, int]:
+    """Return for how many steps the law's torque is held, at least 1, the order of the scheme, and whether it is held.
+
+    A law that is sampled leaves every scheme the order one.
+    """
     period, scheme = scenario.law.sample_period, scheme_of(scenario.time.integrator)
     held = max(1, round(period / scenario.time.step)) if period else 1
-    return held, 1 if scheme is None or period or scenario.reads_encoders else scheme.order
+    sampled = bool(period or scenario.reads_encoders)
+    return held, 1 if scheme is None or sampled else scheme.order, int(sampled)
 
 
 def cut_slopes(signals: Array) -> Array:
@@ -94,6 +127,20 @@ def _errors(signals: Array, cut: Array, order: int) -> Array:
     return np.array([np.sum(interpreted(local_error)(x[:-2], x[1:-1], x[2:], order)) for x in turns])
 
 
+def grows(off: Array) -> bool:
+    """Whether an error (N,) grows exponentially: in each of `GROWING` successive parts of the run, by `GROWTH` in all.
+
+    The sum of the errors that the steps add is none of such a motion, which multiplies them, and rounding too.
+    """
+    size = len(off) // PARTS
+    if size == 0:
+        return False
+    most = np.max(np.abs(off[: PARTS * size].reshape(PARTS, size)), axis=1)
+    grown = (most[1:] >= 1.25 * most[:-1]) & (most[:-1] > 0.0)
+    steadily = np.convolve(grown, np.ones(GROWING), "valid") >= GROWING
+    return bool(np.any(steadily & (most[GROWING:] >= GROWTH * most[:-GROWING])))
+
+
 def why_not_known(scenario: Scenario, singular: bool) -> str:
     """Return why the error of the step in f is not estimated, "" where it is; `singular`: near such a pose."""
     name = scenario.time.integrator
@@ -101,24 +148,53 @@ def why_not_known(scenario: Scenario, singular: bool) -> str:
         return f"{name} chooses its steps: its error is set by time.tolerance"
     if scheme_of(name) is None:
         return f"the order of {name}, a user's, is not in a file"
+    if scenario.reads_encoders and np.any(scenario.encoder.quantisation):
+        return "encoder.quantisation: when a reading changes, and the torque with it, depends on every step before"
     return "near a singular pose f depends on how near to it the rows are" if singular else ""
+
+
+def why_force_not_known(scenario: Scenario, off: Array, kinds: Array, touching: bool, speed: float) -> str:
+    """Return why the rows do not say what the error of f is, "" where they do.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    off : (N,) array
+        f − f_des, N.
+    kinds : (E,) array
+        The kinds of the run's events.
+    touching, speed : bool, float
+        Whether the tip is in contact in the last row, and the fastest joint's speed there, rad/s (m/s).
+    """
+    struck = bool(np.any((kinds == IMPACT) | (kinds == TOUCHDOWN)))
+    if struck and touching and speed < AT_REST and scenario.rubs_in_joints:
+        return "joint_friction: what friction bears at rest depends on the last of the motion after an impact"
+    return "f grows exponentially: with it the error of each step, and of rounding" if grows(off) else ""
+
+
+def run_force_not_known(run: Record) -> str:
+    """Return `why_force_not_known` of a run that has rows."""
+    off, touching = run.contact_force - run.reference_force, bool(run.mode[-1] != FREE)
+    return why_force_not_known(run.scenario, off, run.event_kind, touching, float(np.max(np.abs(run.v[-1]))))
 
 
 def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
     """Return the part ``step_error`` of the summary, of its values.
 
-    ``contact_force``, N, and ``position``, m; ``measured``: whether they are the difference of the run at half the
-    step, see `closedloop.report.halved`, and no estimate; ``why_not``: why one is None, or None.
+    ``contact_force``, N, None without a surface, and ``position``, m; ``measured``: whether they are the difference of
+    the run at half the step, see `closedloop.record.report.halved`, and no estimate; ``why_not``: why one is not known,
+    or None.
     """
     force, position = (
         value if value is not None and np.isfinite(value) else None
         for value in (values["step_error_force"], values["step_error_position"])
     )
     why = None
-    if values["step_error_force"] is None:
-        why = why_not_known(run.scenario, True) if len(run) else "no row could be computed"
-    elif force is None or position is None:
-        why = "it is not a finite number"
+    if not len(run):
+        why = "no row could be computed"
+    elif position is None or (force is None and run.scenario.has_surface):
+        why = why_not_known(run.scenario, False) or run_force_not_known(run)
+        why = why or why_not_known(run.scenario, values["step_error_force"] is None) or "it is not a finite number"
     return {"contact_force": force, "position": position, "measured": run.halved is not None, "why_not": why}
 
 
@@ -127,5 +203,5 @@ def step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     beside = "measured, of the run at half the step" if found["measured"] else "estimate, of a run at a shorter step"
     said = [("f is within", found["contact_force"], "N"), ("tip is within", found["position"], "m")]
     known = [(label, f"±{error:.2g}", unit, beside) for label, error, unit in said if error is not None]
-    missing = [("error of the step", "not known", "", found["why_not"])]
-    return known if len(known) == len(said) else missing + known
+    missing = [("error of the step", "not known", "", found["why_not"])] if found["why_not"] else []
+    return missing + known

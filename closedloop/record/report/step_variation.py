@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.blocks import Block
+from closedloop.control.reference.table import Reference
+from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import every, select
-from closedloop.loop.step.memory import Reference
 from closedloop.mechanics.closure.contact_force import FREE
 
 Array = NDArray[np.float64]
@@ -47,14 +47,21 @@ class Swing(Block):
     highest: float
 
 
-class Swings(Block):
-    """What is remembered of a run's signals in the stretch of rows in one mode of contact."""
+class Swings(Block, sizes=("n",)):
+    """What is remembered of a run's signals in the stretch of rows in one mode of contact, and of n joints' torques."""
 
     mode: float
     counted: float  # of the rows that count
     stretches: float
-    steepest: float  # of the force: the largest cut difference
+    steepest: float  # of the force: the largest cut difference, and the most that one was cut by
+    jump: float
+    struck: float  # of a sampled law: the largest error of the force in the row with which contact begins
+    kick: float  # and the largest change of the torques from sample to sample, summed over the joints
+    samples: float
     each: Annotated[Array, SIGNALS, Swing.count()]
+    torque: Annotated[Array, Count.of("n")]  # the last, and its last two differences
+    turned: Annotated[Array, Count.of("n")]
+    turned_before: Annotated[Array, Count.of("n")]
 
 
 @kernel_inlined
@@ -90,16 +97,26 @@ def local_error(before: Any, turn: Any, after: Any, order: int) -> Any:
 def begin_swings(swings: Swings) -> None:
     """Write what is remembered of no row."""
     swings.mode, swings.counted, swings.stretches, swings.steepest = _NO_MODE, 0.0, 0.0, 0.0
+    swings.jump, swings.struck, swings.kick, swings.samples = 0.0, 0.0, 0.0, 0.0
     for k in range(SIGNALS):
         swing = Swing(swings.each[k])
         swing.error, swing.lowest, swing.highest = 0.0, np.inf, -np.inf
 
 
 @kernel_inlined
-def count_swings(row: Any, wanted: Reference, i: int, held: int, order: int, swings: Swings) -> None:
-    """Count row i in; every `held`-th counts, all to the range. In lanes the mode changes in all at once, or never."""
+def count_swings(
+    row: Any, wanted: Reference, i: int, held: int, order: int, sampled: int, swings: Swings
+) -> None:  # fmt: skip
+    """Count row i in; every `held`-th counts, all to the range. In lanes the mode changes in all at once, or never.
+
+    `sampled` is 1 where the law's torque is held for so many rows, and 0 where it is a function of the state.
+    """
     if not every(row.mode == swings.mode):
         end_stretch(held, order, swings)
+        if sampled == 1:
+            off = abs(row.contact_force - wanted.force)
+            begins = (swings.mode == FREE) & (row.mode != FREE)
+            swings.struck = select(begins & (off > swings.struck), off, swings.struck)
         swings.mode, swings.counted = row.mode, 0.0
     for k in range(SIGNALS):
         if k == 0:
@@ -112,7 +129,25 @@ def count_swings(row: Any, wanted: Reference, i: int, held: int, order: int, swi
             count_swing(x, swings.counted, order, swing)
     if i % held == 0:
         swings.counted += 1.0
-        swings.steepest = max(swings.steepest, select(swings.counted > 2.0, abs(Swing(swings.each[0]).cut) / held, 0.0))
+        force = Swing(swings.each[0])
+        swings.steepest = max(swings.steepest, select(swings.counted > 2.0, abs(force.cut) / held, 0.0))
+        cut_by = abs(force.slope_before) - abs(force.cut)
+        swings.jump = max(swings.jump, select(swings.counted > 2.0, cut_by, 0.0))
+        if sampled == 1:
+            count_torques(row, swings)
+
+
+@kernel_inlined
+def count_torques(row: Any, swings: Swings) -> None:
+    """Count the torques of a sample in: isolated jumps are cut, and only samples in contact count."""
+    kick = 0.0 * row.mode
+    for j in range(swings.torque.shape[0]):
+        slope = select(swings.samples > 0.0, row.torque[j] - swings.torque[j], 0.0)
+        before = select(swings.samples > 2.0, swings.turned_before[j], 0.0)
+        kick = kick + abs(cut_slope(before, select(swings.samples > 1.0, swings.turned[j], 0.0), slope))
+        swings.turned_before[j], swings.turned[j], swings.torque[j] = swings.turned[j], slope, row.torque[j]
+    swings.kick = max(swings.kick, select(row.mode != FREE, kick, 0.0))
+    swings.samples += 1.0
 
 
 @kernel_inlined
@@ -143,3 +178,4 @@ def end_stretch(held: int, order: int, swings: Swings) -> None:
         swing.error += select(swings.counted > 0.0, select(known, turned, 0.5 * (swing.high - swing.low)) / held, 0.0)
         if k == 0:
             swings.steepest = max(swings.steepest, select(swings.counted > 2.0, abs(last) / held, 0.0))
+            swings.jump = max(swings.jump, select(swings.counted > 1.0, abs(swing.slope) - abs(last), 0.0))

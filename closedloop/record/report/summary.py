@@ -12,6 +12,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.wrench import parts_of
+from closedloop.record.clearance import clearance_of
 from closedloop.record.columns.record import Record
 from closedloop.record.report.assumptions import assumptions
 from closedloop.record.report.control_signals import limited_joints, run_signals
@@ -22,13 +23,13 @@ from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_m
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import Scale, energy_left, torque_power
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.step_error import step_error, why_not_known
+from closedloop.record.report.step_error import run_force_not_known, step_error, why_not_known
 from closedloop.record.report.undetermined import not_determined_from
 from closedloop.record.report.undriven import motions_without_drive
 from closedloop.record.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import gains_fault
-from closedloop.scenario.modes import unresolved
+from closedloop.scenario.modes import unresolved, unresolved_feedback
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,8 @@ def summarise(run: Record) -> dict[str, Any]:
     values: dict[str, Any] = dict.fromkeys(MEASURES) if found is None else _measures(run, found)
     joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
     held = assumptions(run, values)
-    problems = judge(_facts(run, values, joints, held), lambda: run_gains_fault(run))
+    facts = _facts(run, values, joints, held)
+    problems = judge(facts, lambda: run_gains_fault(run), lambda: _unresolved_feedback(run))
     return {
         "verdict": {"good": not problems, "problems": problems},
         "control_verdict": _control(run, joints),
@@ -61,6 +63,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "force_not_determined_from": not_determined_from(run),
         "friction_off_slip": friction_off_slip(run),
         "motions_without_drive": motions_without_drive(run),
+        "clearance": clearance_of(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
         "joints": {
@@ -77,6 +80,13 @@ def _unresolved(run: Record) -> list[str]:
         return []
     robot = robot_of(run.scenario, run.model)
     return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], -float(run.closure_error[0]))
+
+
+def _unresolved_feedback(run: Record) -> list[str]:
+    """Return what of the law's feedback the step does not resolve; of a law of one's own nothing is known."""
+    if run.law != "scenario":
+        return []
+    return unresolved_feedback(run.scenario, robot_of(run.scenario, run.model))
 
 
 def _control(run: Record, joints: dict[str, Array]) -> dict[str, Any]:
@@ -165,7 +175,7 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
         found |= measured_step_error(run.halved)
     elif why_not_known(run.scenario, singular=False):
         found["step_error_force"] = found["step_error_position"] = None
-    elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]):
+    elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]) or run_force_not_known(run):
         found["step_error_force"] = None
     return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
 

@@ -36,7 +36,7 @@ def lasting_swing(x: Array, bound: float, h: float, begin: float) -> Swing | Non
     found = regular_swing(x[half:], bound, h, begin + half * h)
     if found is None:
         k = max(1, len(x) // SLOW_ROWS)
-        slow = x[: len(x) // k * k].reshape(-1, k).mean(axis=1) if k > 1 else x
+        slow = x[: len(x) // k * k].reshape(-1, k) @ np.full(k, 1.0 / k) if k > 1 else x
         found = regular_swing(slow, bound, k * h, begin, GROWING_PERIODS)
         return found if found is not None and found.growth > GROWTH else None
     return found
@@ -51,7 +51,7 @@ def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int =
     """
     if len(x) < periods * ROWS_IN_PERIOD:
         return None
-    k, middle = _centred(len(x)), float(np.mean(x))
+    k, middle = _centred(len(x)), float(np.add.reduce(x)) / len(x)
     slope = float(np.dot(k, x)) / (len(x) * (len(x) ** 2 - 1.0) / 12.0)  # a drift is no swing
     # Without the work below: in each period the signal less its drift is beyond half the bound on both sides.
     level = 0.5 * bound - abs(middle) - 0.5 * len(x) * abs(slope)

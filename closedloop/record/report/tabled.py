@@ -15,6 +15,7 @@ from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.step_error import why_not_known
 from closedloop.record.report.verdict import Facts, judge, names_of, outside_by_the_run, outside_by_the_scenario
 from closedloop.scenario.gains import gains_fault
+from closedloop.scenario.modes import unresolved_feedback
 from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -43,7 +44,7 @@ def verdict_of(
         {name: numbers[WIDTH + n * m : WIDTH + n * (m + 1)] for m, name in enumerate(JOINT_MEASURES)},
         swings,
     )  # fmt: skip
-    return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
+    return names_of(judge(facts, lambda: gains_fault(scenario, robot), lambda: unresolved_feedback(scenario, robot)))
 
 
 def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:

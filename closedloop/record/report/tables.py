@@ -11,12 +11,14 @@ from closedloop.control.drives import OF_THE_ROBOT
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.integrators import scheme_of
+from closedloop.record.clearance import passing_note
 from closedloop.record.columns.record import Record
 from closedloop.record.report.control_verdict import unknown_text
 from closedloop.record.report.halved import halved_rows
 from closedloop.record.report.report_rows import report_rows
 from closedloop.record.report.summary import run_gains_fault
 from closedloop.record.report.verdict import GOOD, names_of, probable_reason
+from closedloop.scenario.tables import names_in
 from robot_models.notes import notes as robot_notes
 
 if TYPE_CHECKING:
@@ -59,6 +61,18 @@ def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
     return law.energy_fault(load, n) if isinstance(law, FrictionLaw) else None
 
 
+def _contact_faults(run: Record) -> list[tuple[str, str | None]]:
+    """Return what `FrictionLaw.energy_fault` says of the laws of friction of links' contacts, by their keys."""
+    sections = run.scenario.contact or ()
+    return [
+        (
+            f"contact.{i}.friction_law",
+            _energy_fault(section.friction_law, float(np.max(run.link_forces[:, i], initial=0.0))),
+        )
+        for i, section in enumerate(sections)
+    ]
+
+
 def _robot_notes(run: Record) -> tuple[str, ...]:
     """Return what the robot's file says and the run did not act on."""
     model, limited, rubs = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
@@ -74,12 +88,17 @@ def notes(run: Record) -> list[str]:
     faults = (
         ("friction", _energy_fault(run.scenario.friction, load)),
         ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.v.shape[1])),
+        *_contact_faults(run),
         ("gains", run_gains_fault(run)),
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
-    lines = [*_robot_notes(run), restitution_cut(run), shifted_events(run)]
+    passing = passing_note(run.summary()["clearance"])
+    lines = [*_robot_notes(run), restitution_cut(run), shifted_events(run), passing]
     return [text for text in lines if text] + [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
 
+
+# Letters of a contact's name for which a table of 80 has room, and the columns of the name and of the decompression.
+WIDEST_NAME, NAMED, DECOMPRESSION = 16, 2, 6
 
 _TITLES = {
     "one_loop": "one loop",
@@ -173,14 +192,17 @@ def _print_events(run: Record, console: Console) -> None:
     from rich.table import Table
 
     shown = run.events[:MOST_EVENTS]
-    heads = ("time\ns", "event", "rate\nbefore\nm/s", "rate\nafter\nm/s", "com-\npression\nN s",
+    heads = ("time\ns", "event", "contact", "rate\nbefore\nm/s", "rate\nafter\nm/s", "com-\npression\nN s",
              "decom-\npression\nN s", "energy\nlost\nJ")  # fmt: skip
-    rows = [_event_row(event) for event in shown]
+    names = ("tip", *names_in("contact", run.scenario.contact or ()))
+    rows = [_event_row(event, names) for event in shown]
     kept = [k for k in range(len(heads)) if any(row[k] for row in rows)]
-    # Nothing between the columns but one blank: all seven fit into 80.
+    if NAMED in kept and DECOMPRESSION in kept:  # of both there is no room; the rates say the restitution
+        kept.remove(DECOMPRESSION)
+    # Nothing between the columns but one blank: seven fit into 80.
     table = Table(box=box.SIMPLE_HEAD, title="events", title_justify="left", padding=(0, 1, 0, 0))
     for k in kept:
-        table.add_column(heads[k], justify="left" if k == 1 else "right", no_wrap=True, vertical="bottom")
+        table.add_column(heads[k], justify="left" if k in (1, 2) else "right", no_wrap=True, vertical="bottom")
     for row in rows:
         table.add_row(*(row[k] for k in kept))
     console.print(table)
@@ -189,13 +211,17 @@ def _print_events(run: Record, console: Console) -> None:
         console.print(f"  and {more} more, the last at {run.events[-1].time:.6f} s")
 
 
-def _event_row(event: Event) -> tuple[str, ...]:
-    """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact."""
+def _event_row(event: Event, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact.
+
+    `names` are those of the tip and of the contacts of links; the tip's alone need not be said.
+    """
     normal = event.kind in ("impact", "touchdown", "liftoff", "edge")
     impact = event.kind in ("impact", "touchdown")
     return (
         f"{event.time:.6f}",
         event.kind,
+        (names[event.contact] if event.contact < len(names) else "stop")[:WIDEST_NAME] if len(names) > 1 else "",
         _short(event.rate_before) if normal else "",
         _short(event.rate_after) if normal else "",
         _short(event.compression) if impact else "",

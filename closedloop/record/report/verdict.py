@@ -68,7 +68,8 @@ SATURATED_SHARE = 0.5
 
 # The share of the largest force asked for that the step may cost, as an estimate, and as measured at half the step. The
 # estimate is up to thirty times too large (docs/verdict.md), so it counts only where f is not known to its own size: a
-# path on a sphere that starts with a jerk states 0.76, and errs by 0.07. Shipped scenarios state 0.35 at most.
+# path on a sphere that starts with a jerk states 1.14, errs by 0.08, and is good at half the step. Shipped
+# scenarios state 0.35 at most.
 ESTIMATED_SHARE, MEASURED_SHARE = 1.0, 0.5
 
 # What a run says that stopped by it (`closedloop.simulation.engines.failures`).
@@ -151,7 +152,9 @@ def outside_by_the_run(measures: Mapping[str, float | None], stopped: str | None
     return {"nonsingular"} if measures["singular_pose_passed"] == 1.0 and not stopped else set()
 
 
-def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
+def judge(
+    facts: Facts, gains: Callable[[], str], feedback: Callable[[], Sequence[str]] = tuple
+) -> list[dict[str, Any]]:
     """Return what is wrong with a run: a list of ``name``, ``at``, the instant, s, or None, and ``text``.
 
     Parameters
@@ -160,6 +163,9 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     gains : callable
         Returns what is wrong with the gains for this step (`closedloop.scenario.gains.gains_fault`); called only if
         something else is wrong.
+    feedback : callable
+        Returns what of the law's feedback the step does not resolve (`closedloop.scenario.modes.unresolved_feedback`);
+        called only if the run shakes, or its step leaves f uncertain.
     """
     problems = []
     if facts.stopped:
@@ -177,6 +183,8 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
             for name, (at, measured) in facts.failed.items()
         ]
         problems += _step(facts) + [_problem("resolution", text) for text in facts.unresolved]
+        if {*SHAKEN, "step"} & {problem["name"] for problem in problems}:
+            problems += [_problem("resolution", text) for text in feedback()]
     return problems
 
 

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN, EventRow
-from closedloop.loop.step.record_row import recorded
-from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.report.control_signals import RELEASE, limited_joints, negative_gain, signals_of
 from closedloop.record.report.control_verdict import MEAN_SHARE, PATH_FLOOR, judge_control, judge_force, told
 from closedloop.record.report.measured import Values
@@ -48,25 +46,24 @@ def _rows(count: int) -> NDArray[np.int64]:
     return np.arange(count)
 
 
-def control_of_rows(problem: Problem, rows: Array, events: Array, values: Any, stopped: str | None) -> str:
-    """Return the same of a run by itself, of its rows, its events, and its values (Values.count(n),)."""
-    n, count = problem.robot.n, len(rows)
-    if not count:
+def control_of_rows(problem: Problem, found: Array, events: Array, values: Any, stopped: str | None) -> str:
+    """Return the same of a run by itself.
+
+    It is judged by what `closedloop.record.report.measured.write_control` wrote of its rows, its events, and its values
+    (Values.count(n),).
+    """
+    n = problem.robot.n
+    if not found.shape[1]:
         return _told(judge_control(None, {}, stopped))
-    normal, error = recorded(rows, n, "surface_normal"), recorded(rows, n, "closure_error")
-    table = problem.table[:: problem.nodes][:count]
-    tip = table[:, 2 * n : 2 * n + 3]
-    off = recorded(rows, n, "position") - tip
-    out = np.einsum("ij,ij->i", off, normal)
-    path = off - out[:, None] * normal, error - out, tip
-    began = np.isin(events[:, EventRow.place("kind")], (IMPACT, TOUCHDOWN))
+    kinds = events[:, EventRow.place("kind")]
+    began = (kinds == IMPACT) | (kinds == TOUCHDOWN)
     signals = signals_of(
-        problem.scenario, problem.h, recorded(rows, n, "contact_force"), table[:, 2 * n + 9],
-        recorded(rows, n, "mode") != FREE, path, events[began, EventRow.place("time")],
+        problem.scenario, problem.h, found[0], found[1], found[2] != 0.0, (found[4:7].T, found[3], found[7:].T),
+        events[began, EventRow.place("time")],
     )  # fmt: skip
-    found = Values(values, n)
+    measured = Values(values, n)
     names = problem.robot.model.joint_names
-    limited = limited_joints(names, found.torque_limited_share, found.torque_limited_at)
+    limited = limited_joints(names, measured.torque_limited_share, measured.torque_limited_at)
     return _told(judge_control(signals, limited, stopped))
 
 

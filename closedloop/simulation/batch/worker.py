@@ -25,15 +25,17 @@ from closedloop.base.errors import ClosedLoopError, SingularClosureError, faults
 from closedloop.control.drives import DrivesSection
 from closedloop.jit.background import make_ready
 from closedloop.jit.simd8 import WIDE
+from closedloop.loop.events.table import EventRow
 from closedloop.loop.step.record_row import Row, recorded
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.columns.recorded import SURFACE_COLUMNS
 from closedloop.record.report.limited import count_limited
-from closedloop.record.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
+from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.step_error import resolution_of
+from closedloop.record.report.step_error import resolution_of, why_force_not_known
 from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.modes import unresolved
 from closedloop.scenario.scenario import Scenario
@@ -133,7 +135,7 @@ class Worker:
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
         self._failures: Counter[str] = Counter()  # sets of lanes that failed in a row, by kind of contact
         self._one_by_one: Counter[str] = Counter()  # sets of eight still to be run one by one
-        self._rows = np.empty(0)
+        self._rows, self._signals = np.empty(0), np.empty((CONTROL, 0))
 
     def run(self, scenario: Scenario) -> Outcome:
         """Run a scenario and return its outcome; a run that fails says why."""
@@ -230,15 +232,24 @@ class Worker:
         rows, events, failure, _ = run_loop(problem, fresh(self.law), engine=self._engine, rows=memory, tree=tree)
         n = problem.robot.n
         values = np.full(Values.count(n), math.nan)
+        if self._signals.shape[1] < len(rows):
+            self._signals = np.empty((CONTROL, len(rows)))
+        signals = self._signals[:, : len(rows)]
         if len(rows) > 0:
             make_ready(measure_rows)
             robot, work = tree
             wanted = problem.table, problem.nodes, *resolution_of(problem.scenario)
             measure_rows(
                 robot, (work, np.empty(Tally.count(n))), rows, wanted, problem.h,
-                joint_limits(problem.robot.model), events, values,
+                joint_limits(problem.robot.model), events, values, signals,
             )  # fmt: skip
             forget_absent(problem.scenario, values, self.law is not None)
+            last = Row(rows[-1], n)
+            if why_force_not_known(
+                problem.scenario, signals[0] - signals[1], events[:, EventRow.place("kind")], last.mode != FREE,
+                float(np.max(np.abs(last.v))),
+            ):  # fmt: skip
+                Values(values, n).step_error_force = math.nan
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
         columns = {
@@ -254,7 +265,7 @@ class Worker:
         reason = None if failure is None else str(failure)
         swings = _unresolved(problem, rows)
         verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason, swings)
-        control = control_of_rows(problem, rows, events, values, reason)
+        control = control_of_rows(problem, signals, events, values, reason)
         status = RAN if failure is None else STOPPED
         return Outcome(status, reason, len(rows), values, end, columns, verdict, control)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from difflib import get_close_matches
 
 import numpy as np
@@ -10,18 +11,25 @@ from numpy.typing import NDArray
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
-from closedloop.mechanics.contacts.memory import ContactMemory, make_contact_memory
+from closedloop.jit.user_code import of_users
+from closedloop.mechanics.contacts.friction import STICKING, contact_frictions, coulomb_of, law_at, plain_friction
+from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
 from closedloop.mechanics.contacts.modes import HOVERING
+from closedloop.mechanics.contacts.rolling import roll_on_plane
 from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.contacts.shapes import SHAPE, ShapeMemory, make_shape_memory, shape_of
 from closedloop.mechanics.contacts.soft import compliances_of, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
+from closedloop.mechanics.friction.contact import Contact
+from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
+from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.plane import contact_frame, unit
-from closedloop.scenario.arm import stop_limits
+from closedloop.scenario.arm import joint_friction_of, stop_limits
 from closedloop.scenario.contact_names import names_of
 from closedloop.scenario.scenario import Scenario
 from robot_models.errors import shown
@@ -38,23 +46,84 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
     sections = scenario.contact or ()
     rows, points = rows_of(sections, robot), len(sections) + 1
     stops = np.flatnonzero(np.isfinite(stop_limits(scenario, robot.model)).any(axis=0))
-    links, contacts = memory = make_contact_memory(robot.n, points + len(stops), rows, len(stops))
+    held = robot.n if joint_friction_of(scenario, robot.model).sticks == "rigid" else 0
+    names, k = names_of(sections), points + len(stops) + held
+    laws = laws_of(scenario, names)
+    asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
+    past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
+    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past)
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
     contacts.restitution[points:] = scenario.robot.stop_restitution
-    contacts.mu[1:points] = [section.friction for section in sections]
-    contacts.joint[points:] = stops
-    if isinstance(scenario.friction, SurfaceCoulomb) and scenario.surface.contact == "unilateral":
-        contacts.mu[0] = scenario.friction.coefficient
-    compliances = compliances_of(scenario.compliance, sections, names_of(sections), points + len(stops))
+    contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]
+    contacts.rest_speed[1:points] = [section.rest_speed or 0.0 for section in sections]
+    contacts.joint[points : points + len(stops)] = stops
+    if laws:
+        frictions = contact_frictions(laws, k)
+        links.frictions = address_of(frictions.addresses)
+        links.keep_alive(frictions=frictions)
+        write_laws(contacts, asked)
+    compliances = compliances_of(scenario.compliance, sections, names, k)
     if compliances.members:
         contacts.soft[list(compliances.members)] = 1.0
         links.compliances = address_of(compliances.addresses)
         links.keep_alive(compliances=compliances)
-    if surfaces := surfaces_of(sections, names_of(sections)):
-        asked = contact_surfaces(surfaces, points + len(stops))
-        links.surfaces = address_of(asked.addresses)
-        links.keep_alive(surfaces=asked)
+    if any(section.rolls for section in sections):
+        shapes = shapes_of(sections, robot, k)
+        links.shapes = shapes.address
+        links.keep_alive(shapes=shapes)
+    if surfaces := surfaces_of(sections, names):
+        placed = contact_surfaces(surfaces, k)
+        links.surfaces = address_of(placed.addresses)
+        links.keep_alive(surfaces=placed)
     return memory
+
+
+def laws_of(scenario: Scenario, names: tuple[str, ...]) -> dict[int, tuple[SurfaceFriction, str]]:
+    """Return the laws of friction that are not Coulomb's μ alone, by their contact, and what each is called."""
+    given: list[SurfaceFriction | None] = [scenario.friction, *(each.friction_law for each in scenario.contact or ())]
+    called = ("friction", *(f"contact {name!r}: friction_law" for name in names))
+    return {
+        i: (law, called[i])
+        for i, law in enumerate(given)
+        if law is not None and not isinstance(law, SurfaceCoulomb | NoFriction)
+    }
+
+
+def rows_behind(lag: float, step: float) -> int:
+    """Return how many rows friction that is `lag` behind, s, looks back, and two more; 0 without a lag."""
+    return int(np.ceil(lag / step)) + 3 if lag > 0.0 else 0
+
+
+def write_laws(c: Contacts, laws: dict[int, Contact]) -> None:
+    """Write what laws of friction say of their contacts once, by the number of the contact."""
+    for i, law in laws.items():
+        with of_users(law.member, "friction_law.kind" if i else "friction.kind"):
+            c.friction.sticks[i], c.friction.kinetic[i], c.friction.lag[i] = (
+                STICKING[law.member.sticks],
+                law.kinetic_level,
+                law.lag,
+            )
+            c.friction.capture[i], c.friction.states[i] = law.capture_speed, law.states.size
+
+
+def place_states(contacts: Contacts, tip_at: int, at: int) -> int:
+    """Write where states of laws are in `Work.z`, the tip's at `tip_at`, others from `at` on; return the end."""
+    contacts.friction.states_at[0] = tip_at
+    for i in range(1, contacts.friction.states.size):
+        contacts.friction.states_at[i] = at
+        at += int(contacts.friction.states[i])
+    return at
+
+
+def rest_states(scenario: Scenario, robot: Robot, q: Array, v: Array, memory: ContactMemory, z: Array) -> None:
+    """Write into z the states of the laws of friction of contacts that are closed and at rest at q and q̇ (n,)."""
+    c, laws = memory.contacts, laws_of(scenario, names_of(scenario.contact or ()))
+    for i, (gap, inside) in enumerate(start_places(scenario.contact or (), robot, q), 1):
+        c.past_edge[i] = 1.0 if gap <= HOVERING and inside < 0.0 else 0.0
+        if i in laws and c.friction.states[i] > 0.0 and gap <= HOVERING and inside >= 0.0 and not np.any(v):
+            at = int(c.friction.states_at[i])
+            with of_users(laws[i][0], "friction_law.kind"):
+                z[at : at + int(c.friction.states[i])] = law_at(*laws[i]).rested()
 
 
 def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
@@ -66,7 +135,7 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
     sides: list[tuple[int, int]] = []
     at_a, at_b, along = [], [], []
     for section, name in zip(sections, names_of(sections), strict=True):
-        a, _, point = _placed(robot, poses, section.link, section.at, f"contact {name!r}: link")
+        a, _, point = _placed(robot, poses, section.link, section.point, f"contact {name!r}: link")
         flat = surface_of(section, name) is None
         origin = section.through if flat else (0.0, 0.0, 0.0)
         b, axes, plane = _placed(robot, poses, section.against, origin, f"contact {name!r}: against")
@@ -85,6 +154,17 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
         kinds, np.array(at_a), np.array(at_b), none, np.array(along), np.zeros((m, 5)), np.ones(m), np.zeros(robot.n)
     )
     return make_loop_memory(robot.tree, bound)
+
+
+def shapes_of(sections: tuple[ContactSection, ...], robot: Robot, k: int) -> ShapeMemory:
+    """Return a new memory of the shapes of k contacts, those of the sections from the second on."""
+    poses, found = link_poses(robot.tree, robot.model.loop_home), np.zeros((k, SHAPE))
+    for i, (section, name) in enumerate(zip(sections, names_of(sections), strict=True), 1):
+        if section.rolls:
+            found[i] = shape_of(
+                section, _placed(robot, poses, section.link, section.point, f"contact {name!r}: link")[1]
+            )
+    return make_shape_memory(robot.n, found)
 
 
 def _placed(
@@ -122,46 +202,34 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
         if section.link == section.against:
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
     sides = rows_of(sections, robot).links.kept["bound"].sides.reshape(4, -1)[:, ::3]
-    for i, (name, section, gap) in enumerate(zip(names, sections, start_gaps(sections, robot, q), strict=True)):
+    places = start_places(sections, robot, q)
+    for i, (name, section, (gap, inside)) in enumerate(zip(names, sections, places, strict=True)):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
-        if gap < -HOVERING and not is_soft(section):
+        if gap < -HOVERING and inside >= 0.0 and not is_soft(section):
+            what = "shape" if section.rolls else "point"
             raise ScenarioError(
-                f"contact {name!r}: the point starts {-gap:.4g} m inside the surface: start it outside, or move the "
-                "surface with through"
+                f"contact {name!r}: the {what} starts {-gap:.4g} m inside the surface: "
+                "start it outside, or move the surface with through"
             )
-    _refuse_together(scenario)
 
 
-def start_gaps(sections: tuple[ContactSection, ...], robot: Robot, q: Array) -> list[float]:
-    """Return the gap of each contact at q (n,), m."""
+def start_places(sections: tuple[ContactSection, ...], robot: Robot, q: Array) -> list[tuple[float, float]]:
+    """Return the gap of each contact at q (n,), m, and how far inside the edge of its surface it is, m."""
     rows, names = rows_of(sections, robot), names_of(sections)
     rows.rows.q[:] = q
     interpreted(locate_rows)(rows.links, rows.rows)
-    surfaces, gaps = surfaces_of(sections, names), []
-    for i, name in enumerate(names):
+    surfaces, places = surfaces_of(sections, names), []
+    shapes = shapes_of(sections, robot, len(sections) + 1).shapes
+    for i, (name, section) in enumerate(zip(names, sections, strict=True)):
         place, surface = rows.rows.error[3 * i : 3 * i + 3], surfaces.get(i + 1)
-        gaps.append(float(place[0]) if surface is None else check_surface(surface, place, name))
-    return gaps
+        if section.rolls and surface is None:
+            interpreted(roll_on_plane)(rows.links, rows.rows, shapes, i + 1)
+        now = None if surface is None else check_surface(surface, place, name)
+        places.append((float(place[0]), math.inf) if now is None else (now.gap, now.inside))
+    return places
 
 
 def starts_closed(scenario: Scenario, robot: Robot, q: Array) -> bool:
     """Whether a contact of a link is closed at the start."""
-    return any(gap <= HOVERING for gap in start_gaps(scenario.contact or (), robot, q))
-
-
-def _refuse_together(scenario: Scenario) -> None:
-    """Refuse what does not go with several contacts."""
-    bilateral = scenario.surface.contact == "bilateral"
-    kind = scenario.friction.kind
-    tip = scenario.friction.sticks == "elastic" if bilateral else kind in ("none", "coulomb")
-    for key, wrong, right in (
-        (f"friction.kind = {kind!r}", not tip, "none or one without sticking" if bilateral else "none or coulomb"),
-        ("joint_friction.kind", scenario.joint_friction.sticks == "rigid", "none, or one that sticks as a spring"),
-        ("stabiliser.kind", scenario.stabiliser.kind in ("projection", "both"), "baumgarte or none"),
-        ("surface.extent", scenario.surface.extent is not None, "left out"),
-        ("surface.edge_radius", scenario.surface.edge_radius is not None, "left out"),
-        ("robot.friction", scenario.robot.friction, "false: give joint_friction"),
-    ):
-        if wrong:
-            raise ScenarioError(f"{key}: cannot be combined with [[contact]]: must be {right}")
+    return any(gap <= HOVERING and inside >= 0.0 for gap, inside in start_places(scenario.contact or (), robot, q))

@@ -38,10 +38,12 @@ from closedloop.mechanics.closure.solve import (
     RUBS,
     SINGULAR,
 )
+from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.verdict import DIVERGES
 from closedloop.scenario.gains import gains_fault
-from closedloop.simulation.engines.problem import Problem
+from closedloop.scenario.tables import families_in
+from closedloop.simulation.engines.problem import Problem, contact_members
 
 Array = NDArray[np.float64]
 
@@ -182,24 +184,40 @@ def raised_by_member(problem: Problem, loop: Loop) -> LawError:
     problem.connect(loop, compiled=False)
     for name, entry in problem.entries().items():
         member = getattr(problem.scenario, name)
-        address = int(loop.state.surface_at) if name in ("surface", "surface_motion") else loop.address
+        address = int(loop.state.surface.at) if name in ("surface", "surface_motion") else loop.address
         for what in range(CALLS) if is_users(member) else ():
             try:
                 with np.errstate(all="ignore"), of_users(member, f"{name}.kind"):
                     interpreted(entry)(address, what)
             except ScenarioError as error:
                 return LawError(f"{when(t)}: {error}", t)
+    for each in contact_members(loop):
+        for what in range(CALLS) if is_users(each.member) else ():
+            try:
+                with np.errstate(all="ignore"), of_users(each.member, _key_of(each)):
+                    interpreted(each.entry)(each.address, what)
+            except ScenarioError as error:
+                return LawError(f"{when(t)}: {error}", t)
     return LawError(f"{when(t)}: a function of a class of your own failed", t)
+
+
+def _key_of(called: Called) -> str:
+    """Return the key of a member of a contact of a link, or of the tip's."""
+    return f"contact.{called.contact - 1}.{called.key}.kind" if called.contact else f"{called.key.split('_')[0]}.kind"
 
 
 def member_error(problem: Problem, error: Exception, t: float) -> LawError | None:
     """Return what a user's member raised in an interpreted run as the error of the run; None if none of them did."""
-    for name in problem.entries():
-        member = getattr(problem.scenario, name)
+    members = {f"{name}.kind": getattr(problem.scenario, name) for name in problem.entries()}
+    for i, section in enumerate(problem.scenario.contact or ()):
+        members |= {f"contact.{i}.{key}.kind": getattr(section, key) for key in families_in(type(section))}
+    for key, member in members.items():
         file = getattr(sys.modules.get(type(member).__module__), "__file__", None)
-        if is_users(member) and any(frame.filename == file for frame in extract_tb(error.__traceback__)):
+        if member is None or not is_users(member):
+            continue
+        if any(frame.filename == file for frame in extract_tb(error.__traceback__)):
             try:
-                with of_users(member, f"{name}.kind"):
+                with of_users(member, key):
                     raise error
             except ScenarioError as told:
                 return LawError(f"{when(t)}: {told}", t)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.jit.numba_simd8 import float64x8_at, with_lane
@@ -19,7 +20,7 @@ from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.loop.step.evaluate import bounded, paper_torque
 from closedloop.loop.step.locate import locate_on_plane
-from closedloop.loop.step.memory import Constants, IntArray, Reference, State, Work
+from closedloop.loop.step.memory import Constants, IntArray, State, Work
 from closedloop.loop.step.record_row import Row, record_conditions, record_state
 from closedloop.loop.step.reference_row import nearest_row
 from closedloop.loop.step.singular import near_singular
@@ -88,6 +89,8 @@ class Sizes(NamedTuple):
         Length of such a row.
     order : int
         Of the scheme, see `closedloop.record.report.step_error.resolution_of`.
+    sampled : int
+        Whether the law's torque is held.
     """
 
     nodes: int
@@ -96,6 +99,7 @@ class Sizes(NamedTuple):
     kept: int
     width: int
     order: int
+    sampled: int
 
 
 @entry_kernel
@@ -130,25 +134,25 @@ def run_in_lanes(
         OK, or NEEDS_EVENTS or a status of `closedloop.mechanics.closure.solve` if at least one lane could not go on.
     """
     n, state, kept, width = tree.n, State(state_numbers), sizes.kept, sizes.width
-    stages, steps, hold = state.stages, state.steps, state.hold
-    semi_implicit, unilateral = state.semi_implicit != 0, state.unilateral != 0
+    stages, steps, hold = state.settings.stages, state.settings.steps, state.settings.hold
+    semi_implicit, unilateral = state.settings.semi_implicit != 0, state.settings.unilateral != 0
     at = LaneAddresses(addresses)
     w = Work(float64x8_at(at.work, 0), n, 0, stages, 1)
     terms = float64x8_at(at.terms, n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
     largest = float64x8_at(at.largest, 1)[0]
     constants = Constants(
-        float64x8_at(at.constants, 0), n, state.law_size, state.compensation_size, state.friction_size,
-        state.joint_friction_size, state.compliance_size,
+        float64x8_at(at.constants, 0), n, state.law.size, state.compensation.size, state.friction.size,
+        state.joint_friction.size, state.compliance.size,
     )  # fmt: skip
     forces = float64x8_at(at.forces, sizes.instants)
     rows = float64x8_at(at.rows, kept * width).reshape(kept, width)
     tally, values = Tally(float64x8_at(at.tallies, 0), n), Values(float64x8_at(at.values, 0), n)
-    joint_limits, wanted = JointLimits(limits, n), Reference(w.reference, n)
+    joint_limits, wanted = JointLimits(limits, n), w.reference
     signals = float64x8_at(at.signals, (steps + 1) * SIGNALS).reshape(steps + 1, SIGNALS)
     worst = Worst(float64x8_at(at.worst, 0))
     begin_tally(tally, n, h, largest, sizes.order)
-    w.supplied = 0.0
+    w.supply.energy = 0.0
     for row in range(steps + 1):
         begin, slot = row * h, row % kept
         for stage in range(stages if row < steps else 1):
@@ -157,33 +161,35 @@ def run_in_lanes(
                 node += tableau[stage, i]
             t = begin + node * h
             tree_terms(tree, w.q, w.v, scratch, H, C, (w.J, w.r, w.drift))
-            desired(t, h / sizes.nodes, tables, sizes, forces, w.reference)
+            desired(t, h / sizes.nodes, tables, sizes, forces, wanted)
             sampled = hold == 0 or (stage == 0 and row % hold == 0)
             status = press(H, C, w, constants, t, sampled)
             if status != OK:
                 return status
-            if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.stabiliser_force[0] >= 0.0)):
+            if unilateral and not (every(w.tip.F[0] >= 0.0) and every(w.tip.F[0] - w.tip.stabiliser_force[0] >= 0.0)):
                 return NEEDS_EVENTS
             if stage == 0:
                 record_state(H, C, w, state, rows, slot)
                 potential = energy_there(tree, scratch)
                 write_signals(w, wanted, signals, row, worst)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
-                count_swings(Row(rows[slot], n), wanted, row, max(1, hold), sizes.order, Swings(tally.swings))
+                count_swings(
+                    Row(rows[slot], n), wanted, row, max(1, hold), sizes.order, sizes.sampled, Swings(tally.swings, n)
+                )
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
                 if state.batched == 0:
                     for i in range(slot - slot % BATCH, slot + 1):
                         count_condition(Row(rows[i], n), tally)
                 for j in range(n):
-                    w.begin[j] = w.q[j]
-                    w.begin[n + j] = w.v[j]
+                    w.start.state[j] = w.q[j]
+                    w.start.state[n + j] = w.v[j]
                 save_power(w, state)
             if row < steps:
                 add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w)
         commit_work(w)
-    end_stretch(max(1, hold), sizes.order, Swings(tally.swings))
+    end_stretch(max(1, hold), sizes.order, Swings(tally.swings, n))
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
     return OK
 
@@ -191,7 +197,7 @@ def run_in_lanes(
 @kernel_inlined
 def write_signals(w: Work, wanted: Reference, signals: Array, i: int, worst: Worst) -> None:
     """Write `SIGNALS` numbers of row i, and count it into the worst."""
-    frame, miss, off, height = w.frame, w.F[0] - wanted.force, 0.0, 0.0
+    frame, miss, off, height = w.tip.frame, w.tip.F[0] - wanted.force, 0.0, 0.0
     for a in range(2):
         along = 0.0
         for k in range(3):
@@ -214,9 +220,10 @@ def write_signals(w: Work, wanted: Reference, signals: Array, i: int, worst: Wor
 
 
 @kernel_inlined
-def desired(t: float, spacing: float, tables: IntArray, sizes: Sizes, forces: Array, reference: Array) -> None:
+def desired(t: float, spacing: float, tables: IntArray, sizes: Sizes, forces: Array, wanted: Reference) -> None:
     """Write the reference of each run at t, an instant of the tables; see `closedloop.loop.step.reference_row`."""
     at = nearest_row(t, spacing, sizes.instants)
+    reference = wanted.memory
     width = reference.shape[0]
     first = matrix_at(tables[0], sizes.instants, sizes.columns)
     for j in range(width):
@@ -226,7 +233,7 @@ def desired(t: float, spacing: float, tables: IntArray, sizes: Sizes, forces: Ar
             own = matrix_at(tables[i], sizes.instants, sizes.columns)
             for j in range(width):
                 reference[j] = with_lane(reference[j], i, own[at, j])
-    reference[width - 1] = forces[at]
+    wanted.force = forces[at]
 
 
 @kernel_inlined
@@ -234,17 +241,19 @@ def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: 
     """Evaluate law, contact and Eq. 24 with the tip on a smooth surface; see
     `closedloop.loop.step.evaluate.evaluate`."""
     locate_on_plane(w, constants)
-    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+    status = factorise(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach)
     if status != OK:
         return status
     if sampled:
         paper_torque(C, w, constants, t)
-    free_acceleration(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
-    w.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
-    if near_singular(w.S):
+    free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a)
+    w.tip.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.tip.rate, w.tip.gap)
+    if near_singular(w.tip.S):
         return NEEDS_EVENTS
-    status, w.stabiliser_force[0] = pressed_force(w.S, w.a, w.b[0], w.c, w.viscous, w.F)
+    status, w.tip.stabiliser_force[0] = pressed_force(
+        w.tip.S, w.tip.a, w.tip.b[0], w.friction.c, w.friction.viscous, w.tip.F
+    )
     if status != OK:
         return status
-    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
     return OK if bounded(w) else DIVERGED

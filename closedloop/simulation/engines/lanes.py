@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import jit_disabled, plain
 from closedloop.jit.pointers import address_of
@@ -114,7 +115,7 @@ class LaneRuns:
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else BATCH, Row.count(n))
         (instants, columns), (kept, width) = like.table.shape, self._rows.shape[:2]
-        self._sizes = Sizes(like.nodes, instants, columns, kept, width, resolution_of(like.scenario)[1])
+        self._sizes = Sizes(like.nodes, instants, columns, kept, width, *resolution_of(like.scenario)[1:])
         self._values, self._signals = aligned(Values.count(n)), aligned(like.steps + 1, SIGNALS)
         self._worst = aligned(Worst.count())
         self._limits = joint_limits(like.robot.model)
@@ -127,6 +128,7 @@ class LaneRuns:
         for name, part in self._parts.items():
             setattr(self._addresses, name, address_of(part))
         self._tables: list[Array] = []
+        self._misses, self._has_misses = np.empty((WIDE, like.steps + 1)), False
 
     @property
     def bytes(self) -> int:
@@ -140,19 +142,19 @@ class LaneRuns:
             self._tables.clear()
         self._constants[:, lane] = problem.constants().memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
-        self._work.frame[..., lane] = problem.frame
-        force = problem.table[:, 2 * n + 9]
+        self._work.tip.frame[..., lane] = problem.frame
+        force = problem.table[:, Reference.place("force", n)]
         self._forces[:, lane] = force
         self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
         self._tables.append(problem.table)
 
     def run(self, tree: Tree, count: int) -> bool:
         """Run the first `count` lanes; False if one of them could not be finished here."""
-        for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v, self._work.frame):
+        for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v, self._work.tip.frame):
             part[..., count:] = part[..., :1]  # unused lanes repeat the first
         addresses = [address_of(table) for table in self._tables[:count]]
         tables = np.array(addresses + addresses[:1] * (WIDE - count))
-        self._state.batched = 0
+        self._state.batched, self._has_misses = 0, False
         make_ready(run_in_lanes)
         status = run_in_lanes(
             tree, self._addresses.memory, self._state.memory, self._h, self._tableau, tables, self._sizes, self._limits
@@ -169,18 +171,22 @@ class LaneRuns:
 
     def miss(self, lane: int) -> Array:
         """Return f − f_des, (N,)."""
-        return self._signals[:, 0, lane].copy()
+        if not self._has_misses:  # of all lanes at once: they are in the same cache lines
+            np.copyto(self._misses, self._signals[:, 0].T)
+            self._has_misses = True
+        miss: Array = self._misses[lane]
+        return miss
 
     def signals(self, lane: int) -> tuple[Array, Array, Array, Array]:
         """Return f_des, (N,), f, (N,), the tip less its path along the surface, (N, 3), and the path, (N, 3)."""
         n, nodes = self.n, self._sizes.nodes
         wanted, own = self._forces[::nodes, lane].copy(), self._signals[:, :, lane].T.copy()
-        along = own[1:].T @ self._work.frame[1:, :, lane]
-        return wanted, wanted + own[0], along, self._tables[lane][::nodes, 2 * n : 2 * n + 3]
+        along = own[1:].T @ self._work.tip.frame[1:, :, lane]
+        return wanted, wanted + own[0], along, self._tables[lane][::nodes, Reference.place("position", n)]
 
     def normal(self, lane: int) -> Array:
         """Return the normal (3,) of the plane."""
-        return self._work.frame[0, :, lane].copy()
+        return self._work.tip.frame[0, :, lane].copy()
 
     def rows(self, lane: int) -> Array:
         """Return the rows of a run, if they were kept; the next run overwrites them."""

@@ -20,7 +20,7 @@ def close_reading(w: Work, memory: LoopMemory) -> None:
     Their rank is that at the true state, before it is found in the course of a run.
     """
     links, rows = memory
-    rows.q[:], rows.v[:] = w.true_q, w.true_v
+    rows.q[:], rows.v[:] = w.encoders.true_q, w.encoders.true_v
     interpreted(locate_rows)(links, rows)
     interpreted(factor_rows)(links, rows, rows.error, links.m)
     links.known = links.rank

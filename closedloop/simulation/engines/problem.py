@@ -26,13 +26,14 @@ from closedloop.loop.step.seen import read_joints
 from closedloop.loop.step.soft_contact import compliance_entry
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.sections import AS_IMPACT
+from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.friction.law import Slip
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.compliances.none import Rigid
-from closedloop.simulation.engines.bind_contacts import contact_memory, starts_closed
+from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, starts_closed
 from closedloop.simulation.engines.loop_start import close_reading
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
@@ -60,40 +61,44 @@ class Problem(ScenarioNumbers):
         own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
         surface, joints = self.friction.states, self.joint_friction.states
         motors = 2 * n if self.scenario.transmission.elastic else 0
-        extra = both + self.sensor.states + surface + n * joints + motors
+        rubbed = both + self.sensor.states + surface + n * joints
+        contacts = contact_memory(self.scenario, self.robot) if self.scenario.contact else None
+        tip = both + self.sensor.states
+        extra = (rubbed if contacts is None else place_states(contacts.contacts, tip, rubbed)) + motors
         loop = make_loop(
             n, **self.sizes, extra=extra, stages=self.integrator.stages, ring=self.sensor.ring
         )  # fmt: skip
         state = loop.state
-        state.own_law_states, state.law_states = own, both
-        state.friction_states, state.joint_states, state.sensor_states = surface, joints, self.sensor.states
+        state.law.states, state.law_states = own, both
+        state.friction.states, state.joint_friction.states, state.sensor.states = surface, joints, self.sensor.states
         write_state(self, state)
         if not self.surface.fixed_plane:
             memory = self.surface.memory()
-            state.surface_at = memory.address
+            state.surface.at = memory.address
             loop.w.keep_alive(surface=memory)
         if self.bound:
             loops = step_memory(self.robot, self.stopped)
-            state.loops_at, loops.links.loop = loops.address, state.address
+            state.loops.at, loops.links.loop = loops.address, state.address
             loop.w.keep_alive(loops=loops)
-        if self.robot.model.loops and state.seen != 0:
+        if self.robot.model.loops and state.settings.seen != 0:
             seen = step_memory(self.robot, self.stopped)
-            state.seen_loops_at, seen.links.loop = seen.address, state.address
+            state.loops.seen_at, seen.links.loop = seen.address, state.address
             loop.w.keep_alive(seen_loops=seen)
         write_constants(self, loop.constants)
         write_start(self, state, loop.w)
-        if self.scenario.contact:
-            contacts = contact_memory(self.scenario, self.robot)
-            state.contacts_at, contacts.links.loop = contacts.address, state.address
-            contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(len(self.scenario.contact))
-            contacts.contacts.mode[0] = PRESSED if state.unilateral == 0 else FREE
+        if contacts is not None:
+            rest_states(self.scenario, self.robot, self.q, self.v, contacts, loop.w.z)
+            state.contacts.at, contacts.links.loop = contacts.address, state.address
+            points = len(self.scenario.contact or ())
+            contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(points)
+            contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
             state.together = starts_closed(self.scenario, self.robot, self.q)
             contacts.links.undecided = contacts.links.fresh = state.together
             loop.w.keep_alive(contacts=contacts)
-        if state.encoder != NO_ENCODER and state.phase == STEP_END:
+        if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:
             interpreted(read_joints)(loop.w, loop.constants, state, self.table)
             state.phase = MEASURED
-            if state.seen_loops_at != 0:
+            if state.loops.seen_at != 0:
                 close_reading(loop.w, seen)
         return loop
 
@@ -122,12 +127,10 @@ class Problem(ScenarioNumbers):
     def called(self, loop: Loop, user_law: bool = False) -> list[Any]:
         """Return all entry kernels that the loop of this memory calls by address; see `loop` for `user_law`."""
         entries = list(self.entries(user_law).values())
-        if loop.state.loops_at != 0:
+        if loop.state.loops.at != 0:
             entries.append(closed_loops)
-        if loop.state.contacts_at != 0:
-            links = loop.w.kept["contacts"].links
-            entries += [contacts_in_step, *(links.kept["surfaces"].entries() if links.surfaces != 0 else [])]
-            entries += links.kept["compliances"].entries() if links.compliances != 0 else []
+        if loop.state.contacts.at != 0:
+            entries += [contacts_in_step, *(each.entry for each in contact_members(loop))]
         return entries
 
     def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
@@ -151,28 +154,17 @@ class Problem(ScenarioNumbers):
         address = entry_address if compiled else twin_address
         loop.state.proceed = address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
-            member = getattr(self.scenario, name)
-            try:
-                if not compiled and is_users(member):
-                    entry_address(entry)
-                setattr(loop.state, name, address(entry))
-            except Exception as error:
-                known = {"LawInput": LawInput._fields, "Slip": Slip._fields}
-                if not is_users(member) or isinstance(error, ClosedLoopError):
-                    raise
-                why = why_member_not_compiled(error, type(member), known)
-                raise ScenarioError(f"{name}.kind = {member.kind}: cannot be compiled: {why}") from None
-        if loop.state.loops_at != 0:
-            loop.state.loops = address(closed_loops)
-        if loop.state.contacts_at != 0:
-            loop.state.contacts = address(contacts_in_step)
-            links = loop.w.kept["contacts"].links
-            if links.surfaces != 0:
-                links.kept["surfaces"].connect(address)
-            if links.compliances != 0:
-                links.kept["compliances"].connect(address)
-        if loop.state.surface_motion != 0:
-            loop.w.kept["surface"].links.motion = loop.state.surface_motion
+            getattr(loop.state, name).entry = _address_of(entry, name, getattr(self.scenario, name), compiled)
+        if loop.state.loops.at != 0:
+            loop.state.loops.entry = address(closed_loops)
+        if loop.state.contacts.at != 0:
+            loop.state.contacts.entry = address(contacts_in_step)
+            for each in contact_members(loop):
+                _address_of(each.entry, f"contact.{each.contact - 1}.{each.key}", each.member, compiled)
+            for members in _contact_families(loop):
+                members.connect(address)
+        if loop.state.surface_motion.entry != 0:
+            loop.w.kept["surface"].links.motion = loop.state.surface_motion.entry
         if user_law is not None:
             user_law(compiled)
 
@@ -191,8 +183,41 @@ class Problem(ScenarioNumbers):
             given = contact.restitution
             if contact.restitution_law != AS_IMPACT:
                 law, where = RESTITUTIONS[contact.restitution_law], f"contact.{i - 1}.restitution_law"
-        loop.state.impact_law = RATIOS[law.ratio_of]
+        loop.state.settings.impact_law = RATIOS[law.ratio_of]
         try:
-            loop.constants.restitution = coefficient_at(law, given, -float(loop.w.before[0]), where)
+            loop.constants.restitution = coefficient_at(law, given, -float(loop.w.impact.before[0]), where)
         except ScenarioError as error:
             raise LawError(f"stopped at t = {t:.6g} s: {error}", t) from error.__cause__
+
+
+def _address_of(entry: Any, key: str, member: Any, compiled: bool) -> int:
+    """Return where an entry is, machine code or what an interpreted loop calls; a user's is compiled in either case.
+
+    Raises
+    ------
+    ScenarioError
+        If numba cannot compile it; `key` names the section of the member.
+    """
+    try:
+        if not compiled and is_users(member):
+            entry_address(entry)
+        return entry_address(entry) if compiled else twin_address(entry)
+    except Exception as error:
+        known = {"LawInput": LawInput._fields, "Slip": Slip._fields}
+        if not is_users(member) or isinstance(error, ClosedLoopError):
+            raise
+        why = why_member_not_compiled(error, type(member), known)
+        raise ScenarioError(f"{key}.kind = {member.kind}: cannot be compiled: {why}") from None
+
+
+def _contact_families(loop: Loop) -> list[Any]:
+    """Return the surfaces, compliances and laws of friction of the links' contacts, those that there are."""
+    kept = loop.w.kept["contacts"].links.kept
+    return [kept[name] for name in ("surfaces", "compliances", "frictions") if name in kept]
+
+
+def contact_members(loop: Loop) -> list[Called]:
+    """Return what the links' contacts call by address, and what each is of."""
+    if loop.state.contacts.at == 0:
+        return []
+    return [each for members in _contact_families(loop) for each in members.entries()]

@@ -109,8 +109,9 @@ def proceed_at(address: int, source: int) -> int:
         tip_from_pinocchio(a)
     n = a.n
     state, constants, w = loop_at(a.loop)
+    stages = state.settings.stages
     return proceed(
         fortran_at(a.H, n, n), vector_at(a.C, n), w, constants, state, matrix_at(a.table, a.instants, a.table_width),
-        matrix_at(a.tableau, state.stages + 1, state.stages), matrix_at(a.rows, a.row_count, a.row_width),
+        matrix_at(a.tableau, stages + 1, stages), matrix_at(a.rows, a.row_count, a.row_width),
         matrix_at(a.events, a.event_room, EVENT_WIDTH),
     )  # fmt: skip

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.control.drives import DrivesSection
+from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import start_sensor
 from closedloop.jit.parameters import one_joint_block, parameter_block
 from closedloop.jit.user_code import of_users
@@ -65,25 +66,29 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
 
 def write_state(problem: ScenarioNumbers, state: State) -> None:
     """Write the whole-number state at t = 0."""
-    state.steps, state.hold, state.nodes_per_step = problem.steps, problem.hold, problem.nodes
-    state.project, state.semi_implicit = problem.project, problem.integrator.semi_implicit
-    state.unilateral = problem.scenario.surface.contact == "unilateral"
-    state.impact_law = RATIOS[problem.restitution.ratio_of]
-    state.sticking, state.joint_sticking = sticking(problem.friction), sticking(problem.joint_friction)
-    state.stops = problem.stopped
-    state.feed_forward = problem.scenario.reference.orientation != "free"
-    state.sensor_sampled = problem.sensor.sampled
+    to = state.settings
+    to.steps, to.hold, to.nodes_per_step = problem.steps, problem.hold, problem.nodes
+    to.general, to.project, to.semi_implicit = problem.general, problem.project, problem.integrator.semi_implicit
+    to.unilateral = problem.scenario.surface.contact == "unilateral"
+    to.impact_law = RATIOS[problem.restitution.ratio_of]
+    state.friction.sticking, state.joint_friction.sticking = (
+        sticking(problem.friction),
+        sticking(problem.joint_friction),
+    )
+    to.stops = problem.stopped
+    to.feed_forward = problem.scenario.reference.orientation != "free"
+    state.sensor.sampled = problem.sensor.sampled
     transmission = problem.scenario.transmission
-    state.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
-    state.encoder = reading_kind(problem.scenario)
-    state.balls = len(problem.robot.model.balls)
-    state.drives = problem.scenario.drives != DrivesSection()
-    state.arm_at = Row.count(problem.robot.n) if arm_columns(problem.scenario) else 0
+    to.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
+    to.encoder = reading_kind(problem.scenario)
+    to.balls = len(problem.robot.model.balls)
+    to.drives = problem.scenario.drives != DrivesSection()
+    to.arm_at = Row.count(problem.robot.n) if arm_columns(problem.scenario) else 0
     states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
-    state.states_at = problem.row_width - states if states > 0 else 0
-    state.model_error = problem.scenario.model_error != ModelErrorSection()
-    state.seen = state.model_error or state.elastic or state.encoder
-    state.mode, state.sampled, state.risen = problem.mode, 1, 1
+    to.states_at = problem.row_width - states if states > 0 else 0
+    to.model_error = problem.scenario.model_error != ModelErrorSection()
+    to.seen = to.model_error or to.elastic or to.encoder
+    state.mode, state.sampled, state.cleared = problem.mode, 1, 1
     if problem.project and problem.mode != FREE:
         state.phase, state.next_phase = PROJECTION, STEP_END
 
@@ -92,35 +97,35 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     """Write where the arm, the tip's contact and the states of sensor, friction and motors are at t = 0."""
     n = problem.robot.n
     w.q[:], w.v[:] = problem.q, problem.v
-    w.frame[:] = problem.frame
+    w.tip.frame[:] = problem.frame
     terms = problem.robot.terms(problem.q, problem.v)
     velocity = terms.jacobian @ problem.v
     u = problem.frame @ velocity
-    w.anchor[:] = problem.frame @ terms.position
+    w.tip.anchor[:] = problem.frame @ terms.position
     if not problem.surface.fixed_plane:
         now = problem.surface.touching(terms.position, velocity)
         u -= now.carried
-        state.beside = problem.mode == FREE and now.inside < 0.0 and now.gap <= TOUCHING
-        w.anchor[:] = problem.surface.frame[[1, 2, 0]] @ (terms.position - problem.surface.origin)
+        state.past_edge = problem.mode == FREE and now.inside < 0.0 and now.gap <= TOUCHING
+        w.tip.anchor[:] = problem.surface.frame[[1, 2, 0]] @ (terms.position - problem.surface.origin)
     slip = float(np.hypot(u[1], u[2]))
     if slip > 0.0:
-        w.direction[:] = u[1:] / slip
-    felt = float(problem.table[0, 2 * n + 9]) if problem.mode != FREE else 0.0  # the sensor's history is f_des
+        w.friction.direction[:] = u[1:] / slip
+    felt = float(Reference(problem.table[0], n).force) if problem.mode != FREE else 0.0  # the sensor's history is f_des
     sensor = int(state.law_states)
-    friction = sensor + int(state.sensor_states)
-    joints = friction + int(state.friction_states)
-    start_sensor(felt, problem.sensor.par, w.z[sensor:friction], w.ring)
-    w.measured, w.last_event = w.ring[0], -np.inf
+    friction = sensor + int(state.sensor.states)
+    joints = friction + int(state.friction.states)
+    start_sensor(felt, problem.sensor.par, w.z[sensor:friction], w.sensing.ring)
+    w.sensing.measured, w.last_event = w.sensing.ring[0], -np.inf
     if joints > friction and problem.mode != FREE and slip <= STICK_SPEED:
         with of_users(problem.friction.member, "friction.kind"):
             w.z[friction:joints] = tip_contact(problem).rested()
-    if state.joint_sticking == SPRING_STICK:
-        w.stuck[:] = problem.v == 0.0
-    if state.joint_states > 0:
+    if state.joint_friction.sticking == SPRING_STICK:
+        w.joint_friction.stuck[:] = problem.v == 0.0
+    if state.joint_friction.states > 0:
         with of_users(problem.joint_friction.member, "joint_friction.kind"):
-            motors = joints + n * int(state.joint_states)
+            motors = joints + n * int(state.joint_friction.states)
             w.z[joints:motors] = np.concatenate([joint.rested() for joint in joint_contacts(problem)])
-    if state.elastic:
+    if state.settings.elastic:
         # Each spring carries what holds the arm against gravity and the force desired, so that none is released.
         held = terms.bias - felt * (problem.frame[0] @ terms.jacobian)
         if problem.robot.model.loops:

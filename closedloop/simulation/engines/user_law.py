@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from closedloop.base.errors import DivergenceError, LawError, ScenarioError
 from closedloop.control.law_input import LawInput
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
-from closedloop.jit.kernel import jit_disabled, plain
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import jit_disabled
 from closedloop.loop.step.entries import START, TORQUE, law_input
 from closedloop.loop.step.make_loop import Loop
 from closedloop.mechanics.robot.pinocchio import Terms
@@ -71,18 +72,19 @@ class UserLaw:
     def connect(self, compiled: bool = True) -> None:
         """Write the address of the law into the memory: for a compiled loop, or for an interpreted one."""
         state = self._loop.state
+        state.settings.general = 1
         if not compiled or jit_disabled():
             self._number = self._number or interpreted_address(self._entry)
-            state.law = self._number
+            state.law.entry = self._number
         elif is_compiled(self._law):
             from closedloop.simulation.engines.compiled_law import compiled_law
 
-            state.law = compiled_address(compiled_law(self._law))
+            state.law.entry = compiled_address(compiled_law(self._law))
         else:
             if self._called is None:
                 self._called = callback(self._entry)
                 self._usual_hook, sys.unraisablehook = sys.unraisablehook, self._keep_interruption
-            state.law = self._called[0]
+            state.law.entry = self._called[0]
 
     def close(self) -> None:
         """Release the law: the loop does not call it any more."""
@@ -142,7 +144,7 @@ class UserLaw:
         """Evaluate the law, check the torque, and write it into the memory."""
         state, constants, w = self._loop
         t, n = float(w.time), w.q.size
-        x = plain(law_input)(state, constants, w)
+        x = interpreted(law_input)(state, constants, w)
         given: tuple[Any, ...] = (_copied(x),) if self._ways.sees_input else _copied_terms(t, x)
         try:
             if self._ways.writes:

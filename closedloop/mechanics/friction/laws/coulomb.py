@@ -16,39 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip
-from closedloop.mechanics.friction.quantities import Coefficient, Torque
+from closedloop.mechanics.friction.law import FrictionLaw, JointFriction, Slip, SurfaceFriction, against_slip
+from closedloop.mechanics.friction.quantities import Level, Torque
 
 Array = NDArray[np.float64]
 
 
-class SurfaceCoulomb(SurfaceFriction):
-    """[friction] kind = "coulomb": of one size, against the slip."""
-
-    coefficient: Coefficient = Field(description="coefficient of friction μ, static and kinetic, 1")
-
-    sticks: ClassVar = "rigid"
-
-    @staticmethod
-    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
-        """Write c = μ u/|u|."""
-        against_slip(x, par.coefficient, c)
-
-    @staticmethod
-    def stick_limit(par: Any, z: Any) -> float:
-        """Return μ, or the Coulomb torque, N m."""
-        return par.coefficient  # type: ignore[no-any-return]
-
-    @staticmethod
-    def kinetic_level(par: Any) -> float:
-        """Return the same."""
-        return par.coefficient  # type: ignore[no-any-return]
-
-
-class JointCoulomb(JointFriction):
-    """[joint_friction] kind = "coulomb": of one size, against the motion."""
-
-    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+class Coulomb(FrictionLaw):
+    """The functions of the law, of the surface and of joints."""
 
     sticks: ClassVar = "rigid"
 
@@ -66,3 +41,15 @@ class JointCoulomb(JointFriction):
     def kinetic_level(par: Any) -> float:
         """Return the same."""
         return par.kinetic  # type: ignore[no-any-return]
+
+
+class SurfaceCoulomb(Coulomb, SurfaceFriction):
+    """[friction] kind = "coulomb": of one size, against the slip."""
+
+    coefficient: Level = Field(description="coefficient of friction μ, static and kinetic, 1")
+
+
+class JointCoulomb(Coulomb, JointFriction):
+    """[joint_friction] kind = "coulomb": of one size, against the motion."""
+
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")

@@ -11,50 +11,21 @@ Parameters: μ >= 0, or for a joint the Coulomb torque, N m; b >= 0, N s/m, or f
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip, viscous_part
-from closedloop.mechanics.friction.quantities import Coefficient, JointViscous, Torque, Viscous
+from closedloop.mechanics.friction.laws.coulomb import Coulomb
+from closedloop.mechanics.friction.quantities import JointViscous, Level, Torque, Viscous
 
 Array = NDArray[np.float64]
 
 
-class SurfaceCoulombViscous(SurfaceFriction):
-    """[friction] kind = "coulomb_viscous": Coulomb's, and a force proportional to the slip."""
-
-    coefficient: Coefficient = Field(description="coefficient of friction μ, static and kinetic, 1")
-    viscous: Viscous = Field(description="viscous coefficient b, N s/m, whatever the normal force")
-
-    sticks: ClassVar = "rigid"
-
-    @staticmethod
-    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
-        """Write c = μ u/|u| and w = b u."""
-        against_slip(x, par.coefficient, c)
-        viscous_part(x, par.viscous, w)
-
-    @staticmethod
-    def stick_limit(par: Any, z: Any) -> float:
-        """Return μ, or the Coulomb torque, N m."""
-        return par.coefficient  # type: ignore[no-any-return]
-
-    @staticmethod
-    def kinetic_level(par: Any) -> float:
-        """Return the same."""
-        return par.coefficient  # type: ignore[no-any-return]
-
-
-class JointCoulombViscous(JointFriction):
-    """[joint_friction] kind = "coulomb_viscous": Coulomb's, and a torque proportional to the joint velocity."""
-
-    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
-    viscous: JointViscous = Field(description="viscous coefficient, N m s/rad")
-
-    sticks: ClassVar = "rigid"
+class CoulombViscous(Coulomb):
+    """The functions of the law, of the surface and of joints."""
 
     @staticmethod
     def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
@@ -62,12 +33,16 @@ class JointCoulombViscous(JointFriction):
         against_slip(x, par.kinetic, c)
         viscous_part(x, par.viscous, w)
 
-    @staticmethod
-    def stick_limit(par: Any, z: Any) -> float:
-        """Return μ, or the Coulomb torque, N m."""
-        return par.kinetic  # type: ignore[no-any-return]
 
-    @staticmethod
-    def kinetic_level(par: Any) -> float:
-        """Return the same."""
-        return par.kinetic  # type: ignore[no-any-return]
+class SurfaceCoulombViscous(CoulombViscous, SurfaceFriction):
+    """[friction] kind = "coulomb_viscous": Coulomb's, and a force proportional to the slip."""
+
+    coefficient: Level = Field(description="coefficient of friction μ, static and kinetic, 1")
+    viscous: Viscous = Field(description="viscous coefficient b, N s/m, whatever the normal force")
+
+
+class JointCoulombViscous(CoulombViscous, JointFriction):
+    """[joint_friction] kind = "coulomb_viscous": Coulomb's, and a torque proportional to the joint velocity."""
+
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    viscous: JointViscous = Field(description="viscous coefficient, N m s/rad")

@@ -29,11 +29,11 @@ from pydantic import Field
 
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.bristle import advance, relax, stored
-from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, viscous_part
+from closedloop.mechanics.friction.law import FrictionLaw, JointFriction, Slip, SurfaceFriction, viscous_part
 from closedloop.mechanics.friction.quantities import (
     JointStiffness,
     JointViscous,
-    PositiveCoefficient,
+    PositiveLevel,
     PositiveTorque,
     Stiffness,
     Viscous,
@@ -48,10 +48,10 @@ def yielding(stiffness: float, level: float, speed: float) -> float:
     return stiffness * speed / level
 
 
-class _Bristle:
-    """What the tip and a joint have in common."""
+class Dahl(FrictionLaw):
+    """The functions of the law, of the surface and of joints."""
 
-    slip_states: ClassVar[tuple[str, ...]] = ("deflection",)  # z, m (rad)
+    slip_states: ClassVar = ("deflection",)  # z, m (rad)
 
     @staticmethod
     def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
@@ -59,47 +59,6 @@ class _Bristle:
         for k in range(c.shape[0]):
             c[k] = par.stiffness * z.deflection[k]
         viscous_part(x, par.viscous, w)
-
-    @staticmethod
-    def stored_energy(par: Any, z: Any, stuck: bool) -> float:
-        """Return ½ σ_0 |z|²."""
-        return stored(par.stiffness, z.deflection)
-
-
-class SurfaceDahl(_Bristle, SurfaceFriction):
-    """[friction] kind = "dahl": an elastic bristle that yields at the Coulomb level."""
-
-    coefficient: PositiveCoefficient = Field(description="coefficient of friction μ, 1")
-    stiffness: Stiffness = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
-    viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
-
-    @staticmethod
-    def rates(x: Slip, par: Any, z: Any, stuck: bool, dz: Any) -> None:
-        """Write ż = u − a z."""
-        relax(yielding(par.stiffness, par.coefficient, x.speed), x.u, z.deflection, dz.deflection)
-
-    @staticmethod
-    def advance(x: Slip, par: Any, z: Any, stuck: bool, h: float) -> None:
-        """Overwrite z with its value h seconds later."""
-        advance(yielding(par.stiffness, par.coefficient, x.speed), x.u, h, z.deflection)
-
-    @staticmethod
-    def stick_limit(par: Any, z: Any) -> float:
-        """Return μ."""
-        return par.coefficient  # type: ignore[no-any-return]
-
-    @staticmethod
-    def kinetic_level(par: Any) -> float:
-        """Return μ."""
-        return par.coefficient  # type: ignore[no-any-return]
-
-
-class JointDahl(_Bristle, JointFriction):
-    """[joint_friction] kind = "dahl": an elastic bristle that yields at the Coulomb level."""
-
-    kinetic: PositiveTorque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
-    stiffness: JointStiffness = Field(description="bristle stiffness σ_0, N m/rad")
-    viscous: JointViscous = Field(0.0, description="viscous coefficient, N m s/rad")
 
     @staticmethod
     def rates(x: Slip, par: Any, z: Any, stuck: bool, dz: Any) -> None:
@@ -120,3 +79,24 @@ class JointDahl(_Bristle, JointFriction):
     def kinetic_level(par: Any) -> float:
         """Return μ."""
         return par.kinetic  # type: ignore[no-any-return]
+
+    @staticmethod
+    def stored_energy(par: Any, z: Any, stuck: bool) -> float:
+        """Return ½ σ_0 |z|²."""
+        return stored(par.stiffness, z.deflection)
+
+
+class SurfaceDahl(Dahl, SurfaceFriction):
+    """[friction] kind = "dahl": an elastic bristle that yields at the Coulomb level."""
+
+    coefficient: PositiveLevel = Field(description="coefficient of friction μ, 1")
+    stiffness: Stiffness = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
+    viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
+
+
+class JointDahl(Dahl, JointFriction):
+    """[joint_friction] kind = "dahl": an elastic bristle that yields at the Coulomb level."""
+
+    kinetic: PositiveTorque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    stiffness: JointStiffness = Field(description="bristle stiffness σ_0, N m/rad")
+    viscous: JointViscous = Field(0.0, description="viscous coefficient, N m s/rad")

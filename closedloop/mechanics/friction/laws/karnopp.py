@@ -16,45 +16,22 @@ interest; b >= 0, N s/m (N m s/rad).
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from closedloop.mechanics.friction.law import (
-    FrictionLaw,
-    JointFriction,
-    Slip,
-    SurfaceFriction,
-    against_slip,
-    viscous_part,
-)
+from closedloop.mechanics.friction.law import JointFriction, SurfaceFriction
+from closedloop.mechanics.friction.laws.coulomb_viscous import CoulombViscous
 from closedloop.mechanics.friction.quantities import Coefficient, JointSpeed, JointViscous, SlipSpeed, Torque, Viscous
 
-Array = NDArray[np.float64]
 
-
-class Karnopp(FrictionLaw):
+class Karnopp(CoulombViscous):
     """The functions of the law, of the surface and of joints."""
-
-    sticks: ClassVar = "rigid"
-
-    @staticmethod
-    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
-        """Write c = μ_k u/|u| and w = b u."""
-        against_slip(x, par.kinetic, c)
-        viscous_part(x, par.viscous, w)
 
     @staticmethod
     def stick_limit(par: Any, z: Any) -> float:
         """Return μ_s."""
         return par.static  # type: ignore[no-any-return]
-
-    @staticmethod
-    def kinetic_level(par: Any) -> float:
-        """Return μ_k."""
-        return par.kinetic  # type: ignore[no-any-return]
 
     @staticmethod
     def capture_speed(par: Any) -> float:

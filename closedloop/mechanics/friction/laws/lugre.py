@@ -38,15 +38,16 @@ m/rad); σ_1 >= 0, s/m (N m s/rad); v_d > 0, m/s, infinite as published; b >= 0,
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.friction.bristle import advance, relax, stored
-from closedloop.mechanics.friction.law import FrictionLaw, JointFriction, Slip, SurfaceFriction, viscous_part
+from closedloop.mechanics.friction.bristle import advance, relax
+from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, viscous_part
+from closedloop.mechanics.friction.laws.dahl import Dahl
 from closedloop.mechanics.friction.laws.stribeck import level
 from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
 from closedloop.mechanics.friction.quantities import (
@@ -103,10 +104,8 @@ def is_passive(par: Any, load: float = 1.0) -> bool:
     return bool(par.viscous >= passive_viscous(par, load) or par.damping_speed <= passive_damping_speed(par))
 
 
-class LuGre(FrictionLaw):
+class LuGre(Dahl):
     """The functions of the law, of the surface and of joints."""
-
-    slip_states: ClassVar = ("deflection",)  # z, m (rad)
 
     def resolved(self) -> dict[str, float]:
         """Return what the parameters that are left out are: without a v_d the damping does not fall."""
@@ -148,16 +147,6 @@ class LuGre(FrictionLaw):
     def stick_limit(par: Any, z: Any) -> float:
         """Return μ_s."""
         return par.static  # type: ignore[no-any-return]
-
-    @staticmethod
-    def kinetic_level(par: Any) -> float:
-        """Return μ_k."""
-        return par.kinetic  # type: ignore[no-any-return]
-
-    @staticmethod
-    def stored_energy(par: Any, z: Any, stuck: bool) -> float:
-        """Return ½ σ_0 |z|²."""
-        return stored(par.stiffness, z.deflection)
 
 
 class SurfaceLuGre(LuGre, SurfaceFriction):

@@ -15,21 +15,15 @@ Parameters: 0 <= μ_k <= μ_s, or for a joint torques, N m; v_s > 0, m/s (rad/s)
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.friction.law import (
-    FrictionLaw,
-    JointFriction,
-    Slip,
-    SurfaceFriction,
-    against_slip,
-    viscous_part,
-)
+from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip, viscous_part
+from closedloop.mechanics.friction.laws.coulomb_viscous import CoulombViscous
 from closedloop.mechanics.friction.quantities import (
     Coefficient,
     Exponent,
@@ -58,10 +52,8 @@ def level(kinetic: float, static: float, stribeck_speed: float, exponent: float,
     return kinetic + (static - kinetic) * fall
 
 
-class Stribeck(FrictionLaw):
+class Stribeck(CoulombViscous):
     """The functions of the law, of the surface and of joints."""
-
-    sticks: ClassVar = "rigid"
 
     @staticmethod
     def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
@@ -74,11 +66,6 @@ class Stribeck(FrictionLaw):
     def stick_limit(par: Any, z: Any) -> float:
         """Return μ_s."""
         return par.static  # type: ignore[no-any-return]
-
-    @staticmethod
-    def kinetic_level(par: Any) -> float:
-        """Return μ_k."""
-        return par.kinetic  # type: ignore[no-any-return]
 
 
 class SurfaceStribeck(Stribeck, SurfaceFriction):

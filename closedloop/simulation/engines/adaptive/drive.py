@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DOP853, Radau
 
+from closedloop.loop.events.asked import BEGIN_STEP, EVENT_VALUE, RECORD
 from closedloop.loop.events.phases import INSTANT, OUTPACED, SHALLOW
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, State
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import OK
 from closedloop.simulation.engines.adaptive.crossing import first_crossing
-from closedloop.simulation.engines.adaptive.kernels import BEGIN_STEP, EVENT_VALUE, RECORD
 from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
 from closedloop.simulation.engines.adaptive.slow import (
     EXPLICIT,
@@ -60,10 +61,10 @@ class AdaptiveRun:
         self.problem, self.report = problem, report
         self.memory = Memory(problem, law)
         state = self.memory.state
-        sticking, several = state.sticking, state.contacts_at != 0
+        sticking, several = state.friction.sticking, state.contacts.at != 0
         self.may_rub = sticking != SMOOTH
-        ends = problem.surface.ends or state.stops != 0 or several
-        self.has_events = state.unilateral != 0 or sticking == RIGID_STICK or ends
+        ends = problem.surface.ends or state.settings.stops != 0 or several
+        self.has_events = state.settings.unilateral != 0 or sticking == RIGID_STICK or ends
         self.instants = problem.h * np.arange(problem.steps + 1, dtype=np.float64)
         self.row, self.time, self.y = 0, 0.0, self.memory.get()
         self.tolerance = cast(float, problem.tolerance)
@@ -128,7 +129,7 @@ class AdaptiveRun:
         if self.has_dry_friction:
             self.scheme = choose_scheme(memory.w, memory.state, before)
             if (self.scheme == FIXED_DIRECTION) != (before == FIXED_DIRECTION):
-                memory.w.straight_speed = math.inf if self.scheme == FIXED_DIRECTION else 0.0
+                memory.w.friction.straight_speed = math.inf if self.scheme == FIXED_DIRECTION else 0.0
                 memory.evaluate(self.time, self.y, interval, BEGIN_STEP)
 
     def advance(self, interval: Interval) -> None:
@@ -213,7 +214,7 @@ class AdaptiveRun:
 
         def short(after: float) -> float:
             memory.evaluate(begin + after, within(begin + after), interval, EVENT_VALUE)
-            return SETTLED - float(np.hypot(*memory.w.u[1:]))
+            return SETTLED - float(np.hypot(*memory.w.tip.u[1:]))
 
         return first_crossing(short, length)
 
@@ -225,35 +226,37 @@ class AdaptiveRun:
         def value(name: str) -> Callable[[float], float]:
             def at(after: float) -> float:
                 memory.evaluate(begin + after, within(begin + after), interval, EVENT_VALUE)
-                return float(getattr(w, name))
+                return float(attrgetter(name)(w))
 
             return at
 
         # After liftoff the gap grows with the cube of time at first, no faster than the error; and so does the way of a
         # joint from its stop.
         leaving, stop = max(SHALLOW, 10.0 * self.tolerance), None
-        if state.stops != 0 and state.together == 0:
-            stop = first_crossing(value("stop_margin"), length, leaving)
+        if state.settings.stops != 0 and state.together == 0:
+            stop = first_crossing(value("stops.margin"), length, leaving)
             length = length if stop is None else stop
-        if state.contacts != 0 and state.together == 0:
-            closes = first_crossing(value("contact_margin"), length)
+        if state.contacts.entry != 0 and state.together == 0:
+            closes = first_crossing(value("contacts.margin"), length)
             if closes is not None:
                 stop = length = closes
         if state.mode != FREE or state.together != 0:
-            event = first_crossing(value("event_value"), length)
+            event = first_crossing(value("search.value"), length)
             return stop if event is None else event
-        event = first_crossing(value("event_value"), length, SHALLOW if state.risen != 0 else leaving, value("rate"))
-        if event is None and value("event_value")(length) > leaving:
-            state.risen = 1
-            if state.unilateral != 0 and w.gap > leaving:
-                state.beside = 0
+        event = first_crossing(
+            value("search.value"), length, SHALLOW if state.cleared != 0 else leaving, value("tip.rate")
+        )
+        if event is None and value("search.value")(length) > leaving:
+            state.cleared = 1
+            if state.settings.unilateral != 0 and w.tip.gap > leaving:
+                state.past_edge = 0
         return stop if event is None else event
 
     def apply_event(self, within: Callable[[float], Array], event: float, interval: Interval) -> None:
         """Apply the event; the state is then that just after it."""
         memory, begin, later = self.memory, self.time, 0.0
         before, write_back = State(memory.state.memory.copy()), memory.copied()
-        again = before.mode != FREE or before.stops != 0 or before.contacts != 0
+        again = before.mode != FREE or before.settings.stops != 0 or before.contacts.entry != 0
         while True:
             self.time = begin + event + later
             self.time = memory.apply_event(self.time, within(self.time), interval)
@@ -267,7 +270,7 @@ class AdaptiveRun:
     def refused(self, before: State) -> bool:
         """Whether the event handling left the mode as it was: no event, or a liftoff taken back."""
         state = self.memory.state
-        return bool(state.mode == before.mode and state.events == before.events)
+        return bool(state.mode == before.mode and state.event.rows == before.event.rows)
 
     def record_until(self, end: float, within: Callable[[float], Array], interval: Interval) -> None:
         """Record the rows of the step before `end`, s."""
@@ -278,7 +281,7 @@ class AdaptiveRun:
     def record(self, y: Array, t: float, interval: Interval) -> None:
         """Record the next row at the state y at t, s."""
         state = self.memory.state
-        state.row, state.events_in_step = self.row, max(state.events_in_step - OUTPACED, 0)
+        state.row, state.event.in_step = self.row, max(state.event.in_step - OUTPACED, 0)
         self.memory.evaluate(t, y, interval, RECORD)
         self.row, self.steps_since_row = self.row + 1, 0
         if self.row % 100 == 0:

@@ -13,9 +13,11 @@ from closedloop.base.errors import DivergenceError
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
+from closedloop.loop.events.asked import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import (
     AFTER_EVENT,
+    ASKED,
     AT_EVENT,
     FAILED,
     IMPACT_LAW_WANTED,
@@ -31,7 +33,6 @@ from closedloop.loop.step.memory import RIGID_STICK
 from closedloop.loop.step.turn import turn_rate
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK
-from closedloop.simulation.engines.adaptive.kernels import BEGIN_STEP, DERIVE, EVENT_VALUE, evaluate_on_pinocchio
 from closedloop.simulation.engines.adaptive.smooth import Interval
 from closedloop.simulation.engines.failures import raised_by_member
 from closedloop.simulation.engines.problem import Problem
@@ -76,14 +77,14 @@ class Memory:
         self.loop = problem.loop(user_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
-        make_ready(proceed_at, evaluate_on_pinocchio, *problem.called(self.loop, law is not None))
+        make_ready(proceed_at, *problem.called(self.loop, law is not None))
         problem.connect(self.loop, self.user_law.connect if self.user_law else None)
-        self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
-        self.hold = int(self.state.hold)
+        self.state.settings.adaptive, self.state.settings.nodes_per_step = 1, 0  # there is one row of the table
+        self.hold = int(self.state.settings.hold)
         self.rows = np.zeros((problem.steps + 1, problem.row_width))
         self.events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
-        self._table, self._tableau = problem.table, problem.integrator.tableau()
+        self._tableau = problem.integrator.tableau()
         # The reference at the instant evaluated: a table of one row.
         self._wanted = problem.table[:1].copy()
         self._addresses = addresses_of(robot.views, self.loop, self._wanted, self._tableau, self.rows, self.events)
@@ -91,13 +92,13 @@ class Memory:
     def put(self, y: Array) -> None:
         """Make y the state in the memory, moved to the nearest one that closes the loops if there are any."""
         self.w.q[:], self.w.v[:], self.w.z[:] = y[: self.n], y[self.n : 2 * self.n], y[2 * self.n : -1]
-        self.w.supplied = y[-1]
-        if self.state.loops != 0:  # rows that depend on others do so only where the loops are closed
-            closed_loops(int(self.state.loops_at), CLOSE)
+        self.w.supply.energy = y[-1]
+        if self.state.loops.entry != 0:  # rows that depend on others do so only where the loops are closed
+            closed_loops(int(self.state.loops.at), CLOSE)
 
     def get(self) -> Array:
         """Return a copy of the state in the memory."""
-        return np.concatenate([self.w.q, self.w.v, self.w.z, [self.w.supplied]])
+        return np.concatenate([self.w.q, self.w.v, self.w.z, [self.w.supply.energy]])
 
     def evaluate(self, t: float, y: Array, interval: Interval, use: int) -> None:
         """Evaluate law, friction, contact and Eq. 24 at y at the instant t, s.
@@ -107,7 +108,7 @@ class Memory:
         t, y, interval
             Instant, s, state, and the interval in which the instant lies.
         use : int
-            DERIVE, BEGIN_STEP, EVENT_VALUE (the event function is in w.event_value) or RECORD (in row state.row).
+            DERIVE, BEGIN_STEP, EVENT_VALUE (the event function is in w.search.value) or RECORD (in row state.row).
 
         Raises
         ------
@@ -130,11 +131,11 @@ class Memory:
     def rate(self, t: float, y: Array, interval: Interval) -> Array:
         """Return ẏ (2 n + k + 1,)."""
         self.evaluate(t, y, interval, DERIVE)
-        return np.concatenate([self.position_rates(), self.w.qdd, self.w.dz, [self.w.start_power]])
+        return np.concatenate([self.position_rates(), self.w.qdd, self.w.dz, [self.w.supply.power]])
 
     def position_rates(self) -> Array:
         """Return the rates of the positions in the memory (n,): q̇, but for the rotation vectors of ball joints."""
-        if self.state.balls == 0:
+        if self.state.settings.balls == 0:
             return self.w.v
         rates = self.w.v.copy()
         for j in self.robot.model.balls:
@@ -154,8 +155,8 @@ class Memory:
             self._answer(answer)
             answer = self._proceed()
         # The loop has begun a step already: its beginning is the state at t = 0.
-        self.put(np.append(self.w.begin, self.w.supplied))
-        self.w.substep_work = 0.0
+        self.put(np.append(self.w.start.state, self.w.supply.energy))
+        self.w.supply.work = 0.0
         self._evaluate_for(BEGIN_STEP)
         return clock.perf_counter()
 
@@ -183,10 +184,10 @@ class Memory:
         """
         self.evaluate(t, y, interval, EVENT_VALUE)
         w, alone = self.w, self.state.together == 0
-        rigid = alone and self.state.sticking == RIGID_STICK and self.state.mode == PRESSED
-        slip = w.u[1:]
-        if rigid and 0.0 < np.hypot(*slip) <= 2.0 * self.constants.stick_speed and w.rigid_force > 0.0:
-            braking = -(w.A[1:] @ w.qdd + w.drift_c[1:])
+        rigid = alone and self.state.friction.sticking == RIGID_STICK and self.state.mode == PRESSED
+        slip = w.tip.u[1:]
+        if rigid and 0.0 < np.hypot(*slip) <= 2.0 * self.constants.stick_speed and w.tip.rigid_force > 0.0:
+            braking = -(w.tip.A[1:] @ w.qdd + w.tip.drift_c[1:])
             left = float(slip @ braking) / float(braking @ braking)
             if left > 0.0:
                 t += left
@@ -207,10 +208,10 @@ class Memory:
             if turn > np.pi:
                 y = y.copy()
                 y[j : j + 3] *= 1.0 - 2.0 * np.pi / turn
-        if self.state.loops != 0:
+        if self.state.loops.entry != 0:
             self.put(y)
             y = self.get()
-        if self.state.project == 0 or self.state.mode == FREE:
+        if self.state.settings.project == 0 or self.state.mode == FREE:
             return y
         self.put(y)
         self.state.projections, self.state.next_phase = 0, STEP_END
@@ -241,8 +242,13 @@ class Memory:
 
     def _evaluate_for(self, use: int) -> None:
         """Evaluate the state in the memory."""
+        phase, self.state.phase, self.state.asked = int(self.state.phase), ASKED, use
+        if use == RECORD:
+            self._wanted[0, -1] = self._problem.table[self.state.row * self._problem.nodes, -1]  # the sensor's noise
         self._terms()
-        self._check(evaluate_on_pinocchio(address_of(self._addresses.memory), self._table, use))
+        self._proceed()
+        self._check(OK)
+        self.state.phase = phase
 
     def _proceed(self) -> int:
         answer = proceed_at(address_of(self._addresses.memory), FROM_PINOCCHIO)

@@ -52,4 +52,4 @@ def run_adaptive(
     if isinstance(failure, InterruptedRunError):
         done = rows_there(memory.state, done, problem.robot.n)
     complete_record(memory.loop.address, memory.rows, done)
-    return memory.rows[:done], memory.events[: int(memory.state.events)], failure, seconds
+    return memory.rows[:done], memory.events[: int(memory.state.event.rows)], failure, seconds

@@ -48,13 +48,13 @@ def choose_scheme(w: Work, state: State, before: int) -> int:
 
     The implicit scheme ends at a λ four times smaller than that at which it begins, so that the two do not alternate.
     """
-    if state.sticking != RIGID_STICK or state.mode != PRESSED:
+    if state.friction.sticking != RIGID_STICK or state.mode != PRESSED:
         return EXPLICIT
-    slip, speed = w.u[1:], float(np.hypot(*w.u[1:]))
+    slip, speed = w.tip.u[1:], float(np.hypot(*w.tip.u[1:]))
     if speed < 0.99 * SETTLED:  # not at it, where the step that has come so far ends
         return FIXED_DIRECTION
-    turning = float(np.hypot(*w.c) * abs(w.F[0]) * (w.S[1, 1] + w.S[2, 2]))
-    gaining = abs(float(slip @ (w.A[1:] @ w.qdd + w.drift_c[1:]))) / speed
+    turning = float(np.hypot(*w.friction.c) * abs(w.tip.F[0]) * (w.tip.S[1, 1] + w.tip.S[2, 2]))
+    gaining = abs(float(slip @ (w.tip.A[1:] @ w.qdd + w.tip.drift_c[1:]))) / speed
     ease = 4.0 if before == IMPLICIT else 1.0
     return IMPLICIT if ease * turning > STIFF_RATE * speed and ease * SLOW_CHANGE * turning > gaining else EXPLICIT
 
@@ -63,7 +63,7 @@ def tolerance_for(w: Work, scheme: int, tolerance: float) -> float:
     """Return the relative tolerance of a step: that of the scenario, or less where slip is slow."""
     if scheme == EXPLICIT:
         return tolerance
-    return min(tolerance, DIRECTION_ERROR * max(SETTLED, float(np.hypot(*w.u[1:]))))
+    return min(tolerance, DIRECTION_ERROR * max(SETTLED, float(np.hypot(*w.tip.u[1:]))))
 
 
 def jacobian(rate: Rate, t: float, y: Array, w: Work) -> Array:
@@ -80,9 +80,9 @@ def jacobian(rate: Rate, t: float, y: Array, w: Work) -> Array:
     """
     n = w.q.shape[0]
     slope = rate(t, y)
-    slip = max(SETTLED, float(np.hypot(*w.u[1:])))
+    slip = max(SETTLED, float(np.hypot(*w.tip.u[1:])))
     steps = np.maximum(1.0, np.abs(y)) * 1e-7
-    steps[n : 2 * n] = np.minimum(1e-7, DIRECTION_ERROR * slip / np.maximum(np.hypot(w.A[1], w.A[2]), 1e-3))
+    steps[n : 2 * n] = np.minimum(1e-7, DIRECTION_ERROR * slip / np.maximum(np.hypot(w.tip.A[1], w.tip.A[2]), 1e-3))
     steps[:n] = np.minimum(1e-7, DIRECTION_ERROR * slip / max(float(np.max(np.abs(w.v))), 1e-3 * DIRECTION_ERROR))
     columns = []
     for j, step in enumerate(steps):

@@ -1,0 +1,87 @@
+"""The free bodies of a run: how high each is, how far it has gone, and how far it has turned."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.figures.dress import dress, explain_contact
+from closedloop.figures.style import MANY, MOST_CURVES, length_unit, new_figure
+from closedloop.record.run import Run
+from robot_models.coordinates import PLACES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+def has_bodies(run: Run) -> bool:
+    """Tell whether a body of the run is free."""
+    return bool(run.model.bodies)
+
+
+def turned(quaternions: Array) -> Array:
+    """Return the angle (N,), rad, from 0 to π, by which each of unit quaternions (N, 4) is turned from the first."""
+    along = np.abs(quaternions @ quaternions[0])
+    across = np.linalg.norm(quaternions - np.sign(quaternions @ quaternions[0])[:, None] * quaternions[0], axis=1)
+    angles: Array = 2.0 * np.arctan2(across * np.sqrt(np.maximum(1.0 - 0.25 * across**2, 0.0)), along)
+    return angles
+
+
+def body_motions(run: Run) -> dict[str, tuple[Array, Array]]:
+    """Return the positions (N, 3), m, and quaternions (N, 4) of each free body, by the name of its joint."""
+    names, found = list(run.model.coordinate_names), {}
+    for j in run.model.bodies:
+        name = run.model.joint_names[j].removesuffix(PLACES[0])
+        at = names.index(run.model.joint_names[j])
+        found[name] = run.q[:, at : at + 3], run.q[:, at + 3 : at + 7]
+    return found
+
+
+def bodies(run: Run) -> Figure:
+    """Draw the height of each free body, its distance from the start across, and the angle from its start.
+
+    Of more bodies than can be told apart those that move most are drawn.
+
+    Raises
+    ------
+    ValueError
+        If the run has no free body.
+    """
+    motions = body_motions(run)
+    if not motions:
+        raise ValueError("the run has no free body")
+    size = {name: float(np.max(np.abs(r - r[0]))) for name, (r, _) in motions.items()}
+    shown = sorted(sorted(motions, key=lambda name: -size[name])[:MOST_CURVES], key=list(motions).index)
+    figure = new_figure(height=6.4)
+    panels = figure.subplots(3, 1, sharex=True)
+    across = {name: np.hypot(*(motions[name][0] - motions[name][0][0])[:, :2].T) for name in shown}
+    factor, unit = length_unit(max(float(np.max(each)) for each in across.values()))
+    for k, name in enumerate(shown):
+        r, quaternions = motions[name]
+        style = {"color": MANY[k % len(MANY)], "label": name}
+        panels[0].plot(run.time, 1e3 * r[:, 2], **style)
+        panels[1].plot(run.time, factor * across[name], **style)
+        panels[2].plot(run.time, np.degrees(turned(quaternions)), **style)
+    those = f"the {len(shown)} of {len(motions)} bodies that move most" if len(shown) < len(motions) else ""
+    for axes, (title, label) in zip(
+        panels,
+        (
+            (f"Height{': ' if those else ''}{those}", "z [mm]"),
+            ("Distance from the start, across", f"√(Δx² + Δy²) [{unit}]"),
+            ("Turn from the start", "angle [°]"),
+        ),
+        strict=True,
+    ):
+        axes.margins(y=0.12)
+        last = axes is panels[-1]
+        dress(axes, run, title, label, label_marks=axes is panels[0], show_events=last)
+        if not last:
+            axes.set_xlabel("")
+    handles, names = panels[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 4), fontsize=8)
+    explain_contact(figure, run)
+    return figure

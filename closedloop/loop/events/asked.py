@@ -1,0 +1,56 @@
+"""What an integrator that evaluates any state at any instant is told of one: the phase ASKED of `proceed`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+from closedloop.loop.events.locate import event_function, slip_margin
+from closedloop.loop.events.phases import FAILED, TERMS
+from closedloop.loop.events.stops import measure_stops
+from closedloop.loop.events.substep import save_state
+from closedloop.loop.step.contacts import WATCH
+from closedloop.loop.step.energy_supplied import power
+from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts
+from closedloop.loop.step.record_row import record
+from closedloop.mechanics.closure.contact_force import PRESSED
+from closedloop.mechanics.closure.solve import OK
+
+Array = NDArray[np.float64]
+
+# What a state is evaluated for: its derivative, to begin a step from it, to see how far an event is, to record it.
+DERIVE, BEGIN_STEP, EVENT_VALUE, RECORD = range(4)
+
+
+@kernel
+def answer_asked(
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array
+) -> int:  # fmt: skip
+    """Write what `State.asked` wants of the state that was evaluated, and return TERMS, or FAILED with `State.status`.
+
+    The event function is in w.search.value, the row in `rows`; see `closedloop.loop.events.proceed` for the arguments.
+    """
+    alone = state.together == 0
+    if alone and state.asked != DERIVE:
+        if state.settings.stops != 0:
+            measure_stops(H, C, w, constants, state)
+        state.status = ask_contacts(state, WATCH)
+        if state.status != OK:
+            return FAILED
+    if state.asked == DERIVE:
+        w.supply.power = power(w, state)
+    elif state.asked == BEGIN_STEP:
+        save_state(w, constants, state)
+    elif state.asked == EVENT_VALUE:
+        stop = w.stops.margin  # an event of its own here
+        w.stops.margin = np.inf
+        w.search.value = event_function(w, constants, state)
+        w.stops.margin = stop
+        if state.friction.sticking == RIGID_STICK and state.mode == PRESSED and alone:
+            begun, band = w.start.slip_speed, constants.capture_speed
+            if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
+                w.search.value = min(w.search.value, 1e3 * (slip_margin(w, constants) - constants.stick_speed))
+    else:
+        record(H, C, w, constants, state, table, rows, state.row)
+    return TERMS

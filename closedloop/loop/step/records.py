@@ -1,0 +1,172 @@
+"""The records of `closedloop.loop.step.memory.Work`, each with its owner: what a part of a step works on."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block, Count
+
+Array = NDArray[np.float64]
+
+# Sizes: joints, numbers of state beside q and q̇, samples that the sensor keeps.
+N, K, RING = (Count.of(size) for size in ("n", "k", "ring"))
+
+
+class Search(Block):
+    """The search for an event within a substep."""
+
+    tau: float  # length of a trial substep, s
+    low: float  # bracket of the event searched for, s, with the event function at either end
+    high: float
+    at_low: float
+    at_high: float
+    value: float  # of the event function
+
+
+class Supply(Block):
+    """The energy supplied, see `closedloop.loop.step.energy_supplied`."""
+
+    energy: float  # J
+    work: float  # of the substep, J
+    power: float  # at its beginning, W, and the rate
+    power_rate: float
+
+
+class Impact(Block):
+    """The impact of the tip, contact frame."""
+
+    before: Annotated[Array, 3]  # velocity of the tip, m/s
+    compression: Annotated[Array, 3]  # impulse, N s
+    decompression: Annotated[Array, 3]
+    after: Annotated[Array, 3]
+    discarded_rebound: float  # of a restitution too slow to leave the surface, m/s
+    restitution_given: float
+    energy_rested: float  # what it took so that what parts too slowly rests, J
+
+
+class TipFriction(Block):
+    """Friction at the tip: what it is asked, and its answer F_t = −c f − viscous."""
+
+    c: Annotated[Array, 2]
+    viscous: Annotated[Array, 2]
+    slip: Annotated[Array, 2]  # velocity of slip that friction is asked about
+    direction: Annotated[Array, 2]  # of slip at the beginning of the substep
+    delayed_slip: float  # speed of slip that friction with memory answers to
+    stick_limit: float  # μ_s, beyond which sticking ends
+    straight_speed: float  # up to this speed of slip, m/s, friction acts against `direction`, not against the slip
+    span: float  # by which friction's states are to be advanced, s; the joints' too
+
+
+class TipContact(Block, sizes=("n",)):
+    """The contact of the tip with the surface, and Eq. 24's numbers; contact frame but for the first."""
+
+    frame: Annotated[Array, 3, 3]  # contact frame: rows n, t1, t2, base axes
+    gap: float  # m
+    rate: float  # of the gap, m/s
+    inside: float  # distance of the tip from the edge of a surface that the loop asks, m, negative beyond it
+    rigid_force: float  # of the closure without its stabiliser, by which contact is judged, N
+    p: Annotated[Array, 3]
+    u: Annotated[Array, 3]
+    drift_c: Annotated[Array, 3]  # u̇ = A q̈ + drift_c
+    a: Annotated[Array, 3]  # acceleration without contact
+    F: Annotated[Array, 3]
+    b: Annotated[Array, 3]  # right-hand sides of Eq. 24
+    stabiliser_force: Annotated[Array, 3]  # the stabiliser's part of F
+    S: Annotated[Array, 3, 3]
+    carried: Annotated[Array, 3]  # u = N ṙ − carried and u̇ = N r̈ + turning; zero on a plane at rest
+    turning: Annotated[Array, 3]
+    anchor: Annotated[Array, 3]  # where the tip stuck, see `closedloop.loop.step.locate`
+    A: Annotated[Array, 3, N]
+    X: Annotated[Array, 3, N]  # L⁻¹Aᵀ
+
+
+class LinkContacts(Block, sizes=("n",)):
+    """What the contacts of the links do together, see `closedloop.loop.step.contacts`."""
+
+    margin: float  # in the event function
+    power: float  # of their forces, the tip's apart, W, and its rate with these forces, W/s
+    power_rate: float
+    torque: Annotated[Array, N]  # of the same forces, N m (N)
+
+
+class Stops(Block, sizes=("n",)):
+    """Joints at their stops, see `closedloop.loop.events.stops`."""
+
+    margin: float  # negative once a joint is beyond its stop, rad (m), or is pulled by it, N m (N)
+    side: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
+    torque: Annotated[Array, N]  # what the stops give, N m (N)
+    before: Annotated[Array, N]  # q̇ before an impact, rad/s (m/s), and the sides
+    held: Annotated[Array, N]
+
+
+class JointFriction(Block, sizes=("n",)):
+    """Friction in the joints: what it is asked of each, and its answer −dry − viscous, N m (N)."""
+
+    torque: Annotated[Array, N]  # on the joints
+    stuck: Annotated[Array, N]  # 1 for a joint that sticks as a spring
+    slip: Annotated[Array, N]  # velocity, delayed speed and direction that friction is asked about
+    lagged: Annotated[Array, N]
+    direction: Annotated[Array, N]
+    dry: Annotated[Array, N]
+    viscous: Annotated[Array, N]
+    limit: Annotated[Array, N]  # torque beyond which sticking ends
+    gain: Annotated[Array, N, N]  # answer of q̈ to friction in each joint
+
+
+class Sensing(Block, sizes=("ring",)):
+    """The force sensor."""
+
+    measured: float  # its reading of the latest row, N
+    reading: float  # and at this instant
+    ring: Annotated[Array, RING]  # latest samples
+
+
+class Encoders(Block, sizes=("n",)):
+    """What the encoders read, rad (m) and rad/s (m/s)."""
+
+    true_q: Annotated[Array, N]  # while q and q̇ are what the encoders read
+    true_v: Annotated[Array, N]
+    q: Annotated[Array, N]  # latest readings, and those of the latest row
+    v: Annotated[Array, N]
+    last_q: Annotated[Array, N]
+    last_v: Annotated[Array, N]
+
+
+class Drives(Block, sizes=("n",)):
+    """The drives, and the shafts between them and the links."""
+
+    sampled_at: float  # instant of the latest sample of the law, s
+    held: Annotated[Array, N]  # the Q that acted until the last sample
+    before: Annotated[Array, N]  # Q of the sample before it
+    transmitted: Annotated[Array, N]  # torque on the links of elastic joints
+    limited: Annotated[Array, N]  # see `closedloop.control.drives.AS_ASKED`
+
+
+class Start(Block, sizes=("n", "k")):
+    """The beginning of the substep under way."""
+
+    time: float  # s
+    value: float  # of the event function
+    rate: float  # of the gap, m/s
+    gap: float
+    slip_speed: float
+    contact_margin: float  # see `LinkContacts.margin`
+    slip: Annotated[Array, 2]  # velocity
+    state: Annotated[Array, 2 * N + K]  # q, q̇ and z
+    slope: Annotated[Array, N + K]  # q̈ and ż
+
+
+class Scratch(Block, sizes=("n",)):
+    """What one kernel uses, and nothing outlives."""
+
+    column: Annotated[Array, N]
+    acceleration: Annotated[Array, 3]  # of the tip without contact, and the force, of one answer of many
+    force: Annotated[Array, 3]
+    target: Annotated[Array, 3]  # a right-hand side of Eq. 24, and a force that is of no use
+    unused: Annotated[Array, 3]
+    none: Annotated[Array, 2]  # friction −c f of a contact without
+    dry: Annotated[Array, N]  # torque of joints' friction that is being sought
+    numbers: Annotated[Array, N * N + 3 * N + 224]

@@ -1,0 +1,167 @@
+"""Round shapes that touch a plane: where on a body the contact is, and how that place wanders while the body rolls.
+
+About a point of its link a shape is given by half axes h_i, at most three, and a radius ρ: all points Σ a_i h_i with
+Σ a_i² <= 1, and what is within ρ of them. A radius alone is a ball, three half axes an ellipsoid, two a disc, whose
+edge is a cylinder's rim. With M = Σ h_i h_iᵀ the lowest point along a unit normal n is
+
+    r = −M n/√(nᵀM n) − ρ n          (R. T. Rockafellar, Convex Analysis, Princeton 1970, §13: the support function)
+
+n is fixed in the body of the plane. Relative to that body the shape turns with ω, so that M turns with it, and
+
+    ṙ = ω × r + D (ω × n),     D = M/s − (M n)(M n)ᵀ/s³ + ρ 1,     s = √(nᵀM n)
+
+The material of the shape at the contact has u = u_c + ω × r, of its centre's velocity u_c, and
+u̇ = u̇_c + ω̇ × r + ω × ṙ.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block, Count
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import address_of, integers_at, vector_at
+from closedloop.mechanics.contacts.sections import ContactSection
+
+Array = NDArray[np.float64]
+
+N, K = Count.of("n"), Count.of("k")
+# Numbers of a shape: M (xx, xy, xz, yy, yz, zz), m², in the link's axes, and ρ, m.
+SHAPE = 7
+RADIUS = 6
+# A disc whose axis is tilted from the normal by less than this, rad, lies flat: its edge has no lowest point.
+FLAT = 1e-9
+
+
+class ShapeLinks(Block):
+    """Whole numbers, int64: where the memory is, its own address first."""
+
+    address: int
+    numbers: int  # address of the `Shapes`
+    total: int  # of its numbers
+    n: int  # joints
+    k: int  # contacts, as many as those of `closedloop.mechanics.contacts.memory`
+
+
+class Shapes(Block, sizes=("n", "k")):
+    """The shapes of k contacts, and where each touches; then what the contact asked about last is made of.
+
+    All but `shape` is in axes of the plane, n, t1, t2, or in axes x, y, z of the frame that carries another surface.
+    """
+
+    shape: Annotated[Array, K, SHAPE]  # zeros of a point
+    reach: Annotated[Array, K, 3]  # r, from the centre to the contact, m
+    turns: Annotated[Array, 3, N]  # rows of ω relative to the frame that carries the surface: ω = turns q̇
+    spin: Annotated[Array, 3]  # ω, rad/s
+    spin_rate: Annotated[Array, 3]  # its rate at q̈ = 0, rad/s²
+    wander: Annotated[Array, 3]  # ṙ, m/s
+    normal: Annotated[Array, 3]
+    axes: Annotated[Array, 3, 3]  # of the link that has the shape, as columns
+    directions: Annotated[Array, 3, 3]  # the rows' directions, in base axes
+
+
+SHAPE_LINKS = ShapeLinks.count()
+
+
+@kernel
+def shapes_at(address: int) -> Shapes:
+    """Return the memory of the shapes of contacts, by the address of its `ShapeLinks`."""
+    links = ShapeLinks(integers_at(address, SHAPE_LINKS))
+    return Shapes(vector_at(links.numbers, links.total), links.n, links.k)
+
+
+class ShapeMemory(NamedTuple):
+    """The memory of the shapes of contacts, made in Python: kept as long as its address is used."""
+
+    links: ShapeLinks
+    shapes: Shapes
+
+    @property
+    def address(self) -> int:
+        """Return what `shapes_at` takes."""
+        return int(self.links.address)
+
+
+def make_shape_memory(n: int, shapes: Array) -> ShapeMemory:
+    """Return the memory of the shapes (k, 7) of k contacts of a tree of n joints."""
+    k = len(shapes)
+    links, found = ShapeLinks(np.zeros(SHAPE_LINKS, dtype=np.int64)), Shapes(np.zeros(Shapes.count(n, k)), n, k)
+    links.address, links.numbers, links.total = address_of(links.memory), address_of(found.memory), found.memory.size
+    links.n, links.k = n, k
+    found.shape[:] = shapes
+    return ShapeMemory(links, found)
+
+
+@kernel
+def rolls(shapes: Shapes, i: int) -> bool:
+    """Whether at contact i a round shape touches, and not a point."""
+    s = shapes.shape
+    return bool(s[i, RADIUS] > 0.0 or s[i, 0] + s[i, 3] + s[i, 5] > 0.0)
+
+
+def shape_of(section: ContactSection, rotation: Array) -> Array:
+    """Return the shape (7,) of a contact, in the axes of which those of its frame are the columns of `rotation`."""
+    shape, M = np.zeros(SHAPE), np.zeros((3, 3))
+    for half in section.half_axes or ():
+        turned = rotation @ np.array(half)
+        M += np.outer(turned, turned)
+    shape[:RADIUS] = M[np.triu_indices(3)]
+    shape[RADIUS] = section.radius
+    return shape
+
+
+@kernel
+def lowest_point(shape: Array, axes: Array, n: Array, r: Array) -> float:
+    """Write r (3,), from the shape's centre to its lowest point along the unit normal n (3,), m, and return s, m.
+
+    Parameters
+    ----------
+    shape : (7,) array
+    axes : (3, 3) array
+        Those of the link that has the shape, as columns, in the axes of n and r.
+    """
+    m0 = axes[0, 0] * n[0] + axes[1, 0] * n[1] + axes[2, 0] * n[2]
+    m1 = axes[0, 1] * n[0] + axes[1, 1] * n[1] + axes[2, 1] * n[2]
+    m2 = axes[0, 2] * n[0] + axes[1, 2] * n[1] + axes[2, 2] * n[2]
+    p0 = shape[0] * m0 + shape[1] * m1 + shape[2] * m2
+    p1 = shape[1] * m0 + shape[3] * m1 + shape[4] * m2
+    p2 = shape[2] * m0 + shape[4] * m1 + shape[5] * m2
+    square = m0 * p0 + m1 * p1 + m2 * p2
+    widest = shape[0] + shape[3] + shape[5]
+    s = math.sqrt(square) if square > FLAT * FLAT * widest else 0.0
+    share = 1.0 / s if s > 0.0 else 0.0
+    for i in range(3):
+        r[i] = -share * (axes[i, 0] * p0 + axes[i, 1] * p1 + axes[i, 2] * p2) - shape[RADIUS] * n[i]
+    return s
+
+
+@kernel
+def wandering(shape: Array, axes: Array, n: Array, s: float, r: Array, spin: Array, rate: Array) -> None:
+    """Write ṙ (3,), m/s, of the lowest point of a shape that turns with `spin` (3,), rad/s; see `lowest_point`."""
+    k0 = spin[1] * n[2] - spin[2] * n[1]
+    k1 = spin[2] * n[0] - spin[0] * n[2]
+    k2 = spin[0] * n[1] - spin[1] * n[0]
+    c0 = axes[0, 0] * k0 + axes[1, 0] * k1 + axes[2, 0] * k2
+    c1 = axes[0, 1] * k0 + axes[1, 1] * k1 + axes[2, 1] * k2
+    c2 = axes[0, 2] * k0 + axes[1, 2] * k1 + axes[2, 2] * k2
+    p0 = shape[0] * c0 + shape[1] * c1 + shape[2] * c2
+    p1 = shape[1] * c0 + shape[3] * c1 + shape[4] * c2
+    p2 = shape[2] * c0 + shape[4] * c1 + shape[5] * c2
+    radius = shape[RADIUS]
+    rate[0] = spin[1] * r[2] - spin[2] * r[1] + radius * k0
+    rate[1] = spin[2] * r[0] - spin[0] * r[2] + radius * k1
+    rate[2] = spin[0] * r[1] - spin[1] * r[0] + radius * k2
+    if s == 0.0:
+        return
+    # M n is −s (r + ρ n), and nᵀM (ω × n) its product with ω × n
+    along = 0.0
+    for i in range(3):
+        k = k0 if i == 0 else (k1 if i == 1 else k2)
+        along -= s * (r[i] + radius * n[i]) * k
+    for i in range(3):
+        turned = axes[i, 0] * p0 + axes[i, 1] * p1 + axes[i, 2] * p2
+        rate[i] += turned / s + (r[i] + radius * n[i]) * along / (s * s)

@@ -1,0 +1,269 @@
+"""How near links came to each other and to planes: the least distance of a run, and where links pass through.
+
+The shapes are the collision shapes of the robot's file, or those that are drawn where a URDF has none; of a mesh its
+convex hull. Links joined by a joint, or that touch by a [[contact]], are not compared, nor those that overlap at the
+start: their shapes are made so. Distances of two links are those of coal, negative where they overlap; those from a
+plane are exact. Looked at is a number of rows, and all rows about the nearest of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ModelError
+from closedloop.mechanics.surface.plane import unit
+from closedloop.record.columns.record import Record
+from closedloop.record.columns.touching import placed_frame
+from closedloop.scenario.collision import hull_corners, parts_of
+from robot_models import RobotModel
+from robot_models.collision import CollisionShape, collision_shapes
+from robot_models.coordinates import in_pinocchios_order
+from robot_models.loop_joint import WORLD
+
+Array = NDArray[np.float64]
+
+# Rows that are looked at first, and pairs of shapes that are compared at most.
+MOST_ROWS, MOST_PAIRS = 25, 400
+# What overlaps by less than this, m, is taken to touch.
+TOUCHING = 1e-6
+SURFACE = "the surface"
+
+
+class Clearance(NamedTuple):
+    """The least distance of a run, m, negative where shapes overlap; its instant, s; and between which two it was."""
+
+    distance: float
+    time: float
+    between: tuple[str, str]
+
+
+class Solid(NamedTuple):
+    """A shape of a link: the link's name, the joint that carries it, 0 the base, and its pose (4, 4) in that frame."""
+
+    link: str
+    joint: int
+    place: Array
+    shape: CollisionShape
+
+
+class Plane(NamedTuple):
+    """A plane at rest: its name, unit normal (3,), offset, m, base frame, and the joint whose link has a contact with
+    it, −1 if none: what touches by a contact is not compared."""
+
+    name: str
+    normal: Array
+    offset: float
+    joint: int
+
+
+def clearance(run: Record) -> Clearance | None:
+    """Return the least distance between links, and of links from planes; None where there are no shapes to compare.
+
+    Meshes whose files are not there are left out.
+    """
+    known = np.flatnonzero(np.all(np.isfinite(run.q), axis=1)) if len(run) else np.zeros(0, dtype=int)
+    solids = _solids(run.model) if len(known) else ()
+    if not solids:
+        return None
+    mechanism = run.model.pinocchio_model()
+    rows = _some(known, MOST_ROWS)
+    poses = _poses(run, mechanism, rows)
+    planes = _planes(run, mechanism)
+    found = [_from_plane(run, solids, plane, touching, mechanism, known) for plane, touching in planes]
+    pairs = _pairs(run, mechanism, solids)
+    pairs = [pair for pair in pairs if _distance(*pair, poses[0]) > TOUCHING][:MOST_PAIRS]
+    nearest: tuple[float, int, int] | None = None
+    for at, pose in enumerate(poses):
+        for k, pair in enumerate(pairs):
+            if nearest is None or _bound(*pair, pose) < nearest[0]:
+                nearest = min(nearest or (np.inf, 0, 0), (_distance(*pair, pose), at, k))
+    if nearest is not None and np.isfinite(nearest[0]):
+        low, high = rows[max(nearest[1] - 1, 0)], rows[min(nearest[1] + 1, len(rows) - 1)]
+        near = _some(known[(known >= low) & (known <= high)], 4 * MOST_ROWS)
+        found.append(_nearest_of(run, mechanism, near, pairs[nearest[2]]))
+    return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
+
+
+def clearance_of(run: Record) -> dict[str, Any] | None:
+    """Return `clearance` as the summary has it."""
+    found = clearance(run)
+    return None if found is None else {**found._asdict(), "between": list(found.between)}
+
+
+def _some(rows: NDArray[Any], most: int) -> NDArray[Any]:
+    """Return so many of some rows at most, evenly spaced, the first and the last among them."""
+    return np.unique(rows[np.linspace(0, len(rows) - 1, most).round().astype(int)])
+
+
+def passing_note(found: Mapping[str, Any] | None) -> str:
+    """Return a line where something passes through, by the summary's `clearance`; "" where nothing does."""
+    if found is None or found["distance"] >= -TOUCHING:
+        return ""
+    one, other = found["between"]
+    deep = f"{1e3 * -found['distance']:.3g} mm deep at t = {found['time']:.4g} s"
+    return f"{one} passes through {other}, up to {deep}: nothing in this run keeps their shapes apart"
+
+
+@lru_cache(maxsize=8)
+def _solids(model: RobotModel) -> tuple[Solid, ...]:
+    mechanism = model.pinocchio_model()
+    for visual in (False, True):
+        found = []
+        for link in model.frames:
+            joint, turn, origin = placed_frame(mechanism, link)
+            place = np.eye(4)
+            place[:3, :3], place[:3, 3] = turn, origin
+            try:
+                shapes = collision_shapes(model, link, visual)
+            except ModelError:
+                continue
+            found += [Solid(link, joint, place @ shape.place, shape) for shape in shapes]
+        if found:
+            return tuple(found)
+    return ()
+
+
+def _poses(run: Record, mechanism: Any, rows: NDArray[Any]) -> list[Array]:
+    """Return the frames of the base and the joints (n + 1, 4, 4) in each of these rows."""
+    import pinocchio as pin
+
+    data, found = mechanism.createData(), []
+    for row in rows:
+        pin.forwardKinematics(mechanism, data, in_pinocchios_order(run.q[row], run.model.joint_types))
+        found.append(np.array([place.homogeneous for place in data.oMi]))
+    return found
+
+
+def _pairs(run: Record, mechanism: Any, solids: tuple[Solid, ...]) -> list[tuple[Solid, Solid]]:
+    """Return the shapes that are compared."""
+    touching = set()
+    for section in run.scenario.contact or ():
+        joints = [placed_frame(mechanism, name)[0] for name in (section.link, section.against)]
+        touching.add(frozenset(joints))
+    parents = [int(parent) for parent in mechanism.parents]
+    found = []
+    for a, b in combinations(solids, 2):
+        joined = a.joint == b.joint or parents[a.joint] == b.joint or parents[b.joint] == a.joint
+        joined = a.joint == b.joint or (joined and not _is_free(mechanism, max(a.joint, b.joint)))
+        if not joined and frozenset((a.joint, b.joint)) not in touching:
+            found.append((a, b))
+    return found
+
+
+def _is_free(mechanism: Any, joint: int) -> bool:
+    """Whether a joint is that of a free body, which is joined to nothing."""
+    return bool(mechanism.joints[joint].nv == 6)
+
+
+def _planes(run: Record, mechanism: Any) -> list[tuple[Plane, frozenset[int]]]:
+    """Return the planes at rest, the surface and those of contacts against the world, each once; and who touches it."""
+    scenario, found = run.scenario, []
+    if scenario.surface.kind == "plane" and scenario.surface_motion.kind == "none" and scenario.surface.extent is None:
+        n = np.array(run.surface_normal[0])
+        found.append(Plane(SURFACE, n, float(n @ run.position[0] - run.closure_error[0]), -1))
+    for section in scenario.contact or ():
+        flat = section.surface is None and (section.motion is None or section.motion.kind == "none")
+        if section.against == WORLD and flat:
+            n = unit(section.normal, "normal")
+            joint = placed_frame(mechanism, section.link)[0]
+            found.append(Plane(f"the plane of {section.name!r}", n, float(n @ np.array(section.through)), joint))
+    same: dict[tuple[float, ...], list[Plane]] = {}
+    for plane in found:
+        same.setdefault((*np.round(plane.normal, 9), round(plane.offset, 9)), []).append(plane)
+    return [(planes[0], frozenset(plane.joint for plane in planes)) for planes in same.values()]
+
+
+def _from_plane(
+    run: Record, solids: tuple[Solid, ...], plane: Plane, touching: frozenset[int], mechanism: Any, known: NDArray[Any]
+) -> Clearance | None:
+    """Return the least distance from a plane of the shapes that move, but for those of joints that touch it."""
+    rows = _some(known, 8 * MOST_ROWS)
+    poses, best = np.array(_poses(run, mechanism, rows)), None
+    for solid in solids:
+        if solid.joint == 0 or solid.joint in touching:
+            continue
+        frames = poses[:, solid.joint] @ solid.place
+        n = np.einsum("rji,j->ri", frames[:, :3, :3], plane.normal)  # in the shape's axes
+        height = frames[:, :3, 3] @ plane.normal - plane.offset
+        gaps = height + _lowest(solid.shape, n)
+        if np.max(gaps) < 0.0 and np.ptp(gaps) < TOUCHING:  # it stands through the plane, as a base does
+            continue
+        at = int(np.argmin(gaps))
+        distance = float(gaps[at])
+        if best is None or distance < best.distance:
+            best = Clearance(distance, float(run.time[rows[at]]), (solid.link, plane.name))
+    return best
+
+
+def _lowest(shape: CollisionShape, n: Array) -> Array:
+    """Return how far along the normals n (N, 3), in its axes, the lowest point of a shape is from its origin, m."""
+    if shape.kind == "mesh":
+        lowest: Array = np.min(n @ _hull(shape.vertices.tobytes()).T, axis=1)
+        return lowest
+    found = []
+    for part in parts_of(replace(shape, place=np.eye(4)), ""):
+        H = np.array(part.get("half_axes") or np.zeros((1, 3)))
+        found.append(n @ np.array(part["at"]) - np.linalg.norm(n @ H.T, axis=1) - part.get("radius", 0.0))
+    return np.min(found, axis=0)  # type: ignore[no-any-return]
+
+
+@lru_cache(maxsize=128)
+def _hull(vertices: bytes) -> Array:
+    """Return the corners of the convex hull of a mesh, m."""
+    return hull_corners(np.frombuffer(vertices).reshape(-1, 3))
+
+
+@lru_cache(maxsize=512)
+def _geometry(kind: str, size: tuple[float, ...], vertices: bytes) -> Any:
+    """Return a shape as coal has it, and the radius of a ball about its centre that holds it, m."""
+    import coal
+
+    a, b, c = size
+    if kind == "box":
+        return coal.Box(2 * a, 2 * b, 2 * c), float(np.sqrt(a * a + b * b + c * c))
+    if kind == "sphere":
+        return coal.Sphere(a), a
+    if kind == "capsule":
+        return coal.Capsule(a, 2 * b), a + b
+    if kind == "cylinder":
+        return coal.Cylinder(a, 2 * b), float(np.hypot(a, b))
+    if kind == "ellipsoid":
+        return coal.Ellipsoid(a, b, c), max(size)
+    points, listed = _hull(vertices), coal.StdVec_Vec3s()
+    listed.extend(list(points))
+    return coal.Convex.convexHull(listed, False, None), float(np.max(np.linalg.norm(points, axis=1)))
+
+
+def _made(shape: CollisionShape) -> Any:
+    return _geometry(shape.kind, tuple(shape.size.tolist()), np.ascontiguousarray(shape.vertices).tobytes())
+
+
+def _bound(a: Solid, b: Solid, pose: Array) -> float:
+    """Return a distance that two shapes are not nearer than: that of balls about them, m."""
+    between = (pose[a.joint] @ a.place)[:3, 3] - (pose[b.joint] @ b.place)[:3, 3]
+    return float(np.linalg.norm(between) - _made(a.shape)[1] - _made(b.shape)[1])
+
+
+def _distance(a: Solid, b: Solid, pose: Array) -> float:
+    """Return the distance of two shapes, m, negative where they overlap."""
+    import coal
+
+    placed = []
+    for solid in (a, b):
+        place = pose[solid.joint] @ solid.place
+        placed += [_made(solid.shape)[0], coal.Transform3s(place[:3, :3], place[:3, 3])]
+    return float(coal.distance(*placed, coal.DistanceRequest(), coal.DistanceResult()))
+
+
+def _nearest_of(run: Record, mechanism: Any, rows: NDArray[Any], pair: tuple[Solid, Solid]) -> Clearance:
+    """Return the least distance of two shapes in these rows."""
+    distances = [_distance(*pair, pose) for pose in _poses(run, mechanism, rows)]
+    k = int(np.argmin(distances))
+    return Clearance(distances[k], float(run.time[rows[k]]), (pair[0].link, pair[1].link))

@@ -1,0 +1,137 @@
+"""Contacts of whole links: `at = "collision"` of a [[contact]] as the contacts of the link's collision shapes.
+
+    box                 its eight corners
+    mesh                the corners of its convex hull
+    sphere              a ball
+    capsule             a ball at either end
+    ellipsoid           itself
+    cylinder            the edge of either end, and three points of it, on which it stands
+
+With a plane that is all that can touch. With a curved or moving surface balls and points are what can touch it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ModelError, ScenarioError
+from closedloop.mechanics.contacts.sections import COLLISION, ContactSection
+from closedloop.scenario.contact_names import names_of
+from closedloop.scenario.scenario import Scenario
+from robot_models import RobotModel
+from robot_models.collision import CollisionShape, collision_shapes
+
+Array = NDArray[np.float64]
+
+# Points of each edge of a cylinder on which it stands.
+FEET = 3
+# A corner of a mesh that is inside its convex hull by more than this share of its size makes it not convex.
+INSIDE = 1e-6
+# As many corners as one hull may have.
+MOST_CORNERS = 64
+
+
+def with_collision_shapes(scenario: Scenario, model: RobotModel) -> Scenario:
+    """Return a scenario in which each contact of a link's collision shapes is a contact for each part of them.
+
+    Raises
+    ------
+    ScenarioError
+        If a link has no collision shapes, or a mesh more corners than there may be contacts.
+    ModelError
+        If a mesh cannot be read.
+    """
+    sections = scenario.contact or ()
+    if not any(section.at == COLLISION for section in sections):
+        return scenario
+    found: list[ContactSection] = []
+    for name, section in zip(names_of(sections), sections, strict=True):
+        if section.at != COLLISION:
+            found.append(section if section.name else section.model_copy(update={"name": name}))
+            continue
+        parts = [part for shape in _shapes(section, model, name) for part in parts_of(shape, f"contact {name!r}")]
+        names = [name] if len(parts) == 1 else [f"{name} {k}" for k in range(1, len(parts) + 1)]
+        found += [section.model_copy(update={"name": own} | part) for own, part in zip(names, parts, strict=True)]
+    return scenario.model_copy(update={"contact": tuple(found)})
+
+
+def hulls_taken(scenario: Scenario, model: RobotModel) -> list[str]:
+    """Return a line for each contact that takes the convex hull of a mesh that is not convex."""
+    lines = []
+    sections = scenario.contact or ()
+    for name, section in zip(names_of(sections), sections, strict=True):
+        for shape in _shapes(section, model, name) if section.at == COLLISION else ():
+            if shape.kind == "mesh":
+                depth, size = _hollow(shape.vertices), float(np.max(np.ptp(shape.vertices, axis=0)))
+                if depth > INSIDE * size:
+                    lines.append(
+                        f"contact {name!r}: the mesh {shape.file!r} is not convex: its convex hull touches, up to "
+                        f"{depth:.3g} m outside of it"
+                    )
+    return lines
+
+
+def _shapes(section: ContactSection, model: RobotModel, name: str) -> list[CollisionShape]:
+    try:
+        model.require_frame(section.link)
+    except ModelError as error:
+        raise ScenarioError(f"contact {name!r}: link: {error}") from None
+    shapes = collision_shapes(model, section.link)
+    if not shapes:
+        raise ScenarioError(
+            f"contact {name!r}: at = {COLLISION!r}: link {section.link!r} of {model.name} has no collision shape: give "
+            "at as a point or a list of points"
+        )
+    return shapes
+
+
+def parts_of(shape: CollisionShape, where: str) -> list[dict[str, Any]]:
+    """Return what of a shape can touch, as the keys of a contact each: at, radius, half_axes."""
+    turn, origin, (a, b, c) = shape.place[:3, :3], shape.place[:3, 3], shape.size
+
+    def at(point: Any) -> tuple[float, ...]:
+        return tuple((origin + turn @ np.asarray(point, dtype=float)).tolist())
+
+    def half_axes(lengths: Any) -> tuple[tuple[float, ...], ...]:
+        return tuple(tuple((length * turn[:, i]).tolist()) for i, length in enumerate(lengths))
+
+    if shape.kind == "box":
+        return [{"at": at((x, y, z))} for z in (-c, c) for y in (-b, b) for x in (-a, a)]
+    if shape.kind == "sphere":
+        return [{"at": at(np.zeros(3)), "radius": float(a)}]
+    if shape.kind == "capsule":
+        return [{"at": at((0, 0, end * b)), "radius": float(a)} for end in (-1, 1)]
+    if shape.kind == "ellipsoid":
+        return [{"at": at(np.zeros(3)), "half_axes": half_axes(shape.size)}]
+    if shape.kind == "cylinder":
+        angles = 2.0 * np.pi * np.arange(FEET) / FEET
+        feet = [(a * np.cos(x), a * np.sin(x)) for x in angles]
+        edges = [{"at": at((0, 0, end * b)), "half_axes": half_axes((a, a))} for end in (-1, 1)]
+        return edges + [{"at": at((x, y, end * b))} for end in (-1, 1) for x, y in feet]
+    corners = hull_corners(shape.vertices)
+    if len(corners) > MOST_CORNERS:
+        raise ScenarioError(
+            f"{where}: the convex hull of the mesh {shape.file!r} has {len(corners)} corners; at most {MOST_CORNERS}: "
+            "give a simpler mesh, or at as a list of points"
+        )
+    return [{"at": at(corner)} for corner in corners]
+
+
+def hull_corners(vertices: Array) -> Array:
+    """Return the corners (k, 3) of the convex hull of points (V, 3), in their order."""
+    from scipy.spatial import ConvexHull
+
+    corners: Array = vertices[np.sort(ConvexHull(vertices).vertices)]
+    return corners
+
+
+def _hollow(vertices: Array) -> float:
+    """Return how far the point deepest within the convex hull of points (V, 3) is from its faces, m."""
+    from scipy.spatial import ConvexHull
+
+    faces = ConvexHull(vertices).equations
+    inside: Array = -(vertices @ faces[:, :3].T + faces[:, 3])
+    return float(np.max(np.min(inside, axis=1)))

@@ -1,0 +1,1 @@
+"""Many simulations that are stepped side by side, driven from outside."""

@@ -1,0 +1,264 @@
+"""The memory of one of several simulations that are stepped side by side, and the kernels that step it.
+
+A member goes from one control instant to the next in one call: what the action sets is held until then, events within
+are located as in any run. At the end the row of the record is there, but the step after it begins with the next action.
+So the loop's memory is copied just before that row is evaluated (the mark), and put back once the action is known, as
+`closedloop.simulation.stepper` does it: what happens is to the same bits what `closedloop.Simulator` does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, row_of, vector_at
+from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TERMS
+from closedloop.loop.events.table import EVENT_WIDTH, EventRow
+from closedloop.loop.step.memory import State, loop_at
+from closedloop.loop.step.record_row import Row
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.robot.tree import Tree, tree_terms
+from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# What `Member.request` is at a control instant, where an action is waited for.
+WAITING = -1
+# What a number of an action sets: torque of a joint; desired force; displacement of the desired tip along an axis of
+# the contact frame; a number of the law's parameters.
+TORQUE, FORCE, SHIFT, PARAMETER = range(4)
+
+
+class Member(Block):
+    """Whole numbers, int64: where the memory of a simulation is, and where it stands."""
+
+    addresses: int  # see `closedloop.simulation.engines.proceed.Addresses`
+    links: int  # the robot, see `closedloop.mechanics.robot.tree.Tree`
+    constants: int
+    constants_size: int
+    blocks: int
+    once: int
+    carrier: int
+    serial: int
+    balls: int
+    scratch: int  # address and size of the scratch of its kernels
+    scratch_size: int
+    copied: int  # address of rows (from, to, length) of the memory that the mark is a copy of, and how many there are
+    copied_count: int
+    reading: int  # address of the reading of the force sensor in the mark
+    boundary: int  # address of the reference's row at the next control instant, before an action displaced it
+    displaced: int  # 1 if one did
+    window: int  # address of the rows that are kept, how many there is room for, and which row is the first
+    room: int
+    first: int
+    keep: int  # how many earlier rows a step may read or write
+    begins: int  # the phase that a row begins with
+    held: int  # 1 if a torque from outside acts; 0: the scenario's law
+    strike: int  # address of what computes an impact; 0: Python does
+    steps: int  # between two control instants
+    target: int  # the row of the next control instant
+    marked: int  # 1 if the mark is of the latest control instant
+    known: int  # 1 if the terms are those of the state in the loop's memory
+    request: int  # what the loop asked for last
+
+
+class Between(Block):
+    """What happened between two control instants, the later one included."""
+
+    largest_force: float  # largest contact force at a row, N
+    smallest_force: float
+    free_rows: float  # rows at which the tip was free
+    events: float  # how many there were
+    impulse: float  # largest impulse along the normal, N s
+    measured: float  # the force sensor's reading as a law has it at the control instant, N
+
+
+MEMBER, BETWEEN = Member.count(), Between.count()
+
+
+@entry_kernel
+def strike(address: int, what: int) -> int:
+    """Compute the impulses of an impact, as `collide` does; called by address."""
+    collide(address)
+    return what
+
+
+@kernel
+def copy_memory(m: Member, back: bool) -> None:
+    """Copy the loop's memory into the mark, or back."""
+    listed = integers_at(m.copied, 3 * m.copied_count)
+    for i in range(m.copied_count):
+        memory = integers_at(listed[3 * i], listed[3 * i + 2])
+        mark = integers_at(listed[3 * i + 1], listed[3 * i + 2])
+        if back:
+            for j in range(memory.shape[0]):
+                memory[j] = mark[j]
+        else:
+            for j in range(memory.shape[0]):
+                mark[j] = memory[j]
+
+
+@kernel
+def go_back(m: Member, state: State) -> None:
+    """Put the loop back to just before the row of the latest control instant was recorded."""
+    copy_memory(m, True)
+    if state.row > 0 and (state.mode != FREE or state.contacts.at != 0):
+        state.trial.off = 1  # the step before has been searched, with what acted in it
+    state.event.rows, state.batched = 0, 0
+    m.marked = 0
+    m.known = 1 if state.settings.encoder == 0 else 0  # with encoders other terms have been evaluated since
+
+
+@kernel
+def make_room(m: Member, a: Addresses, row: int) -> None:
+    """Move the rows before `row` that are still needed to the front, if the next control instant's has no place."""
+    if m.target - m.first < m.room:
+        return
+    width, begin = a.row_width, max(row - m.keep, m.first)
+    rows, moved = vector_at(m.window, m.room * width), (begin - m.first) * width
+    for i in range((row - begin) * width):
+        rows[i] = rows[moved + i]
+    m.first = begin
+    a.rows = m.window - 8 * begin * width
+
+
+@kernel
+def act(m: Member, a: Addresses, action: Array, plan: IntArray) -> None:
+    """Let an action (k,) act until the next control instant.
+
+    Parameters
+    ----------
+    m, a
+        The member, which stands at a control instant.
+    action : (k,) array
+        SI units.
+    plan : (l, 3) array
+        What is set (TORQUE ...), at which place, and by which number of the action.
+    """
+    state, constants, w = loop_at(a.loop)
+    n, nodes = a.n, state.settings.nodes_per_step
+    table = matrix_at(a.table, a.instants, a.table_width)
+    begin, end = (m.target - m.steps) * nodes, m.target * nodes
+    boundary = vector_at(m.boundary, 3)
+    for i in range(3):  # the last of the rows that were displaced before is displaced by this action instead
+        if m.displaced != 0:
+            table[begin, 2 * n + i] = boundary[i]
+        boundary[i] = table[end, 2 * n + i]
+    m.displaced = 0
+    for i in range(plan.shape[0]):
+        what, place, x = plan[i, 0], plan[i, 1], action[plan[i, 2]]
+        if what == TORQUE:
+            w.torque[place] = x * constants.driven[place]
+        elif what == FORCE:
+            for t in range(begin, end + 1):
+                table[t, 2 * n + 9] = x
+        elif what == SHIFT:
+            m.displaced = 1
+            for t in range(begin, end + 1):
+                for j in range(3):
+                    table[t, 2 * n + j] += x * w.tip.frame[place, j]
+        else:
+            constants.law[place] = x
+
+
+@kernel
+def to_target(m: Member, a: Addresses) -> int:
+    """Go on until the row of the next control instant is recorded, or something is asked for, and return the request.
+
+    DONE if the row is recorded; else see `closedloop.loop.events.proceed.proceed`.
+    """
+    state, _, w = loop_at(a.loop)
+    n = a.n
+    H, C = fortran_at(a.H, n, n), vector_at(a.C, n)
+    tree = Tree(
+        n, m.blocks, m.once, m.carrier, m.serial, integers_at(m.links, 6 * n),
+        vector_at(m.constants, m.constants_size), m.balls,
+    )  # fmt: skip
+    scratch = vector_at(m.scratch, m.scratch_size)
+    while True:
+        if m.known == 0:
+            tree_terms(tree, w.q, w.v, scratch, H, C, (w.J, w.r, w.drift))
+        m.known = 0
+        # At t = 0 only the first time: which events there are then depends on the action.
+        if state.phase == m.begins and state.row == m.target and (m.target > 0 or m.marked == 0):
+            copy_memory(m, False)
+            m.marked = 1
+        if m.held != 0:
+            state.sampled = 0
+        request = call_at(state.proceed, m.addresses, IN_MEMORY)
+        if request == TERMS:
+            if state.row > m.target:
+                return DONE
+        elif request == IMPACT_LAW_WANTED and m.strike != 0:
+            call_at(m.strike, a.loop, 0)
+            m.known = 1  # the impulses are applied with what is in memory
+        else:
+            return request
+
+
+@kernel
+def tell(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> None:
+    """Write the row of the control instant, what is desired there, and `Between`."""
+    state, _, _ = loop_at(a.loop)
+    n, here = a.n, m.target - m.first
+    rows = matrix_at(m.window, m.room, a.row_width)
+    table = matrix_at(a.table, a.instants, a.table_width)
+    for j in range(a.row_width):
+        row[j] = rows[here, j]
+    for j in range(2 * n + 10):
+        wanted[j] = table[m.target * state.settings.nodes_per_step, j]
+    b = Between(between)
+    b.largest_force, b.smallest_force, b.free_rows = -np.inf, np.inf, 0.0
+    for i in range(max(here - m.steps + 1, 0), here + 1):
+        each = Row(row_of(rows, i), n)
+        b.largest_force = max(b.largest_force, each.contact_force)
+        b.smallest_force = min(b.smallest_force, each.contact_force)
+        if each.mode == FREE:
+            b.free_rows += 1.0
+    b.events, b.impulse = state.event.rows, 0.0
+    b.measured = vector_at(m.reading, 1)[0]
+    events = matrix_at(a.events, a.event_room, EVENT_WIDTH)
+    for i in range(state.event.rows):
+        event = EventRow(row_of(events, i))
+        b.impulse = max(b.impulse, event.compression + event.decompression)
+
+
+@entry_kernel
+def step_members(
+    members: IntArray, going: IntArray, first: int, last: int, actions: Array, plan: IntArray, rows: Array,
+    wanted: Array, between: Array,
+) -> None:  # fmt: skip
+    """Step some members to their next control instant, without Python.
+
+    Parameters
+    ----------
+    members : (N, MEMBER) array
+        The memory of each.
+    going : (M,) array
+        Numbers of those that are stepped.
+    first, last : int
+        Which entries of `going` are dealt with.
+    actions, plan
+        (N, k) and (l, 3), see `act`; they act where a member stands at a control instant (WAITING).
+    rows, wanted, between : (N, ...) arrays
+        Written, see `tell`, of members that reach it. The others' `Member.request` says what they ask for.
+    """
+    for at in range(first, last):
+        i = going[at]
+        m = Member(row_of(members, i))
+        a = Addresses(integers_at(m.addresses, ADDRESSES))
+        if m.request == WAITING:
+            state, _, _ = loop_at(a.loop)
+            go_back(m, state)
+            m.target += m.steps
+            make_room(m, a, state.row)
+            act(m, a, row_of(actions, i), plan)
+        m.request = to_target(m, a)
+        if m.request == DONE:
+            tell(m, a, row_of(rows, i), row_of(wanted, i), row_of(between, i))
+            m.request = WAITING

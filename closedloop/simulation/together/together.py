@@ -1,0 +1,277 @@
+"""Several simulations of the same arm, stepped side by side from control instant to control instant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError, SimulationError
+from closedloop.jit.background import make_ready
+from closedloop.jit.calls import entry_address
+from closedloop.jit.pointers import address_of
+from closedloop.loop.events.phases import FAILED, MEASURED, STEP_END, TERMS
+from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.memory import Work
+from closedloop.mechanics.closure.conditioning import BATCH
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.robot.tree import Tree
+from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
+from closedloop.simulation.engines.loops import COMPILED, kernels_of
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.proceed import addresses_of, set_events
+from closedloop.simulation.loop_calls import Answers
+from closedloop.simulation.together.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Rows that the window of a member has beside those that it must keep: it moves them once in so many.
+SPARE = 64
+
+
+class _One:
+    """One simulation: what owns the memory that its `Member` has the addresses of."""
+
+    def __init__(self, problem: Problem, steps: int, held: bool, own: IntArray, tree: Tree) -> None:
+        problem = replace(problem, table=problem.table.copy())  # that of a cache may be another's next
+        self.problem, self.loop = problem, problem.loop()
+        problem.connect(self.loop)
+        self.answers = Answers(problem, self.loop)
+        n, width = problem.robot.n, problem.row_width
+        constants = self.loop.constants
+        lag = max(float(constants.lag), float(np.max(constants.joint_lag, initial=0.0)))
+        keep = max(BATCH, int(lag / problem.h) + 3)
+        window = np.zeros((keep + steps + SPARE, width))
+        H, C, scratch = compiled_terms(compiled_work(n), n)
+        tableau = np.ascontiguousarray(problem.integrator.tableau())
+        self.addresses = addresses_of((H, C), self.loop, problem.table, tableau, window, self.answers.events)
+        # The batch of condition numbers starts anew at each control instant; scratch is kept from no call to the next.
+        w, sizes = self.loop.w, self.loop.w.sizes
+        batch, after = Work.place("batch", *sizes), Work.place("z", *sizes)
+        assert isinstance(batch, slice)
+        assert isinstance(after, slice)
+        memory = [self.loop.state.memory, w.memory[: batch.start], w.memory[after.start :]]
+        memory += [block.memory for block in self.loop.w.kept.get("contacts", ())]
+        marks = [each.copy() for each in memory]
+        reading = Work.place("sensing.measured", *sizes)
+        assert isinstance(reading, int)
+        copied = np.array(
+            [(address_of(a), address_of(b), a.size) for a, b in zip(memory, marks, strict=True)], dtype=np.int64
+        )
+        self.addresses.row_count = problem.steps + 1  # the window stands for all of them, see `make_room`
+        boundary = np.zeros(3)
+        own[:] = 0
+        self.member = m = Member(own)
+        m.addresses, m.links, m.constants = map(address_of, (self.addresses.memory, tree.links, tree.constants))
+        m.constants_size, m.scratch, m.scratch_size = tree.constants.size, address_of(scratch), scratch.size
+        m.blocks, m.once, m.carrier, m.serial, m.balls = tree.blocks, tree.once, tree.carrier, tree.serial, tree.balls
+        m.copied, m.copied_count, m.boundary = address_of(copied), len(copied), address_of(boundary)
+        m.window, m.room, m.keep = address_of(window), len(window), keep
+        m.begins = MEASURED if self.loop.state.settings.encoder else STEP_END
+        m.held, m.steps, m.request = held, steps, TERMS
+        m.reading = address_of(marks[2][reading - after.start :])
+        if may_strike_compiled(problem):
+            problem.set_restitution(self.loop)
+            m.strike = entry_address(strike)
+        m.keep_alive(tree=tree, scratch=scratch, copied=copied, marks=marks, boundary=boundary, window=window, H=H, C=C)
+
+    def answer(self) -> SimulationError | None:
+        """Answer what the simulation asks for, or return why it cannot go on."""
+        request = int(self.member.request)
+        if request == FAILED:
+            law = "torque" if self.member.held else None
+            return self.answers.failure(law, None)
+        self.answers.give(request)
+        set_events(self.addresses, self.answers.events)
+        return None
+
+
+def may_strike_compiled(problem: Problem) -> bool:
+    """Whether an impact's coefficient of restitution is known before: of links, or a user's, it is not."""
+    own = problem.scenario.contact or ()
+    return not own and problem.restitution.__module__.startswith("closedloop.")
+
+
+class Together:
+    """Simulations of the same arm that are stepped side by side, on several threads.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    steps : int
+        Steps between two control instants.
+    plan : (l, 3) array
+        What an action sets, see `closedloop.simulation.together.member.act`.
+    numbers : int
+        Numbers of an action.
+    held : bool
+        Whether torques from outside act in place of the scenarios' laws.
+    threads : int
+        The results are the same, to the last bit, for any number.
+
+    Attributes
+    ----------
+    rows : (count, width) array
+        The recorded row of each at its control instant, see `closedloop.loop.step.record_row.Row`; without the
+        condition number.
+    wanted : (count, 2 n + 10) array
+        What is desired there, see `closedloop.loop.step.memory.Reference`.
+    between : (count, BETWEEN) array
+        What happened since the control instant before, see `closedloop.simulation.together.member.Between`.
+    actions : (count, k) array
+        To be written before `step`, SI units.
+    failures, failed : list, (count,) array of bool
+        Why each could not go on, or None; and whether.
+    """
+
+    def __init__(
+        self, count: int, steps: int, plan: IntArray, numbers: int, *, held: bool = False, threads: int = 1
+    ) -> None:
+        self.count, self.steps, self.threads = count, steps, max(1, min(threads, count))
+        self._plan, self._held = plan, held
+        self.actions: Array = np.zeros((count, numbers))
+        self.between: Array = np.zeros((count, BETWEEN))
+        self.failures: list[SimulationError | None] = [None] * count
+        self.failed: NDArray[np.bool_] = np.zeros(count, dtype=np.bool_)
+        self._last: IntArray = np.zeros(count, dtype=np.int64)  # from the row of which there is a control instant more
+        self._members: IntArray = np.zeros((count, MEMBER), dtype=np.int64)
+        self._ones: list[_One | None] = [None] * count
+        self._ready: set[Any] = set()  # kernels that are compiled
+        self._trees: WeakKeyDictionary[Robot, Tree] = WeakKeyDictionary()
+        self._pool: ThreadPoolExecutor | None = None
+        self.rows: Array = np.zeros((count, 0))
+        self.wanted: Array = np.zeros((count, 0))
+
+    def begin(self, i: int, problem: Problem) -> None:
+        """Let simulation `i` be this problem's, before its first row; `start` records that.
+
+        Raises
+        ------
+        ScenarioError
+            If a torque cannot act from outside, or the arm has another number of joints than the others.
+        """
+        if self._held:
+            refuse_torque(problem)
+        if self.rows.shape[1] == 0:
+            self.rows = np.zeros((self.count, problem.row_width))
+            self.wanted = np.zeros((self.count, 2 * problem.robot.n + 10))
+        if self.rows.shape[1] != problem.row_width:
+            raise ScenarioError(
+                f"{problem.scenario.name}: its record has {problem.row_width} numbers a row, that of the others "
+                f"{self.rows.shape[1]}: simulations that are stepped side by side must be of the same arm and contacts"
+            )
+        self._ones[i] = one = _One(problem, self.steps, self._held, self._members[i], self._tree(problem))
+        missing = {*kernels_of(COMPILED), step_members, strike, *problem.called(one.loop)} - self._ready
+        if missing:
+            make_ready(*missing)
+            self._ready |= missing
+        self.failures[i], self.failed[i] = None, False
+        self._last[i] = problem.steps - self.steps
+
+    def _tree(self, problem: Problem) -> Tree:
+        robot = problem.robot
+        if robot not in self._trees:
+            self._trees[robot] = compiled_tree(problem)
+        return self._trees[robot]
+
+    def problem(self, i: int) -> Problem:
+        """Return the problem of simulation `i`."""
+        one = self._ones[i]
+        assert one is not None
+        return one.problem
+
+    def loop(self, i: int) -> Loop:
+        """Return the loop's memory of simulation `i`."""
+        one = self._ones[i]
+        assert one is not None
+        return one.loop
+
+    def left(self, i: int) -> int:
+        """Return how many more control instants simulation `i` has."""
+        one = self._ones[i]
+        assert one is not None
+        return (one.problem.steps - int(one.member.target)) // self.steps
+
+    def start(self, some: Iterable[int]) -> None:
+        """Record the first row of these simulations."""
+        self._go(some)
+
+    def step(self, some: Sequence[int] | IntArray) -> None:
+        """Step these simulations to their next control instant; their actions are in `actions`.
+
+        One that cannot go on has its reason in `failures` from then on, and its rows are those of the instant before.
+
+        Raises
+        ------
+        ValueError
+            If one of them is at its end, or could not go on.
+        """
+        going = np.ascontiguousarray(some, dtype=np.int64)
+        over = self.failed[going] | (self._members[going, Member.place("target")] > self._last[going])
+        if over.any():
+            raise ValueError(f"step: simulation {going[over][0]} is at its end, or could not go on")
+        self._go(going)
+
+    def _go(self, some: Iterable[int]) -> None:
+        going = np.ascontiguousarray(some, dtype=np.int64)
+        given = self.actions, self._plan, self.rows, self.wanted, self.between
+        count, members = len(going), self._members
+        if self.threads > 1 and count > 1:
+            parts = np.linspace(0, count, self.threads + 1).astype(int).tolist()
+            pool = self._threads()
+            running = [pool.submit(step_members, members, going, a, b, *given) for a, b in pairwise(parts[1:])]
+            try:
+                step_members(members, going, 0, parts[1], *given)
+            finally:
+                wait(running)
+            for each in running:
+                each.result()
+        else:
+            step_members(members, going, 0, count, *given)
+        for at in np.flatnonzero(members[going, Member.place("request")] != WAITING):
+            self._answer(going[at : at + 1], given)
+
+    def _answer(self, one: IntArray, given: tuple[Any, ...]) -> None:
+        """Let one simulation go on that asks for something, until it is at its control instant or cannot."""
+        i = int(one[0])
+        asking = self._ones[i]
+        assert asking is not None
+        while int(asking.member.request) != WAITING:
+            self.failures[i] = asking.answer()
+            if self.failures[i] is not None:
+                self.failed[i] = True
+                return
+            step_members(self._members, one, 0, 1, *given)
+
+    def _threads(self) -> ThreadPoolExecutor:
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.threads - 1, "closedloop")
+        return self._pool
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+
+def refuse_torque(problem: Problem) -> None:
+    """Refuse a scenario in which a torque from outside is not simply the torque on the joints.
+
+    Raises
+    ------
+    ScenarioError
+    """
+    state = problem.loop().state
+    if state.settings.drives != 0:
+        raise ScenarioError("drives: limits act on what a law asks for; leave [drives] out, or limit the actions")
+    if problem.robot.model.loops:
+        raise ScenarioError(f"{problem.robot.model.name} has loop joints: torques of an action act on trees only")

@@ -1,0 +1,128 @@
+"""The collision shapes of a link, as its robot's file gives them: data, in the axes of the link's frame."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_models.errors import ModelError
+from robot_models.mesh_files import mesh_file, source_folder
+from robot_models.mjcf_mechanism import Units, geom_pose, sizes
+from robot_models.urdf_mechanism import origin_of
+
+if TYPE_CHECKING:
+    from robot_models.model import RobotModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CollisionShape:
+    """A shape fixed to a link.
+
+    Attributes
+    ----------
+    kind : str
+        "box", "sphere", "capsule", "cylinder", "ellipsoid" or "mesh".
+    size : (3,) array
+        m: half sides of a box, half axes of an ellipsoid; radius and half length, along z, of a capsule without its
+        caps and of a cylinder; the radius of a sphere; zeros behind, and of a mesh.
+    place : (4, 4) array
+        Its pose in the link's frame.
+    vertices : (V, 3) array
+        Of a mesh, m, in its own axes; of others none.
+    file : str
+        Of a mesh, the name in the robot's file.
+    colour : three floats, optional
+        Red, green, blue, 0 to 1, of a geom that says it.
+    """
+
+    kind: str
+    size: Array
+    place: Array
+    vertices: Array
+    file: str = ""
+    colour: tuple[float, float, float] | None = None
+
+
+def collision_shapes(model: "RobotModel", link: str, visual: bool = False) -> list[CollisionShape]:
+    """Return the collision shapes of a link; none where its file gives none, or of a frame that is no link.
+
+    With `visual` those that are drawn: of an MJCF geoms without contact too.
+
+    Of an MJCF they are its geoms but those without contact (contype and conaffinity 0); planes and meshes there are not
+    read.
+
+    Raises
+    ------
+    ModelError
+        If the file of a mesh is not there or cannot be read.
+    """
+    return _of_urdf(model, link, visual) if model.format == "urdf" else _of_mjcf(model.text, link, visual)
+
+
+def _shape(kind: str, size: Any, place: Array) -> CollisionShape:
+    whole = np.zeros(3)
+    whole[: len(size)] = size
+    return CollisionShape(kind, whole, place, np.zeros((0, 3)))
+
+
+def _of_mjcf(text: str, link: str, visual: bool) -> list[CollisionShape]:
+    root, found = _parsed(text), []
+    units = Units(root)
+    for body in root.iter("body"):
+        for geom in body.findall("geom") if body.get("name") == link else ():
+            given = geom.attrib
+            if not visual and given.get("contype") == "0" and given.get("conaffinity") == "0":
+                continue
+            shape = _shape(given.get("type", "sphere"), sizes(given), geom_pose(given, units))
+            if "rgba" in given:
+                red, green, blue = (float(word) for word in given["rgba"].split()[:3])
+                shape = replace(shape, colour=(red, green, blue))
+            found.append(shape)
+    return found
+
+
+def _of_urdf(model: "RobotModel", link: str, visual: bool) -> list[CollisionShape]:
+    found = []
+    links = (each for each in _parsed(model.text).iterfind("link") if each.get("name") == link)
+    for element in (each for one in links for each in one.iterfind("visual" if visual else "collision")):
+        place = origin_of(element)
+        for shape in element.iterfind("geometry/*"):
+            sizes_of = {
+                key: [float(word) for word in shape.get(key, "").split()] for key in ("size", "radius", "length")
+            }
+            if shape.tag == "box":
+                found.append(_shape("box", 0.5 * np.array(sizes_of["size"]), place))
+            elif shape.tag == "sphere":
+                found.append(_shape("sphere", sizes_of["radius"], place))
+            elif shape.tag == "cylinder":
+                found.append(_shape("cylinder", [*sizes_of["radius"], 0.5 * sizes_of["length"][0]], place))
+            elif shape.tag == "mesh":
+                where = f"{model.name}: link {link!r}"
+                scale = np.array([float(word) for word in shape.get("scale", "1 1 1").split()])
+                folder = source_folder(model.source)
+                found.append(_mesh(shape.get("filename", ""), scale, place, folder, where))
+    return found
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> ET.Element:
+    return ET.fromstring(text)
+
+
+def _mesh(name: str, scale: Array, place: Array, folder: Path | None, where: str) -> CollisionShape:
+    import trimesh
+
+    file = mesh_file(name, folder)
+    if file is None:
+        raise ModelError(f"{where}: the file of its collision mesh, {name!r}, is not there")
+    try:
+        vertices = np.asarray(trimesh.load_scene(file).to_mesh().vertices, dtype=float)
+    except Exception as error:  # whatever a reader of meshes makes of a file
+        raise ModelError(f"{where}: its collision mesh {name!r} cannot be read: {error}") from None
+    return CollisionShape("mesh", np.zeros(3), place, np.ascontiguousarray(vertices * scale), name)

@@ -1,0 +1,48 @@
+"""The least distance of a run: closed forms of boxes and balls that slide, and what is said where they pass through."""
+
+import pytest
+
+import closedloop as cl
+from closedloop.record.clearance import clearance, passing_note
+
+TWO = """<mujoco><option gravity="0 0 0"/><worldbody><body name="box"><joint name="x" type="slide" axis="1 0 0"/>
+<geom type="box" size="0.1 0.1 0.1" mass="1"/><site name="tip"/></body>
+<body name="ball" pos="0 0 1"><joint name="z" type="slide" axis="0 0 1"/><geom size="0.2" mass="1"/></body>
+</worldbody></mujoco>"""
+
+
+def passed(tmp_path, v, contacts="", duration=0.1):
+    """Return the run of a box that moves along x and a ball that moves along z, and the least distance in it."""
+    (tmp_path / "two.xml").write_text(TWO)
+    text = f'[robot]\nmodel = "two.xml"\ntip = "tip"\n[start]\nv = {v}\n[time]\nduration = {duration}\nstep = 0.001\n'
+    (tmp_path / "run.toml").write_text(text + contacts)
+    run = cl.simulate(cl.load_scenario(tmp_path / "run.toml"), progress=False)
+    return run, clearance(run)
+
+
+def test_distance_of_a_box_and_a_ball(tmp_path):
+    """1 − 0.1 − 0.2 m less the way of the ball, at the end, and no line: nothing passes through."""
+    run, found = passed(tmp_path, [0.0, -3.0])
+    assert found.distance == pytest.approx(0.7 - 0.3, abs=1e-9)
+    assert found.time == pytest.approx(0.1)
+    assert set(found.between) == {"box", "ball"}
+    assert run.summary()["clearance"] == {**found._asdict(), "between": list(found.between)}
+    assert passing_note(found._asdict()) == ""
+
+
+def test_what_passes_through_is_said(tmp_path):
+    """The ball is deepest in the box where its centre is in the box's, 0.1 + 0.2 m, half way."""
+    run, found = passed(tmp_path, [0.0, -20.0])
+    assert found.distance == pytest.approx(-0.3, abs=1e-6)
+    assert found.time == pytest.approx(0.05)
+    assert passing_note(run.summary()["clearance"]).startswith(
+        "box passes through ball, up to 300 mm deep at t = 0.05 s"
+    )
+
+
+def test_a_plane_that_another_link_touches(tmp_path):
+    """The ball falls through the floor that the box touches; the box, which has the contact, is not compared."""
+    floor = '[[contact]]\nname = "floor"\nlink = "box"\nat = [0, 0, -0.1]\nthrough = [0, 0, -0.1]\n'
+    _, found = passed(tmp_path, [1.0, -14.0], floor)
+    assert tuple(found.between) == ("ball", "the plane of 'floor'")
+    assert found.distance == pytest.approx(1.0 - 1.4 - 0.2 + 0.1, abs=1e-12)

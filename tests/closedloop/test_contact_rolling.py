@@ -1,0 +1,165 @@
+"""Round shapes that touch: the rows of their contacts by differences, and rolling in closed form."""
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+import robot_models
+from closedloop.jit.interpreted import interpreted
+from closedloop.loop.step.contact_rows import locate_points
+from closedloop.record.columns.touching import contact_torques
+from closedloop.simulation.prepare import prepare
+
+FAR = {"kind": "plane", "offset": "start", "gap": 50.0, "contact": "unilateral"}
+# Half axes at right angles that are not those of the link.
+TURNED = np.linalg.qr(np.array([[1.0, 2.0, 3.0], [-1.0, 2.0, 0.5], [0.3, 0.2, 1.0]]))[0]
+ELLIPSOID = (TURNED * [[0.05], [0.03], [0.08]]).tolist()
+SHAPES = {
+    "ball": {"radius": 0.05},
+    "ellipsoid": {"half_axes": ELLIPSOID},
+    "disc": {"half_axes": ELLIPSOID[:2]},
+    "torus": {"half_axes": ELLIPSOID[:2], "radius": 0.02},
+}
+SURFACES = {
+    "bowl": {"surface": {"kind": "sphere", "radius": 4.0, "inside": True}, "through": [0.1, 0.2, -2.0]},
+    "ellipsoid below": {"surface": {"kind": "ellipsoid"}, "through": [0.1, 0.2, -2.0]},
+    "cylinder that turns": {
+        "surface": {"kind": "cylinder", "radius": 0.4},
+        "motion": {"kind": "turntable", "speed": 3.0},
+        "through": [0.1, 0.2, -2.0],
+    },
+}
+
+
+def located(contact, q, v, t):
+    """Return gap, u, u̇ at q̈ = 0, G and what u has beside G q̇ of a contact of wam4, at a state and an instant."""
+    changes = {"surface": FAR, "contact": [contact], "law.force": 0.0, "reference.kind": "hold", "start.v": None}
+    changes["time.integrator"] = "rk4"
+    problem = prepare(cl.load_scenario("wam_slide", changes))
+    loop = problem.loop()
+    problem.connect(loop, compiled=False)
+    links, c = loop.w.kept["contacts"]
+    loop.w.q[:], loop.w.v[:], loop.w.time = q, v, t
+    assert interpreted(locate_points)(links, c, loop.w, loop.constants, loop.state) == 0
+    return [np.array(x[3:6]) for x in (c.located, c.u, c.drift, c.G, c.carried)]
+
+
+@pytest.mark.parametrize("against", ["world", "link2"])
+@pytest.mark.parametrize("kind", [*SHAPES, *SURFACES])
+def test_rows_of_a_round_shape_are_the_rates_of_its_gap(kind, against):
+    """The gap's derivative is u_n, u is G q̇ − carried, and u's derivative at constant q̇ is the drift."""
+    rng = np.random.default_rng([*SHAPES, *SURFACES].index(kind))
+    contact = {"link": "tip", "at": [0.01, -0.02, 0.03], "normal": [0.2, -0.1, 1.0], "through": [0.0, 0.0, -2.0]}
+    contact |= SHAPES[kind] if kind in SHAPES else {"radius": 0.05} | SURFACES[kind]
+    contact["against"] = against
+    for _ in range(2):
+        q, v, t, h = rng.uniform(-1.2, 1.2, 4), rng.normal(size=4), 0.3, 1e-4
+        _, u, drift, G, carried = located(contact, q, v, t)
+        before, after = (located(contact, q + k * h * v, v, t + k * h) for k in (-1, 1))
+        np.testing.assert_allclose(u, G @ v - carried, atol=1e-13)
+        np.testing.assert_allclose((after[0][0] - before[0][0]) / (2 * h), u[0], atol=1e-6)
+        np.testing.assert_allclose((after[1] - before[1]) / (2 * h), drift, atol=2e-5 * (1 + np.abs(drift).max()))
+
+
+G = 9.81
+BODY = '<mujoco><worldbody><body name="body"><freejoint/>{inside}</body></worldbody></mujoco>'
+BALL = '<geom type="sphere" size="0.1" mass="2"/>'
+
+
+def rolled(tmp_path, inside, contacts, q, v, duration, **changes):
+    """Return the run of a free body with these contacts."""
+    (tmp_path / "body.xml").write_text(BODY.format(inside=inside))
+    text = '[robot]\nmodel = "body.xml"\n[stabiliser]\ntime_constant = 0.01\n'
+    text += f'[time]\nduration = {duration}\nstep = 0.001\nintegrator = "rk4"\n'
+    text += f"[start]\nq = {list(map(float, q))}\nv = {list(map(float, v))}\n"
+    for contact in contacts:
+        text += "[[contact]]\n" + "".join(f"{key} = {value!r}\n".replace("'", '"') for key, value in contact.items())
+    (tmp_path / "scenario.toml").write_text(text)
+    return cl.simulate(cl.load_scenario(tmp_path / "scenario.toml", changes), progress=False)
+
+
+def energy(run):
+    """Return the mechanical energy in each row, J."""
+    return run.kinetic_energy + run.potential_energy
+
+
+def on_an_incline(tmp_path, slope, mu, duration):
+    """Return the run of a ball let go on an incline."""
+    gravity = [G * np.sin(slope), 0.0, -G * np.cos(slope)]
+    contact = {"link": "body", "at": "collision", "friction": mu}
+    return rolled(tmp_path, BALL, [contact], [0, 0, 0.1, 1, 0, 0, 0], [0] * 6, duration, **{"robot.gravity": gravity})
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_a_ball_slips_beyond_seven_halves_of_the_friction(tmp_path, share):
+    """From tan θ = 7/2 μ on."""
+    run = on_an_incline(tmp_path, np.arctan(0.35 * share), 0.1, 0.005)
+    assert np.all(run.link_modes == (1 if share > 1.0 else 2))
+
+
+@pytest.mark.parametrize("share", [0.98, 1.5])
+def test_a_ball_rolls_down_an_incline_and_slips_where_it_is_steep(tmp_path, share):
+    """5/7 g sin θ without slip up to tan θ = 7/2 μ, and g (sin θ − μ cos θ) beyond."""
+    mu = 0.1
+    slope = np.arctan(3.5 * mu * share)
+    run = on_an_incline(tmp_path, slope, mu, 0.2)
+    slips = share > 1.0
+    wanted = G * (np.sin(slope) - mu * np.cos(slope)) if slips else 5 / 7 * G * np.sin(slope)
+    np.testing.assert_allclose(run.v[:, 0], wanted * run.time, atol=1e-12)
+    assert np.all(run.link_modes == (1 if slips else 2))
+    if not slips:
+        np.testing.assert_allclose(0.1 * run.v[:, 4], run.v[:, 0], atol=1e-12)
+        assert np.ptp(energy(run)) < 1e-12
+    assert run.summary()["verdict"]["good"]
+
+
+def test_a_ball_on_a_turntable_moves_on_a_circle_at_two_sevenths_of_its_rate():
+    """Whatever disc carries it: the closed form of a solid ball that does not slip."""
+    run = cl.simulate(cl.load_scenario("ball_on_turntable", {"time.duration": 0.5}), progress=False)
+    rate = 2 / 7 * 2 * np.pi
+    centre = np.array([0.2 - 0.2 / rate, 0.0])
+    turned = centre + 0.2 / rate * np.stack([np.cos(rate * run.time), np.sin(rate * run.time)], axis=1)
+    np.testing.assert_allclose(run.q[:, :2], turned, atol=1e-10)
+    assert np.all(run.link_modes == 2)
+
+
+def test_a_cylinder_rolls_down_an_incline_on_its_rims(tmp_path):
+    """2/3 g sin θ: a solid cylinder on its side, by the edges of its two ends."""
+    cylinder = '<geom type="cylinder" size="0.1 0.05" mass="2" euler="90 0 0"/>'
+    gravity = [G * np.sin(0.2), 0.0, -G * np.cos(0.2)]
+    contact = {"link": "body", "at": "collision", "friction": 0.5}
+    start = [0, 0, 0.1, np.cos(0.4), 0, np.sin(0.4), 0]  # none of the feet is below
+    run = rolled(tmp_path, cylinder, [contact], start, [0] * 6, 0.1, **{"robot.gravity": gravity})
+    np.testing.assert_allclose(run.v[:, 0], 2 / 3 * G * np.sin(0.2) * run.time, atol=1e-10)
+    np.testing.assert_allclose(run.v[:, 4], run.v[:, 0] / 0.1, atol=1e-9)
+
+
+def test_a_disc_that_wobbles_keeps_its_energy(tmp_path):
+    """An edge that rolls does no work, however fast the contact wanders; nor does it leave the floor."""
+    disc = '<inertial mass="1" pos="0 0 0" diaginertia="0.0025 0.0025 0.005"/>'
+    contact = {"link": "body", "half_axes": [[0.1, 0, 0], [0, 0.1, 0]], "friction": 2.0}
+    tilt = 0.4
+    q = [0, 0, 0.1 * np.sin(tilt), np.cos(tilt / 2), np.sin(tilt / 2), 0, 0]
+    # a turn about the contact: the lowest point is at −y of the body
+    spin, reach = np.array([0.0, 6.0, 1.0]), np.array([0.0, -0.1, 0.0])
+    turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+    run = rolled(tmp_path, disc, [contact], q, [*(-turn @ np.cross(spin, reach)), *spin], 0.4)
+    assert np.all(run.link_modes == 2)
+    assert np.ptp(energy(run)) < 5e-5 * run.kinetic_energy[0]  # of the step: 2e-5
+    assert np.max(np.abs(run.link_gaps)) < 1e-7
+    assert np.ptp(run.q[:, 2]) > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["ball", "torus", "ellipsoid below", "cylinder that turns"])
+def test_force_at_the_contact_has_the_rows_of_the_run_as_torques(kind):
+    """The torques of unit forces where the record puts the contact are the rows G."""
+    q, t = np.array([0.3, 0.5, -0.4, 0.8]), 0.2
+    contact = {"link": "tip", "at": [0.01, -0.02, 0.03], "normal": [0.2, -0.1, 1.0], "through": [0.0, 0.0, -2.0]}
+    contact |= SHAPES[kind] if kind in SHAPES else {"radius": 0.05} | SURFACES[kind]
+    contact["against"] = "link2"
+    G = located(contact, q, np.zeros(4), t)[3]
+    scenario = cl.load_scenario("wam_slide", {"contact": [contact]})
+    mechanism = robot_models.load("wam4").pinocchio_model()
+    forces, frictions = np.array([[1.0], [0.0], [0.0]]), np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    torques = contact_torques(scenario, mechanism, np.full(3, t), np.tile(q, (3, 1)), forces, frictions)
+    np.testing.assert_allclose(torques, G, atol=1e-13)

@@ -1,0 +1,66 @@
+"""What is drawn of free bodies and of what they touch."""
+
+import matplotlib
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import closedloop as cl
+from closedloop.figures import draw_figures
+from closedloop.figures.bodies import bodies, turned
+from closedloop.figures.link_contacts import link_contacts, spans_of
+from closedloop.figures.scene.scene import scene_of
+
+
+@pytest.fixture(scope="module")
+def toss():
+    """A cube that has fallen on the floor."""
+    low = {"start.q": [0, 0, 0.1, 0.87, 0.36, 0.24, 0.24], "start.v": [1, 0, -1, 5, -7, 3], "time.duration": 0.03}
+    return cl.simulate(cl.load_scenario("cube_toss", low), progress=False)
+
+
+def test_figures_are_of_the_body_and_its_contacts_and_of_no_tip(toss, tmp_path):
+    """No figure of a tip that nothing leads, of joints that there are not, or of quaternions."""
+    names = [path.stem for path in draw_figures(toss, tmp_path)]
+    assert names == ["fig_bodies", "fig_link_contacts", "fig_impacts"]
+    assert [axes.get_title(loc="left") for axes in toss.plot().axes][1] == "Distance from the start, across"
+
+
+def test_what_is_drawn_is_the_run(toss):
+    """Height in millimetres, the angle of the turn in degrees; a row of bars for each contact; at most eight curves."""
+    with matplotlib.rc_context({"axes.titlelocation": "left"}):
+        height, _, angle = bodies(toss).axes[:3]
+        times, forces = link_contacts(toss).axes[:2]
+    np.testing.assert_allclose(height.lines[0].get_ydata(), 1e3 * toss.q[:, 2])
+    wanted = Rotation.from_quat(toss.q[:, 3:], scalar_first=True)
+    np.testing.assert_allclose(
+        angle.lines[0].get_ydata(), np.degrees((wanted[0].inv() * wanted).magnitude()), atol=1e-6
+    )
+    assert [text.get_text() for text in times.get_yticklabels()] == [f"corner {k}" for k in range(1, 9)]
+    assert 0 < len([line for line in forces.lines if line.get_label().startswith("corner")]) <= 8
+
+
+def test_angles_of_turns_to_rounding():
+    """From nothing to half a turn, and of either sign of a quaternion."""
+    angles = np.array([0.0, 1e-9, 0.3, 2.0, np.pi - 1e-6])
+    quaternions = np.stack([np.cos(angles / 2), np.sin(angles / 2), 0 * angles, 0 * angles], axis=1)
+    np.testing.assert_allclose(turned(quaternions), angles, atol=1e-15)
+    np.testing.assert_allclose(turned(quaternions * [[1], [-1], [1], [-1], [1]]), angles, atol=1e-15)
+
+
+def test_spans_are_from_the_first_row_to_the_next_after_the_last():
+    """Of rows in which a condition holds."""
+    now, time = np.array([True, False, True, True, False, True]), np.arange(6.0)
+    assert spans_of(now, time) == [(0.0, 1.0), (2.0, 4.0), (5.0, 5.0)]
+
+
+def test_the_scene_has_the_body_as_its_file_has_it_and_the_floor(toss):
+    """A box of the size of the geom in its colour, a plane at z = 0, and no arrow of a force that is not commanded."""
+    scene = scene_of(toss)
+    (box,) = scene.shapes
+    np.testing.assert_allclose(np.ptp(box.vertices, axis=0), 0.1048, rtol=1e-6)
+    assert box.colour == (0.16, 0.38, 0.68)
+    vertices, faces = scene.surface
+    assert faces.shape == (2, 3)
+    np.testing.assert_array_equal(vertices[:, 2], 0.0)
+    assert scene.kinds == ["force between links"]

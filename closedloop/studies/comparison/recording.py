@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -69,7 +69,7 @@ def read_recording(
     *,
     columns: Mapping[str, str] | None = None,
     degrees: bool = False,
-    gain: float = 1.0,
+    gain: float | Sequence[float] = 1.0,
 ) -> Recording:
     """Read a log or a run file.
 
@@ -84,7 +84,7 @@ def read_recording(
         "force" one name, or three with commas between.
     degrees : bool
         Whether angles are in degrees.
-    gain : float
+    gain : float or (n,)
         What torques are multiplied by.
 
     Raises
@@ -116,7 +116,12 @@ def read_recording(
     torque = joints_of(table, "torque", given, robot, path)
     turns = np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
     force = _force(table, force_names, path)
-    return checked(Recording(time, q * turns, None if torque is None else torque * gain, force, str(path)), robot)
+    return checked(
+        Recording(
+            time, q * turns, None if torque is None else torque * np.asarray(gain, dtype=np.float64), force, str(path)
+        ),
+        robot,
+    )
 
 
 def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:

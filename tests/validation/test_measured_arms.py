@@ -51,6 +51,24 @@ def test_torques_that_were_not_fitted_are_predicted(robot):
     json.dumps(judged.numbers, allow_nan=False)
 
 
+def test_no_negative_drive_inertia_is_given():
+    """Where the UR10's log gives one, beyond its interval, there is a reason in its place."""
+    judged = ur10.judge()
+    values = judged.numbers["drive_inertia"]["value"]
+    assert all(x is None or x > -0.5 for x in values)
+    assert values[3:5] == [None, None]
+    assert sum("cannot be" in note for note in judged.notes) >= 2
+
+
+def test_forward_a_simulated_robot_stays_near_its_log():
+    """A tenth of a second at least by the torques alone; with a weak spring beside them within 50 mrad, all joints."""
+    judged = kr300.judge()
+    told = judged.numbers["forward"]
+    assert min(told["seconds"]) > 0.1
+    assert max(told["held_error_rad"]) < 0.05
+    assert max(told["feedback_over_torque"]) < 0.3
+
+
 def test_both_encoders_of_a_kr300_tell_the_stiffness_of_two_axes():
     """Axes 2 and 3 within 15 %, axis 1 not, and one delay between the encoders of all three."""
     found = kr300.judge().numbers["stiffness"]

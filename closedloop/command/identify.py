@@ -100,7 +100,7 @@ def _parser() -> Parser:
     parser = Parser(
         prog="closedloop identify",
         description="Identify base inertial parameters, friction and drive inertia of a robot from a log: positions "
-        "and torques of all joints over time, as CSV, Parquet, NetCDF, or a run.nc of this simulator. Every value has "
+        "and torques of all joints over time, as CSV, Parquet, NetCDF, MCAP, rosbag2, or a run.nc. Every value has "
         "a 95 % interval; what the log does not tell is named, with a motion that would.",
         cure="such as: closedloop identify log.csv --robot ur10",
     )

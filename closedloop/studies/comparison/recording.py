@@ -76,7 +76,7 @@ def read_recording(
     Parameters
     ----------
     path : str or Path
-        .csv, .parquet or .nc.
+        .csv, .parquet, .nc, .mcap, .db3 or a folder of rosbag2.
     robot : RobotModel
         Whose joints the columns are of.
     columns : mapping, optional

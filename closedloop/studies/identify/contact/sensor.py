@@ -8,8 +8,8 @@ its bias b and a payload m that moves with the tip, a. Only where the tip turns 
 force alone has one bias along it. Gain and delay are of the recorded normal force beside the force that follows
 from q, v and torques (`closedloop.studies.comparison.audit.expected_force`), f(t) = bias + gain f_expected(t − delay),
 fitted with the expected force on the left: it has accelerations in it, and so more noise than the recorded one. Where
-torques jump, or a drive holds them for a sample, they are half a row from the accelerations beside them: the delay is not
-known better than that.
+torques jump, or a drive holds them for a sample, they are half a row from the accelerations beside them: the delay is
+not known better than that.
 """
 
 from __future__ import annotations

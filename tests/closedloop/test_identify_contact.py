@@ -235,12 +235,13 @@ def test_the_command_writes_what_it_found(tmp_path, capsys, monkeypatch):
             "time jumps",
         ),
         (lambda: cl.Recording(np.arange(500) * STEP, np.zeros((500, 2))), {}, "q has shape"),
+        (lambda: cl.Recording(np.arange(500) * STEP, np.full((500, 4), 60.0)), {"robot": "wam4"}, "look like degrees"),
     ],
 )
 def test_bad_input_is_refused(log, options, says):
     """One line that names it."""
     with pytest.raises((LogError, ModelError), match=says):
-        cl.identify_contact(log(), point(), **options)
+        cl.identify_contact(log(), **({"robot": point()} | options))
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.log import LogError, check_positions
 from closedloop.studies.identify.read import joints_of, listed, plain_name, run_of, table_of, time_of
 
 if TYPE_CHECKING:
@@ -114,6 +114,8 @@ def read_recording(
             f"--columns q='q_{{}}'; it has {listed(table)}"
         )
     torque = joints_of(table, "torque", given, robot, path)
+    if not degrees:
+        check_positions(q, robot, str(path))
     turns = np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
     force = _force(table, force_names, path)
     return checked(

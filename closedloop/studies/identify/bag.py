@@ -1,8 +1,8 @@
 """Logs of ROS 2: MCAP files, and bags of rosbag2, a folder or its .db3, with standard messages.
 
 A `sensor_msgs/msg/JointState` gives columns `position_NAME`, `velocity_NAME`, `effort_NAME` by the names of the joints,
-at the times of their headers; a `geometry_msgs/msg/WrenchStamped` gives `TOPIC.force.x` ... (without the first slash) at
-the same times, between its messages by a line.
+at the times of their headers; a `geometry_msgs/msg/WrenchStamped` gives `TOPIC.force.x` ... (without the first slash)
+at the same times, between its messages by a line.
 """
 
 from __future__ import annotations

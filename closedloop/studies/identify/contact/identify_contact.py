@@ -22,7 +22,7 @@ from closedloop.studies.identify.contact.restitution import restitution_of
 from closedloop.studies.identify.contact.sensor import Sensor, beside_torques, of_free_rows
 from closedloop.studies.identify.contact.touch import Windows, touch_of
 from closedloop.studies.identify.identify import Estimate
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.log import LogError, check_positions
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -185,6 +185,8 @@ def identify_contact(
         model = robot if isinstance(robot, RobotModel) else robot_models.load(robot)
         recording = log if isinstance(log, Recording) else read_recording(log, model)
     recording = checked(recording, model)
+    if not isinstance(log, Run):
+        check_positions(recording.q, model, recording.source)
     if np.ptp(recording.q, axis=0).max() == 0.0:
         raise LogError(f"{recording.source}: the robot rests: no joint moves, nothing can be found")
     mechanics = Robot(model, tip)

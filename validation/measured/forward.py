@@ -80,14 +80,15 @@ def add_forward(judged: Judged, found: Identification, log: Log) -> None:
     on_path = np.sqrt(np.mean(np.square(held), axis=0))
     judged.numbers["forward"] = {
         "near_rad": NEAR, "seconds": [float(s) for s in alone], "median_seconds": float(np.median(alone)),
-        "held_error_rad": on_path.tolist(), "feedback_over_torque": share.tolist(), "starts": [float(s) for s in starts],
+        "held_error_rad": on_path.tolist(), "feedback_over_torque": share.tolist(),
+        "starts": [float(s) for s in starts],
     }  # fmt: skip
     names = found.robot.joint_names
     judged.lines += [
         "",
         f"forward, from {STARTS} instants of the log, {LASTS:g} s each",
-        f"  driven by the measured torques alone within {NEAR:g} rad for {min(alone):.2g} to {max(alone):.2g} s, median "
-        f"{np.median(alone):.2g} s",
+        f"  driven by the measured torques alone within {NEAR:g} rad for {min(alone):.2g} to {max(alone):.2g} s, "
+        f"median {np.median(alone):.2g} s",
         f"  {'with spring and damper':22}" + "".join(f"{name[:14]:>15}" for name in names),
         f"  {'from the path, mrad':22}" + "".join(f"{1e3 * e:15.2g}" for e in on_path),
         f"  {'feedback over torque':22}" + "".join(f"{100 * s:13.1f} %" for s in share),

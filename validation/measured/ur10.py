@@ -1,12 +1,12 @@
 """A UR10: the torque of a log predicted where it was not fitted.
 
-The torques are motor currents times the published drive gains, smoothed by the authors. Drive inertia comes out negative
-at the wrist, which no drive has, and is not given: friction that answers late to a change of speed has the same column,
-−(delay) F_v q̈. Torques moved in time by −16 to 56 ms, a Stribeck, a square root or a cubic term do not mend it. The published friction of this robot, a sigmoid of
-the velocity, differs from dry and viscous friction near rest only, where torques do not count here: a Stribeck term
-changes no error by more than 0.4 %. Source of log and drive gains: V. Petrone, E. Ferrentino, P. Chiacchio, The dynamic
-model of the UR10 robot and its ROS2 integration, IEEE Trans. Industrial Informatics (2025), doi
-10.1109/TII.2025.3534415.
+The torques are motor currents times the published drive gains, smoothed by the authors. Drive inertia comes out
+negative at the wrist, which no drive has, and is not given: friction that answers late to a change of speed has the
+same column, −(delay) F_v q̈. Torques moved in time by −16 to 56 ms, a Stribeck, a square root or a cubic term do not
+mend it. The published friction of this robot, a sigmoid of the velocity, differs from dry and viscous friction near
+rest only, where torques do not count here: a Stribeck term changes no error by more than 0.4 %. Source of log and
+drive gains: V. Petrone, E. Ferrentino, P. Chiacchio, The dynamic model of the UR10 robot and its ROS2 integration,
+IEEE Trans. Industrial Informatics (2025), doi 10.1109/TII.2025.3534415.
 """
 
 from __future__ import annotations

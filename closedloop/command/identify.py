@@ -76,6 +76,8 @@ def _contact(
     from closedloop.studies.identify.contact.identify_contact import contact_recording, identify_contact
     from closedloop.studies.identify.read import run_of
 
+    if len(normal) != 3:
+        raise ModelError(f"--contact {options.contact}: {len(normal)} numbers: three, the normal of the plane")
     if len(options.logs) > 1:
         raise ModelError(f"--contact: {len(options.logs)} logs: a contact is identified from one")
     path = Path(options.logs[0])
@@ -125,7 +127,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--contact", metavar="NX,NY,NZ",
         help="find friction, stiffness, damping, restitution and the force sensor instead, of a tip on a plane with "
-        "this normal; the log has the force too: one column along the normal, or three",
+        "this normal (of a run.nc its own); the log has the force too: one column along the normal, or three",
     )  # fmt: skip
     parser.add_argument("--delay", type=float, metavar="S", help="of the force behind the motion, if known (--contact)")
     parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass (default: ten times the motion's)")

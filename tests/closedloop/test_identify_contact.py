@@ -178,6 +178,7 @@ def test_restitution_of_bounces():
     assert abs(value.mean() - 0.6) < (high - low).mean() / 6.0
     assert np.mean((low <= 0.6) & (high >= 0.6)) >= 0.85
     assert not any(x.misses for x in found)
+    assert "no force" in found[0]["friction"].why
     falling = cl.identify_contact(in_space(*bouncing(lambda v: 0.8 - 0.1 * v)), point())
     assert any("depends on the speed" in text for text in falling.misses)
 
@@ -221,6 +222,26 @@ def test_the_command_writes_what_it_found(tmp_path, capsys, monkeypatch):
     summary = json.loads((tmp_path / "found" / "contact.json").read_text())
     assert summary["parameters"]["friction"]["value"] == pytest.approx(0.3, rel=0.02)
     assert (tmp_path / "found" / "contact.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["x.csv", "--contact", "0,1"], "2 numbers: three"),
+        (["x.csv", "--contact", "0,a,1"], "must be a number"),
+        (["x.csv", "x.csv", "--contact", "0,0,1"], "2 logs"),
+        (["x.csv", "--contact", "0,0,1"], "no column time"),
+        (["x.csv", "--contact", "0,0,1", "--columns", "force=a,b"], "no column"),
+    ],
+)
+def test_wrong_words_are_one_line(words, says, tmp_path, capsys, monkeypatch):
+    """Exit status 2."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.csv").write_text("a,b\n1,2\n3,4\n")
+    assert main([*words, "--robot", "pointmass3"]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(

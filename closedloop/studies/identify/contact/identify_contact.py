@@ -15,8 +15,8 @@ from closedloop.base.errors import ModelError
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording, checked, read_recording
-from closedloop.studies.identify.contact.compliance import compliance_of
-from closedloop.studies.identify.contact.found import Part
+from closedloop.studies.identify.contact.compliance import NAMES, compliance_of
+from closedloop.studies.identify.contact.found import Part, unknown
 from closedloop.studies.identify.contact.friction import friction_of
 from closedloop.studies.identify.contact.restitution import restitution_of
 from closedloop.studies.identify.contact.sensor import Sensor, beside_torques, of_free_rows
@@ -209,6 +209,10 @@ def identify_contact(
                 surface = compliance_of(windows, sensor, z)
                 surface.estimates += own
         parts = [sensor.part, beside, surface, friction_of(windows, sensor, z)]
+    else:
+        why = "the log has no force: name its columns, as in force=fx,fy,fz"
+        units = (("friction", "1"), ("viscous_friction", "N s/m"), *NAMES)
+        parts.append(Part("force, N", [unknown(name, unit, why) for name, unit in units]))
     parts.append(restitution_of(touch.time, touch.height, confidence))
     closed, free = (float(np.mean(rows)) for rows in (touch.closed, touch.free))
     return ContactIdentification(tuple(parts), recording.source, closed, free, confidence)

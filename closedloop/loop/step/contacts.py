@@ -295,7 +295,7 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
 CLOSED = 2e-15
 # Normal forces and the directions of slow slips depend on each other: they are solved in turn, so often at most, until
 # no direction changes by more than this.
-TURNS, SETTLED = 20, 1e-10
+TURNS, SETTLED = 40, 1e-12
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
 # The speed of slip below which it is none, m/s.

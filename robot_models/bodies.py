@@ -67,6 +67,24 @@ class FreeBody:
         return self.mass * np.diag([across, across, 0.5 * radius**2])
 
 
+def only_bodies(bodies: Sequence[FreeBody]) -> RobotModel:
+    """Return free bodies and nothing else, as a robot whose tip is the last of them.
+
+    Raises
+    ------
+    ModelError
+        If there are none, or see `with_bodies`.
+    """
+    if not bodies:
+        raise ModelError("there is no body, and no robot: one of them is needed")
+    nothing = RobotModel(
+        name="bodies", format="urdf", text='<robot name="bodies"><link name="base"/></robot>', joint_names=(),
+        armature=np.zeros(0), position_lower=np.zeros(0), position_upper=np.zeros(0), velocity_limit=np.zeros(0),
+        effort_limit=np.zeros(0), joint_types=(), tip=bodies[-1].name, frames=("base",), home=np.zeros(0),
+    )  # fmt: skip
+    return with_bodies(nothing, bodies)
+
+
 def with_bodies(model: RobotModel, bodies: Sequence[FreeBody]) -> RobotModel:
     """Return a robot beside which there are free bodies; in its home posture they are where they are said to be.
 

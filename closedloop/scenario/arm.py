@@ -103,14 +103,15 @@ def beside_bodies(scenario: Scenario, model: RobotModel) -> RobotModel:
         See `robot_models.bodies.with_bodies`.
     """
     own = {model.joint_names[j].removesuffix(PLACES[0]) for j in model.bodies}
-    return with_bodies(
-        model,
-        [
-            FreeBody(each.name, each.shape, each.size, each.mass, each.position, each.quaternion, each.inertia)
-            for each in scenario.body or ()
-            if each.name not in own
-        ],
-    )
+    return with_bodies(model, [body for body in free_bodies(scenario) if body.name not in own])
+
+
+def free_bodies(scenario: Scenario) -> list[FreeBody]:
+    """Return each [[body]] of a scenario."""
+    return [
+        FreeBody(each.name, each.shape, each.size, each.mass, each.position, each.quaternion, each.inertia)
+        for each in scenario.body or ()
+    ]
 
 
 def robot_of(scenario: Scenario, model: RobotModel) -> Robot:

@@ -27,6 +27,8 @@ from closedloop.base.sections import (
     Size,
 )
 
+# The model of a scenario that has free bodies alone.
+NO_ROBOT = "none"
 GRAVITY = Annotated[Number, Size(1e4, "m/s²", "no body pulls so hard")]
 MASS = Size(1e6, "kg", "no arm carries so much", 1e-9)
 TensorEntry = Annotated[Number, Size(1e9, "kg m²", "no tool is so large")]
@@ -40,7 +42,7 @@ class RobotSection(Section):
     model: str = Field(
         "wam4",
         description="shipped name, example-robot-data name, or a .urdf or MJCF .xml path, in a file from the file's "
-        "own folder, on the command line from the current one",
+        "own folder, on the command line from the current one; none: each [[body]] alone",
     )
     tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")

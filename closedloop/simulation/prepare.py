@@ -26,10 +26,11 @@ from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.rates import check_rates
-from closedloop.scenario.arm import beside_bodies, joint_friction_of, robot_of
+from closedloop.scenario.arm import beside_bodies, free_bodies, joint_friction_of, robot_of
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
+from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache
@@ -41,6 +42,7 @@ from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
+from robot_models.bodies import only_bodies
 
 Array = NDArray[np.float64]
 
@@ -181,6 +183,8 @@ def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
 def load_model(scenario: Scenario) -> RobotModel:
     """Return the robot that a scenario names, with each [[body]] beside it."""
     section = scenario.robot
+    if section.model == NO_ROBOT:
+        return only_bodies(free_bodies(scenario))
     options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
     model = robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
     return beside_bodies(scenario, model)

@@ -12,11 +12,13 @@ RADIUS = 0.015
 
 
 def pushed(**changes: object) -> cl.Run:
+    """Return a run of the scenario, with keys whose dots are two underscores."""
     overrides = {key.replace("__", "."): value for key, value in changes.items()}
     return cl.simulate(cl.load_scenario("push_block", overrides), progress=False)
 
 
 def columns(run: cl.Run, names: str) -> np.ndarray:
+    """Return coordinates of the block, (N, ...)."""
     return run.q[:, [run.model.coordinate_names.index(f"block_{name}") for name in names.split()]]
 
 

@@ -25,12 +25,14 @@ BODIES = (
 
 
 def arms(folder: Path) -> list[robot_models.RobotModel]:
+    """Return an arm from a URDF, and one from an MJCF."""
     path = folder / "arm.xml"
     path.write_text(ARM)
     return [robot_models.load("wam4"), robot_models.load(path)]
 
 
 def mass_matrix(model: robot_models.RobotModel) -> np.ndarray:
+    """Return H at the home posture."""
     built = model.pinocchio_model()
     H = pin.crba(built, built.createData(), in_pinocchios_order(model.home, model.joint_types))
     return np.triu(H) + np.triu(H, 1).T

@@ -1,4 +1,4 @@
-"""The friction of contacts that slip slowly, found together with the forces (`closedloop.mechanics.friction.turning`)."""
+"""The friction of contacts that slip slowly, solved with the forces, see `closedloop.mechanics.friction.turning`."""
 
 from __future__ import annotations
 

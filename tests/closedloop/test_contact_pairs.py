@@ -90,6 +90,20 @@ def left_of_the_equation_of_motion(run):
     return worst
 
 
+def off_surface(run, which):
+    """Return how far these contacts are off their surface while they touch it, or inside it, m: the most of each."""
+    gaps = run.link_gaps[:, which]
+    return np.max(np.where(run.link_modes[:, which] == 0, -gaps, np.abs(gaps)), axis=0, initial=0.0)
+
+
+def drifts(changes, off, which):
+    """Whether it is what a scheme of first order leaves of a closure that nothing stabilises: half at half the step."""
+    if changes["time.integrator"] != "semi_implicit_euler" or changes.get("stabiliser") != {"kind": "none"}:
+        return False
+    half = cl.simulate(cl.load_scenario("planar2_drop", changes | {"time.step": 5e-4}), progress=False)
+    return np.all(off < 1e-5) and np.all(off_surface(half, which) <= 0.6 * off)
+
+
 def examine(seed):
     """Run what is drawn with this seed, and check its rows."""
     changes = drawn(np.random.default_rng(seed))
@@ -105,8 +119,9 @@ def examine(seed):
     plain = np.isfinite(mu)
     assert np.all(rub[:, plain] <= mu[plain] * run.link_forces[:, plain] + 1e-9)
     assert not np.any(run.link_forces[run.link_modes == 0])
-    assert np.all(run.link_gaps[:, rigid & ~ends] > -1e-6)
-    assert np.max(np.abs(run.link_forces * run.link_gaps)[:, rigid], initial=0.0) < 1e-5
+    kept = np.max(np.abs(run.link_forces * run.link_gaps)[:, rigid], initial=0.0) < 1e-5
+    kept = kept and np.all(run.link_gaps[:, rigid & ~ends] > -1e-6)
+    assert kept or drifts(changes, off_surface(run, rigid & ~ends), rigid & ~ends)
     most = changes.get("joint_friction", {}).get("kinetic", 0.0)
     dry = run.joint_friction + changes.get("joint_friction", {}).get("viscous", 0.0) * run.v
     assert np.all(np.abs(dry) <= most * (1 + 1e-12))
@@ -114,22 +129,7 @@ def examine(seed):
     assert {problem["name"] for problem in run.summary()["verdict"]["problems"]} <= {"step", "resolution"}
 
 
-# Open: of these 150 the verdict of the numbers names closure or chatter in six, and one leaves a bound of dry friction.
-OPEN = {30, 75, 81, 117, 120, 122, 144}
-
-
-def marked(count, most):
-    """Return the seeds, with those that are not explained yet marked."""
-    for seed in seeds(count, most):
-        value = getattr(seed, "values", (seed,))[0]
-        marks = [
-            *getattr(seed, "marks", ()),
-            *([pytest.mark.xfail(reason="not explained yet")] if value in OPEN else []),
-        ]
-        yield pytest.param(value, marks=marks)
-
-
-@pytest.mark.parametrize("seed", marked(4, 150))
+@pytest.mark.parametrize("seed", seeds(4, 150))
 def test_pairs_of_features(seed):
     """Some are quick, more are slow."""
     examine(seed)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from boxes import any_rotation, no_torque
-from drops import examine
+from drops import BY_STEP, HALF_STEP, examine, judge, ran
 
 import closedloop as cl
 import robot_models
@@ -130,14 +130,14 @@ def main() -> None:
                 break
             text, known = draw(seed, Path(folder))
             (Path(folder) / "scenario.toml").write_text(text)
-            scenario = cl.load_scenario(str(Path(folder) / "scenario.toml"), {"time.integrator": args.integrator})
-            since, failure = time.process_time(), ""
-            try:
-                run = cl.simulate(scenario, law=no_torque, engine="compiled")
-            except cl.SimulationError as error:
-                run, failure = error.run, f"{type(error).__name__}: {error}"
+            path, changes = str(Path(folder) / "scenario.toml"), {"time.integrator": args.integrator}
+            since, how = time.process_time(), {"law": no_torque, "engine": "compiled"}
+            run, failure = ran(cl.simulate, cl.load_scenario(path, changes), **how)
             seconds, done = time.process_time() - since, done + 1
             wrong = examine(run, known["mu"], rests=False)
+            if wrong.keys() & BY_STEP:
+                finer, _ = ran(cl.simulate, cl.load_scenario(path, changes | HALF_STEP), **how)
+                wrong = judge(wrong, examine(finer, known["mu"], rests=False))
             counts.update([*wrong, *([failure.split(":")[0]] if failure else [])])
             steps = sum(event.kind == "time_step" for event in run.events)
             counts["time steps"] += steps

@@ -52,8 +52,10 @@ MAX_IN_STEP = 2000
 OUTPACED = 100
 # In runs with contacts of links a step is divided where a joint is faster than the first, rad/s (m/s), and would turn
 # by more than the second in it, rad (m): a body on three revolute joints turns them fast where two of their axes are
-# nearly parallel, and rk4 is to leave its energy to 1e-9.
+# nearly parallel, and rk4 is to leave its energy to 1e-9. While a contact of a link is closed the gap is to stay within
+# 1e-9 m too, of an error that grows with the fourth power of the turn: a quarter of both.
 FAST, LARGEST_TURN = 20.0, 0.02
+FAST_CLOSED, TURN_CLOSED = 5.0, 0.005
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
 # Moves of a projection: Newton's method converges quadratically, from the nanometres or micrometres after a step in one

@@ -15,6 +15,7 @@ from closedloop.loop.events.phases import (
     BEGIN_SUBSTEP,
     CHECK_STAGE,
     FAST,
+    FAST_CLOSED,
     INSTANT,
     LARGEST_TURN,
     LEAVING,
@@ -35,6 +36,7 @@ from closedloop.loop.events.phases import (
     STEP_END,
     TOUCHING,
     TRIAL_END,
+    TURN_CLOSED,
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
@@ -85,13 +87,14 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
 
 @kernel
 def divide_step(w: Work, state: State) -> None:
-    """Shorten a substep in which a fast joint would turn by more than `LARGEST_TURN`, and say whether it was."""
+    """Shorten a substep in which a fast joint would turn by more than it may, and say whether it was."""
     fastest, left = 0.0, w.length
+    fast, most = (FAST, LARGEST_TURN) if state.together == 0 else (FAST_CLOSED, TURN_CLOSED)
     for j in range(w.q.shape[0]):
         fastest = max(fastest, abs(w.v[j]))
     state.divided = 0
-    if fastest > FAST and fastest * left > LARGEST_TURN and state.settings.adaptive == 0:
-        w.length = left / np.ceil(fastest * left / LARGEST_TURN)
+    if fastest > fast and fastest * left > most and state.settings.adaptive == 0:
+        w.length = left / np.ceil(fastest * left / most)
         state.divided = 1
 
 

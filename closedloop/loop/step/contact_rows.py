@@ -257,8 +257,10 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             c.W[t, r], c.W[r, t] = s, s
         own = max(c.W[t, t], 0.0)
         c.W[t - 1, t - 1], c.a[t - 1] = own, -own * w.joint_friction.limit[i - first]
-    for i in range(first):  # whose normal force is known: its row stays its own
+    for i in range(first):  # whose normal force is known: it moves the joints, and its row stays its own
+        f = -c.a[3 * i] / c.W[3 * i, 3 * i] if c.soft[i] != 0.0 and c.W[3 * i, 3 * i] > 0.0 else 0.0
         for r in range(3 * first, 3 * links.k if c.soft[i] != 0.0 else 0):
+            c.a[r] += c.W[r, 3 * i] * f
             c.W[3 * i, r], c.W[r, 3 * i] = 0.0, 0.0
 
 

@@ -45,6 +45,8 @@ Array = NDArray[np.float64]
 
 # Sweeps of Gauss-Seidel at most, and the change of a torque, as a share of its limit, after which there is no other.
 MOST_SWEEPS, SETTLED = 500, 1e-14
+# A torque that moves its joint by less than this share of what it would without contacts and loops does not move it.
+HELD = 1e-12
 
 
 @kernel
@@ -113,6 +115,9 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             for m in range(j, i):
                 s -= w.L[i, m] * y[m]
             y[i] = s * w.L[i, i]
+        alone = 0.0
+        for i in range(j, n):
+            alone += y[i] * y[i]
         ask_loops(state, BIND_ANSWER)
         for i in range(3):
             F[i] = 0.0
@@ -133,6 +138,8 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
                 target[i] = 0.0
             stuck_force(w.tip.S, a, target, F, w.scratch.unused)
         accelerate(w.L, w.tip.X, y, F, row_of(w.joint_friction.gain, j))
+        if not w.joint_friction.gain[j, j] > HELD * alone:
+            w.joint_friction.gain[j, j] = 0.0
     for _ in range(MOST_SWEEPS):
         change = 0.0
         for j in range(n):

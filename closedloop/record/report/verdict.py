@@ -253,6 +253,8 @@ def _closure(facts: Facts) -> dict[str, Any] | None:
         return None  # a soft surface gives way
     bound = CLOSURE_BOUND + abs(m["start_closure_error"] or 0.0)
     error, depth = _number(m["max_abs_closure_error"]), _number(m["deepest_penetration"])
+    if math.isfinite(facts.scenario.surface.bounds()[0]):
+        depth = 0.0  # beyond the edge a tip that is free may be below the surface's level
     if error <= bound and depth <= bound:
         return None
     what = f"{depth:.2g} m inside the surface" if depth >= error else f"{error:.2g} m off the surface in contact"

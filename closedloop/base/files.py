@@ -284,8 +284,7 @@ def made_folder(out: str | None) -> Path | None:
         return None
     folder = Path(out)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        probe_folder(folder)
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise OutputError(f"--out {out!r}: cannot be written: {reason}; name another folder") from None
+        raise OutputError(f"--out {out!r}: cannot be written: {reason_of(error)}; name another folder") from None
     return folder

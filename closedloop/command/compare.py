@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
 
-from closedloop.base.errors import OutputError
+from closedloop.base.files import made_folder, write_whole
 from closedloop.command.border import DONE, Parser, run_command
 
 
@@ -46,10 +45,9 @@ def _main(words: list[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
     options = parser.parse_args(rest)
     name_members(overrides.items())
-    folder = _folder(options.out)
+    folder = made_folder(options.out)
 
     import robot_models
-    from closedloop.base.files import write_whole
     from closedloop.studies.comparison.recording import read_recording
     from closedloop.studies.comparison.with_log import compare_log
 
@@ -71,18 +69,3 @@ def _main(words: list[str]) -> int:
         if not options.json:
             print(f"wrote {folder}/: comparison.json, comparison.svg")
     return DONE
-
-
-def _folder(out: str | None) -> Path | None:
-    """Return the folder for the results, which is made."""
-    from closedloop.base.files import probe_folder, reason_of
-
-    if out is None:
-        return None
-    folder = Path(out)
-    try:
-        probe_folder(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise OutputError(f"--out {out!r}: cannot be written: {reason_of(error)}") from None
-    return folder

@@ -42,12 +42,12 @@ class Long(NamedTuple):
 
 # As `closedloop compile` prints them; the others are compiled in silence, in a second or two.
 TAKES_LONG = {
-    "proceed_at": Long("the step", 55.0),
-    "run_in_lanes": Long("the step of eight runs at a time", 33.0),
-    "contacts_in_step": Long("contacts of links", 41.0),
-    "closed_loops": Long("loops and stops", 25.0),
-    "walk": Long("the inverse kinematics of a path", 9.0),
-    "along_path": Long("loops along a path", 15.0),
+    "proceed_at": Long("the step", 28.0),
+    "run_in_lanes": Long("the step of eight runs at a time", 17.0),
+    "contacts_in_step": Long("contacts of links", 24.0),
+    "closed_loops": Long("loops and stops", 13.0),
+    "walk": Long("the inverse kinematics of a path", 5.0),
+    "along_path": Long("loops along a path", 8.0),
 }
 BRIEF = 1.5  # s, of the others
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.

@@ -31,7 +31,9 @@ from closedloop.jit.uninterrupted import compiler_at_work
 
 # What tells a file whose text the compiled code depends on, and files that say how it is compiled.
 MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entry", b"@lower_builtin")
-COMPILERS = ("kernel.py", "inline_once.py", "blocks.py", "parameters.py", "measures.py")
+COMPILERS = (
+    "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py", "measures.py",
+)  # fmt: skip
 
 # numba's settings, each an environment variable, that change what it compiles.
 SETTINGS = (

@@ -115,8 +115,10 @@ def _nested(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 def _njit(function: Callable[..., Any], **options: Any) -> Any:
     import numba
 
+    from closedloop.jit.inline_once import EntryCompiler
+
     decorate: Any = numba.njit  # its annotations do not know all that it takes
-    return decorate(**options)(function)
+    return decorate(pipeline_class=EntryCompiler, **options)(function)
 
 
 def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> Any:

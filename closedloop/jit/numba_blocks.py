@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.imputils import lower_setattr_generic
 from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
 from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, models, register_model
-from numba.np.arrayobj import make_array, populate_array
+from numba.np.arrayobj import make_array
 
 from closedloop.jit.blocks import Block, Count, blocks, when_made
 
@@ -20,17 +21,33 @@ from closedloop.jit.blocks import Block, Count, blocks, when_made
 _types: dict[type[Block], Any] = {}
 
 
+def array_part(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
+    """Return compiled code's part of an array (data, shape ...), whose type is `kind`."""
+    return builder.extract_value(value, context.data_model_manager[kind].get_field_position(name))
+
+
 def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
     """Return compiled code's array of a type (C or F order) and shape on the numbers at the pointer `data`."""
-    size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
-    strides = [size]
+    word = context.get_value_type(types.intp)
+    size = word(context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    strides, items = [size], shape[0]
     for length in shape[:-1] if kind.layout == "F" else reversed(shape[1:]):
         strides.append(builder.mul(strides[-1], length))
     if kind.layout == "C":
         strides.reverse()
-    array = make_array(kind)(context, builder)
-    populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None, parent=None)
-    return array._getvalue()
+    for length in shape[1:]:
+        items = builder.mul(items, length)
+    model = context.data_model_manager[kind]
+    array = ir.Constant(model.get_value_type(), ir.Undefined)
+    parts = {"nitems": items, "itemsize": size, "data": data}
+    for name in ("meminfo", "parent"):
+        parts[name] = ir.Constant(context.get_value_type(model.get_type(name)), None)
+    for name, value in parts.items():
+        array = builder.insert_value(array, value, model.get_field_position(name))
+    for name, words in (("shape", shape), ("strides", strides)):
+        for i, value in enumerate(words):
+            array = builder.insert_value(array, value, [model.get_field_position(name), i])
+    return array
 
 
 def teach(block: type[Block]) -> None:
@@ -86,33 +103,34 @@ def teach(block: type[Block]) -> None:
 
     def place(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> tuple[Any, list[Any]]:
         """Write code for the pointer to a part, and its shape; a block's sizes in place of a shape."""
-        struct = cgutils.create_struct_proxy(kind)(context, builder, value=value)
+
+        def size(name: str) -> Any:
+            return builder.extract_value(value, 1 + layout.sizes.index(name))
 
         def number(count: Count) -> Any:
             total = context.get_constant(types.intp, count.terms.get((), 0))
             for product, times in count.terms.items():
                 if product:
-                    x = getattr(struct, product[0])
+                    x = size(product[0])
                     for name in product[1:]:
-                        x = builder.mul(x, getattr(struct, name))
-                    total = builder.add(total, builder.mul(x, context.get_constant(types.intp, times)))
+                        x = builder.mul(x, size(name))
+                    x = x if times == 1 else builder.mul(x, context.get_constant(types.intp, times))
+                    total = builder.add(total, x)
             return total
 
-        data = builder.gep(struct.base, [number(at[attribute])])
+        data = builder.gep(builder.extract_value(value, 0), [number(at[attribute])])
         if attribute in layout.blocks:
-            return data, [getattr(struct, name) for name in layout.blocks[attribute].layout.sizes]
+            return data, [size(name) for name in layout.blocks[attribute].layout.sizes]
         return data, [number(count) for count in shapes[attribute]]
 
     @lower_getattr_generic(BlockType)
     def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
         data, shape = place(context, builder, kind, value, attribute)
         if attribute in layout.blocks:
-            inner = layout.blocks[attribute]
-            part = cgutils.create_struct_proxy(_types[inner](kind.dtype))(context, builder)
-            part.base = data
-            for name, size in zip(inner.layout.sizes, shape, strict=True):
-                setattr(part, name, size)
-            return part._getvalue()
+            part = ir.Constant(context.get_value_type(_types[layout.blocks[attribute]](kind.dtype)), ir.Undefined)
+            for i, word in enumerate((data, *shape)):
+                part = builder.insert_value(part, word, i)
+            return part
         if not shape:
             return context.unpack_value(builder, kind.dtype, data)
         return array_on(context, builder, types.Array(kind.dtype, len(shape), "C"), data, shape)

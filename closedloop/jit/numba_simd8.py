@@ -15,6 +15,7 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, overlo
 
 from closedloop.jit.numba_blocks import array_on
 from closedloop.jit.simd8 import MANY_TURNS, WIDE, every, nearest, select
+from closedloop.jit.typing_once import plain
 
 _intrinsic: Any = intrinsic  # its annotations know only the function that is written, not the one that is called
 
@@ -55,6 +56,7 @@ class Bool8(types.Type):
 
 
 float64x8, answers = Float64x8(), Bool8()
+plain.extend((Float64x8, Bool8))
 
 
 @register_model(Float64x8)

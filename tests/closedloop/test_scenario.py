@@ -164,6 +164,8 @@ def test_every_key_is_described():
     ("name", "words"),
     [
         ("wam_slid", ["'wam_slid'", "did you mean 'wam_slide'"]),
+        ("wipe", ["'wipe'", "did you mean 'panda_wipe'"]),
+        ("nosuch", ["'nosuch'", "'closedloop scenarios' lists them"]),  # no name is like it
         ("xyzzy", ["'xyzzy'", "wam_slide", ".toml"]),
         ("", ["wam_slide"]),
         ("missing.toml", ["missing.toml", "No such file"]),

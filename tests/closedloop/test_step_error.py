@@ -253,7 +253,7 @@ def test_exponential_growth_is_no_sum_of_the_steps_errors():
     rng = np.random.default_rng(0)
     assert grows(1e-15 * np.exp(35.0 * t))
     assert grows(1e-15 * np.exp(35.0 * t) * np.sin(200.0 * t))
-    assert grows(300.0 + 1e-12 * np.exp(35.0 * t))  # off by as much in all rows
+    assert grows(300.0 + 1e-10 * np.exp(28.0 * t))  # off by as much in all rows
     for other in (t**3, t**5, np.maximum(0.0, t - 0.5) ** 5, rng.normal(size=601), 1.0 * (t > 0.7), 0.0 * t, t[:5]):
         assert not grows(other)
 

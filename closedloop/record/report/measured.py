@@ -55,7 +55,7 @@ _NONSINGULAR = NAMES.index("nonsingular")
 # arm is long, `RESIDUAL_TOLERANCE`.
 LAG, HIGHER, POSE = 1.0, 0.5, 2.0
 # The last stage of a step already has the path, force or law that jumps at its end. It has a sixth of the weight in
-# rk4, so that all after the jump comes a sixth of a step early, which the rows of f show only where f jumps itself; of a
+# rk4, so that all after the jump comes a sixth of a step early, which rows of f show only where f jumps itself; of a
 # jump within a step it is up to a third.
 LATE = 1.0 / 3.0
 # A torque that is held lets f drift until the next sample, where it returns by what the torque changes: as many newtons

@@ -44,8 +44,9 @@ from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 
-# A path that starts smoothly leaves an error as t⁵ at most, which grows by 9⁵ from the first to the ninth equal part.
-PARTS, GROWING, GROWTH = 20, 8, 1e5
+# A path that starts smoothly leaves an error as t⁵ at most. Its changes grow by 9⁴ from the first to the ninth equal
+# part.
+PARTS, GROWING, GROWTH = 20, 8, 1e4
 # Joints slower than this, rad/s (m/s), rest: in motion friction has its direction.
 AT_REST = 1e-6
 # Why neither the error of f nor that of the tip is known.

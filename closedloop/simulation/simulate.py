@@ -149,8 +149,8 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
     Raises
     ------
     ScenarioError
-        If it is no scenario, if there is no such engine, if a law takes other arguments than it is given, or if with the
-        compiled engine the integrator is adaptive or the law is not, or cannot be, compiled by numba.
+        If it is no scenario, if there is no such engine, if a law takes other arguments than it is given, or if with
+        the compiled engine the integrator is adaptive or the law is not, or cannot be, compiled by numba.
     """
     if not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario = {shown(scenario)}: must be a Scenario, as load_scenario('wam_slide') returns")

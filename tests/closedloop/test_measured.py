@@ -204,7 +204,7 @@ def written_out(row, wanted, limits, V, order, sampled):
     failed = ~met["nonsingular"]
     fastest, first = np.max(np.abs(r.v)), order == 1
     varied, steepest, jump = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
-    moved = steepest if first or np.any(np.diff(r.mode)) else max(min(jump, steepest), steepest / 3.0)
+    moved = steepest if first or np.any(np.diff(r.mode)) else min(jump, steepest)
     lands = [i for i in range(1, count) if touching[i] and not touching[i - 1]]
     if first:
         moved += max((abs(wanted.force[i] - wanted.force[i - 1]) for i in lands), default=0.0)

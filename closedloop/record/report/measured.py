@@ -54,10 +54,6 @@ _NONSINGULAR = NAMES.index("nonsingular")
 # and posture and weight both count: twice the force itself. Rounding is a share of the force, and of the metre that an
 # arm is long, `RESIDUAL_TOLERANCE`.
 LAG, HIGHER, POSE = 1.0, 0.5, 2.0
-# The last stage of a step already has the path, force or law that jumps at its end. It has a sixth of the weight in
-# rk4, so that all after the jump comes a sixth of a step early, which rows of f show only where f jumps itself; of a
-# jump within a step it is up to a third.
-LATE = 1.0 / 3.0
 # A torque that is held lets f drift until the next sample, where it returns by what the torque changes: as many newtons
 # as newton metres at an arm a metre long. At half a metre it is twice as many, which is assumed. The share is chosen,
 # not a bound: at a shorter arm it is more.
@@ -300,7 +296,6 @@ def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
         fastest = max(fastest, most.joint_speed[j])
     largest = max(most.force, most.minus_force)
     moved = select(swings.jump < swings.steepest, swings.jump, swings.steepest)
-    moved = select(moved < LATE * swings.steepest, LATE * swings.steepest, moved)
     moved = select(first_order | (swings.stretches > 1.0), swings.steepest, moved)
     swing = Swing(swings.each[0])
     error = min(swing.error, swing.highest - swing.lowest) + moved + HELD_SHARE * swings.kick + swings.struck

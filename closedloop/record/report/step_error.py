@@ -14,7 +14,8 @@ one of order one.
 
 To this is added what variations do not show. Events, and paths that start between two rows, move by up to a step, and
 the force with them, by its steepest change from row to row; with order one the force lags by as much anyway. With a
-higher order a path or a force that jumps at a row comes up to a third of a step early (`LATE`). Where contact begins,
+higher order a path or a force that jumps at a row comes up to a third of a step early (`LATE`), which f hides where
+joints are elastic. Where contact begins,
 with order one, the force asked for in that step may be that of either of its rows. A torque
 that is held lets the force drift until the next sample, where it comes back by what the torque changes; and contact
 that begins beside a sample may begin on the other side of it, so that the error of the force in that row counts. In
@@ -49,6 +50,10 @@ Array = NDArray[np.float64]
 PARTS, GROWING, GROWTH = 20, 8, 1e4
 # Joints slower than this, rad/s (m/s), rest: in motion friction has its direction.
 AT_REST = 1e-6
+# The last stage of a step already has the path, force or law that jumps at its end. It has a sixth of the weight in
+# rk4, so that all after the jump comes a sixth of a step early, of a jump within a step up to a third. Where joints are
+# elastic the motors take the jump, and the rows of f do not show it.
+LATE = 1.0 / 3.0
 # Why neither the error of f nor that of the tip is known.
 GROWS = "f grows exponentially: with it the error of each step, and of rounding"
 # Rows in one mode of contact of which the signals are taken one by one.
@@ -178,6 +183,12 @@ def why_force_not_known(scenario: Scenario, off: Array, kinds: Array, touching: 
     if struck and touching and speed < AT_REST and scenario.rubs_in_joints:
         return "joint_friction: what friction bears at rest depends on the last of the motion after an impact"
     return GROWS if grows(off) else ""
+
+
+def add_late(scenario: Scenario, swings: Swings, values: Any) -> None:
+    """Add to the error of f what a jump that elastic joints hide from the rows leaves with rk4, see `LATE`."""
+    if scenario.transmission.elastic and resolution_of(scenario)[1] > 1 and swings.stretches <= 1.0:
+        values.step_error_force += max(0.0, LATE * swings.steepest - min(swings.jump, swings.steepest))
 
 
 def unknown_because(why: str) -> tuple[str, ...]:

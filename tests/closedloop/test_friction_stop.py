@@ -97,7 +97,7 @@ def test_stick_and_slip_without_end_end_the_run():
                "transmission.motor_inertia": 0.04560882887733263, "transmission.measured": "motor",
                "joint_friction.kind": "coulomb", "joint_friction.kinetic": 0.6262351154754134,
                "time.duration": 0.12, "time.integrator": "rk4"}  # fmt: skip
-    with pytest.raises(cl.SimulationError, match="too many events|diverges") as stopped:
+    with pytest.raises(cl.SimulationError, match=r"too many events|diverges") as stopped:
         cl.simulate(cl.load_scenario("panda_polish", elastic), engine="compiled")
     run = stopped.value.run
     assert 100 < len(run.events) <= MAX_IN_STEP + OUTPACED * len(run)

@@ -24,7 +24,7 @@ from closedloop.loop.step.contact_rows import (
     place_contacts,
 )
 from closedloop.loop.step.locate import set_anchor
-from closedloop.loop.step.memory import State, Work, loop_at
+from closedloop.loop.step.memory import Constants, State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
 from closedloop.mechanics.contacts.friction import (
@@ -56,6 +56,7 @@ from closedloop.mechanics.contacts.memory import (
     contacts_at,
 )
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
+from closedloop.mechanics.contacts.slow_slip import turn_slow_slips
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.impact import energy_lost
@@ -88,7 +89,7 @@ def contacts_in_step(address: int, what: int) -> int:
     if what == FORCE:
         status = locate_contacts(links, c, w, constants, state)
         if status == OK:
-            status = contact_forces(links, c, w, state)
+            status = contact_forces(links, c, w, constants, state)
     elif what == WATCH:
         status = locate_points(links, c, w, constants, state)
         c.margin = math.inf
@@ -184,7 +185,7 @@ def answer_torque(links: ContactLinks, c: Contacts, w: Work) -> None:
 
 
 @kernel
-def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> int:
+def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> int:
     """Write the forces in the present modes, none while these are not decided, and q̈."""
     n, k, status = links.n, links.k, OK
     if links.undecided != 0:
@@ -211,6 +212,10 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
                 -c.problem.along[0, 1],
             )  # what pulls rubs with |f|
             status = solve_modes(c, k)
+        for _ in range(TURNS if state.settings.adaptive == 0 else 0):
+            if status != OK or not turn_slow_slips(c, k, constants.h) > SETTLED:
+                break
+            status = solve_closed(c, k)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if k > links.points + links.stops:
@@ -288,6 +293,9 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
 
 # An error below this is rounding, m: e = n·r − d is a sum of a few products of the order of a metre; or a rate, m/s.
 CLOSED = 2e-15
+# Normal forces and the directions of slow slips depend on each other: they are solved in turn, so often at most, until
+# no direction changes by more than this.
+TURNS, SETTLED = 40, 1e-12
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
 # The speed of slip below which it is none, m/s.

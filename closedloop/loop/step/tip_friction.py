@@ -12,72 +12,29 @@ from closedloop.jit.kernel import kernel
 from closedloop.loop.step.entries import HOLD, SLIDE
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
 from closedloop.loop.step.record_row import Row
-from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
-from closedloop.mechanics.friction.law import STILL
+from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.friction.slow_slip import turn_to_end
 
 Array = NDArray[np.float64]
 
 
 @kernel
 def turn_with_slip(w: Work, h: float) -> bool:
-    """Turn the friction of a slow tip to where its slip points at the end of the step; return whether it was slow.
-
-    Friction turns a slip u with the rate μ|f| s/|u|, s the mobility along the surface. Where that is above 1/h, a step
-    that takes friction against the present u throws the tip from side to side, and at last no step is short enough.
-    There the direction d is that of the slip u⁺ at the end of the step,
-
-        u⁺ + h μ|f| S_t d = u + h (a_t + S_tn f − S_t w),    d = u⁺/|u⁺|
-
-    as in time stepping (J. J. Moreau, 1988): one equation for |u⁺|, by bisection. If friction is enough to stop the tip
-    within the step, d is such that the tip goes straight to rest. A slip that has only just broken away is u = 0: what
-    rounding has left of it has no direction, and must decide nothing.
+    """Turn the friction of a slow tip to where its slip points at the end of the step h, s; whether it was slow.
 
     Parameters
     ----------
     w : Work
         In: u, direction, S, a, w, and c = ±μ u/|u| with the F of it (minus where the closure pulls). Written: c.
-    h : float
-        The step, s.
     """
-    level, speed, f = math.hypot(w.friction.c[0], w.friction.c[1]), math.hypot(w.tip.u[1], w.tip.u[2]), w.tip.F[0]
-    reach = h * level * abs(f)
-    if not reach * (w.tip.S[1, 1] + w.tip.S[2, 2]) > speed:
+    S, c, f, w1, w2 = w.tip.S, w.friction.c, w.tip.F[0], w.friction.viscous[0], w.friction.viscous[1]
+    level = math.hypot(c[0], c[1])
+    a1 = w.tip.a[1] + S[1, 0] * f - S[1, 1] * w1 - S[1, 2] * w2
+    a2 = w.tip.a[2] + S[2, 0] * f - S[1, 2] * w1 - S[2, 2] * w2
+    if not turn_to_end(S, w.tip.u[1], w.tip.u[2], a1, a2, level * abs(f), h, w.friction.direction, c):
         return False
-    u1, u2, before1, before2 = w.tip.u[1], w.tip.u[2], w.tip.u[1], w.tip.u[2]
-    if speed <= STILL:
-        u1, u2, before1, before2 = 0.0, 0.0, w.friction.direction[0], w.friction.direction[1]
-    elif not u1 * w.friction.direction[0] + u2 * w.friction.direction[1] > 0.0:
-        return False  # past the end of slip
-    det = w.tip.S[1, 1] * w.tip.S[2, 2] - w.tip.S[1, 2] * w.tip.S[1, 2]
-    trace, largest = w.tip.S[1, 1] + w.tip.S[2, 2], level * f
-    if not det > IMMOBILE * trace * trace:
-        return False  # a tip that moves along a line does not turn
-    a1 = w.tip.a[1] + w.tip.S[1, 0] * f - w.tip.S[1, 1] * w.friction.viscous[0] - w.tip.S[1, 2] * w.friction.viscous[1]
-    a2 = w.tip.a[2] + w.tip.S[2, 0] * f - w.tip.S[1, 2] * w.friction.viscous[0] - w.tip.S[2, 2] * w.friction.viscous[1]
-    p1, p2 = (w.tip.S[2, 2] * u1 - w.tip.S[1, 2] * u2) / det, (w.tip.S[1, 1] * u2 - w.tip.S[1, 2] * u1) / det
-    q1, q2 = (w.tip.S[2, 2] * a1 - w.tip.S[1, 2] * a2) / det, (w.tip.S[1, 1] * a2 - w.tip.S[1, 2] * a1) / det
-    if math.hypot(p1 / h + q1, p2 / h + q2) < level * abs(f):
-        if speed <= STILL:
-            return False  # it does not leave: friction is against the direction in which it is pulled
-        along, square = p1 * q1 + p2 * q2, p1 * p1 + p2 * p2
-        rate = (math.sqrt(along * along + square * (largest * largest - q1 * q1 - q2 * q2)) - along) / square
-        d1, d2 = rate * p1 + q1, rate * p2 + q2
-    else:
-        g11, g12, g22 = reach * w.tip.S[1, 1], reach * w.tip.S[1, 2], reach * w.tip.S[2, 2]
-        x1, x2 = u1 + h * a1, u2 + h * a2
-        low, high, d1, d2 = 0.0, math.hypot(x1, x2), x1, x2
-        for _ in range(60):
-            s = 0.5 * (low + high)
-            det = (s + g11) * (s + g22) - g12 * g12
-            d1, d2 = ((s + g22) * x1 - g12 * x2) / det, ((s + g11) * x2 - g12 * x1) / det
-            low, high = (s, high) if math.hypot(d1, d2) > 1.0 else (low, s)
-            if high - low <= 1e-14 * high:
-                break
-    size = math.hypot(d1, d2)
-    if not size > 0.0 or d1 * before1 + d2 * before2 < 0.0:
-        return False  # slip ends within the step; until then friction is against it
-    along = math.copysign(level / size, f)
-    w.friction.c[0], w.friction.c[1] = along * d1, along * d2
+    along = math.copysign(level, f)
+    c[0], c[1] = along * c[0], along * c[1]
     return True
 
 

@@ -72,7 +72,7 @@ def _refuse(words: list[str], line: str = "") -> int:
         line = "name a command, such as `closedloop run wam_slide`; closedloop --help lists them"
     elif not line:
         known = [*(command.name for command in COMMANDS), *shipped_scenarios()]
-        near = get_close_matches(words[0][:100], known, n=1, cutoff=0.5)
+        near = get_close_matches(words[0][:100], known, n=1, cutoff=0.6)
         hint = f"did you mean {near[0]!r}?" if near else "closedloop --help lists the commands"
         line = f"there is no command and no scenario {words[0][:100]!r}; {hint}"
 

@@ -36,7 +36,8 @@ def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
         return _read(as_path), as_path.stem, str(as_path), as_path.parent
     shipped = shipped_scenarios()
     if name not in shipped:
-        near = difflib.get_close_matches(str(name)[:100], shipped, n=1, cutoff=0.4)
+        part = [each for each in shipped if name and str(name) in each]  # "wipe" of panda_wipe
+        near = part or difflib.get_close_matches(str(name)[:100], shipped, n=1, cutoff=0.6)
         every = f"wam_slide is one of {len(shipped)}, 'closedloop scenarios' lists them"
         hint = f"did you mean '{near[0]}'?" if near else every
         raise ScenarioError(f"no scenario named {shown(str(name))}; {hint} (a file of your own must end in .toml)")

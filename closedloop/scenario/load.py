@@ -13,6 +13,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from closedloop.base.errors import ScenarioError
@@ -32,6 +33,7 @@ from closedloop.scenario.tables import (
     tables_of,
 )
 from robot_models.described import names_a_file
+from robot_models.errors import shown
 from robot_models.toml_text import toml_tables
 
 
@@ -73,6 +75,10 @@ def parse_scenario(
         data = toml_tables(text)
     except ValueError as error:
         raise ScenarioError(f"{where}: not valid TOML: {error}") from None
+    if not isinstance(overrides, Mapping | None):
+        raise ScenarioError(
+            f"overrides = {shown(overrides)}: must be keys and their values, such as {{'law.force': 15.0}}"
+        )
     data.setdefault("name", stem)
     robot = data.get("robot")
     given = {"robot", "robot.model"} & (overrides or {}).keys()
@@ -92,12 +98,17 @@ def scenario_of(
         for section in list(data):
             each_point(section, data)
         for key in sorted(_standing(overrides), key=_turn):
-            _override(data, key, deepcopy(overrides[key]))
+            _override(data, key, _plain(overrides[key]))
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
         raise ScenarioError(f"{where}: a value is nested too deeply") from None
     except ValidationError as error:
         raise ScenarioError(*(f"{where}: {fault}" for fault in explain(error, data))) from None
+
+
+def _plain(value: Any) -> Any:
+    """Return a copy of an override's value; numbers and arrays of numpy as Python's, which are what a file has."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else deepcopy(value)
 
 
 def _standing(overrides: Mapping[str, Any]) -> list[str]:

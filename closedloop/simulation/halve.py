@@ -13,7 +13,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.law_source import fresh
 from closedloop.simulation.engines.loops import PINOCCHIO
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.simulate import simulate
+from closedloop.simulation.simulate import check_engine, simulate
 from robot_models import RobotModel
 
 
@@ -63,6 +63,7 @@ def halve(
     SimulationError
         As by `simulate`, of the first run. That the second could not go on is in the verdict.
     """
+    check_engine(scenario, engine, law)
     half_step(scenario)
     run = simulate(scenario, law=fresh(law), model=model, progress=progress, engine=engine)
     return beside_half(run, law=law, model=model, progress=progress)

@@ -33,6 +33,7 @@ from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Answers, begun, driver
 from closedloop.simulation.prepare import prepare
 from robot_models import RobotModel
+from robot_models.errors import shown
 
 Array = NDArray[np.float64]
 
@@ -148,9 +149,11 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
     Raises
     ------
     ScenarioError
-        If there is no such engine, if a law takes other arguments than it is given, or if with the compiled engine the
-        integrator is adaptive or the law is not, or cannot be, compiled by numba.
+        If it is no scenario, if there is no such engine, if a law takes other arguments than it is given, or if with
+        the compiled engine the integrator is adaptive or the law is not, or cannot be, compiled by numba.
     """
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError(f"scenario = {shown(scenario)}: must be a Scenario, as load_scenario('wam_slide') returns")
     if engine not in ENGINES:
         raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
     if law is not None:

@@ -8,14 +8,17 @@ from test_joint_stops import after_moreau
 
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.impacts import apply_impact, collide
-from closedloop.loop.events.locate import slip_margin
+from closedloop.loop.events.locate import refine_bracket, slip_margin
 from closedloop.loop.events.phases import (
     AFTER_EVENT,
     AT_EVENT,
+    INSTANT,
+    LOCATE_EVENT,
     MAX_IN_STEP,
     MAX_MOVES,
     NEED_TERMS,
     PROJECTION,
+    REACH_EVENT,
     STEP_END,
 )
 from closedloop.loop.events.projection import project
@@ -320,6 +323,27 @@ def test_projection_leaves_a_tip_that_has_no_way_along_the_normal():
         assert interpreted(project)(H, w, constants, state) == NEED_TERMS
     assert state.phase != PROJECTION
     np.testing.assert_array_equal([w.q, w.v], [q, v])
+
+
+@pytest.mark.parametrize("mode", [FREE, PRESSED, STUCK])
+def test_an_event_in_contact_is_applied_where_its_mode_has_ended_and_not_where_it_is_about_to(mode):
+    """A gap of zero is no gap: a tip that leaves a soft surface slowly has it for longer than the search resolves.
+
+    Applied there, liftoff changed nothing, and came again at the same instant until the run was said to chatter.
+    """
+    loop, _, _ = loop_at_random("wam_bounce", SOFT)
+    state, w = loop.state, loop.w
+    ends = 3e-14  # so long is the gap zero to the last bit
+    state.mode, state.trial.purpose, state.trial.steps, w.length = mode, LOCATE_EVENT, 0, 1e-3
+    w.search.low, w.search.high, w.search.at_low, w.search.at_high = 0.0, 1e-3, 0.0, -1e-3
+    for _ in range(200):
+        if state.trial.purpose == REACH_EVENT:
+            break
+        w.search.tau = 0.5 * (w.search.low + w.search.high) if w.search.tau <= 0.0 else w.search.tau
+        w.search.value = 0.0 if w.search.tau <= ends else ends - w.search.tau
+        interpreted(refine_bracket)(w, state)
+    assert w.search.low <= ends < w.search.high <= w.search.low + INSTANT
+    assert w.search.tau == (w.search.low if mode == FREE else w.search.high)
 
 
 def test_events_without_end_stop_the_run_and_are_told_apart():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.loop.events.phases import MAX_IN_STEP, OUTPACED
 
 G, MU, SPEED = 9.81, 0.3, 0.25
 STUCK = 2
@@ -84,3 +85,20 @@ def test_a_block_breaks_away_when_the_pull_is_too_strong(degrees):
     np.testing.assert_allclose(run.friction_force[stuck], np.outer(-rise * run.time[stuck], along), atol=1e-12)
     slid = np.maximum(run.time - away, 0.0) ** 3 * rise / (6.0 * 2.0)
     np.testing.assert_allclose(run.q, np.outer(slid, along), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_stick_and_slip_without_end_end_the_run():
+    """Elastic joints measured at their motors feed a swing that no step resolves: the tip sticks and slips in it.
+
+    The number of events is limited, and the line names them, not the divergence that they come before.
+    """
+    elastic = {"transmission.stiffness": 5126.416396908399, "transmission.damping": 0.0,
+               "transmission.motor_inertia": 0.04560882887733263, "transmission.measured": "motor",
+               "joint_friction.kind": "coulomb", "joint_friction.kinetic": 0.6262351154754134,
+               "time.duration": 0.12, "time.integrator": "rk4"}  # fmt: skip
+    with pytest.raises(cl.SimulationError, match=r"too many events|diverges") as stopped:
+        cl.simulate(cl.load_scenario("panda_polish", elastic), engine="compiled")
+    run = stopped.value.run
+    assert 100 < len(run.events) <= MAX_IN_STEP + OUTPACED * len(run)
+    assert not run.summary()["verdict"]["good"]

@@ -17,6 +17,7 @@ from closedloop.mechanics.loops.memory import IDLE, POSITION
 from closedloop.mechanics.loops.reactions import loop_reactions
 from closedloop.mechanics.loops.reactions import loop_rows as rows_of_loops
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.record.report.report_rows import report_rows
 from validation.loops.mechanisms import MECHANISMS, bar, change_point, four_bar, joint, loop, mechanism, point
 from validation.oracle.closure import LoopJoint, loop_rows
 from validation.oracle.kinematics import forward_kinematics
@@ -274,6 +275,9 @@ def test_drives_move_the_mechanism_as_the_law_asks(mechanisms):
     assert np.all(driven.torque[:, passive] == 0.0)
     assert np.max(np.abs(all_of_them.torque[:, passive])) > 1.0
     np.testing.assert_allclose(driven.q, all_of_them.q, atol=1e-11)
+    (said,) = [row for row in report_rows(driven) if row[0] == "joints without a drive"]
+    assert said[1:] == ("2", "", "torque asked there is given by the drives, through the loops: P1, P2")
+    assert all(row[0] != "joints without a drive" for row in report_rows(all_of_them))
     stepped = cl.Simulator(scenario, model=own)
     for k in range(3):  # and a torque from outside
         stepped.step(torque=all_of_them.torque[k])

@@ -133,17 +133,16 @@ def alternating(x):
 
 
 def cut_differences(x):
-    """Return the differences of a signal, none larger than the larger of its neighbours."""
-    d = [0.0, *(b - a for a, b in itertools.pairwise(x)), 0.0]
-    return np.array(
-        [np.copysign(min(abs(d[k]), max(abs(d[k - 1]), abs(d[k + 1]))), d[k]) for k in range(1, len(d) - 1)]
-    )
+    """Return the differences of a signal; of one larger than both beside it, the nearer of these; none are outside."""
+    steps = [0.0, *np.diff(x), 0.0]
+    near = [steps[k - 1 : k + 2] for k in range(1, len(steps) - 1)]
+    return np.array([sorted(d)[1] if abs(d[1]) > max(abs(d[0]), abs(d[2])) else d[1] for d in near])
 
 
 def step_error_of(x, mode, order):
     """Return what a signal's steps add to its error in each mode, its largest difference, and the most cut of one.
 
-    Differences are cut to the larger beside them, and half of what they change by counts: with order one all of it,
+    Isolated differences are cut, and half of what they change by counts: with order one all of it,
     else 0.45 of it, less by the power order - 1 of how smooth these changes are.
     """
     total, begin, steepest, jump = 0.0, 0, 0.0, 0.0
@@ -206,10 +205,12 @@ def written_out(row, wanted, limits, V, order, sampled):
     fastest, first = np.max(np.abs(r.v)), order == 1
     varied, steepest, jump = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
     moved = steepest if first or np.any(np.diff(r.mode)) else min(jump, steepest)
+    lands = [i for i in range(1, count) if touching[i] and not touching[i - 1]]
+    if first:
+        moved += max((abs(wanted.force[i] - wanted.force[i - 1]) for i in lands), default=0.0)
     if sampled:
-        begins = [abs(miss[i]) for i in range(1, count) if touching[i] and not touching[i - 1]]
         kicks = sum(np.abs(cut_differences(x)) for x in r.torque.T)
-        moved += max(begins, default=0.0) + 2.0 * max(kicks[:-1][touching[2:]], default=0.0)
+        moved += max((abs(miss[i]) for i in lands), default=0.0) + 2.0 * max(kicks[:-1][touching[2:]], default=0.0)
     of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-12 * np.max(np.abs(f))
     aside = [step_error_of(x, r.mode, order)[0] for x in (r.position - wanted.position).T]
     late = (1.0 if first else 0.5) * H * np.max(np.linalg.norm(r.velocity, axis=1))

@@ -164,6 +164,8 @@ def test_every_key_is_described():
     ("name", "words"),
     [
         ("wam_slid", ["'wam_slid'", "did you mean 'wam_slide'"]),
+        ("wipe", ["'wipe'", "did you mean 'panda_wipe'"]),
+        ("nosuch", ["'nosuch'", "'closedloop scenarios' lists them"]),  # no name is like it
         ("xyzzy", ["'xyzzy'", "wam_slide", ".toml"]),
         ("", ["wam_slide"]),
         ("missing.toml", ["missing.toml", "No such file"]),
@@ -388,3 +390,28 @@ def test_a_scenario_file_may_name_a_robot_file(tmp_path, monkeypatch):
     (tmp_path / "study.toml").write_text('robot.model = "mine.urdf"\n' + MINIMAL)
     monkeypatch.chdir(tmp_path)
     assert cl.prepare(cl.load_scenario("study.toml", {"time.duration": 0.01})).robot.n == 2
+
+
+def test_numbers_and_arrays_of_numpy_are_those_of_a_file():
+    """As an override; what is no number stays none."""
+    gains = np.array([900.0, 400.0, 400.0, 300.0])
+    changes = {"law.force": np.float32(12.5), "law.kp": gains, "sensor.seed": np.int64(3)}
+    scenario = cl.load_scenario("wam_slide", changes)
+    assert (scenario.law.force, scenario.law.kp, scenario.sensor.seed) == (12.5, tuple(gains), 3)
+    with pytest.raises(cl.ScenarioError, match=r"law.force = \(3\+1j\): must be a number"):
+        cl.load_scenario("wam_slide", {"law.force": np.complex64(3 + 1j)})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda: cl.load_scenario("wam_slide", ["law.force"]), "overrides = ['law.force']: must be keys and their"),
+        (lambda: cl.simulate("wam_slide"), "scenario = 'wam_slide': must be a Scenario, as load_scenario"),
+        (lambda: cl.halve("wam_slide"), "scenario = 'wam_slide': must be a Scenario, as load_scenario"),
+    ],
+)
+def test_what_is_no_scenario_is_refused_in_one_line(wrong, said):
+    """A name in place of a scenario, a list in place of overrides."""
+    with pytest.raises(cl.ScenarioError) as caught:
+        wrong()
+    assert str(caught.value).startswith(said)

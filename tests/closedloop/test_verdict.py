@@ -39,7 +39,7 @@ PLANTED = {
          "law.kd": [5.0, 5.0, 1.0, 1.0]},
         ["closure"], True,
     ),
-    "contact": ("wam_slide", SHORT | {"law.force": 1.0, "reference.stop": 0.6}, ["contact_kept", "step"], True),
+    "contact": ("wam_slide", SHORT | {"law.force": 1.0, "reference.stop": 0.6}, ["contact_kept"], True),
     "singular pose passed": ("wam_through_singularity", {"time.duration": 0.62}, ["good"], True),
     "end in a singular pose": ("wam_through_singularity", {"time.duration": 0.6}, ["nonsingular"], True),
 }  # fmt: skip

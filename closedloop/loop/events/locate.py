@@ -101,7 +101,7 @@ def refine_bracket(w: Work, state: State) -> int:
         else:
             value = -w.tip.rate
     # The end that stays twice has its value halved, so that the secant moves towards it (Illinois).
-    if value > 0.0 or (value == 0.0 and state.mode == FREE):
+    if value >= 0.0:  # at zero its mode has not ended: an event applied there would change nothing, and come again
         w.search.low, w.search.at_low = tau, value
         w.search.at_high *= 0.5 if state.trial.steps > 1 else 1.0
     else:

@@ -299,6 +299,7 @@ def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
     moved = select(first_order | (swings.stretches > 1.0), swings.steepest, moved)
     swing = Swing(swings.each[0])
     error = min(swing.error, swing.highest - swing.lowest) + moved + HELD_SHARE * swings.kick + swings.struck
+    error = error + select(first_order, swings.begun, 0.0)
     error = error + (POSE * lag * fastest + RESIDUAL_TOLERANCE) * largest
     singular = values.failed_at[_NONSINGULAR]
     values.step_error_force = select(singular == singular, math.nan, error)

@@ -101,13 +101,16 @@ def _direction_rows(facts: dict[str, Any]) -> list[Row]:
 
 
 def _undriven_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
-    """Return of how many motions the law's torque on joints without a drive is lost, and which joints these are."""
+    """Return what becomes of the law's torque on joints without a drive: the drives give it, or it is lost."""
     lost, free = facts["motions_without_drive"], {j + k for j in run.model.bodies for k in range(6)}
     undriven = [j for j, has in enumerate(run.model.driven) if not has and j not in free]
-    if not lost or not undriven:  # nobody expects a drive of a free body
+    if not undriven:  # nobody expects a drive of a free body
         return []
     names = ", ".join(run.model.joint_names[j] for j in undriven)
-    return [("motions without a drive", f"{lost - len(free)}", "", f"torque asked there is lost: {names}")]
+    if lost:
+        return [("motions without a drive", f"{lost - len(free)}", "", f"torque asked there is lost: {names}")]
+    where = "torque asked there is given by the drives, through the loops"
+    return [("joints without a drive", f"{len(undriven)}", "", f"{where}: {names}")]
 
 
 def _loop_rows(run: Record) -> list[Row]:

@@ -13,7 +13,10 @@ in friction or at a sample of a sensor, the order is lost, and how smooth it is 
 one of order one.
 
 To this is added what variations do not show. Events, and paths that start between two rows, move by up to a step, and
-the force with them, by its steepest change from row to row; with order one the force lags by as much anyway. A torque
+the force with them, by its steepest change from row to row; with order one the force lags by as much anyway. With a
+higher order a path or a force that jumps at a row comes up to a third of a step early (`LATE`), which f hides where
+joints are elastic. Where contact begins,
+with order one, the force asked for in that step may be that of either of its rows. A torque
 that is held lets the force drift until the next sample, where it comes back by what the torque changes; and contact
 that begins beside a sample may begin on the other side of it, so that the error of the force in that row counts. In
 steady motion a run lags by a share of a step behind: the tip by as much of its way, and the force, which depends on the
@@ -42,10 +45,17 @@ from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 
-# A path that starts smoothly leaves an error as t⁵ at most, which grows by 9⁵ from the first to the ninth equal part.
-PARTS, GROWING, GROWTH = 20, 8, 1e5
+# A path that starts smoothly leaves an error as t⁵ at most. Its changes grow by 9⁴ from the first to the ninth equal
+# part.
+PARTS, GROWING, GROWTH = 20, 8, 1e4
 # Joints slower than this, rad/s (m/s), rest: in motion friction has its direction.
 AT_REST = 1e-6
+# The last stage of a step already has the path, force or law that jumps at its end. It has a sixth of the weight in
+# rk4, so that all after the jump comes a sixth of a step early, of a jump within a step up to a third. Where joints are
+# elastic the motors take the jump, and the rows of f do not show it.
+LATE = 1.0 / 3.0
+# Why neither the error of f nor that of the tip is known.
+GROWS = "f grows exponentially: with it the error of each step, and of rounding"
 # Rows in one mode of contact of which the signals are taken one by one.
 LONG = 2048
 
@@ -57,7 +67,7 @@ def write_swings(run: Record, swings: Swings) -> None:
     np.subtract(run.position.T, run.reference_tip.T, out=signals[1:])
     (held, order, sampled), total = resolution_of(run.scenario), np.zeros(signals.shape[0])
     ends = [0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]
-    swings.stretches, swings.steepest, swings.jump, swings.struck = len(ends) - 1, 0.0, 0.0, 0.0
+    swings.stretches, swings.steepest, swings.jump, swings.struck, swings.begun = len(ends) - 1, 0.0, 0.0, 0.0, 0.0
     for begin, end in pairwise(ends):
         # Of long stretches one signal after the other: what is between would take as much memory as half the columns.
         each = 1 if end - begin > LONG else signals.shape[0]
@@ -69,8 +79,9 @@ def write_swings(run: Record, swings: Swings) -> None:
                 sizes, size = np.abs(np.diff(stretch[0])), np.abs(cut[0])
                 swings.steepest = max(swings.steepest, np.max(size, initial=0.0) / held)
                 swings.jump = max(swings.jump, np.max(sizes - size[: sizes.size], initial=0.0))
-        if sampled and begin and run.mode[begin] != FREE and run.mode[begin - 1] == FREE:
-            swings.struck = max(swings.struck, abs(signals[0, begin]))
+        if begin and run.mode[begin] != FREE and run.mode[begin - 1] == FREE:
+            swings.begun = max(swings.begun, abs(run.reference_force[begin] - run.reference_force[begin - 1]))
+            swings.struck = max(swings.struck, abs(signals[0, begin]) if sampled else 0.0)
     swings.kick = _kick(run, held) if sampled else 0.0
     low, high = np.min(signals, axis=1), np.max(signals, axis=1)
     for k, error in enumerate(total):
@@ -130,8 +141,10 @@ def _errors(signals: Array, cut: Array, order: int) -> Array:
 def grows(off: Array) -> bool:
     """Whether an error (N,) grows exponentially: in each of `GROWING` successive parts of the run, by `GROWTH` in all.
 
-    The sum of the errors that the steps add is none of such a motion, which multiplies them, and rounding too.
+    The sum of the errors that the steps add is none of such a motion, which multiplies them, and rounding too. It is
+    told by the changes from row to row, which a force that is off by as much in all rows does not hide.
     """
+    off = np.diff(off)
     size = len(off) // PARTS
     if size == 0:
         return False
@@ -169,7 +182,21 @@ def why_force_not_known(scenario: Scenario, off: Array, kinds: Array, touching: 
     struck = bool(np.any((kinds == IMPACT) | (kinds == TOUCHDOWN)))
     if struck and touching and speed < AT_REST and scenario.rubs_in_joints:
         return "joint_friction: what friction bears at rest depends on the last of the motion after an impact"
-    return "f grows exponentially: with it the error of each step, and of rounding" if grows(off) else ""
+    return GROWS if grows(off) else ""
+
+
+def add_late(scenario: Scenario, swings: Swings, values: Any) -> None:
+    """Add to the error of f what a jump that elastic joints hide from the rows leaves with rk4, see `LATE`."""
+    if scenario.transmission.elastic and resolution_of(scenario)[1] > 1 and swings.stretches <= 1.0:
+        values.step_error_force += max(0.0, LATE * swings.steepest - min(swings.jump, swings.steepest))
+
+
+def unknown_because(why: str) -> tuple[str, ...]:
+    """Return which values of the summary are not known for what `why_force_not_known` says: none where it says "".
+
+    An error that grows with f is the tip's too.
+    """
+    return ("step_error_force", "step_error_position")[: (why != "") + (why == GROWS)]
 
 
 def run_force_not_known(run: Record) -> str:

@@ -56,6 +56,8 @@ class Swings(Block, sizes=("n",)):
     steepest: float  # of the force: the largest cut difference, and the most that one was cut by
     jump: float
     struck: float  # of a sampled law: the largest error of the force in the row with which contact begins
+    wanted: float  # the last force asked for, and the most that it changes in a step in which contact begins
+    begun: float
     kick: float  # and the largest change of the torques from sample to sample, summed over the joints
     samples: float
     each: Annotated[Array, SIGNALS, Swing.count()]
@@ -66,10 +68,13 @@ class Swings(Block, sizes=("n",)):
 
 @kernel_inlined
 def cut_slope(before: Any, slope: Any, after: Any) -> Any:
-    """Return a difference that counts with no more than the larger of its neighbours: what is isolated is a jump."""
-    beside = select(abs(before) > abs(after), abs(before), abs(after))
-    size = select(abs(slope) < beside, abs(slope), beside)
-    return select(slope < 0.0, -size, size)
+    """Return a difference; one that is larger than both of its neighbours is a jump, and the nearer of them counts.
+
+    The nearer by value: of 0, 20, −4, a jump and the decay after it, the jump counts as 0 and not as 4.
+    """
+    lower, upper = select(before < after, before, after), select(before < after, after, before)
+    isolated = (abs(slope) > abs(before)) & (abs(slope) > abs(after))
+    return select(isolated, select(slope < 0.0, lower, upper), slope)
 
 
 @kernel_inlined
@@ -98,6 +103,7 @@ def begin_swings(swings: Swings) -> None:
     """Write what is remembered of no row."""
     swings.mode, swings.counted, swings.stretches, swings.steepest = _NO_MODE, 0.0, 0.0, 0.0
     swings.jump, swings.struck, swings.kick, swings.samples = 0.0, 0.0, 0.0, 0.0
+    swings.wanted = swings.begun = 0.0
     for k in range(SIGNALS):
         swing = Swing(swings.each[k])
         swing.error, swing.lowest, swing.highest = 0.0, np.inf, -np.inf
@@ -113,11 +119,14 @@ def count_swings(
     """
     if not every(row.mode == swings.mode):
         end_stretch(held, order, swings)
+        begins = (swings.mode == FREE) & (row.mode != FREE)
+        moved = abs(wanted.force - swings.wanted)
+        swings.begun = select(begins & (moved > swings.begun), moved, swings.begun)
         if sampled == 1:
             off = abs(row.contact_force - wanted.force)
-            begins = (swings.mode == FREE) & (row.mode != FREE)
             swings.struck = select(begins & (off > swings.struck), off, swings.struck)
         swings.mode, swings.counted = row.mode, 0.0
+    swings.wanted = wanted.force
     for k in range(SIGNALS):
         if k == 0:
             x = select(row.mode != FREE, row.contact_force - wanted.force, 0.0)

@@ -23,7 +23,7 @@ from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_m
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import Scale, energy_left, torque_power
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.step_error import run_force_not_known, step_error, why_not_known
+from closedloop.record.report.step_error import run_force_not_known, step_error, unknown_because, why_not_known
 from closedloop.record.report.undetermined import not_determined_from
 from closedloop.record.report.undriven import motions_without_drive
 from closedloop.record.report.verdict import Facts, judge
@@ -175,8 +175,10 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
         found |= measured_step_error(run.halved)
     elif why_not_known(run.scenario, singular=False):
         found["step_error_force"] = found["step_error_position"] = None
-    elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]) or run_force_not_known(run):
+    elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]):
         found["step_error_force"] = None
+    elif why := run_force_not_known(run):
+        found |= dict.fromkeys(unknown_because(why))
     return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
 
 

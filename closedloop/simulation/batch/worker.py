@@ -35,7 +35,8 @@ from closedloop.record.report.limited import count_limited
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.step_error import resolution_of, why_force_not_known
+from closedloop.record.report.step_error import add_late, resolution_of, unknown_because, why_force_not_known
+from closedloop.record.report.step_variation import Swings
 from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.modes import unresolved
 from closedloop.scenario.scenario import Scenario
@@ -239,17 +240,20 @@ class Worker:
             make_ready(measure_rows)
             robot, work = tree
             wanted = problem.table, problem.nodes, *resolution_of(problem.scenario)
+            tally = np.empty(Tally.count(n))
             measure_rows(
-                robot, (work, np.empty(Tally.count(n))), rows, wanted, problem.h,
+                robot, (work, tally), rows, wanted, problem.h,
                 joint_limits(problem.robot.model), events, values, signals,
             )  # fmt: skip
+            add_late(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n))
             forget_absent(problem.scenario, values, self.law is not None)
             last = Row(rows[-1], n)
-            if why_force_not_known(
+            why = why_force_not_known(
                 problem.scenario, signals[0] - signals[1], events[:, EventRow.place("kind")], last.mode != FREE,
                 float(np.max(np.abs(last.v))),
-            ):  # fmt: skip
-                Values(values, n).step_error_force = math.nan
+            )  # fmt: skip
+            for name in unknown_because(why):
+                setattr(Values(values, n), name, math.nan)
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
         columns = {

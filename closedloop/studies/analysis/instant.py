@@ -20,6 +20,7 @@ from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.record_row import Row, complete_record
 from closedloop.loop.step.seen import read_joints
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import Answers, single_calls
@@ -73,6 +74,18 @@ def parts_of(problem: Problem) -> dict[str, slice]:
     return {name: slice(end - count, end) for name, count, end in zip(PARTS, counts, ends, strict=True)}
 
 
+def refuse_outside(scenario: Scenario, at: float) -> None:
+    """Refuse an instant, s, outside the run.
+
+    Raises
+    ------
+    ScenarioError
+    """
+    end = scenario.time.duration
+    if not 0.0 <= at <= end:
+        raise ScenarioError(f"linearise: at = {at:g} s: must be within the run, 0 to time.duration = {end:g} s")
+
+
 def row_at(problem: Problem, at: float) -> int:
     """Return the row of an instant, s: the nearest at which the law is evaluated.
 
@@ -82,9 +95,7 @@ def row_at(problem: Problem, at: float) -> int:
         If it is outside the run.
     """
     hold = max(problem.hold, 1)
-    end = problem.steps * problem.h
-    if not 0.0 <= at <= end:
-        raise ScenarioError(f"linearise: at = {at:g} s: must be within the run, 0 to time.duration = {end:g} s")
+    refuse_outside(problem.scenario, at)
     return min(round(at / (problem.h * hold)) * hold, problem.steps // hold * hold)
 
 

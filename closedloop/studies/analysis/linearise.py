@@ -31,7 +31,7 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.discretise import step_of
 from closedloop.studies.analysis.here import EventHere, Here, columns
-from closedloop.studies.analysis.instant import Instant, parts_of, refuse_unknown, row_at, run_to
+from closedloop.studies.analysis.instant import Instant, parts_of, refuse_outside, refuse_unknown, row_at, run_to
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from robot_models import RobotModel
 
@@ -75,6 +75,7 @@ def linearise(scenario: Scenario, at: float | None = None, *, model: RobotModel 
         At an event, in flight, if a drive is at its limit, or if the run stops before.
     """
     at = 0.5 * scenario.time.duration if at is None else at
+    refuse_outside(scenario, at)  # before the path is made, which takes a while
     problem = prepare(scenario, model)
     instant = instant_of(scenario, problem, at, model)
     return loop_at(problem, instant)

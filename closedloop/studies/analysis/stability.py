@@ -25,7 +25,7 @@ from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.here import Here
-from closedloop.studies.analysis.instant import Instant, run_on
+from closedloop.studies.analysis.instant import Instant, refuse_outside, run_on
 from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
 from closedloop.studies.analysis.linearise import instant_of, loop_at
 from robot_models import RobotModel
@@ -142,8 +142,10 @@ class Stability:
 
     def __init__(self, scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None) -> None:
         self.scenario, self._model, self._cache = scenario, model, Cache()
+        at = 0.5 * scenario.time.duration if at is None else at
+        refuse_outside(scenario, at)
         self._problem = prepare(scenario, model)
-        self._instant = instant_of(scenario, self._problem, 0.5 * scenario.time.duration if at is None else at, model)
+        self._instant = instant_of(scenario, self._problem, at, model)
         self.base = loop_at(self._problem, self._instant)
         self._variants: dict[tuple[str, ...], Variants] = {}
 

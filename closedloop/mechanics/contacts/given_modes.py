@@ -113,10 +113,12 @@ def solve_modes(c: Contacts, k: int) -> int:
     rank = independent_rows(c, p)
     if rank < p and shortest_solutions(c, p, rank, asked):
         write_forces(c, p)
-        if not (inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F)):
-            share_forces(c, k, p)
-        c.problem.rounding = rounding_of(c, k, asked / most)
-        return OK
+        if inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F):
+            c.problem.rounding = rounding_of(c, k, asked / most)
+            return OK
+        for i in range(3 * k):
+            c.rigid[i] = 0.0 - c.viscous[i]
+            c.F[i] = c.rigid[i]
     for i in range(p):
         for j in range(p):
             c.scratch.unknowns[i, j] = c.scratch.system[i, j]

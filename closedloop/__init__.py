@@ -23,6 +23,7 @@ Build
     prepare, Problem                              a scenario as arrays
 Identify
     identify, Log                                 parameters of a robot, with intervals, from a log of its motion
+    identify_contact                              friction, stiffness, damping, restitution, force sensor, from a log
     excite                                        a motion within limits that makes given parameters known best
     compare_log, Recording                        a log or a run over a scenario: what differs, and what explains it
 Errors, all of them ClosedLoopError
@@ -94,6 +95,7 @@ if TYPE_CHECKING:
     from closedloop.studies.comparison.with_log import compare_log as compare_log
     from closedloop.studies.gradient.gradient import gradient as gradient
     from closedloop.studies.gradient.sensitivities import sensitivities as sensitivities
+    from closedloop.studies.identify.contact.identify_contact import identify_contact as identify_contact
     from closedloop.studies.identify.excite import excite as excite
     from closedloop.studies.identify.identify import identify as identify
     from closedloop.studies.identify.log import Log as Log
@@ -139,6 +141,7 @@ _HOME = {
     "gradient": "studies.gradient.gradient",
     "halve": "simulation.halve",
     "identify": "studies.identify.identify",
+    "identify_contact": "studies.identify.contact.identify_contact",
     "lab": "lab.start",
     "linearise": "studies.analysis.linearise",
     "load_run": "record.load",

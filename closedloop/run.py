@@ -245,10 +245,11 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
     if not name.endswith(".nc"):
         return load_scenario(name, overrides), None, None
     from closedloop.record.load import load_run
+    from closedloop.scenario.arm import is_of_model
 
     earlier = load_run(name)
     scenario = parse_scenario(earlier.scenario.to_toml(), where=name, overrides=overrides)
-    changed = any(key.startswith("robot.") and key != "robot.tip" for key in overrides)
+    changed = any(map(is_of_model, overrides))
     return scenario, None if changed else earlier.model, earlier
 
 

@@ -30,7 +30,7 @@ API = {
     ),
     "Laws and surfaces of your own": "Law LawInput ControlLaw Surface SurfaceMotion Compliance",
     "The robot and the closure": "Robot Terms Plane solve_closure",
-    "Identification": "identify Log excite compare_log Recording",
+    "Identification": "identify identify_contact Log excite compare_log Recording",
     "Stability of the force loop": "linearise",
     "Derivatives and tuning": "gradient sensitivities tune",
     "Errors": (

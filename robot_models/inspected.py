@@ -12,6 +12,8 @@ from hashlib import sha256
 PASSED: dict[str, tuple[str, ...]] = {
     # wam4
     "69a1edd10c27097c6450293c711a408c8910f5a0086d5e7f85e1f637260aa47b": (),
+    # wam7
+    "858ac1e59429c214b7b8b8118b47d6e2180854b5f351d19be857509c3c0a6ecb": (),
     # planar2
     "d3821697a5c8889df6cd144bbc557b22d5c54885e682d1370aa9447bf00cf5c7": (),
     # pointmass3

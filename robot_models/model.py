@@ -151,11 +151,14 @@ class RobotModel:
     @property
     def driven(self) -> NDArray[np.bool_]:
         """(n,) whether each joint has a drive; a free joint or a ball joint has none."""
-        found = np.array([not self.drives or name in self.drives for name in self.joint_names])
-        for j in self.balls:
-            found[j : j + 3] = False
-        for j in self.bodies:
-            found[j : j + 3] = False
+        return np.array([not self.drives or name in self.drives for name in self.joint_names]) & ~self.free
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """(n,) whether each velocity is of a free joint or a ball joint."""
+        found = np.zeros(self.n, dtype=bool)
+        for j in (*self.balls, *self.bodies):
+            found[j : j + 3] = True
         return found
 
     @property

@@ -108,6 +108,16 @@ PerJoint = tuple[Number, ...]
 Gain = Annotated[float | tuple[float, ...], BeforeValidator(gain_of)]
 
 
+def _one_line(value: Any) -> Any:
+    """A name stands in headers and comments of the files that are written, so nothing in it ends a line."""
+    if isinstance(value, str) and not value.isprintable():
+        raise ValueError("must be a name on one line, of characters that can be printed")
+    return value
+
+
+OneLine = Annotated[str, BeforeValidator(_one_line)]
+
+
 class SizeError(ValueError):
     """A number is too large or too small."""
 

@@ -32,7 +32,7 @@ def _main(words: list[str]) -> int:
         "motion and torques. --SECTION.KEY VALUE changes the scenario.",
         cure="such as: closedloop compare log.csv --scenario wam_slide",
     )
-    parser.add_argument("log", metavar="LOG", help=".csv, .parquet, .nc, or a run.nc of this simulator")
+    parser.add_argument("log", metavar="LOG", help=".csv, .parquet, .nc, .mcap, rosbag2, or a run.nc of this simulator")
     parser.add_argument("--scenario", required=True, help="a scenario that ships, or a .toml")
     parser.add_argument(
         "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",

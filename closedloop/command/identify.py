@@ -8,9 +8,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from closedloop.base.errors import ModelError, OutputError
 from closedloop.command.border import DONE, Parser, run_command
+
+if TYPE_CHECKING:
+    from robot_models import RobotModel
 
 TERMS = ("viscous", "dry", "offset", "stribeck", "drive_inertia")
 
@@ -32,6 +36,7 @@ def _main(words: list[str]) -> int:
     if unknown := [term for term in terms if term not in TERMS]:
         raise ModelError(f"--terms {options.terms}: {unknown[0]!r} is none of {', '.join(TERMS)}")
     gain = [_number(entry, "--gain") for entry in options.gain.split(",")]
+    normal = None if options.contact is None else [_number(entry, "--contact") for entry in options.contact.split(",")]
     folder = Path(options.out)
     try:
         probe_folder(folder)
@@ -41,6 +46,8 @@ def _main(words: list[str]) -> int:
     if len(gain) not in (1, robot.n):
         raise ModelError(f"--gain {options.gain}: {len(gain)} numbers: one, or {robot.n}, one for each joint")
     mapped = dict(options.columns)
+    if normal is not None:
+        return _contact(options, robot, mapped, normal, gain, folder)
     logs = [read_log(path, robot, columns=mapped, degrees=options.degrees, gain=gain) for path in options.logs]
     found = identify(
         logs, robot,
@@ -56,11 +63,46 @@ def _main(words: list[str]) -> int:
     return DONE
 
 
+def _contact(
+    options: argparse.Namespace, robot: RobotModel, mapped: dict[str, str], normal: list[float], gain: list[float],
+    folder: Path,
+) -> int:  # fmt: skip
+    """Identify the contact of the tip with a plane, from one log."""
+    import io
+    import json
+
+    from closedloop.base.files import write_whole
+    from closedloop.studies.comparison.recording import read_recording
+    from closedloop.studies.identify.contact.identify_contact import contact_recording, identify_contact
+    from closedloop.studies.identify.read import run_of
+
+    if len(normal) != 3:
+        raise ModelError(f"--contact {options.contact}: {len(normal)} numbers: three, the normal of the plane")
+    if len(options.logs) > 1:
+        raise ModelError(f"--contact: {len(options.logs)} logs: a contact is identified from one")
+    path = Path(options.logs[0])
+    run = run_of(path) if path.suffix.lower() == ".nc" and not mapped else None
+    if run is not None:
+        recording, out = contact_recording(run, str(path))
+        normal = [float(x) for x in out]
+    else:
+        recording = read_recording(path, robot, columns=mapped, degrees=options.degrees, gain=gain)
+    found = identify_contact(recording, robot, normal=normal, delay=options.delay, cutoff=options.cutoff)
+    print("\n".join(found.lines()))
+    image = io.BytesIO()
+    found.figure().savefig(image)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / "contact.json", f"{json.dumps(found.summary(), indent=2, allow_nan=False)}\n".encode())
+    write_whole(folder / "contact.png", image.getvalue())
+    print(f"\nwrote {folder}/: contact.json, contact.png")
+    return DONE
+
+
 def _parser() -> Parser:
     parser = Parser(
         prog="closedloop identify",
         description="Identify base inertial parameters, friction and drive inertia of a robot from a log: positions "
-        "and torques of all joints over time, as CSV, Parquet, NetCDF, or a run.nc of this simulator. Every value has "
+        "and torques of all joints over time, as CSV, Parquet, NetCDF, MCAP, rosbag2, or a run.nc. Every value has "
         "a 95 % interval; what the log does not tell is named, with a motion that would.",
         cure="such as: closedloop identify log.csv --robot ur10",
     )
@@ -82,6 +124,12 @@ def _parser() -> Parser:
         "--coupled", action="append", default=[], type=_pair, metavar="A,B",
         help="two joints whose second motor turns with both, such as the wrist of a Staeubli TX",
     )  # fmt: skip
+    parser.add_argument(
+        "--contact", metavar="NX,NY,NZ",
+        help="find friction, stiffness, damping, restitution and the force sensor instead, of a tip on a plane with "
+        "this normal (of a run.nc its own); the log has the force too: one column along the normal, or three",
+    )  # fmt: skip
+    parser.add_argument("--delay", type=float, metavar="S", help="of the force behind the motion, if known (--contact)")
     parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass (default: ten times the motion's)")
     parser.add_argument(
         "--slow",

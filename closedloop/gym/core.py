@@ -15,9 +15,10 @@ from closedloop.base.errors import ScenarioError
 from closedloop.gym.actions import Actions
 from closedloop.gym.now import Now
 from closedloop.gym.observations import PARTS, TRUTH, Observations
-from closedloop.gym.ranges import POSTURE, as_ranges, drawn, home_of
+from closedloop.gym.ranges import POSTURE, as_ranges, drawn
 from closedloop.gym.rewards import as_terms
 from closedloop.gym.task import Task
+from closedloop.scenario.arm import start_positions
 from closedloop.scenario.overrides import Variants
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.loops import COMPILED
@@ -66,7 +67,7 @@ class Core:
         self._worlds: dict[int, tuple[dict[str, Any], Problem]] = {}
         self._variants: dict[tuple[str, ...], Variants] = {}
         first = prepare(self.scenario, None, self._cache)
-        self.home = home_of(self.scenario, first.robot.model.home)
+        self.home = start_positions(self.scenario, first.robot.model)
         n, h = first.robot.n, first.h
         if not 0.0 < task.control_rate <= 1.0 / h * (1.0 + 1e-9):
             raise ScenarioError(

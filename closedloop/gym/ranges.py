@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import ScenarioError
-from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 
@@ -91,8 +90,3 @@ def drawn(
         values[key] = int(random.integers(LARGEST_SEED))
     values.update(given)
     return values
-
-
-def home_of(scenario: Scenario, home: Array) -> Array:
-    """Return the posture at which a scenario starts, `home` if it says none."""
-    return np.array(home if scenario.start.q is None else scenario.start.q, dtype=np.float64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import as_run
 from closedloop.simulation.engines.law_source import fresh
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, kernels_of
-from closedloop.simulation.prepare import load_model, prepare
+from closedloop.simulation.prepare import load_model, model_key, prepare
 from closedloop.simulation.simulate import check_engine, run_loop, simulate
 from robot_models import RobotModel
 
@@ -83,7 +83,7 @@ class Answers:
     ) -> None:  # fmt: skip
         self._overtaken = overtaken
         self._history, self.law, self._given, self._say = history, law, model, say
-        self._models: dict[str, RobotModel] = {}
+        self._models: dict[Hashable, RobotModel] = {}
         self._ready: set[tuple[Any, ...]] = set()
         self._began = 0.0
 
@@ -129,7 +129,7 @@ class Answers:
         """Return the robot of a scenario, loaded once."""
         if self._given is not None:
             return self._given
-        key = scenario.robot.model_dump_json()
+        key = model_key(scenario)
         if key not in self._models:
             self._models = {key: load_model(scenario)}
         return self._models[key]

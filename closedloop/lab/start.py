@@ -86,13 +86,14 @@ def _begin(
     scenario: Scenario | Run | str | Path, changes: Mapping[str, Any], model: RobotModel | None
 ) -> tuple[Scenario, str, RobotModel | None]:
     """Return the scenario, its name on the command line, and the robot if it came with a run."""
+    from closedloop.scenario.arm import is_of_model
     from closedloop.scenario.load import parse_scenario
 
     if isinstance(scenario, str | Path) and str(scenario).endswith(".nc"):
         from closedloop.record.load import load_run
 
         run = load_run(scenario)
-        changed = any(key.startswith("robot.") and key != "robot.tip" for key in changes)
+        changed = any(map(is_of_model, changes))
         base = parse_scenario(run.scenario.to_toml(), where=str(scenario), overrides=changes)
         return base, str(scenario), model if model is not None or changed else run.model
     if isinstance(scenario, str | Path):

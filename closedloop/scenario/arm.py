@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import ModelError, ScenarioError
-from closedloop.jit.parameters import per_joint
 from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -17,7 +16,8 @@ from closedloop.mechanics.surface.plane import unit
 from closedloop.scenario.robot_sections import ToolSection
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel, Tool
-from robot_models.coordinates import normalised, with_rotation_vectors
+from robot_models.bodies import FreeBody, with_bodies
+from robot_models.coordinates import PARTS, PLACES, RATES, normalised, with_rotation_vectors
 from robot_models.joint_dynamics import joint_dynamics, loop_dynamics
 
 Array = NDArray[np.float64]
@@ -31,16 +31,87 @@ def start_posture(scenario: Scenario, model: RobotModel) -> Array:
     ScenarioError
         If `start.q` has not one entry for each coordinate, or a quaternion in it has no length.
     """
-    if scenario.start.q is None:
-        q = model.home.copy()
-    else:
-        q = np.array(per_joint("start.q", scenario.start.q, len(model.coordinate_names)))
+    q = start_positions(scenario, model)
     if not model.balls:
         return q
     try:
         return with_rotation_vectors(normalised(q, model.joint_types, "start.q"), model.joint_types)
     except ModelError as error:
         raise ScenarioError(str(error)) from None
+
+
+def start_positions(scenario: Scenario, model: RobotModel) -> Array:
+    """Return q (nq,) at the start: that of `start.q`, or the home posture with each [[body]] where it is placed.
+
+    A `start.q` may leave out what moves freely, which is then where the model, or its [[body]], has it.
+
+    Raises
+    ------
+    ScenarioError
+        If `start.q` has neither of these lengths.
+    """
+    given, names = scenario.start.q, model.coordinate_names
+    placed = dict(zip(names, model.home.tolist(), strict=True))
+    for body in scenario.body or ():
+        pose = zip((*PLACES, *PARTS), (*body.position, *body.quaternion), strict=True)
+        placed |= {body.name + end: value for end, value in pose}
+    return _whole("start.q", given, np.array([placed[name] for name in names]), names, model)
+
+
+def start_velocities(scenario: Scenario, model: RobotModel) -> Array:
+    """Return q̇ (n,) at the start, with each [[body]] as it moves; of `start.v` see `start_positions`.
+
+    Raises
+    ------
+    ScenarioError
+        If `start.v` has neither of its lengths.
+    """
+    names = model.joint_names
+    moving = dict.fromkeys(names, 0.0)
+    for body in scenario.body or ():
+        rates = zip((*PLACES, *RATES), (*body.velocity, *body.spin), strict=True)
+        moving |= {body.name + end: value for end, value in rates}
+    return _whole("start.v", scenario.start.v, np.array([moving[name] for name in names]), names, model)
+
+
+def _whole(
+    key: str, given: tuple[float, ...] | None, values: Array, names: tuple[str, ...], model: RobotModel
+) -> Array:
+    """Return the list of a key if it has all entries, or `values` with those that it has: of what is not free."""
+    if given is None:
+        return values
+    held = np.isin(names, np.array(model.joint_names)[~model.free])
+    if len(given) in (held.sum(), len(names)):
+        values[held if len(given) != len(names) else slice(None)] = given
+        return values
+    what = f"{model.name} has {len(names)} joints" if not model.balls else f"for {model.name} it has {len(names)}"
+    less = f", or {held.sum()} without those that move freely" if 0 < held.sum() < len(names) else ""
+    raise ScenarioError(f"{key} has {len(given)} entries: {what}{less}, {', '.join(names)}")
+
+
+def is_of_model(key: str) -> bool:
+    """Whether an overridden key says which robot it is, or which bodies are beside it."""
+    return key.startswith(("robot.", "body")) and key != "robot.tip"
+
+
+def beside_bodies(scenario: Scenario, model: RobotModel) -> RobotModel:
+    """Return a robot with each [[body]] of a scenario beside it; itself if it has bodies of these names.
+
+    Raises
+    ------
+    ModelError
+        See `robot_models.bodies.with_bodies`.
+    """
+    own = {model.joint_names[j].removesuffix(PLACES[0]) for j in model.bodies}
+    return with_bodies(model, [body for body in free_bodies(scenario) if body.name not in own])
+
+
+def free_bodies(scenario: Scenario) -> list[FreeBody]:
+    """Return each [[body]] of a scenario."""
+    return [
+        FreeBody(each.name, each.shape, each.size, each.mass, each.position, each.quaternion, each.inertia)
+        for each in scenario.body or ()
+    ]
 
 
 def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
@@ -53,6 +124,7 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
     ModelError
         If it has no such tip, or no body has such a tensor.
     """
+    model = beside_bodies(scenario, model)
     tool, payload = scenario.tool, scenario.model_error.payload
     tip = model.tip if scenario.robot.tip is None else scenario.robot.tip
     tools = []

@@ -21,7 +21,7 @@ from closedloop.scenario.tables import described_key, table_type
 from robot_models.errors import shown
 
 WIDTH = 80
-OF_A_TABLE = "In place of N the number, from 0, or the name of one, or * for all: --{0}.*.friction 0.3"
+OF_A_TABLE = "In place of N the number, from 0, or the name of one, or * for all: --{0}.*.KEY VALUE"
 
 
 class Key(NamedTuple):

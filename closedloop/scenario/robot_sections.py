@@ -1,28 +1,34 @@
-"""The arm of a scenario: [robot], the [tool] on its tip, and [model_error], what its controller is wrong about."""
+"""The robot of a scenario: [robot], the [tool] on its tip, each free [[body]] beside it, and [model_error]."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from closedloop.base.sections import (
     ANGLE,
+    JOINT_SPEED,
+    LENGTH,
     PLACE,
+    SPEED,
     Coordinate,
     Direction,
     Flag,
     NotNegative,
     Number,
+    OneLine,
     Positive,
     Restitution,
     Section,
     Size,
 )
 
+# The model of a scenario that has free bodies alone.
+NO_ROBOT = "none"
 GRAVITY = Annotated[Number, Size(1e4, "m/s²", "no body pulls so hard")]
 MASS = Size(1e6, "kg", "no arm carries so much", 1e-9)
 TensorEntry = Annotated[Number, Size(1e9, "kg m²", "no tool is so large")]
@@ -36,7 +42,7 @@ class RobotSection(Section):
     model: str = Field(
         "wam4",
         description="shipped name, example-robot-data name, or a .urdf or MJCF .xml path, in a file from the file's "
-        "own folder, on the command line from the current one",
+        "own folder, on the command line from the current one; none: each [[body]] alone",
     )
     tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
@@ -81,6 +87,57 @@ class ToolSection(Section):
     axis: Direction = Field(
         (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"
     )
+
+
+Edge = Annotated[Positive, LENGTH]
+Velocity = Annotated[Number, SPEED]
+Spin = Annotated[Number, JOINT_SPEED]
+# Which keys say how large a shape is.
+MEASURES = {"box": ("edges",), "ball": ("radius",), "cylinder": ("radius", "length")}
+
+
+class BodySection(Section):
+    """[[body]]: a rigid body beside the robot, which moves freely; its origin is the middle of its shape."""
+
+    name: OneLine = Field(description="name of its link, which [[contact]] refers to")
+    shape: Literal["box", "ball", "cylinder"] = Field(description="its shape, drawn and in collisions")
+    edges: tuple[Edge, Edge, Edge] | None = Field(None, description="of a box: lengths along its axes x, y, z, m")
+    radius: Edge | None = Field(None, description="of a ball or a cylinder, m")
+    length: Edge | None = Field(None, description="of a cylinder, along its axis z, m")
+    mass: Annotated[Positive, MASS] = Field(description="mass, kg; its centre is the origin")
+    inertia: tuple[TensorEntry, TensorEntry, TensorEntry, TensorEntry, TensorEntry, TensorEntry] | None = Field(
+        None, description="tensor, kg m²: xx, yy, zz, xy, xz, yz; that of uniform density if left out"
+    )
+    position: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        (0.0, 0.0, 0.0), description="of the origin at the start, m, base frame"
+    )
+    quaternion: tuple[Number, Number, Number, Number] = Field(
+        (1.0, 0.0, 0.0, 0.0), description="orientation at the start: w, x, y, z, of any length"
+    )
+    velocity: tuple[Velocity, Velocity, Velocity] = Field(
+        (0.0, 0.0, 0.0), description="of the origin at the start, m/s, axes of the base frame"
+    )
+    spin: tuple[Spin, Spin, Spin] = Field(
+        (0.0, 0.0, 0.0), description="angular velocity at the start, rad/s, axes of the body"
+    )
+
+    @model_validator(mode="after")
+    def _measured(self) -> Self:
+        """Ask for the lengths of the shape, and for no others."""
+        needed = MEASURES[self.shape]
+        for key in ("edges", "radius", "length"):
+            if (getattr(self, key) is None) == (key in needed):
+                given = "is missing" if key in needed else "must be left out"
+                raise ValueError(f"{key} {given}: the size of a {self.shape} is {' and '.join(needed)}")
+        if not any(self.quaternion):
+            raise ValueError("quaternion has length zero: [1, 0, 0, 0] does not turn")
+        return self
+
+    @property
+    def size(self) -> tuple[float, ...]:
+        """What `robot_models.bodies.FreeBody` calls its size, m."""
+        values = (getattr(self, key) for key in MEASURES[self.shape])
+        return tuple(x for value in values for x in (value if isinstance(value, tuple) else (value,)))
 
 
 class ModelErrorSection(Section):

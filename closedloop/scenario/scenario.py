@@ -24,7 +24,7 @@ from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, Friction
 from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import SURFACES, Surface
-from closedloop.scenario.robot_sections import ModelErrorSection, RobotSection, ToolSection
+from closedloop.scenario.robot_sections import BodySection, ModelErrorSection, RobotSection, ToolSection
 from closedloop.scenario.stabiliser_sections import BaumgarteSection, Stabiliser
 from closedloop.scenario.time_sections import StartSection, TimeSection
 
@@ -62,6 +62,7 @@ class Scenario(Section):
         None,
         description="contacts of the robot's links, in addition to the tip's",
     )
+    body: tuple[BodySection, ...] | None = Field(None, description="free bodies beside the robot")
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
     reference: Annotated[paths.Path, paths.PATHS] = Field(
         default_factory=lambda: paths.PATHS["hold"](),

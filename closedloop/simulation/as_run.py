@@ -19,7 +19,7 @@ from closedloop.record.columns.added import state_columns
 from closedloop.record.columns.recorded import POSITIONS, SURFACE_COLUMNS
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
-from closedloop.scenario.arm import without_tools
+from closedloop.scenario.arm import start_positions, without_tools
 from closedloop.scenario.members import member_digests
 from closedloop.simulation.engines.needs import arm_columns
 from closedloop.simulation.engines.problem import Problem
@@ -92,10 +92,10 @@ def as_run(
 
 def positions_told(problem: Problem, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return those of a run's columns that are positions as the run tells them, (N, nq), from what the loop has."""
-    model, given = problem.robot.model, problem.scenario.start.q
+    model = problem.robot.model
     if not model.balls:
         return {}
-    start, types = model.home if given is None else given, model.joint_types
+    start, types = start_positions(problem.scenario, model), model.joint_types
     return {
         name: continuous(with_quaternions(column, types), types, start)
         for name, column in columns.items()

@@ -26,21 +26,23 @@ from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.rates import check_rates
-from closedloop.scenario.arm import joint_friction_of, robot_of
+from closedloop.scenario.arm import beside_bodies, free_bodies, joint_friction_of, robot_of
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
+from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.bind_contacts import check_contacts
 from closedloop.simulation.engines.packed import PackedLaw, pack_compliance, pack_friction, pack_law
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.start_memory import STICK_SPEED
-from closedloop.simulation.loop_entries import with_loop_entries
 from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
+from robot_models.bodies import only_bodies
 
 Array = NDArray[np.float64]
 
@@ -72,7 +74,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     cache = Cache() if cache is None else cache
     robot = _robot(scenario, model, cache)
     model = robot.model
-    scenario = with_collision_shapes(with_loop_entries(scenario, model), model)
+    scenario = with_collision_shapes(with_all_entries(scenario, model), model)
     n = robot.n
     refuse_lengths(scenario, model)
     q, v = start_state(scenario, model)
@@ -152,9 +154,14 @@ def _encoder(scenario: Scenario, model: RobotModel) -> Array:
 def robot_key(scenario: Scenario) -> Hashable:
     """Return what the robot depends on."""
     return (
-        scenario.robot.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload,
+        model_key(scenario), scenario.tool.model_dump_json(), scenario.model_error.payload,
         scenario.transmission.elastic,
     )  # fmt: skip
+
+
+def model_key(scenario: Scenario) -> Hashable:
+    """Return what the model depends on that `load_model` returns."""
+    return scenario.robot.model_dump_json(), *(each.model_dump_json() for each in scenario.body or ())
 
 
 def _surface_key(scenario: Scenario) -> tuple[Hashable, ...]:
@@ -174,10 +181,13 @@ def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
 
 
 def load_model(scenario: Scenario) -> RobotModel:
-    """Return the robot that a scenario names."""
+    """Return the robot that a scenario names, with each [[body]] beside it."""
     section = scenario.robot
+    if section.model == NO_ROBOT:
+        return only_bodies(free_bodies(scenario))
     options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
-    return robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
+    model = robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
+    return beside_bodies(scenario, model)
 
 
 def _believed_compensation(scenario: Scenario) -> Compensation:

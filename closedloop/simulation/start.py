@@ -19,7 +19,7 @@ from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.placed import PlacedSurface, Touching
 from closedloop.mechanics.surface.surface import Surface
-from closedloop.scenario.arm import has_stops, start_posture
+from closedloop.scenario.arm import has_stops, start_positions, start_posture, start_velocities
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
@@ -42,7 +42,7 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
         If one is beyond its limits, or a quaternion has no length.
     """
     q = start_posture(scenario, model)
-    v = np.zeros(model.n) if scenario.start.v is None else np.array(scenario.start.v)
+    v = start_velocities(scenario, model)
     if faults := [
         f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}]"
         for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True))
@@ -140,15 +140,15 @@ def _through_the_closure(A: Array, v: Array, rate: float) -> str:
 
 def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
     """Refuse lists that have not one entry for each joint, all of them at once."""
-    lists = {"start.q": scenario.start.q, "start.v": scenario.start.v}
-    lists |= {f"law.{name}": value for name, value in lists_per_joint(scenario.law).items()}
-    faults = []
-    for key, value in lists.items():
-        names = model.coordinate_names if key == "start.q" else model.joint_names
-        if value is not None and len(value) != len(names):
-            what = (
-                f"{model.name} has {len(names)} joints" if not model.balls else f"for {model.name} it has {len(names)}"
-            )
-            faults.append(f"{key} has {len(value)} entries: {what}, {', '.join(names)}")
+    faults: list[str] = []
+    for start in (start_positions, start_velocities):
+        try:
+            start(scenario, model)
+        except ScenarioError as error:
+            faults += error.faults
+    for name, values in lists_per_joint(scenario.law).items():
+        if len(values) != model.n:
+            joints = ", ".join(model.joint_names)
+            faults.append(f"law.{name} has {len(values)} entries: {model.name} has {model.n} joints, {joints}")
     if faults:
         raise ScenarioError(*faults)

@@ -7,7 +7,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.simulation.loop_entries import with_loop_entries
+from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.prepare import prepare
 from robot_models import ModelError, loop_coordinate
 from validation.loops.mechanisms import MECHANISMS, bar, joint, loop, point
@@ -221,7 +221,7 @@ def test_each_list_is_filled_by_itself(tmp_path):
         changes = {"law.kd": 0, "law.kp": 0, "start.q": whole["start.q"], **changes}
         scenario = cl.load_scenario("planar2_drop", changes)
         start = scenario.start.model_copy(update={left_out: None} if left_out else {})
-        return with_loop_entries(scenario.model_copy(update={"start": start}), model)
+        return with_all_entries(scenario.model_copy(update={"start": start}), model)
 
     whole["start.v"] = list(filled(**short).start.v)
     for some in itertools.chain.from_iterable(itertools.combinations(whole, count) for count in range(4)):
@@ -234,7 +234,7 @@ def test_each_list_is_filled_by_itself(tmp_path):
     at_rest = filled("v", **{"start.q": short["start.q"]}).start
     assert (len(at_rest.q), at_rest.v) == (model.n, None)
     nothing = cl.load_scenario("planar2_drop", {"law.kd": 0, **whole})
-    assert with_loop_entries(nothing, model) is nothing
+    assert with_all_entries(nothing, model) is nothing
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,15 @@ import pytest
 from notebook_output import FOLDER, SCRIPTS, build, executed, nbclient, nbformat, number, outputs, saved
 
 # How many each notebook shows.
-FIGURES = {"assumptions": 5, "contact_life": 6, "controllers": 3, "drift": 2, "figures_4_to_7": 4, "surfaces": 7}
+FIGURES = {
+    "assumptions": 5,
+    "contact_life": 6,
+    "controllers": 3,
+    "drift": 2,
+    "figures_4_to_7": 4,
+    "log_to_controller": 3,
+    "surfaces": 7,
+}
 
 # These take five to ten seconds each.
 RUN = [pytest.param(script, marks=pytest.mark.slow) for script in SCRIPTS]

@@ -1,6 +1,7 @@
 """Logs of real robots: friction as published, torques where they were not fitted, data that fit into the wheel."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -42,18 +43,42 @@ def test_a_wrist_without_its_coupling_is_found_out():
     assert np.allclose(plain.held_out[:3], coupled.held_out[:3], rtol=0.1)
 
 
+@cache
+def judged_of(robot):
+    """Judge a robot once for all tests."""
+    return robot.judge()
+
+
 @pytest.mark.parametrize("robot", [ur10, kr300])
 def test_torques_that_were_not_fitted_are_predicted(robot):
     """Every joint within 10 % relative RMS."""
-    judged = robot.judge()
+    judged = judged_of(robot)
     assert judged.faults == []
     assert max(judged.numbers["torque"]["held_out_error"]) < 0.1
     json.dumps(judged.numbers, allow_nan=False)
 
 
+def test_no_negative_drive_inertia_is_given():
+    """Where the UR10's log gives one, beyond its interval, there is a reason in its place."""
+    judged = judged_of(ur10)
+    values = judged.numbers["drive_inertia"]["value"]
+    assert all(x is None or x > -0.5 for x in values)
+    assert values[3:5] == [None, None]
+    assert sum("cannot be" in note for note in judged.notes) >= 2
+
+
+def test_forward_a_simulated_robot_stays_near_its_log():
+    """A tenth of a second at least by the torques alone; with a weak spring beside them within 50 mrad, all joints."""
+    judged = judged_of(kr300)
+    told = judged.numbers["forward"]
+    assert min(told["seconds"]) > 0.1
+    assert max(told["held_error_rad"]) < 0.05
+    assert max(told["feedback_over_torque"]) < 0.3
+
+
 def test_both_encoders_of_a_kr300_tell_the_stiffness_of_two_axes():
     """Axes 2 and 3 within 15 %, axis 1 not, and one delay between the encoders of all three."""
-    found = kr300.judge().numbers["stiffness"]
+    found = judged_of(kr300).numbers["stiffness"]
     assert found["value"][0] is None
     for value, (low, high) in list(zip(found["value"], found["interval"], strict=True))[1:]:
         assert 1e6 < low < value < high < 1e8

@@ -12,6 +12,7 @@ from validation.measured.cubes.comparing import Tried, against, engines, fits, h
 from validation.measured.cubes.engine import CubeEngine, Parameter
 from validation.measured.cubes.fitting import BUDGET, TOSSES, fit, training
 from validation.measured.cubes.flight import fitted_start, flight
+from validation.measured.cubes.impacts import corner_impacts
 from validation.measured.cubes.tosses import FALL, RATE, SIDE, Toss, errors, first_row, mean_errors, read
 from validation.measured.data_file import DATA
 
@@ -199,3 +200,15 @@ def test_a_file_that_has_no_tosses_is_refused(tosses, tmp_path):
 
     with pytest.raises(ModelError, match="every toss is one that the engines were fitted to"):
         judge(written(tmp_path / "known.npz", training(tosses)[:2]))
+
+
+def test_single_corners_bounce_and_slide_as_the_engines_are_fitted(tosses):
+    """Their restitution and friction need no engine."""
+    impacts = corner_impacts(tosses)
+    assert len(impacts) > 100
+    e = np.array([-x.after / x.before for x in impacts])
+    ratio = np.array([x.ratio for x in impacts])
+    values = fits()["closedloop"]["values"]
+    assert abs(e.mean() - values["restitution"]) < 0.05
+    assert abs(ratio.mean() - values["friction"]) < 0.05
+    assert all(x.before < 0.0 < x.after for x in impacts)

@@ -55,7 +55,7 @@ def _main(words: list[str]) -> int:
     for name in names:
         judge = importlib.import_module(f"validation.measured.{name}").judge
         judged = judge(Path(options.data) if options.data else None)
-        print(f"{judged.robot} ({judged.source})", *judged.lines, "", sep="\n")
+        print(f"{judged.robot} ({judged.source})", *judged.lines, *judged.notes, "", sep="\n")
         results[name] = judged.numbers | {"differs": judged.faults}
         faults += [f"{name}: {fault}" for fault in judged.faults]
     print("\n".join(faults) if faults else "every value that has a bound is within it")

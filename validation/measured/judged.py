@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from closedloop.studies.identify.identify import Estimate, Identification
+from closedloop.studies.identify.physical import NOT_NEGATIVE
 
 # The relative RMS error of the torque, in the part that was not fitted, that a model may have.
 HELD_OUT = 0.10
@@ -27,6 +28,8 @@ class Judged:
         For a reader.
     faults : list of str
         What does not agree with the measurement, a line each; agreement if empty.
+    notes : list of str
+        Why values are not given, a line each.
     """
 
     robot: str
@@ -34,6 +37,15 @@ class Judged:
     numbers: dict[str, Any] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def possible(e: Estimate) -> Estimate:
+    """Return an estimate, or one that says why it is not given if it is negative beyond its interval and cannot be."""
+    if e.why or e.high >= 0.0 or not e.name.startswith(NOT_NEGATIVE):
+        return e
+    why = f"it comes out as {with_half(e)}, which cannot be: the model lacks something that looks like it"
+    return e._replace(value=np.nan, low=-np.inf, high=np.inf, why=why)
 
 
 def entries(estimates: Sequence[Estimate]) -> dict[str, Any]:
@@ -86,7 +98,8 @@ def add_parameters(judged: Judged, found: Identification, kinds: Sequence[str]) 
     """Add values and intervals of what each joint has."""
     judged.lines += ["", f"by joint, with {100 * found.confidence:.0f} % intervals"]
     for kind in kinds:
-        estimates = found.joints(kind)
+        estimates = [possible(e) for e in found.joints(kind)]
         judged.numbers[kind] = entries(estimates)
+        judged.notes += [f"{e.name}: {e.why}" for e in estimates if "cannot be" in e.why]
         texts = ["-" if e.why else with_half(e) for e in estimates]
         judged.lines.append(f"  {kind:14} {estimates[0].unit:9}" + "".join(f"{text:>18}" for text in texts))

@@ -29,6 +29,7 @@ from closedloop.studies.identify.identify import Identification, identify
 from closedloop.studies.identify.log import Log
 from closedloop.studies.identify.motion import joined, motion
 from validation.measured.data_file import DATA, columns
+from validation.measured.forward import add_forward
 from validation.measured.judged import Judged, add_parameters, add_torques
 
 Array = NDArray[np.float64]
@@ -74,6 +75,7 @@ def judge(given: Path | None = None) -> Judged:
     )
     _stiffness(judged, result, runs)
     add_torques(judged, result, "the last quarter of each tenth of both runs")
+    add_forward(judged, result, logs[0])
     return judged
 
 

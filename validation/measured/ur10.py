@@ -1,11 +1,12 @@
 """A UR10: the torque of a log predicted where it was not fitted.
 
-The torques are motor currents times the published drive gains, smoothed by the authors; they lag the motion, so that
-drive inertia comes out negative at the wrist: it is not to be used. The published friction of this robot, a sigmoid of
-the velocity, differs from dry and viscous friction near rest only, where torques do not count here: a Stribeck term
-changes no error by more than 0.4 %. Source of log and drive gains: V. Petrone, E. Ferrentino, P. Chiacchio, The dynamic
-model of the UR10 robot and its ROS2 integration, IEEE Trans. Industrial Informatics (2025), doi
-10.1109/TII.2025.3534415.
+The torques are motor currents times the published drive gains, smoothed by the authors. Drive inertia comes out
+negative at the wrist, which no drive has, and is not given: friction that answers late to a change of speed has the
+same column, −(delay) F_v q̈. Torques moved in time by −16 to 56 ms, a Stribeck, a square root or a cubic term do not
+mend it. The published friction of this robot, a sigmoid of the velocity, differs from dry and viscous friction near
+rest only, where torques do not count here: a Stribeck term changes no error by more than 0.4 %. Source of log and
+drive gains: V. Petrone, E. Ferrentino, P. Chiacchio, The dynamic model of the UR10 robot and its ROS2 integration,
+IEEE Trans. Industrial Informatics (2025), doi 10.1109/TII.2025.3534415.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 from closedloop.studies.identify.identify import identify
 from closedloop.studies.identify.log import Log
 from validation.measured.data_file import columns
+from validation.measured.forward import add_forward
 from validation.measured.judged import Judged, add_parameters, add_torques
 
 CUTOFF = 5.0  # Hz; the torques were smoothed
@@ -30,4 +32,5 @@ def judge(given: Path | None = None) -> Judged:
     judged = Judged("Universal Robots UR10", "unisa-acg/inverse-dynamics-solver, BSD-3")
     add_parameters(judged, result, ("viscous", "dry", "offset", "drive_inertia"))
     add_torques(judged, result, "the last quarter of each tenth of the log")
+    add_forward(judged, result, log)
     return judged

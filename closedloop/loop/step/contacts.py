@@ -56,6 +56,7 @@ from closedloop.mechanics.contacts.memory import (
     contacts_at,
 )
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
+from closedloop.mechanics.contacts.slow_slip import turn_slow_slips
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import turn_slips
@@ -212,8 +213,15 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 -c.problem.along[0, 1],
             )  # what pulls rubs with |f|
             status = solve_modes(c, k)
+<<<<<<< HEAD
         if state.settings.adaptive == 0 and status == OK:
             status = turn_and_solve(c, k, constants.h)
+=======
+        for _ in range(TURNS if state.settings.adaptive == 0 else 0):
+            if status != OK or not turn_slow_slips(c, k, constants.h) > SETTLED:
+                break
+            status = solve_closed(c, k)
+>>>>>>> main
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if k > links.points + links.stops:
@@ -317,7 +325,12 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
 
 # An error below this is rounding, m: e = n·r − d is a sum of a few products of the order of a metre; or a rate, m/s.
 CLOSED = 2e-15
+<<<<<<< HEAD
 # Solutions at most in which the friction of slow slips is turned, and the change of the forces at which it agrees.
+=======
+# Normal forces and the directions of slow slips depend on each other: they are solved in turn, so often at most, until
+# no direction changes by more than this.
+>>>>>>> main
 TURNS, SETTLED = 40, 1e-12
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30

@@ -13,13 +13,18 @@ from closedloop.loop.step.entries import HOLD, SLIDE
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+<<<<<<< HEAD
 from closedloop.mechanics.friction.turning import turn_friction
+=======
+from closedloop.mechanics.friction.slow_slip import turn_to_end
+>>>>>>> main
 
 Array = NDArray[np.float64]
 
 
 @kernel
 def turn_with_slip(w: Work, h: float) -> bool:
+<<<<<<< HEAD
     """Turn the friction of a slow tip to where its slip points at the end of the step h, s; return whether it was slow.
 
     In: u, direction, S, a, w, and c = ±μ u/|u| with the F of it (minus where the closure pulls). Written: c; see
@@ -29,6 +34,24 @@ def turn_with_slip(w: Work, h: float) -> bool:
     a1 = w.tip.a[1] + S[1, 0] * f - S[1, 1] * viscous[0] - S[1, 2] * viscous[1]
     a2 = w.tip.a[2] + S[2, 0] * f - S[1, 2] * viscous[0] - S[2, 2] * viscous[1]
     return bool(turn_friction(S, a1, a2, w.tip.u, w.friction.direction, f, h, w.friction.c))
+=======
+    """Turn the friction of a slow tip to where its slip points at the end of the step h, s; whether it was slow.
+
+    Parameters
+    ----------
+    w : Work
+        In: u, direction, S, a, w, and c = ±μ u/|u| with the F of it (minus where the closure pulls). Written: c.
+    """
+    S, c, f, w1, w2 = w.tip.S, w.friction.c, w.tip.F[0], w.friction.viscous[0], w.friction.viscous[1]
+    level = math.hypot(c[0], c[1])
+    a1 = w.tip.a[1] + S[1, 0] * f - S[1, 1] * w1 - S[1, 2] * w2
+    a2 = w.tip.a[2] + S[2, 0] * f - S[1, 2] * w1 - S[2, 2] * w2
+    if not turn_to_end(S, w.tip.u[1], w.tip.u[2], a1, a2, level * abs(f), h, w.friction.direction, c):
+        return False
+    along = math.copysign(level, f)
+    c[0], c[1] = along * c[0], along * c[1]
+    return True
+>>>>>>> main
 
 
 @kernel

@@ -14,6 +14,7 @@ from closedloop.base.sections import (
     Coordinate,
     Direction,
     NotNegative,
+    OneLine,
     Positive,
     Restitution,
     Section,
@@ -41,16 +42,6 @@ class ImpactSection(Section):
     rest_speed: Annotated[Positive, REST_SPEED] = Field(
         1e-4, description="a bounce slower than this becomes contact, m/s"
     )
-
-
-def _one_line(value: Any) -> Any:
-    """A name stands in headers and comments of the files that are written, so nothing in it ends a line."""
-    if isinstance(value, str) and not value.isprintable():
-        raise ValueError("must be a name on one line, of characters that can be printed")
-    return value
-
-
-OneLine = Annotated[str, BeforeValidator(_one_line)]
 
 
 # What `at` says of all collision shapes of the link.

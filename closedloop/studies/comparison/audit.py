@@ -105,28 +105,7 @@ def audit(recording: Recording, robot: Robot, normal: Array, cutoff: float | Non
     LogError
         If there is no torque or no force, or too few rows are left.
     """
-    torque, force = recording.torque, recording.force
-    if torque is None or force is None:
-        missing = "torque" if torque is None else "force"
-        raise LogError(f"{recording.source}: has no {missing}: what its force is cannot be told")
-    step, N = recording.step, len(recording.time)
-    cutoff = usual_cutoff(Log(recording.time, recording.q, torque)) if cutoff is None else cutoff
-    if not 0.0 < cutoff < 0.5 / step:
-        raise LogError(f"cutoff is {cutoff:.6g} Hz: it must be above 0 and below half the rate, {0.5 / step:.6g} Hz")
-    low_pass = signal.butter(4, 2.0 * cutoff * step, output="sos")
-    edge = min(round(EDGE / (cutoff * step)), N // 4)
-    q, Q, f = (signal.sosfiltfilt(low_pass, x, axis=0) for x in (recording.q, torque, force))
-    v = np.gradient(q, step, axis=0)
-    a = np.gradient(v, step, axis=0)
-    at = np.unique(np.linspace(edge, N - 1 - edge, min(ROWS, N - 2 * edge)).astype(int))
-    expected = np.empty((len(at), 3))
-    left = whole = 0.0
-    for k, row in enumerate(at):
-        terms = robot.terms(q[row], v[row])
-        beyond = terms.mass_matrix @ a[row] + terms.bias - Q[row]
-        expected[k] = np.linalg.lstsq(terms.jacobian.T, beyond, rcond=1e-6)[0]
-        left += float(np.sum((beyond - terms.jacobian.T @ expected[k]) ** 2))
-        whole += float(beyond @ beyond)
+    at, expected, f, explained, cutoff = expected_force(recording, robot, cutoff)
     n = normal[at]
     scalar = np.einsum("ij,ij->i", f[at], n) if f.ndim == 2 else f[at]
     along = np.einsum("ij,ij->i", expected, n)
@@ -140,8 +119,56 @@ def audit(recording: Recording, robot: Robot, normal: Array, cutoff: float | Non
         best = READINGS[0]
     rate = np.gradient(readings[best], recording.time[at])
     reasons = explain(scalar - readings[best], force_hypotheses(readings[best], rate), rms(scalar))
-    explained = 1.0 - left / whole if whole > 0.0 else 0.0
     return Audit(best, differs[best], rms(along), usual, explained, reasons, len(at), cutoff)
+
+
+def expected_force(
+    recording: Recording, robot: Robot, cutoff: float | None = None
+) -> tuple[NDArray[np.int64], Array, Array, float, float]:
+    """Return the force on the tip that follows from motion and torques, beside the recorded one.
+
+    Parameters
+    ----------
+    recording : Recording
+        With torque and force.
+    robot : Robot
+    cutoff : float, optional
+        Of the low-pass, Hz; ten times that of the motion if left out.
+
+    Returns
+    -------
+    rows (R,), expected (R, 3) N in base axes at them, recorded (N,) or (N, 3) N of all rows with the same filter, the
+    share of the torque beyond that of motion and drives that a force at the tip explains, and the cutoff, Hz.
+
+    Raises
+    ------
+    LogError
+        If there is no torque or no force, or the cutoff is out of range.
+    """
+    torque, force = recording.torque, recording.force
+    if torque is None or force is None:
+        missing = "torque" if torque is None else "force"
+        raise LogError(f"{recording.source}: has no {missing}: what its force is cannot be told")
+    step, N = recording.step, len(recording.time)
+    cutoff = usual_cutoff(Log(recording.time, recording.q, torque)) if cutoff is None else cutoff
+    if not 0.0 < cutoff < 0.5 / step:
+        raise LogError(f"cutoff is {cutoff:.6g} Hz: it must be above 0 and below half the rate, {0.5 / step:.6g} Hz")
+    low_pass = signal.butter(4, 2.0 * cutoff * step, output="sos")
+    edge = min(round(EDGE / (cutoff * step)), N // 4)
+    q, Q, f = (signal.sosfiltfilt(low_pass, x, axis=0) for x in (recording.q, torque, force))
+    v = np.gradient(q, step, axis=0)
+    a = np.zeros_like(q)  # differences of neighbours lose less of fast motions than those of differences
+    a[1:-1] = np.diff(q, 2, axis=0) / step**2
+    at = np.unique(np.linspace(edge, N - 1 - edge, min(ROWS, N - 2 * edge)).astype(int))
+    expected = np.empty((len(at), 3))
+    left = whole = 0.0
+    for k, row in enumerate(at):
+        terms = robot.terms(q[row], v[row])
+        beyond = terms.mass_matrix @ a[row] + terms.bias - Q[row]
+        expected[k] = np.linalg.lstsq(terms.jacobian.T, beyond, rcond=1e-6)[0]
+        left += float(np.sum((beyond - terms.jacobian.T @ expected[k]) ** 2))
+        whole += float(beyond @ beyond)
+    return at, expected, f, 1.0 - left / whole if whole > 0.0 else 0.0, cutoff
 
 
 def force_hypotheses(force: Array, rate: Array) -> list[Hypothesis]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.log import LogError, check_positions
 from closedloop.studies.identify.read import joints_of, listed, plain_name, run_of, table_of, time_of
 
 if TYPE_CHECKING:
@@ -69,14 +69,14 @@ def read_recording(
     *,
     columns: Mapping[str, str] | None = None,
     degrees: bool = False,
-    gain: float = 1.0,
+    gain: float | Sequence[float] = 1.0,
 ) -> Recording:
     """Read a log or a run file.
 
     Parameters
     ----------
     path : str or Path
-        .csv, .parquet or .nc.
+        .csv, .parquet, .nc, .mcap, .db3 or a folder of rosbag2.
     robot : RobotModel
         Whose joints the columns are of.
     columns : mapping, optional
@@ -84,7 +84,7 @@ def read_recording(
         "force" one name, or three with commas between.
     degrees : bool
         Whether angles are in degrees.
-    gain : float
+    gain : float or (n,)
         What torques are multiplied by.
 
     Raises
@@ -114,9 +114,16 @@ def read_recording(
             f"--columns q='q_{{}}'; it has {listed(table)}"
         )
     torque = joints_of(table, "torque", given, robot, path)
+    if not degrees:
+        check_positions(q, robot, str(path))
     turns = np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
     force = _force(table, force_names, path)
-    return checked(Recording(time, q * turns, None if torque is None else torque * gain, force, str(path)), robot)
+    return checked(
+        Recording(
+            time, q * turns, None if torque is None else torque * np.asarray(gain, dtype=np.float64), force, str(path)
+        ),
+        robot,
+    )
 
 
 def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:

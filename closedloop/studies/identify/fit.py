@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, stats
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +32,8 @@ ROUNDS = 20
 UNIQUE = 2e-3
 # So many products, and the threads of the linear algebra library are worth their start.
 LARGE = 100_000_000
+# Lags of the portmanteau test of whiteness.
+WHITENESS_LAGS = 10
 # No division by zero, nor by its square.
 TINY = 1e-100
 
@@ -109,7 +111,7 @@ def fit(W: Array, torque: Array, used: Mask, Z: Array | None = None, told: Mask 
     back = linalg.inv(A) / scale[:, None]
     white = _squares(S, used, sigma) / scale / scale[:, None]
     correlated, plain = back @ (_product(sums, sums) / (lags + 1)) @ back.T, back @ white @ back.T
-    wider = np.sqrt(np.maximum(np.diag(plain) / np.diag(correlated), 1.0))
+    wider = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(correlated), TINY), 1.0))
     covariance = np.zeros((b, b))
     covariance[at] = correlated * wider * wider[:, None] * count / max(1, count - int(told.sum()))
     deviation = np.where(told, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf)
@@ -175,6 +177,17 @@ def correlation(residual: Array, used: Mask, lag: int = 1) -> Array:
     x, y = residual[lag:] * both, residual[:-lag] * both
     scale = np.sqrt((x**2).sum(axis=0) * (y**2).sum(axis=0))
     found: Array = (x * y).sum(axis=0) / np.where(scale > 0.0, scale, 1.0)
+    return found
+
+
+def whiteness(residual: Array, used: Mask) -> Array:
+    """Return the probability that white residuals (R, n) are as correlated as these, (n,) (Ljung and Box)."""
+    found = np.ones(residual.shape[1])
+    for j in range(len(found)):
+        pairs = [(int((used[k:, j] & used[:-k, j]).sum()), k) for k in range(1, WHITENESS_LAGS + 1)]
+        rho = [correlation(residual, used, k)[j] for _, k in pairs]
+        statistic = sum(count * r * r for (count, _), r in zip(pairs, rho, strict=True))
+        found[j] = stats.chi2.sf(statistic, WHITENESS_LAGS)
     return found
 
 

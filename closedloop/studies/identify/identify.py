@@ -12,7 +12,7 @@ from scipy import stats
 
 from closedloop.base.errors import ModelError
 from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
-from closedloop.studies.identify.fit import Fit, correlation, fit
+from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.log import Log, checked
 from closedloop.studies.identify.motion import Motion, joined, motion, usual_cutoff
 from closedloop.studies.identify.regressor import FRICTION, Columns, Regressor, Terms
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Lags of the portmanteau test of whiteness, and the probability below which the residual is not white.
-WHITENESS_LAGS = 10
+# The probability below which the residual is not white.
 WHITENESS_LEVEL = 1e-3
 # Of a Stribeck term that is to be fitted, rad/s (m/s).
 STRIBECK_SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
@@ -138,13 +137,7 @@ class Identification:
     @property
     def whiteness(self) -> Array:
         """Probability, (n,), that a white residual is as correlated as this one (Ljung and Box)."""
-        found = np.ones(self.robot.n)
-        for j in range(self.robot.n):
-            pairs = [(int((self.used[k:, j] & self.used[:-k, j]).sum()), k) for k in range(1, WHITENESS_LAGS + 1)]
-            rho = [correlation(self.solution.residual, self.used, k)[j] for _, k in pairs]
-            statistic = sum(count * r * r for (count, _), r in zip(pairs, rho, strict=True))
-            found[j] = stats.chi2.sf(statistic, WHITENESS_LAGS)
-        return found
+        return whiteness(self.solution.residual, self.used)
 
     @property
     def above_noise(self) -> Array:

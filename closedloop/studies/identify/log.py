@@ -99,7 +99,13 @@ def checked(log: Log, robot: RobotModel) -> Log:
         order = [log.joint_names.index(name) for name in robot.joint_names]
         q, torque, v = q[:, order], torque[:, order], None if v is None else v[:, order]
     _check_time(time, where)
-    _check_units(q, v, (time[-1] - time[0]) / (N - 1), robot, where)
+    check_positions(q, robot, where)
+    if np.ptp(q, axis=0).max() < 1e-3:
+        raise LogError(
+            f"{where}: the robot rests: no joint moves by more than {np.ptp(q, axis=0).max():.2g}, nothing can be found"
+        )
+    if v is not None:
+        _check_velocities(q, v, (time[-1] - time[0]) / (N - 1), robot, where)
     return Log(time, q, torque, robot.joint_names, v, where)
 
 
@@ -119,7 +125,8 @@ def _check_time(time: Array, where: str) -> None:
         )
 
 
-def _check_units(q: Array, v: Array | None, step: float, robot: RobotModel, where: str) -> None:
+def check_positions(q: Array, robot: RobotModel, where: str) -> None:
+    """Raise LogError if positions (N, n) cannot be those of the robot in rad."""
     turns = np.array([kind != "prismatic" for kind in robot.joint_types])
     largest = np.abs(q).max(axis=0)
     for joint in map(int, np.flatnonzero(turns & (largest > LARGEST_TURN))):
@@ -133,12 +140,10 @@ def _check_units(q: Array, v: Array | None, step: float, robot: RobotModel, wher
             f"{where}: joint {robot.joint_names[joint]} reaches {largest[joint]:.4g} rad, {beyond[joint]:.3g} beyond "
             "its limit: angles in degrees, joints in another order, or a zero elsewhere?"
         )
-    if np.ptp(q, axis=0).max() < 1e-3:
-        raise LogError(
-            f"{where}: the robot rests: no joint moves by more than {np.ptp(q, axis=0).max():.2g}, nothing can be found"
-        )
-    if v is None:
-        return
+
+
+def _check_velocities(q: Array, v: Array, step: float, robot: RobotModel, where: str) -> None:
+    """Raise LogError if velocities (N, n) are not the rates of the positions, or of another joint's."""
     rate = np.gradient(q, step, axis=0)
     for joint, name in enumerate(robot.joint_names):
         size = float(rate[:, joint] @ rate[:, joint])

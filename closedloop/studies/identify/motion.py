@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import signal, stats
 
 from closedloop.studies.identify.log import Log, LogError
 
@@ -27,6 +27,8 @@ EVALUATIONS = 240_000
 WINDOWS = 24_000
 # The cutoff over the frequency below which the motion has 99 % of its velocity.
 ABOVE_MOTION = 10.0
+# The probability with which noise alone has so much power at a frequency that it counts as motion.
+NOISE_ONLY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +90,13 @@ def usual_cutoff(log: Log) -> float:
     """Return a cutoff, Hz: ten times the frequency below which 99 % of the joints' squared velocity lies."""
     step = log.step
     rate = np.gradient(log.q, step, axis=0)
-    f, power = signal.welch(rate, 1.0 / step, nperseg=min(len(rate), max(256, round(4.0 / step))), axis=0)
-    # Of noise of the positions the power of the velocity grows with f²: it is taken off.
-    power = np.maximum(power - 2.0 * step * white_noise(log.q) ** 2 * (2.0 * np.pi * f[:, None]) ** 2, 0.0)
+    segment = min(len(rate), max(256, round(4.0 / step)))
+    f, power = signal.welch(rate, 1.0 / step, nperseg=segment, axis=0)
+    # Of noise of the positions the power of the velocity grows with f²: it is taken off, and what noise may be is not
+    # counted, as little of it at high frequencies would be more than the motion.
+    noise = 2.0 * step * white_noise(log.q) ** 2 * (2.0 * np.pi * f[:, None]) ** 2
+    degrees = 2.0 * max(1.0, 2.0 * len(rate) / segment - 1.0)
+    power = np.where(power > stats.chi2.isf(NOISE_ONLY, degrees) / degrees * noise, power - noise, 0.0)
     share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
     moves = rate.std(axis=0) > 0.02 * rate.std(axis=0).max()
     highest = max(float(f[np.searchsorted(share[:, j], 0.99)]) for j in np.flatnonzero(moves))

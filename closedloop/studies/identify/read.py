@@ -1,4 +1,4 @@
-"""Logs from files: CSV, Parquet, NetCDF, and runs of this simulator, with columns found by their names."""
+"""Logs from files: CSV, Parquet, NetCDF, MCAP, rosbag2, runs of this simulator; columns are found by their names."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ def read_log(
     Parameters
     ----------
     path : str or Path
-        .csv, .parquet, or .nc: a run of this simulator, or variables over the first dimension, (N,) or (N, n).
+        .csv, .parquet, or .nc: a run of this simulator, or variables over the first dimension, (N,) or (N, n); .mcap,
+        .db3 or a folder of rosbag2, see `closedloop.studies.identify.bag`.
     columns : mapping, optional
         Of "time", "q", "v", "torque" to a name with {} for the joint, its name or its number, from 1 or 0:
         ``{"torque": "effort_{}"}``; or to the names of all columns, in the robot's order, with commas between.
@@ -136,8 +137,12 @@ def table_of(path: Path) -> dict[str, Array]:
             read = parquet.read_table(path)
         elif kind == ".nc":
             return _netcdf(path)
+        elif kind in (".mcap", ".db3") or path.is_dir():
+            from closedloop.studies.identify.bag import table_of_bag
+
+            return table_of_bag(path)
         else:
-            raise LogError(f"{path}: is none of .csv, .parquet and .nc")
+            raise LogError(f"{path}: is none of .csv, .parquet, .nc, .mcap, and .db3 or a folder of rosbag2")
     except LogError:
         raise
     except OSError as error:

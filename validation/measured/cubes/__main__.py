@@ -1,4 +1,4 @@
-"""The command line: ``python -m validation.measured.cubes --fit``, or ``--laws``, or ``--figures DIR``.
+"""The command line: ``python -m validation.measured.cubes --fit``, ``--laws``, ``--impacts`` or ``--figures DIR``.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error).
 """
@@ -19,6 +19,7 @@ from closedloop.command.border import Parser, run_command
 from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.comparing import FITTED, engines, fits, fitted, held_out, tried
 from validation.measured.cubes.fitting import fit, training
+from validation.measured.cubes.impacts import impact_lines
 from validation.measured.cubes.tosses import first_row, mean_errors, read
 
 LAWS = ("newton", "poisson", "stronge")
@@ -36,14 +37,17 @@ def _main(words: list[str]) -> int:
         "--fit", nargs="*", metavar="ENGINE", choices=names, help=f"fit these, or all installed: {', '.join(names)}"
     )
     parser.add_argument("--laws", action="store_true", help="compare laws of restitution and of friction")
+    parser.add_argument("--impacts", action="store_true", help="restitution and friction of single corners, no engine")
     parser.add_argument("--figures", metavar="DIR", help="draw errors over time, best and worst tosses, as PNG")
     options = parser.parse_args(words)
-    if options.fit is None and not options.laws and options.figures is None:
-        parser.error("say what to do: --fit, --laws or --figures DIR")
+    if options.fit is None and not (options.laws or options.impacts) and options.figures is None:
+        parser.error("say what to do: --fit, --laws, --impacts or --figures DIR")
     if options.fit is not None:
         _fit(options.fit or names)
     if options.laws:
         _laws()
+    if options.impacts:
+        print("\n".join(impact_lines(read())))
     if options.figures is not None:
         _figures(Path(options.figures))
     return 0

@@ -1,8 +1,8 @@
-"""Scenarios of mechanisms whose loop joints are coordinates: lists that have an entry for each other joint alone.
+"""Lists of a scenario that leave out joints of which the law asks nothing: free bodies, and loop joints without drives.
 
 A loop joint with friction, limits or a drive is a joint of the tree (`robot_models.loop_coordinate`), and each list of
 a scenario has an entry for it. A list without that of loop joints that have no drive is meant to go on as it is: where
-they start follows from the posture, and the law asks nothing of them.
+they start follows from the posture. A free body starts where `closedloop.scenario.arm.start_positions` has it.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from robot_models import RobotModel
 from robot_models.loop_posture import coordinate_rates, place_coordinates
 
 
-def with_loop_entries(scenario: Scenario, model: RobotModel) -> Scenario:
-    """Return a scenario whose start and law have an entry for each joint, if only loop joints without drives lack one.
+def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
+    """Return a scenario whose start and law have an entry for each joint, if only those without a drive lack one.
 
     Lists of any other length are left as they are.
     """
     names, driven = model.loop_coordinates, model.drives or model.joint_names
-    given = np.array([name not in names or name in driven for name in model.joint_names])
+    given = np.array([name not in names or name in driven for name in model.joint_names]) & ~model.free
     count = int(given.sum())
     if count == model.n:
         return scenario
@@ -37,11 +37,11 @@ def with_loop_entries(scenario: Scenario, model: RobotModel) -> Scenario:
     start: dict[str, Any] = {}
     q, v = scenario.start.q, scenario.start.v
     posture = model.home if q is None else np.array(q)
-    if q is not None and len(q) == count:
+    if q is not None and len(q) == count and names:
         placed = filled(q)
         posture = np.where(given, placed, place_coordinates(model.pinocchio_model(), model.loops, placed))
         start["q"] = tuple(posture.tolist())
-    if v is not None and len(v) == count and len(posture) == model.n:
+    if v is not None and len(v) == count and len(posture) == model.n and names:
         found = filled(v)
         rates = coordinate_rates(model.pinocchio_model(), model.loops, posture, found)
         start["v"] = tuple(np.where(given, found, rates).tolist())

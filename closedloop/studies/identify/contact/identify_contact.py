@@ -1,0 +1,245 @@
+"""`identify_contact`: a log of a tip on a plane in, the contact's parameters with intervals out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from closedloop.base.errors import ModelError
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.record.run import Run
+from closedloop.studies.comparison.recording import Recording, checked, read_recording
+from closedloop.studies.identify.contact.compliance import NAMES, compliance_of
+from closedloop.studies.identify.contact.found import Part, unknown
+from closedloop.studies.identify.contact.friction import friction_of
+from closedloop.studies.identify.contact.restitution import restitution_of
+from closedloop.studies.identify.contact.sensor import Sensor, beside_torques, of_free_rows
+from closedloop.studies.identify.contact.touch import Windows, touch_of
+from closedloop.studies.identify.identify import Estimate
+from closedloop.studies.identify.log import LogError, check_positions
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from matplotlib.figure import Figure
+
+    from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ContactIdentification:
+    """What a log says of a contact.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+        Of the sensor, friction, surface and restitution: estimates, what the law misses, measured and predicted.
+    source : str
+    closed, free : float
+        Shares of the rows in which the tip surely touches, and surely does not.
+    confidence : float
+        Of the intervals.
+    """
+
+    parts: tuple[Part, ...]
+    source: str
+    closed: float
+    free: float
+    confidence: float
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Every parameter, known or not."""
+        return tuple(e for part in self.parts for e in part.estimates)
+
+    @property
+    def misses(self) -> tuple[str, ...]:
+        """What the laws of the contact lack."""
+        return tuple(text for part in self.parts for text in part.misses)
+
+    def __getitem__(self, name: str) -> Estimate:
+        found = next((e for e in self.estimates if e.name == name), None)
+        if found is None:
+            raise KeyError(f"{name!r}: the parameters are {', '.join(e.name for e in self.estimates)}")
+        return found
+
+    def lines(self) -> list[str]:
+        """Return what was found in words."""
+        told = [
+            f"{self.source}: the tip touches in {100 * self.closed:.0f} % of the rows, and is free in "
+            f"{100 * self.free:.0f} %",
+            f"  {'parameter':20}{'value':>12}  {100 * self.confidence:.0f} % interval",
+        ]
+        for e in (each for each in self.estimates if not each.why):
+            made = f"   = {e.grouping}" if e.grouping != e.name else ""
+            told.append(f"  {e.name:20}{e.value:12.5g}  {e.low:.5g} to {e.high:.5g} {e.unit}{made}")
+        reasons: dict[str, list[str]] = {}
+        for e in self.estimates:
+            reasons.setdefault(e.why, []).append(e.name)
+        told += [f"  not identifiable, {', '.join(names)}: {why}" for why, names in reasons.items() if why]
+        return told + [f"  the model misses, in {text}" for text in self.misses]
+
+    def summary(self) -> dict[str, Any]:
+        """Return it as a dictionary; what is not known is None."""
+
+        def number(x: float) -> float | None:
+            return float(x) if np.isfinite(x) else None
+
+        return {
+            "closed": self.closed, "free": self.free, "confidence": self.confidence, "misses": list(self.misses),
+            "parameters": {
+                e.name: {
+                    "value": number(e.value), "interval": [number(e.low), number(e.high)], "unit": e.unit,
+                    "grouping": e.grouping, **({"not_identifiable": e.why} if e.why else {}),
+                }
+                for e in self.estimates
+            },
+        }  # fmt: skip
+
+    def figure(self) -> Figure:
+        """Return a figure: measured and predicted of each part, and what is left."""
+        from closedloop.figures.style import COLOURS, new_figure, styled
+
+        drawn = [part for part in self.parts if len(part.time)]
+        with styled():
+            figure = new_figure(2.2 * max(len(drawn), 1) + 0.6)
+            panels = figure.subplots(max(len(drawn), 1), 1, squeeze=False)[:, 0]
+            for panel, part in zip(panels, drawn, strict=False):
+                panel.plot(part.time, part.measured, ".", ms=3, color="0.4", label="measured")
+                panel.plot(part.time, part.predicted, ".", ms=2, color=COLOURS[1], label="predicted")
+                panel.plot(part.time, part.measured - part.predicted, ".", ms=2, color=COLOURS[0], label="residual")
+                panel.set_ylabel(part.what, fontsize=7)
+            panels[0].legend(fontsize=7, ncols=3)
+            panels[-1].set_xlabel("time, s")
+        return figure
+
+
+def identify_contact(
+    log: Recording | Run | str | Path,
+    robot: RobotModel | str | PathLike[str] | None = None,
+    *,
+    normal: ArrayLike = (0.0, 0.0, 1.0),
+    tip: str | None = None,
+    delay: float | None = None,
+    cutoff: float | None = None,
+    confidence: float = 0.95,
+) -> ContactIdentification:
+    """Identify friction, stiffness, damping, restitution and the force sensor from a log of a tip on a plane.
+
+    Parameters
+    ----------
+    log : Recording, Run or path
+        Joint positions and, but for restitution, the contact force: along the normal, or three components in the base's
+        axes, on the robot. With the torques of the drives, the sensor's gain and delay too. Of a run its own surface,
+        sensor and encoders are taken.
+    robot : RobotModel, or what `robot_models.load` takes
+        Its kinematics tell where the tip is. Of a run its own.
+    normal : (3,)
+        Of the plane, out of it, base axes.
+    tip : str, optional
+        The frame that touches; the robot's own tip if left out.
+    delay : float, optional
+        How late the force is recorded, s, if it is known; it is looked for otherwise.
+    cutoff : float, optional
+        Of the zero-phase low-pass, Hz; ten times the bandwidth of the tip's motion if left out.
+    confidence : float
+        Of the intervals.
+
+    Returns
+    -------
+    ContactIdentification
+        With `friction` (μ), `viscous_friction`, `stiffness`, `damping`, `delay`, `surface_offset`, `restitution`,
+        `bias`, `payload`, `gain`, `sensor_delay`, as far as the log tells them; the equations are in the modules of
+        `closedloop.studies.identify.contact`.
+
+    Raises
+    ------
+    LogError
+        If the log is at fault, or the surface of a run is not a plane at rest.
+    ModelError
+        If an argument is, or the robot cannot be loaded.
+    """
+    import robot_models
+    from robot_models import RobotModel
+
+    if not 0.5 <= confidence < 1.0:
+        raise ModelError(f"confidence is {confidence!r}: it must be from 0.5 to below 1")
+    out = np.asarray(normal, dtype=np.float64)
+    if out.shape != (3,) or not np.isfinite(out).all() or not np.linalg.norm(out) > 0.0:
+        raise ModelError(f"normal is {normal!r}: it must be three numbers, not all 0")
+    out = out / np.linalg.norm(out)
+    if isinstance(log, Run):
+        model, tip = log.model, tip or log.scenario.robot.tip
+        recording, out = contact_recording(log)
+    elif robot is None:
+        raise ModelError("robot is missing: a log needs the robot whose tip touches")
+    else:
+        model = robot if isinstance(robot, RobotModel) else robot_models.load(robot)
+        recording = log if isinstance(log, Recording) else read_recording(log, model)
+    recording = checked(recording, model)
+    if not isinstance(log, Run):
+        check_positions(recording.q, model, recording.source)
+    if np.ptp(recording.q, axis=0).max() == 0.0:
+        raise LogError(f"{recording.source}: the robot rests: no joint moves, nothing can be found")
+    mechanics = Robot(model, tip)
+    z = float(stats.norm.ppf(0.5 + 0.5 * confidence))
+    touch = touch_of(recording, mechanics, out)
+    parts: list[Part] = []
+    if touch.force is not None:
+        windows = Windows.of(touch, cutoff)
+        gravity = np.asarray(model.pinocchio_model().gravity.linear)
+        sensor = of_free_rows(windows, gravity, z)
+        beside = beside_torques(recording, mechanics, touch, cutoff, z)
+        if delay is not None:
+            sensor.read_late(delay, 0.0)
+        surface = compliance_of(windows, sensor, z)
+        if delay is None:
+            late = [e for e in (*beside.estimates, *surface.estimates) if "delay" in e.name and not e.why]
+            _read_late(sensor, late, z)
+            if any(e.name == "sensor_delay" for e in late):  # which tells damping and delay apart
+                own = [e for e in surface.estimates if e.name == "delay" and not e.why]
+                surface = compliance_of(windows, sensor, z)
+                surface.estimates += own
+        parts = [sensor.part, beside, surface, friction_of(windows, sensor, z)]
+    else:
+        why = "the log has no force: name its columns, as in force=fx,fy,fz"
+        units = (("friction", "1"), ("viscous_friction", "N s/m"), *NAMES)
+        parts.append(Part("force, N", [unknown(name, unit, why) for name, unit in units]))
+    parts.append(restitution_of(touch.time, touch.height, confidence))
+    closed, free = (float(np.mean(rows)) for rows in (touch.closed, touch.free))
+    return ContactIdentification(tuple(parts), recording.source, closed, free, confidence)
+
+
+def _read_late(sensor: Sensor, delays: Sequence[Estimate], z: float) -> None:
+    """Let the sensor have the mean of the delays that were found, each by its precision."""
+    if delays:
+        precision = np.array([(2.0 * z / (e.high - e.low)) ** 2 if e.high > e.low else 1e30 for e in delays])
+        mean = float(precision @ [e.value for e in delays] / precision.sum())
+        sensor.read_late(mean, float(1.0 / np.sqrt(precision.sum())))
+
+
+def contact_recording(run: Run, source: str = "the run") -> tuple[Recording, Array]:
+    """Return the log of a run as its encoders and its sensor have it, with a force of three components, and the normal.
+
+    The normal force is the sensor's reading; friction is that of the row.
+
+    Raises
+    ------
+    LogError
+        If its surface is not a plane at rest.
+    """
+    normals = run.surface_normal
+    if not run.scenario.has_surface or run.scenario.surface.kind != "plane" or np.ptp(normals, axis=0).max() > 0.0:
+        raise LogError(f"{source}: its surface is not a plane at rest: contacts are identified on planes")
+    q = run.measured_position if "measured_position" in run.specs else run.q
+    force = run.measured_force[:, None] * normals + run.friction_force
+    torque = None if "motor_position" in run.specs else np.array(run.torque)
+    return Recording(np.array(run.time), np.array(q), torque, force, source), np.array(normals[0])

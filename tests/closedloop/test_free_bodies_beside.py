@@ -1,0 +1,91 @@
+"""[[body]]: free bodies beside a robot, in scenarios, overrides and run files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.run import main
+from closedloop.scenario.load import parse_scenario
+
+THROWN = """
+[robot]
+model = "pointmass3"
+[[body]]
+name = "ball"
+shape = "ball"
+radius = 0.05
+mass = 2.0
+position = [1, 2, 3]
+velocity = [0.5, -0.25, 4]
+spin = [1, 2, 3]
+[time]
+duration = 0.1
+integrator = "rk4"
+"""
+
+
+def test_a_thrown_body_flies_its_parabola() -> None:
+    """x = x0 + v0 t + g t²/2, and a ball turns evenly about its axis, whatever the robot beside it does."""
+    run = cl.simulate(parse_scenario(THROWN), progress=False)
+    t, names = run.time, run.model.coordinate_names
+    x = run.q[:, [names.index(f"ball_{axis}") for axis in "xyz"]]
+    wanted = np.array([1, 2, 3]) + t[:, None] * [0.5, -0.25, 4] + 0.5 * t[:, None] ** 2 * [0, 0, -9.81]
+    np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-14)
+    rate = np.sqrt(14.0)
+    half = 0.5 * rate * t
+    turn = np.column_stack([np.cos(half), np.sin(half)[:, None] * np.array([1, 2, 3]) / rate])
+    np.testing.assert_allclose(run.q[:, [names.index(f"ball_q{part}") for part in "wxyz"]], turn, atol=1e-12)
+
+
+def test_lists_may_leave_out_bodies() -> None:
+    """start.q, start.v and the lists of a law are the robot's own, or those of all coordinates."""
+    short = parse_scenario(THROWN, overrides={"start.q": [0.1, 0.2, 0.3], "start.v": [1, 0, 0]})
+    whole = {
+        "start.q": [0.1, 0.2, 0.3, 1, 2, 3, 1, 0, 0, 0],
+        "start.v": [1, 0, 0, 0.5, -0.25, 4, 1, 2, 3],
+    }
+    law = {"law.kind": "paper", "law.kp": [10, 10, 10], "law.kd": [1, 1, 1]}
+    for more in ({}, law):
+        one = cl.simulate(parse_scenario(short.to_toml(), overrides=more), progress=False)
+        other = cl.simulate(parse_scenario(THROWN, overrides=whole | more), progress=False)
+        assert np.array_equal(one.q, other.q)
+    assert not np.array_equal(one.q[-1, :3], cl.simulate(short, progress=False).q[-1, :3])
+
+
+def test_a_run_file_has_the_bodies(tmp_path: Path) -> None:
+    """It repeats the run, and a key that is overridden acts: place and mass alike."""
+    (tmp_path / "thrown.toml").write_text(THROWN)
+    out = tmp_path / "out"
+    assert main([str(tmp_path / "thrown.toml"), "--out", str(out), "--no-figures"]) == 0
+    again = tmp_path / "again"
+    assert main([str(out / "run.nc"), "--out", str(again), "--no-figures"]) == 0
+    first, second = cl.load_run(out / "run.nc"), cl.load_run(again / "run.nc")
+    assert np.array_equal(first.q, second.q)
+    moved = tmp_path / "moved"
+    changes = ["--body.ball.mass", "3", "--body.ball.position", "[0,0,5]"]
+    assert main([str(out / "run.nc"), "--out", str(moved), "--no-figures", *changes]) == 0
+    run = cl.load_run(moved / "run.nc")
+    assert run.q[0, 3:6].tolist() == [0, 0, 5]
+    assert run.model.pinocchio_model().inertias[-1].mass == 3.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"body.ball.edges": [1, 1, 1]}, "edges must be left out: the size of a ball is radius"),
+        ({"body.ball.shape": "box"}, "edges is missing: the size of a box is edges"),
+        ({"body.ball.shape": "cone"}, "body"),
+        ({"body.ball.mass": 0}, "mass"),
+        ({"body.ball.quaternion": [0, 0, 0, 0]}, "quaternion has length zero"),
+        ({"body.bal.mass": 1}, "there is no body 'bal'"),
+        ({"start.q": [0, 0]}, "start.q has 2 entries.*10, or 3 without those that move freely"),
+        ({"start.v": [0] * 8}, "start.v has 8 entries.*9, or 3 without"),
+    ],
+)
+def test_what_cannot_be_is_one_line(changes: dict[str, object], words: str) -> None:
+    """Each fault names its key and what would be right."""
+    with pytest.raises(cl.ScenarioError, match=words) as caught:
+        cl.simulate(parse_scenario(THROWN, overrides=changes), progress=False)
+    assert all("\n" not in fault for fault in caught.value.faults)

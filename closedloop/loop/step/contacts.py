@@ -59,7 +59,6 @@ from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, decide, to
 from closedloop.mechanics.contacts.slow_slip import turn_slow_slips
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
-from closedloop.mechanics.contacts.turning import turn_slips
 from closedloop.mechanics.impact import energy_lost
 
 Array = NDArray[np.float64]
@@ -213,15 +212,8 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 -c.problem.along[0, 1],
             )  # what pulls rubs with |f|
             status = solve_modes(c, k)
-<<<<<<< HEAD
         if state.settings.adaptive == 0 and status == OK:
             status = turn_and_solve(c, k, constants.h)
-=======
-        for _ in range(TURNS if state.settings.adaptive == 0 else 0):
-            if status != OK or not turn_slow_slips(c, k, constants.h) > SETTLED:
-                break
-            status = solve_closed(c, k)
->>>>>>> main
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if k > links.points + links.stops:
@@ -260,17 +252,9 @@ def turn_and_solve(c: Contacts, k: int, h: float) -> int:
     for i in range(k):
         c.scratch.start[2 * i], c.scratch.start[2 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     for _ in range(TURNS):
-        for r in range(3 * k):
-            c.before[r] = c.F[r]
-        if not turn_slips(c, k, h):
+        if not turn_slow_slips(c, k, h) > SETTLED:
             return int(OK)
-        status = int(solve_closed(c, k))
-        size, change = 0.0, 0.0
-        for r in range(3 * k):
-            size, change = max(size, abs(c.before[r])), max(change, abs(c.F[r] - c.before[r]))
-        if status == OK and change <= SETTLED * size:
-            return int(OK)
-        if status != OK:
+        if solve_closed(c, k) != OK:
             break
     for i in range(k):
         c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[2 * i], c.scratch.start[2 * i + 1]
@@ -325,12 +309,8 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
 
 # An error below this is rounding, m: e = n·r − d is a sum of a few products of the order of a metre; or a rate, m/s.
 CLOSED = 2e-15
-<<<<<<< HEAD
-# Solutions at most in which the friction of slow slips is turned, and the change of the forces at which it agrees.
-=======
 # Normal forces and the directions of slow slips depend on each other: they are solved in turn, so often at most, until
 # no direction changes by more than this.
->>>>>>> main
 TURNS, SETTLED = 40, 1e-12
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30

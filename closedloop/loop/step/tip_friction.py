@@ -13,28 +13,13 @@ from closedloop.loop.step.entries import HOLD, SLIDE
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
-<<<<<<< HEAD
-from closedloop.mechanics.friction.turning import turn_friction
-=======
 from closedloop.mechanics.friction.slow_slip import turn_to_end
->>>>>>> main
 
 Array = NDArray[np.float64]
 
 
 @kernel
 def turn_with_slip(w: Work, h: float) -> bool:
-<<<<<<< HEAD
-    """Turn the friction of a slow tip to where its slip points at the end of the step h, s; return whether it was slow.
-
-    In: u, direction, S, a, w, and c = ±μ u/|u| with the F of it (minus where the closure pulls). Written: c; see
-    `closedloop.mechanics.friction.turning`.
-    """
-    S, f, viscous = w.tip.S, w.tip.F[0], w.friction.viscous
-    a1 = w.tip.a[1] + S[1, 0] * f - S[1, 1] * viscous[0] - S[1, 2] * viscous[1]
-    a2 = w.tip.a[2] + S[2, 0] * f - S[1, 2] * viscous[0] - S[2, 2] * viscous[1]
-    return bool(turn_friction(S, a1, a2, w.tip.u, w.friction.direction, f, h, w.friction.c))
-=======
     """Turn the friction of a slow tip to where its slip points at the end of the step h, s; whether it was slow.
 
     Parameters
@@ -51,7 +36,6 @@ def turn_with_slip(w: Work, h: float) -> bool:
     along = math.copysign(level, f)
     c[0], c[1] = along * c[0], along * c[1]
     return True
->>>>>>> main
 
 
 @kernel

@@ -15,7 +15,7 @@ from drops import examine
 
 # Of the first 40 these gain more than a millionth of their energy in a step of 1 ms (docs/limits.md): their forces grow
 # without bound on the way to Painlevé's paradox.
-GAIN = {4, 7, 8, 11, 13}
+GAIN = {8, 11, 13}
 
 
 @pytest.mark.parametrize("seed", seeds(6, 40))

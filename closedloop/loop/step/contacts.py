@@ -245,20 +245,27 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
 
 @kernel
 def turn_and_solve(c: Contacts, k: int, h: float) -> int:
-    """Turn the friction of slow slips to where they go in the step h, s, until it agrees with the forces."""
-    status = OK
+    """Turn the friction of slow slips to where they go in the step h, s, until it agrees with the forces.
+
+    Where it does not, friction stays against the slip as it is.
+    """
+    for i in range(k):
+        c.scratch.start[2 * i], c.scratch.start[2 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     for _ in range(TURNS):
         for r in range(3 * k):
             c.before[r] = c.F[r]
         if not turn_slips(c, k, h):
+            return int(OK)
+        if solve_closed(c, k) != OK:
             break
-        status = int(solve_closed(c, k))
         size, change = 0.0, 0.0
         for r in range(3 * k):
             size, change = max(size, abs(c.before[r])), max(change, abs(c.F[r] - c.before[r]))
-        if status != OK or change <= SETTLED * size:
-            break
-    return int(status)
+        if change <= SETTLED * size:
+            return int(OK)
+    for i in range(k):
+        c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[2 * i], c.scratch.start[2 * i + 1]
+    return int(solve_closed(c, k))
 
 
 @kernel

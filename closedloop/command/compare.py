@@ -47,12 +47,12 @@ def _main(words: list[str]) -> int:
     name_members(overrides.items())
     folder = made_folder(options.out)
 
-    import robot_models
+    from closedloop.simulation.prepare import load_model
     from closedloop.studies.comparison.recording import read_recording
     from closedloop.studies.comparison.with_log import compare_log
 
     scenario = load_scenario(options.scenario, overrides)
-    robot = robot_models.load(scenario.robot.model)
+    robot = load_model(scenario)
     recording = read_recording(
         options.log, robot, columns=dict(options.columns), degrees=options.degrees, gain=options.gain
     )

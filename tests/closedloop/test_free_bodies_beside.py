@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pyarrow.parquet import read_table
 
 import closedloop as cl
+from closedloop.command.sweep import main as sweep
 from closedloop.run import main
 from closedloop.scenario.load import parse_scenario
 
@@ -89,3 +91,19 @@ def test_what_cannot_be_is_one_line(changes: dict[str, object], words: str) -> N
     with pytest.raises(cl.ScenarioError, match=words) as caught:
         cl.simulate(parse_scenario(THROWN, overrides=changes), progress=False)
     assert all("\n" not in fault for fault in caught.value.faults)
+
+
+def test_no_robot_and_no_body_is_nothing() -> None:
+    """A scenario without a robot needs a body."""
+    with pytest.raises(cl.ModelError, match="there is no body, and no robot"):
+        cl.simulate(parse_scenario('[robot]\nmodel = "none"'), progress=False)
+
+
+def test_a_sweep_over_a_body(tmp_path: Path) -> None:
+    """Keys of bodies are keys of sweeps, of bodies alone too."""
+    file, out = tmp_path / "thrown.toml", tmp_path / "sweep.parquet"
+    file.write_text(THROWN.replace("pointmass3", "none"))
+    assert sweep([str(file), "--over", "body.ball.mass=1:3:2", "--out", str(out)]) == 0
+    table = read_table(out).to_pydict()
+    assert table["body.ball.mass"] == [1.0, 3.0]
+    assert table["verdict"] == ["good", "good"]

@@ -64,7 +64,9 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
         outside |= {"one_loop"}
     if found := contact_faults(run):
         cone, product = np.max(found.cone), np.max(found.complementarity)
-        said = f"{len(found.names)} contacts besides: cone to {cone:.0e} N, force times gap {product:.0e} N m"
+        said = (
+            f"{_counted(len(found.names), 'contact')} besides: cone to {cone:.0e} N, force times gap {product:.0e} N m"
+        )
         report["single_point"] = {"held": False, "first_failed": 0.0, "measured": said}
         outside |= {"single_point"}
         rub = np.hypot(run.link_frictions[:, ::2], run.link_frictions[:, 1::2])

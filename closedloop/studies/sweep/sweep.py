@@ -17,6 +17,7 @@ from closedloop.record.columns.recorded import ALL_COLUMNS
 from closedloop.record.versions import package_versions
 from closedloop.scenario.members import members_of_users
 from closedloop.scenario.overrides import Variants
+from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.scenario.user_module import import_law
 from closedloop.simulation.batch.table import kept_columns
@@ -152,7 +153,7 @@ class Sweep:
             if axis.key == "robot.model":
                 names = {str(value) for value in axis.values}
         digests = {}
-        for name in sorted(names):
+        for name in sorted(names - {NO_ROBOT}):
             try:
                 model = robot_models.load(name)
             except Exception as error:  # of the runs with this robot, which say it, as long as there are others

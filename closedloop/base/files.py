@@ -131,8 +131,10 @@ def probe_folder(folder: Path) -> None:
     probe = folder / _unfinished_name()
     try:
         probe.touch(exist_ok=False)
-    finally:
+        probe.unlink()
+    except BaseException:  # in a `finally` an interruption before the call would leave the file
         probe.unlink(missing_ok=True)
+        raise
 
 
 class FolderLock:

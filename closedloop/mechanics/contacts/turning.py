@@ -6,6 +6,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import PRESSED
 from closedloop.mechanics.contacts.friction import stops_slipping
+from closedloop.mechanics.contacts.given_modes import own_mobility
 from closedloop.mechanics.contacts.memory import LINE, RAY, Contacts
 from closedloop.mechanics.friction.turning import turn_friction
 
@@ -24,9 +25,7 @@ def turn_slips(c: Contacts, k: int, h: float) -> bool:
             for j in range(3 * k):
                 F = -c.viscous[j] if j == n + 1 or j == n + 2 else c.F[j]
                 c.scratch.vector[t] += c.W[n + t, j] * F
-        for a in range(3):
-            for b in range(3):
-                c.scratch.slope[a, b] = c.W[n + a, n + b]
+        own_mobility(c, i, c.scratch.slope)
         if turn_friction(
             c.scratch.slope,
             c.scratch.vector[1],

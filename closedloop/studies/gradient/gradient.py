@@ -14,7 +14,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.gradient.differences import Along, Part, along
-from closedloop.studies.gradient.keys import SHARE, Direction, Keys
+from closedloop.studies.gradient.keys import SHARE, Direction, Keys, indexed
 from closedloop.studies.gradient.outputs import Output, output
 from closedloop.studies.gradient.variants import sample, simulated
 from robot_models import RobotModel
@@ -75,7 +75,7 @@ class Gradient:
                     mine, its = at[: value.ndim], at[value.ndim :]
                     rows.append(
                         {
-                            "of": _indexed(of, mine), "key": _indexed(key, its), "value": value[mine],
+                            "of": indexed(of, mine), "key": indexed(key, its), "value": value[mine],
                             "derivative": one, "error": error[at], "method": self.method[of][key],
                         }
                     )  # fmt: skip
@@ -207,10 +207,6 @@ def _named(of: str, direction: Direction, part: Part, values: Array) -> list[str
 
 def _entry(array: Array) -> Entry:
     return float(array) if array.ndim == 0 else array
-
-
-def _indexed(name: str, at: tuple[int, ...]) -> str:
-    return name + "".join(f"[{i}]" for i in at)
 
 
 def _silent(done: int, total: int) -> None:

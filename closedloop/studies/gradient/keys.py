@@ -22,6 +22,11 @@ SHARE, SIZE_OF_ZERO = 1e-2, 0.1
 OF_ROWS = ("time.step", "time.duration", "law.sample_period")
 
 
+def indexed(name: str, at: tuple[int, ...]) -> str:
+    """Return the name of one number, with its place if it is one of a list: law.kp[1]."""
+    return name + "".join(f"[{i}]" for i in at)
+
+
 @dataclass(frozen=True)
 class Direction:
     """One number of the scenario.
@@ -41,7 +46,7 @@ class Direction:
     step: float
 
     def __str__(self) -> str:
-        return self.key + "".join(f"[{i}]" for i in self.entry)
+        return indexed(self.key, self.entry)
 
 
 class Keys:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.scenario import Scenario
-from closedloop.studies.gradient.keys import Keys
+from closedloop.studies.gradient.keys import Keys, indexed
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Varied:
     @property
     def name(self) -> str:
         """Return the key with its entry."""
-        return self.key + "".join(f"[{i}]" for i in self.entry)
+        return indexed(self.key, self.entry)
 
     def at(self, share: float) -> float:
         """Return the number at a share of the range, 0 to 1."""

@@ -54,6 +54,7 @@ class ContactLinks(Block):
         int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit; 2 after
     )
     # too many: their modes are not sought
+    unbounded: int  # 1 if the forces in the present modes grow without bound: a time step is to go on
     stepped: int  # 1 while the forces are those of a time step, see `closedloop.mechanics.contacts.time_step`
     record_at: int  # where in a row of the record there is a `ContactRow`
 
@@ -115,6 +116,11 @@ class ContactScratch(Block, sizes=("n", "k")):
     unknowns: Annotated[Array, 3 * K, 3 * K]
     basis: Annotated[Array, 3 * K, N]
     Y: Annotated[Array, 3 * K, N]
+    Y_columns: Annotated[Array, N, 3 * K]
+    columns: Annotated[Array, 3 * K, 3 * K]
+    multiples: Annotated[Array, 3 * K]
+    mu: Annotated[Array, K]
+    ends: Annotated[Array, N]  # of each joint's tree, see `closedloop.loop.step.contact_rows.write_ends`
     residuals: Annotated[Array, 3 * K]
     trial: Annotated[Array, 3 * K]
     best: Annotated[Array, 3 * K]

@@ -30,7 +30,9 @@ _NUMPY = types.ModuleType("numpy", "The functions of numbers of numpy that dual 
 _NUMPY.__dict__.update({name: vars(math)[name] for name in (
     "hypot", "sqrt", "sin", "cos", "tan", "tanh", "exp", "expm1", "log", "isfinite", "isnan", "pi", "inf", "nan",
 )})  # fmt: skip
-_NUMPY.__dict__.update(abs=abs, arctan2=math.atan2, arcsin=math.asin, arccos=math.acos, minimum=min, maximum=max, ceil=math.ceil)
+_NUMPY.__dict__.update(
+    abs=abs, arctan2=math.atan2, arcsin=math.asin, arccos=math.acos, minimum=min, maximum=max, ceil=math.ceil
+)
 
 # Twins, and the globals of twins, by the identity of what they are of, which is kept with them.
 _twins: dict[int, tuple[Any, Any]] = {}

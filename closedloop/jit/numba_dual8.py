@@ -115,9 +115,7 @@ def _length(context: Any, b: Any, x: Any, y: Any) -> Any:
     value = _scalar(context, b, math.hypot, x0, y0)
     nowhere = b.fcmp_ordered("==", value, _number(0.0))
     inverse = b.select(nowhere, _number(0.0), b.fdiv(_number(1.0), value))
-    change = b.fadd(
-        b.fmul(repeated(b, b.fmul(x0, inverse)), x), b.fmul(repeated(b, b.fmul(y0, inverse)), y)
-    )
+    change = b.fadd(b.fmul(repeated(b, b.fmul(x0, inverse)), x), b.fmul(repeated(b, b.fmul(y0, inverse)), y))
     return b.insert_element(change, value, LANE(0))
 
 

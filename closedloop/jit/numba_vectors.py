@@ -62,7 +62,6 @@ def teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[...
     """
     some = any(isinstance(kind, Vector) for kind in kinds)
 
-
     @infer_global(function)
     class Typing(AbstractTemplate):
         key = function
@@ -70,7 +69,8 @@ def teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[...
         def generic(self, args: Any, kws: Any) -> Any:
             own = not some or any(isinstance(x, Vector) for x in args)
             fits = len(args) == len(kinds) and all(
-                x == kind or (isinstance(kind, Vector) and isinstance(x, kind.others) and not isinstance(x, types.Boolean))
+                x == kind
+                or (isinstance(kind, Vector) and isinstance(x, kind.others) and not isinstance(x, types.Boolean))
                 for x, kind in zip(args, kinds, strict=True)
             )
             return signature(result, *kinds) if own and fits and not kws else None
@@ -85,8 +85,6 @@ def vectors_at(kind: Vector, ndim: int, order: str = "C") -> tuple[Any, Callable
     array = types.Array(kind, ndim, order)
 
     def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
-        return array_on(
-            context, builder, array, builder.inttoptr(values[0], DOUBLES.as_pointer()), list(values[1:])
-        )
+        return array_on(context, builder, array, builder.inttoptr(values[0], DOUBLES.as_pointer()), list(values[1:]))
 
     return array, lower

@@ -32,7 +32,8 @@ ARITHMETIC = {
     "sought(x) * y": ("0.0", "x"),
 }  # fmt: skip
 POSITIVE = {
-    "math.sqrt(x)": ("0.5/np.sqrt(x)", "0.0"), "math.log(x)": ("1/x", "0.0"), "x ** y": ("y*x**(y-1)", "x**y*np.log(x)"),
+    "math.sqrt(x)": ("0.5/np.sqrt(x)", "0.0"), "math.log(x)": ("1/x", "0.0"),
+    "x ** y": ("y*x**(y-1)", "x**y*np.log(x)"),
     "x ** 0.5": ("0.5/np.sqrt(x)", "0.0"), "math.asin(x / 9)": ("1/np.sqrt(81-x*x)", "0.0"),
     "math.acos(x / 9)": ("-1/np.sqrt(81-x*x)", "0.0"),
 }  # fmt: skip

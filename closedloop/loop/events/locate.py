@@ -133,7 +133,7 @@ def refine_bracket(w: Work, state: State) -> int:
 def settle_instant(w: Work, state: State) -> None:
     """Give the instant that was found its derivatives, by two more trial steps to it.
 
-    Of the first the instant is the unknown, so that the event function has its rate there; of the second it is constant.
+    In the first the instant is the unknown, so the event function has its rate there; in the second it is constant.
     """
     if state.trial.settling == 1:
         w.search.at_low, w.search.tau = slope_of(w.search.value), sought(w.search.tau)

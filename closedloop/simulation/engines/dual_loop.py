@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import entry_address
 from closedloop.jit.dual import dual
+from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
 from closedloop.jit.simd8 import WIDE, aligned
 from closedloop.loop.events.impacts import collide
@@ -118,18 +120,11 @@ class DualRun:
         problem, n = base.problem, base.problem.robot.n
         problem.connect(base.loop, form=dual)
         self._base, self._n = base, n
-        wide = [_widened(array) for array in base.floats]
-        for lane, parts in enumerate(seeds, 1):
-            for to, part in zip(wide, parts, strict=True):
-                if part is not None:
-                    to[..., lane] = part
-        words = [array.copy() for array in base.words]
-        moved = {address_of(a): address_of(b) for a, b in zip((*base.floats, *base.words), (*wide, *words), strict=True)}
-        for array in words:
-            for i, word in enumerate(array.ravel().tolist()):
-                if word in moved:
-                    array.reshape(-1)[i] = moved[word]
-        self._kept = wide, words
+        self._wide = wide = [aligned(*array.shape) for array in base.floats]
+        self._words = words = [array.copy() for array in base.words]
+        self._moved = {
+            address_of(a): address_of(b) for a, b in zip((*base.floats, *base.words), (*wide, *words), strict=True)
+        }
         wide_of = {id(array): to for array, to in zip(base.floats, wide, strict=True)}
         loop = base.loop
         self._constants, self._work = wide_of[id(loop.constants.memory)], wide_of[id(loop.w.memory)]
@@ -147,13 +142,11 @@ class DualRun:
         work = _widened(compiled_work(n))
         self._addresses = a = Addresses(np.zeros(Addresses.count(), dtype=np.int64))
         a.H, a.C = address_of(work), address_of(work[n * n :])
-        a.loop, a.table, a.tableau = int(self._state.address), address_of(table), address_of(tableau)
+        a.loop, a.table, a.tableau = address_of(words[0]), address_of(table), address_of(tableau)
         a.rows, a.n = address_of(self.rows), n
         a.instants, a.table_width = problem.table.shape
         a.row_count, a.row_width = self.rows.shape[:2]
-        self._set_events()
-        self._tree = tree
-        self._varied = bool(np.any(constants[:, 1:]))
+        self._tree, self._tree_constants = tree, constants
         self._values, self._tally = aligned(Values.count(n)), aligned(Tally.count(n))
         self._signals, self._limits = aligned(CONTROL, problem.steps + 1), _widened(joint_limits(problem.robot.model))
         self._step = _widened(np.array([problem.h]))
@@ -162,7 +155,22 @@ class DualRun:
         p.tally, p.values, p.signals = map(address_of, (self._tally, self._values, self._signals))
         p.limits, p.step = address_of(self._limits), address_of(self._step)
         self.table = table
-        self._kept_too = tableau, constants, work
+        self._kept_too = tableau, work
+        self.begin(seeds)
+
+    def begin(self, seeds: Sequence[Sequence[Array | None]]) -> None:
+        """Go back to the start, with other derivatives."""
+        for i, (array, to) in enumerate(zip(self._base.floats, self._wide, strict=True)):
+            to[..., 0] = array
+            to[..., 1:] = 0.0
+            for lane, parts in enumerate(seeds, 1):
+                part = parts[i]
+                if part is not None:
+                    to[..., lane] = part
+        for array, words in zip(self._base.words, self._words, strict=True):
+            words.reshape(-1)[:] = [self._moved.get(word, word) for word in array.ravel().tolist()]
+        self._varied = bool(np.any(self._tree_constants[:, 1:]))
+        self._set_events()
 
     def _set_events(self) -> None:
         self._addresses.events, self._addresses.event_room = address_of(self.events), len(self.events)
@@ -212,9 +220,26 @@ def _widened(array: Array) -> Array:
     return wide
 
 
-def kernels(base: Prepared) -> list[Any]:
-    """Return the kernels of dual numbers that a run needs, those for the values of its summary included."""
-    found = [run_at, proceed_at, complete_at, measure_at, *base.problem.called(base.loop)]
+def kernels(base: Prepared, varied: bool = False) -> list[Any]:
+    """Return the kernels of dual numbers that a run needs, those for the values of its summary included.
+
+    `varied` says whether the constants of the robot have derivatives.
+    """
+    found = [run_varied_at if varied else run_at, proceed_at, complete_at, measure_at]
     if base.loop.state.settings.unilateral or base.loop.state.contacts.at:
         found.append(collide)
-    return [dual(each) for each in found]
+    return [dual(each) for each in (*found, *base.problem.called(base.loop))]
+
+
+def compile_for(base: Prepared, names: Sequence[str]) -> None:
+    """Compile those of the kernels that a run needs that have these names."""
+    integers: dict[Any, tuple[Any, ...]] = {
+        run_at: (base.problem.robot.tree, 0, 0, 0), run_varied_at: (base.problem.robot.tree, 0, 0, 0),
+        measure_at: (base.problem.robot.tree, 0, 0, (0, 0, 0, 0), 0), complete_at: (0, 0), collide: (0,),
+    }  # fmt: skip
+    for kernel, arguments in integers.items():
+        if dual(kernel).__name__ in names:
+            direct(dual(kernel), *arguments)
+    for kernel in (proceed_at, *base.problem.called(base.loop)):
+        if dual(kernel).__name__ in names:
+            entry_address(dual(kernel))

@@ -170,9 +170,7 @@ class Problem(ScenarioNumbers):
 
         loop.state.proceed = address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
-            getattr(loop.state, name).entry = _address_of(
-                form(entry), name, getattr(self.scenario, name), compiled
-            )
+            getattr(loop.state, name).entry = _address_of(form(entry), name, getattr(self.scenario, name), compiled)
         if loop.state.loops.at != 0:
             loop.state.loops.entry = address(closed_loops)
         if loop.state.contacts.at != 0:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import ClosedLoopError
-from closedloop.jit.background import make_ready
-from closedloop.jit.kernel import jit_disabled
+from closedloop.jit.background import make_ready, refused
+from closedloop.jit.background import start as start_compiling
+from closedloop.jit.cache_folder import why_not_kept
+from closedloop.jit.kernel import jit_disabled, needs_compiling
 from closedloop.loop.events.table import event_columns
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.mechanics.robot.tree import energies_of_rows
@@ -47,13 +50,13 @@ DUALS, PREPARED, OF_COLUMNS = "dual numbers", "differences of the preparation", 
 LATE = ("step_error_force", "step_error_position", "torque_limited_share", "torque_limited_at")
 # A value that the rows are counted to must be the summary's to this share.
 SAME = 1e-9
-# The two plain runs are off the scenario by this share of the keys' sizes, and a derivative must be that of their
-# difference to this share, or to what of the difference is rounding.
-BESIDE, AGREE, NOISE = 1e-6, 1e-4, 20.0
+# The two plain runs are off the scenario by the first of these shares of the keys' sizes at which they have its events,
+# and a derivative must be that of their difference to a share, or to what of the difference is rounding.
+BESIDE, AGREE, NOISE = (1e-5, 1e-7), 1e-4, 20.0
 # The runs on both sides differ from the scenario's by as much, but for this share: else there is a kink.
 KINKED = 1e-3
 # Differences of the columns take steps of this share of those of differences of runs.
-OF_STEP = 1e-3
+OF_STEP = 0.1
 
 
 class Exact:
@@ -103,20 +106,21 @@ def _exact(
 ) -> Exact:  # fmt: skip
     from numba.core.errors import NumbaError
 
-    start = prepared(prepare(keys.scenario, model))
-    called = tuple(kernels(start))
-    if called in _refused:
-        raise NotDualError(_refused[called])
-    cache = Cache()
+    start, cache = prepared(prepare(keys.scenario, model)), Cache()
     seeds = {d: seeds_of(keys, d, start, model, cache) for d in keys.directions}
     known = {d: each for d, each in seeds.items() if each is not None}
     if not known:
         return NOTHING
     rows: dict[Direction, list[Array | None]] = {}
+    errors: dict[Direction, dict[int, Array]] = {}
     directions = list(known)
+    constants = _tree_constants(start)
+    called = tuple(kernels(start, any(each.parts[constants] is not None for each in known.values())))
+    if called in _refused:
+        raise NotDualError(_refused[called])
+    _have_compiled(called)
     for begin in range(0, len(directions), DIRECTIONS):
         some = directions[begin : begin + DIRECTIONS]
-        make_ready(*called)
         try:
             duals = DualRun(start, [known[d].parts for d in some])
             went_on = duals.run()
@@ -128,6 +132,7 @@ def _exact(
         reader = _Reader(run, start, duals, outputs, known)
         for lane, d in enumerate(some, 1):
             rows[d] = reader.derivatives(lane, d)
+        errors |= reader.errors
     there = [all(each[i] is not None for each in rows.values()) for i in range(len(outputs))]
     agree = _agree(keys, run, base, outputs, rows, there, model, report, workers)
     kept = [i for i, good in enumerate(agree) if good]
@@ -137,7 +142,8 @@ def _exact(
     for d, parts in rows.items():
         value = np.concatenate([np.zeros(0), *(np.ravel(parts[i]) for i in kept)])
         scale = np.concatenate([np.zeros(0), *(base.scale[slices[i]] for i in kept)])
-        error = rounding * (np.abs(value) + scale * SHARE / d.step)
+        of_columns = [np.broadcast_to(errors.get(d, {}).get(i, 0.0), base.scale[slices[i]].shape) for i in kept]
+        error = rounding * (np.abs(value) + scale * SHARE / d.step) + np.concatenate([np.zeros(0), *of_columns])
         method = DUALS if known[d].linear else f"{DUALS}, {PREPARED}"
         methods = [f"{method}, {OF_COLUMNS}" if _by_columns(outputs[i], run) else method for i in kept]
         none = np.zeros(value.size, dtype=bool)
@@ -148,6 +154,27 @@ def _exact(
     return Exact(found, [outputs[i] for i in kept])
 
 
+def _tree_constants(start: Prepared) -> int:
+    """Return which of the prepared arrays are the constants of the robot."""
+    constants = start.problem.robot.tree.constants
+    return next(i for i, array in enumerate(start.floats) if array is constants)
+
+
+def _have_compiled(called: Sequence[Any]) -> None:
+    """Have kernels compiled: behind this process, or here if none may.
+
+    Raises
+    ------
+    NotDualError
+        If they are being compiled.
+    """
+    missing = [each for each in called if needs_compiling(each)]
+    if missing and not refused() and not why_not_kept():
+        start_compiling(missing)
+        raise NotDualError("the kernels of dual numbers are being compiled")
+    make_ready(*called)
+
+
 def _positions(run: Run, duals: DualRun) -> Array:
     """Return the positions of a run as the loop has them, (N, n)."""
     return duals.rows[..., 0][:, : run.model.n] if run.model.balls else run.q
@@ -156,13 +183,14 @@ def _positions(run: Run, duals: DualRun) -> Array:
 def _slices(outputs: Sequence[Output], run: Run) -> list[slice]:
     """Return where each output is among all of them."""
     ends = np.cumsum([0, *(each.of(run).size for each in outputs)]).tolist()
-    return [slice(begin, end) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+    return [slice(begin, end) for begin, end in pairwise(ends)]
 
 
 def _by_columns(output: Output, run: Run) -> bool:
     """Whether an output follows from the columns by more than being a part of them, or of what rows are counted to."""
     if output.column:
-        return output.column not in run.columns or output.column in ("potential_energy", *(POSITIONS if run.model.balls else ()))
+        others = ("potential_energy", *(POSITIONS if run.model.balls else ()))
+        return output.column not in run.columns or output.column in others
     return output.name in LATE or output.name not in (*MEASURES, *JOINT_MEASURES)
 
 
@@ -174,11 +202,15 @@ class _Reader:
     ) -> None:
         self._run, self._start, self._duals, self._outputs, self._seeds = run, start, duals, outputs, seeds
         self._values: Any = None
+        self.errors: dict[Direction, dict[int, Array]] = {}
         if any(not each.column and not _by_columns(each, run) for each in outputs):
             self._values = Values(duals.values(), run.model.n)
 
     def derivatives(self, lane: int, direction: Direction) -> list[Array | None]:
-        """Return the derivative of each output along a direction; None of one that they do not give."""
+        """Return the derivative of each output along a direction; None of one that they do not give.
+
+        The errors of those that follow from the columns are in `errors`.
+        """
         columns, _ = columns_of_rows(self._start.problem, self._duals.rows[..., lane], self._duals.table[..., lane])
         columns |= event_columns(self._duals.events[..., lane])
         columns["time"] = np.zeros_like(columns["time"])
@@ -193,8 +225,11 @@ class _Reader:
             else:
                 found.append(self._counted(output, lane))
         if late and not self._run.model.balls:
-            for i, value in zip(late, self._by_columns([self._outputs[i] for i in late], columns, direction), strict=True):
-                found[i] = value
+            mine = self.errors.setdefault(direction, {})
+            some = self._by_columns([self._outputs[i] for i in late], columns, direction)
+            for i, both in zip(late, some, strict=True):
+                if both is not None:
+                    found[i], mine[i] = both
         return found
 
     def _counted(self, output: Output, lane: int) -> Array | None:
@@ -207,11 +242,10 @@ class _Reader:
 
     def _by_columns(
         self, outputs: list[Output], columns: dict[str, NDArray[Any]], direction: Direction
-    ) -> list[Array | None]:
-        """Return the derivatives of what follows from the columns, by differences of them."""
+    ) -> list[tuple[Array, Array] | None]:
+        """Return the derivatives of what follows from the columns, by differences of them, and their errors."""
         run, tree = self._run, self._start.problem.robot.tree
-        constants = next(i for i, array in enumerate(self._start.floats) if array is tree.constants)
-        if self._seeds[direction].parts[constants] is not None:  # the energies are of another arm
+        if self._seeds[direction].parts[_tree_constants(self._start)] is not None:  # the energies are of another arm
             return [None] * len(outputs)
 
         def beside(change: float) -> Array:
@@ -229,7 +263,7 @@ class _Reader:
         estimate = two_sided(step, beside(0.0), minus, plus)
         value = np.where(estimate.kink, np.nan, estimate.value)
         return [
-            None if np.any(np.isnan(value[part])) else value[part].reshape(each.of(run).shape)
+            None if np.any(np.isnan(value[part])) else (value[part].reshape(each.of(run).shape), estimate.error[part])
             for each, part in zip(outputs, _slices(outputs, run), strict=True)
         ]
 
@@ -246,16 +280,19 @@ def _agree(
         If other events happen in them.
     """
     weights = np.random.default_rng(0).uniform(0.5, 1.0, len(rows))
-    changes = {d: BESIDE * weight * d.step / SHARE for d, weight in zip(rows, weights, strict=True)}
 
     def read(made: Run) -> Array:
         return np.concatenate([each.of(made).ravel() for each in outputs])
 
-    sides = [{d: sign * change for d, change in changes.items()} for sign in (-1.0, 1.0)]
-    minus, plus = samples([_changed(keys, side) for side in sides], read, model, report, workers)
-    for side in (minus, plus):
-        if why := difference(base, side):
-            raise NotDualError(why)
+    for beside in BESIDE:
+        changes = {d: beside * weight * d.step / SHARE for d, weight in zip(rows, weights, strict=True)}
+        sides = [{d: sign * change for d, change in changes.items()} for sign in (-1.0, 1.0)]
+        minus, plus = samples([_changed(keys, side) for side in sides], read, model, report, workers)
+        why = difference(base, minus) or difference(base, plus)
+        if not why:
+            break
+    if why:
+        raise NotDualError(why)
     rounding = NOISE * (LOCATED if base.happened else ROUNDING)
     good = []
     for i, part in enumerate(_slices(outputs, run)):

@@ -83,8 +83,6 @@ def seeds_of(keys: Keys, direction: Direction, base: Prepared, model: RobotModel
             return None
         for i in curved:
             at = np.nan_to_num(base.floats[i], posinf=0.0, neginf=0.0).ravel()
-            minus, plus = (
-                np.nan_to_num([each[i].ravel() for each in side], posinf=0.0, neginf=0.0) for side in sides
-            )
+            minus, plus = (np.nan_to_num([each[i].ravel() for each in side], posinf=0.0, neginf=0.0) for side in sides)
             parts[i] = two_sided(direction.step, at, minus, plus).value.reshape(base.floats[i].shape)
     return Seeds(parts, not curved)

@@ -57,7 +57,8 @@ def test_a_round_end_is_a_ball_about_the_tip(kind, way):
     assert np.max(np.abs(tip.slip_velocity)) > 0.01
     np.testing.assert_allclose(tip.q, link.q, atol=1e-9)
     np.testing.assert_allclose(tip.contact_force, link.link_forces[:, 0], atol=1e-5 * np.max(tip.contact_force))
-    np.testing.assert_allclose(tip.closure_error, link.link_gaps[:, 0], atol=1e-10)
+    # the instant of a liftoff is located by another event function: 3e-10 m
+    np.testing.assert_allclose(tip.closure_error, link.link_gaps[:, 0], atol=1e-9)
 
 
 def test_friction_has_its_lever():

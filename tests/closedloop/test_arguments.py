@@ -32,7 +32,7 @@ GOOD = {
     "compare": {"scenarios": [SCENARIO], "over": None, "of": ("rms_force_error",), "engine": "pinocchio",
                 "workers": 1},
     "compare_log": {"log": RUN, "scenario": SCENARIO, "model": None, "shift": None, "cutoff": None},
-    "linearise": {"scenario": SCENARIO, "at": None, "model": None},
+    "linearise": {"scenario": SCENARIO, "at": None, "model": None, "cache": None},
     "gradient": {"scenario": SCENARIO, "keys": ["law.force"], "of": ["rms_force_error"], "model": None, "workers": 1},
     "sensitivities": {"scenario": SCENARIO, "keys": ["law.force"], "of": ["contact_force"], "model": None,
                       "workers": 1},

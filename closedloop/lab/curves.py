@@ -32,7 +32,7 @@ CELLS = 160
 TITLES = {
     "force": "contact force", "links": "link forces",
     "closure": "closure error", "loops": "loop error", "tip": "tip error",
-    "torque": "torque", "friction": "friction",
+    "torque": "torque", "friction": "friction", "error": "error",
 }  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.added import state_columns
-from closedloop.record.columns.recorded import POSITIONS, SURFACE_COLUMNS, Column
+from closedloop.record.columns.recorded import POSITIONS, RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
@@ -90,9 +90,11 @@ def columns_of_rows(
         "reference_tip": wanted[:, Reference.place("position", n)].copy(),
         "reference_force": wanted[:, Reference.place("force", n)].copy(),
     }
-    contacts = len(problem.scenario.contact or ())
-    there = (*RECORDED, *arm_columns(problem.scenario), *(CONTACT_RECORDED if contacts else ()))
-    columns |= {name: recorded(rows, n, name, contacts, problem.row_states) for name in there}
+    sections = problem.scenario.contact or ()
+    left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
+    of_contacts = [name for name in CONTACT_RECORDED if sections and name not in left_out]
+    there = (*RECORDED, *arm_columns(problem.scenario), *of_contacts)
+    columns |= {name: recorded(rows, n, name, len(sections), problem.row_states) for name in there}
     states = state_columns(problem.scenario, n) if with_states else {}
     first = rows.shape[1] - problem.row_states
     columns |= {name: rows[:, first:][:, place].copy() for name, (_, place) in states.items()}

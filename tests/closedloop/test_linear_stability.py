@@ -5,7 +5,9 @@ import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 import closedloop as cl
+from closedloop.simulation.cache import Cache
 from closedloop.studies.analysis.margins import margins_of
+from closedloop.studies.analysis.overview import overview
 from closedloop.studies.analysis.page import page_of
 from closedloop.studies.analysis.stability import Range, Stability
 
@@ -142,3 +144,21 @@ def test_another_stiffness_carries_the_same_force():
         (pair, _) = [pole for pole in study.loop({"compliance.stiffness": k}).poles() if pole.part == "contact"]
         tangent = 1.5 * k ** (2.0 / 3.0) * 10.0 ** (1.0 / 3.0)
         assert 2.0 * np.pi * pair.frequency == pytest.approx((tangent / MASS) ** 0.5, rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "cut"), [("soft_table", "sensor"), ("wam_slide", "torque")])
+def test_overview_is_the_page_without_limits(name, cut):
+    """Sentence, margins and poles are those of the page, and its curves go through the margins, with a cache too."""
+    scenario = cl.load_scenario(name, {"law.force_integral": 20.0} if name == "soft_table" else {})
+    page, seen = page_of(Stability(scenario, 3.0), limits=False), overview(scenario, 3.0)
+    assert seen.sentence == page.sentence()
+    assert seen.margins == page.weakest
+    assert seen.margins.cut.startswith(cut)
+    assert seen.poles == page.loop.poles()
+    assert (np.diff(seen.frequency) > 0.0).all()
+    assert len({len(each) for each in (seen.frequency, seen.transfer, seen.gain, seen.phase, seen.sensitivity)}) == 1
+    assert np.interp(seen.margins.phase_at, seen.frequency, seen.gain) == pytest.approx(0.0, abs=0.1)
+    assert np.max(seen.sensitivity) == pytest.approx(seen.margins.peak_sensitivity, rel=1e-3)
+    cache = Cache()
+    again = [overview(scenario, 3.0, cache=cache) for _ in range(2)]
+    assert all(np.array_equal(each.transfer, seen.transfer) for each in again)

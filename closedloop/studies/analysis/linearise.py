@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.drives import AS_ASKED
 from closedloop.loop.step.memory import RIGID_STICK
@@ -27,6 +28,7 @@ from closedloop.mechanics.integrators import ADAPTIVE, AdaptiveIntegrator, Schem
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.discretise import step_of
@@ -50,7 +52,10 @@ NONE = 1e-12
 MOST_STATES = 2000
 
 
-def linearise(scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None) -> LinearLoop:
+@arguments_checked()
+def linearise(
+    scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None, cache: Cache | None = None
+) -> LinearLoop:
     """Return the force loop, linear about the motion at an instant.
 
     Parameters
@@ -61,6 +66,8 @@ def linearise(scenario: Scenario, at: float | None = None, *, model: RobotModel 
         The instant, s, taken to the nearest sample of the law; half of the duration if left out.
     model : RobotModel, optional
         The robot to use instead of loading `scenario.robot.model`.
+    cache : Cache, optional
+        For one call after another: the robot and the path that they share are prepared once.
 
     Returns
     -------
@@ -76,7 +83,7 @@ def linearise(scenario: Scenario, at: float | None = None, *, model: RobotModel 
     """
     at = 0.5 * scenario.time.duration if at is None else at
     refuse_outside(scenario, at)  # before the path is made, which takes a while
-    problem = prepare(scenario, model)
+    problem = prepare(scenario, model, cache)
     instant = instant_of(scenario, problem, at, model)
     return loop_at(problem, instant)
 

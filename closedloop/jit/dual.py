@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 import threading
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any, TypeVar, cast
 
@@ -18,6 +19,22 @@ import numpy as np
 
 from closedloop.jit.kernel import Kernel
 from closedloop.jit.pointers import fortran_at, matrix_at, vector_at
+
+
+class NotDualError(Exception):
+    """There is no run of dual numbers, and why."""
+
+
+@contextmanager
+def refused_as_one_line() -> Iterator[None]:
+    """Turn what numba raises of a function that it cannot compile into one line."""
+    from numba.core.errors import NumbaError
+
+    try:
+        yield
+    except NumbaError as error:
+        raise NotDualError(str(error).splitlines()[0]) from error
+
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import entry_address
-from closedloop.jit.dual import dual
+from closedloop.jit.dual import NotDualError, dual, refused_as_one_line
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
 from closedloop.jit.simd8 import WIDE, aligned
@@ -35,10 +35,6 @@ Array = NDArray[np.float64]
 
 # Directions of one run.
 DIRECTIONS = WIDE - 1
-
-
-class NotDualError(Exception):
-    """A run that has no form of dual numbers, and why."""
 
 
 class Prepared(NamedTuple):
@@ -118,7 +114,8 @@ class DualRun:
 
     def __init__(self, base: Prepared, seeds: Sequence[Sequence[Array | None]]) -> None:
         problem, n = base.problem, base.problem.robot.n
-        problem.connect(base.loop, form=dual)
+        with refused_as_one_line():
+            problem.connect(base.loop, form=dual)
         self._base, self._n = base, n
         self._wide = wide = [aligned(*array.shape) for array in base.floats]
         self._words = words = [array.copy() for array in base.words]
@@ -189,7 +186,8 @@ class DualRun:
                 self._collide()
             elif request != TERMS:
                 return False
-            request = go_on(self._tree, parts, at, ALL)
+            with refused_as_one_line():
+                request = go_on(self._tree, parts, at, ALL)
         dual(complete_at)(at, int(self._state.row) + 1)
         self.events = self.events[: int(self._state.event.rows)]
         return True

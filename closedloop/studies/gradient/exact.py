@@ -22,6 +22,7 @@ from closedloop.base.errors import ClosedLoopError
 from closedloop.jit.background import make_ready, refused
 from closedloop.jit.background import start as start_compiling
 from closedloop.jit.cache_folder import why_not_kept
+from closedloop.jit.dual import NotDualError
 from closedloop.jit.kernel import jit_disabled, needs_compiling
 from closedloop.loop.events.table import event_columns
 from closedloop.mechanics.integrators import ADAPTIVE
@@ -32,7 +33,7 @@ from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.run import Run
 from closedloop.simulation.as_run import columns_of_rows
 from closedloop.simulation.cache import Cache
-from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, NotDualError, Prepared, kernels, prepared
+from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepared, kernels, prepared
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient.differences import Along
 from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, two_sided
@@ -104,8 +105,6 @@ def _exact(
     keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], model: RobotModel | None,
     report: Callable[[int, int], None], workers: int | None,
 ) -> Exact:  # fmt: skip
-    from numba.core.errors import NumbaError
-
     start, cache = prepared(prepare(keys.scenario, model)), Cache()
     seeds = {d: seeds_of(keys, d, start, model, cache) for d in keys.directions}
     known = {d: each for d, each in seeds.items() if each is not None}
@@ -124,9 +123,9 @@ def _exact(
         try:
             duals = DualRun(start, [known[d].parts for d in some])
             went_on = duals.run()
-        except NumbaError as error:
-            _refused[called] = str(error).splitlines()[0]
-            raise NotDualError(_refused[called]) from error
+        except NotDualError as error:
+            _refused[called] = str(error)
+            raise
         if not went_on or not np.array_equal(duals.rows[..., 0][:, : run.model.n], _positions(run, duals)):
             raise NotDualError("the run of dual numbers is another")
         reader = _Reader(run, start, duals, outputs, known)

@@ -253,7 +253,8 @@ def _sum(name: str) -> Callable[..., Any]:
     return lambda context, b, x, y: getattr(b, name)(x, y)
 
 
-_ARITHMETIC = {
+_known: Any
+_ARITHMETIC: dict[str, list[tuple[tuple[Any, ...], Callable[..., Any]]]] = {
     "add": [(_TWO, _sum("fadd"))],
     "sub": [(_TWO, _sum("fsub"))],
     "mul": [

@@ -80,7 +80,7 @@ def teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[...
         return emit(context, builder, *values)
 
 
-def vectors_at(kind: Vector, ndim: int, order: str = "C") -> tuple[Any, Callable[..., Any]]:
+def vectors_at(kind: Any, ndim: int, order: Any = "C") -> tuple[Any, Callable[..., Any]]:
     """Return the type of an array of vectors, and what writes code for one, of an address and its shape."""
     array = types.Array(kind, ndim, order)
 

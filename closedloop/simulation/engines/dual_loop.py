@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 # Directions of one run.
 DIRECTIONS = WIDE - 1
+# Its record and table may take so much memory, bytes.
+MOST_BYTES = 1 << 30
 
 
 class Prepared(NamedTuple):
@@ -102,6 +104,11 @@ class DualRun:
     seeds : sequence of up to seven lists of arrays
         Of each direction the derivatives of `base.floats`, None where there are none.
 
+    Raises
+    ------
+    NotDualError
+        If a kernel has no form of dual numbers, or there is not enough memory.
+
     Attributes
     ----------
     rows : (N, width, 8) array
@@ -114,6 +121,8 @@ class DualRun:
 
     def __init__(self, base: Prepared, seeds: Sequence[Sequence[Array | None]]) -> None:
         problem, n = base.problem, base.problem.robot.n
+        if (wanted := 8 * WIDE * ((problem.steps + 1) * problem.row_width + problem.table.size)) > MOST_BYTES:
+            raise NotDualError(f"its record would take {wanted / 1e9:.1f} GB")
         with refused_as_one_line():
             problem.connect(base.loop, form=dual)
         self._base, self._n = base, n

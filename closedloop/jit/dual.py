@@ -25,6 +25,10 @@ class NotDualError(Exception):
     """There is no run of dual numbers, and why."""
 
 
+class NotCompiledError(NotDualError):
+    """Nor will there be one with the same kernels: numba cannot compile one of them."""
+
+
 @contextmanager
 def refused_as_one_line() -> Iterator[None]:
     """Turn what numba raises of a function that it cannot compile into one line."""
@@ -33,7 +37,7 @@ def refused_as_one_line() -> Iterator[None]:
     try:
         yield
     except NumbaError as error:
-        raise NotDualError(str(error).splitlines()[0]) from error
+        raise NotCompiledError(str(error).splitlines()[0]) from error
 
 
 F = TypeVar("F", bound=Callable[..., Any])

@@ -1,7 +1,6 @@
-"""Derivatives of shipped scenarios: dual numbers beside Richardson's differences of whole runs; `tests/fuzz/gradients.py`."""
+"""Derivatives of shipped scenarios by dual numbers, beside differences of whole runs; see `gradients.py`."""
 
 import pytest
-
 from gradients import VALUES, look
 
 

@@ -22,7 +22,7 @@ from closedloop.base.errors import ClosedLoopError
 from closedloop.jit.background import make_ready, refused
 from closedloop.jit.background import start as start_compiling
 from closedloop.jit.cache_folder import why_not_kept
-from closedloop.jit.dual import NotDualError
+from closedloop.jit.dual import NotCompiledError, NotDualError
 from closedloop.jit.kernel import jit_disabled, needs_compiling
 from closedloop.loop.events.table import event_columns
 from closedloop.mechanics.integrators import ADAPTIVE
@@ -123,8 +123,8 @@ def _exact(
         try:
             duals = DualRun(start, [known[d].parts for d in some])
             went_on = duals.run()
-        except NotDualError as error:
-            _refused[called] = str(error)
+        except NotCompiledError as fault:
+            _refused[called] = str(fault)
             raise
         if not went_on or not np.array_equal(duals.rows[..., 0][:, : run.model.n], _positions(run, duals)):
             raise NotDualError("the run of dual numbers is another")
@@ -139,7 +139,7 @@ def _exact(
     slices = _slices(outputs, run)
     found = {}
     for d, parts in rows.items():
-        value = np.concatenate([np.zeros(0), *(np.ravel(parts[i]) for i in kept)])
+        value = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(parts[i])) for i in kept)])
         scale = np.concatenate([np.zeros(0), *(base.scale[slices[i]] for i in kept)])
         of_columns = [np.broadcast_to(errors.get(d, {}).get(i, 0.0), base.scale[slices[i]].shape) for i in kept]
         error = rounding * (np.abs(value) + scale * SHARE / d.step) + np.concatenate([np.zeros(0), *of_columns])
@@ -213,7 +213,8 @@ class _Reader:
         columns, _ = columns_of_rows(self._start.problem, self._duals.rows[..., lane], self._duals.table[..., lane])
         columns |= event_columns(self._duals.events[..., lane])
         columns["time"] = np.zeros_like(columns["time"])
-        as_they_are, late = SimpleNamespace(**columns), []
+        as_they_are: Any = SimpleNamespace(**columns)
+        late: list[int] = []
         found: list[Array | None] = []
         for i, output in enumerate(self._outputs):
             if _by_columns(output, self._run):

@@ -6,7 +6,7 @@ they are how a scenario's numbers enter a run, whichever they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,8 +173,8 @@ class DualRun:
                 part = parts[i]
                 if part is not None:
                     to[..., lane] = part
-        for array, words in zip(self._base.words, self._words, strict=True):
-            words.reshape(-1)[:] = [self._moved.get(word, word) for word in array.ravel().tolist()]
+        for given, words in zip(self._base.words, self._words, strict=True):
+            words.reshape(-1)[:] = [self._moved.get(word, word) for word in given.ravel().tolist()]
         self._varied = bool(np.any(self._tree_constants[:, 1:]))
         self._set_events()
 
@@ -238,7 +238,7 @@ def kernels(base: Prepared, varied: bool = False) -> list[Any]:
     return [dual(each) for each in (*found, *base.problem.called(base.loop))]
 
 
-def compile_for(base: Prepared, names: Sequence[str]) -> None:
+def compile_for(base: Prepared, names: Collection[str]) -> None:
     """Compile those of the kernels that a run needs that have these names."""
     integers: dict[Any, tuple[Any, ...]] = {
         run_at: (base.problem.robot.tree, 0, 0, 0), run_varied_at: (base.problem.robot.tree, 0, 0, 0),

@@ -1,7 +1,7 @@
 """A map of the lab: a value of the run against two keys, a batch of runs that fills in while it is computed.
 
 The runs are those of `closedloop.simulate_batch`, some of the map at a time, coarse first: every eighth row and
-column, then every fourth, and so on, so that the shape shows early. How it is drawn: `closedloop.lab.map_picture`.
+column, then every fourth, and so on, so that the shape shows early. The page draws it (`web/map.js`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from closedloop.lab.controls import Control
 from closedloop.lab.history import Changes, with_change
+from closedloop.record.report.verdict import GOOD
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import simulate_batch
 from robot_models import RobotModel
@@ -53,9 +54,20 @@ class Axis:
     @property
     def label(self) -> str:
         """The key, with its unit."""
-        control = self.control
-        entry = "" if control.index is None else f" {control.label.rpartition(' ')[2]}"
-        return f"{control.key}{entry}" + (f" [{control.unit}]" if control.unit else "")
+        return self.name + (f" [{self.control.unit}]" if self.control.unit else "")
+
+    @property
+    def name(self) -> str:
+        """The key, with the entry's name where it is a list."""
+        entry = "" if self.control.index is None else f" {self.control.label.rpartition(' ')[2]}"
+        return f"{self.control.key}{entry}"
+
+    def at(self, share: float) -> Any:
+        """Return the key's value at a place on the axis, 0 to 1: one that its slider can show."""
+        place = min(max(share, 0.0), 1.0) * self.values.size - 0.5
+        scale = np.log10 if self.control.form == "log" else np.asarray
+        shown = np.interp(place, np.arange(self.values.size), scale(self.values))
+        return self.control.read(float(shown))
 
     def value(self, cell: int) -> Any:
         """Return the key's value in a cell."""
@@ -78,6 +90,8 @@ class Map:
         A name of `closedloop.record.report.measures.MEASURES`.
     grid : (rows, columns) array
         The quantity, row by row along y; NaN where it is not known yet, or does not exist.
+    state : (rows, columns) array
+        0 where numbers and control are good, 1 where not, 2 where the run was refused or stopped; NaN: not known yet.
     reasons : dict
         (row, column) of a cell whose run was refused or stopped, and why.
     """
@@ -88,10 +102,12 @@ class Map:
     quantity: str
     model: RobotModel | None = None
     grid: Array = field(init=False)
+    state: Array = field(init=False)
     reasons: dict[tuple[int, int], str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.grid = np.full((self.y.values.size, self.x.values.size), np.nan)
+        self.state = np.full_like(self.grid, np.nan)
 
     def changes(self, row: int, column: int, before: Changes | None = None) -> Changes:
         """Return the changes of the scenario that make the run of a cell, on top of others."""
@@ -116,9 +132,13 @@ class Map:
             points = [self._values(*cell) for cell in cells]
             columns = {key: [point[key] for point in points] for key in points[0]}
             table = simulate_batch(self.scenario, columns, model=self.model)
-            values, statuses = table[self.quantity].to_pylist(), table["status"].to_pylist()
-            for cell, value, status, why in zip(cells, values, statuses, table["reason"].to_pylist(), strict=True):
+            columns_read = (self.quantity, "status", "reason", "verdict", "control_verdict")
+            for cell, value, status, why, *verdicts in zip(
+                cells, *(table[name].to_pylist() for name in columns_read), strict=True
+            ):
                 self.grid[cell] = np.nan if value is None or status != "done" else value
+                good = all(str(verdict).startswith(GOOD) for verdict in verdicts)
+                self.state[cell] = 2.0 if status != "done" else 0.0 if good else 1.0
                 if status != "done":
                     self.reasons[cell] = str(why)
             done += len(cells)

@@ -61,11 +61,13 @@ def lab_command(arguments: list[str]) -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="closedloop lab",
-        description="Open the lab in a browser: curves, forces and verdicts of a scenario, with sliders for all its keys.",
+        description="Open the lab in a browser: curves and verdicts of a scenario, and sliders for its keys.",
         epilog="Any key of the scenario can be set to begin with, as --law.force 15.",
         cure="see closedloop lab --help",
     )
-    parser.add_argument("scenario", nargs="?", help="a shipped name, a .toml file, or a run.nc; left out: choose on the page")
+    parser.add_argument(
+        "scenario", nargs="?", help="a shipped name, a .toml file, or a run.nc; if left out, the page offers them"
+    )
     parser.add_argument("--law", metavar="MODULE:FUNCTION", help="use this function as the control law")
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this computer alone)")
     parser.add_argument("--port", type=int, default=8080, help="port; the next free one if it is in use (default 8080)")

@@ -1,4 +1,4 @@
-"""What a page may ask of the lab, and what comes of it: a slider moved, a run pinned, a file written, a map computed."""
+"""What a page may ask of the lab, and what comes of it: a slider is moved, a run is pinned, a file is written."""
 
 from __future__ import annotations
 
@@ -100,9 +100,7 @@ def _write(lab: Lab, client: Client, said: Said) -> None:
         return
     command = lab.command(answer)
     written = (
-        save(answer.run, command, lab.folder)
-        if said["do"] == "save"
-        else [save_page(answer.run, command, lab.folder)]
+        save(answer.run, command, lab.folder) if said["do"] == "save" else [save_page(answer.run, command, lab.folder)]
     )
     _say(lab, f"wrote {', '.join(map(str, written))}")
 

@@ -43,7 +43,20 @@ logger = logging.getLogger(__name__)
 Asked = tuple[Answers, Changes, str]
 
 # The order in which a page that opens is sent what there is.
-FIRST = ("hello", "controls", "map_keys", "pins", "robot", RUN, "space", "strip", "compare", "analysis", "map", "boundary")
+FIRST = (
+    "hello",
+    "controls",
+    "map_keys",
+    "pins",
+    "robot",
+    RUN,
+    "space",
+    "strip",
+    "compare",
+    "analysis",
+    "map",
+    "boundary",
+)
 UNSAVED = "This scenario was made in Python: press save, and run the command in the folder that it names."
 STOPPED = "The lab was closed. What is shown stays; open the lab again to go on."
 
@@ -178,7 +191,9 @@ class Lab:
             scenario = self.history.scenario()
             found = all_controls(scenario, self.answers.model(scenario))
             with self._lock:  # a span that a value has widened, or that a slider began with, stays
-                kept = {at: c for at, c in self.controls.items() if at in found and c.form == found[at].form != "choice"}
+                kept = {
+                    at: c for at, c in self.controls.items() if at in found and c.form == found[at].form != "choice"
+                }
                 for at, control in kept.items():
                     if control.form in ("linear", "log", "whole"):
                         found[at] = control.with_value(found[at].value)

@@ -38,7 +38,7 @@ TITLES = {
     "force": "contact force", "links": "link forces",
     "torque": "torque", "torque without limit": "torque of joints without a limit",
     "tip": "tip error", "friction": "friction",
-    "closure": "closure error", "penetration": "depth in the surface", "loops": "loop error",
+    "closure": "closure error", "penetration": "depth in the surface", "loops": "loop error", "error": "error",
 }  # fmt: skip
 
 
@@ -151,7 +151,7 @@ def _tip(run: Run) -> Panel:
 
 
 def _torques(run: Run) -> list[Panel]:
-    """Return the torques of the joints with a drive: as shares of their own limits, and of those without as they are."""
+    """Return the torques of joints with a drive: as shares of their own limits, and as they are where there is none."""
     driven = np.flatnonzero(run.model.driven)
     limited = np.isfinite(run.model.effort_limit[driven]) & (run.model.effort_limit[driven] > 0.0)
     found = []
@@ -214,7 +214,9 @@ def column_panel(run: Run, name: str) -> Panel:
     values = np.asarray(run.columns[name], dtype=float).reshape(len(run), -1)
     count = values.shape[1]
     of_joints = run.model.joint_names if count == run.model.n else run.model.coordinate_names
-    labels = of_joints if count in (run.model.n, len(of_joints)) and count > 1 else ("x", "y", "z") if count == 3 else ()
+    labels = (
+        of_joints if count in (run.model.n, len(of_joints)) and count > 1 else ("x", "y", "z") if count == 3 else ()
+    )
     traces = tuple(
         Trace(labels[k] if labels else name if count == 1 else f"{name} {k}", COLOURS[k % len(COLOURS)], values[:, k])
         for k in range(count)

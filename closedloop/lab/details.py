@@ -5,7 +5,6 @@ None of it may delay the next curves, so it waits for a rest, or for a while whe
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -167,7 +166,9 @@ def compare_message(pins: list[Pin], run: Run, changes: Changes) -> Message:
         told = "(" in text and name.partition(" ")[0] in LESS_IS_BETTER
         return [text, lower if told else None]
 
-    rows = [[name, *(cell(name, text) for text in cells)] for name, cells in compared(pins, run, changes)] if pins else []
+    rows = (
+        [[name, *(cell(name, text) for text in cells)] for name, cells in compared(pins, run, changes)] if pins else []
+    )
     return {"kind": "compare", "columns": [{"name": p.name, "colour": p.colour} for p in pins], "rows": rows}
 
 
@@ -181,5 +182,3 @@ def _mains(run: Run) -> dict[str, Message]:
         few = reduced(panel, float(run.time[0]), float(run.time[-1]))
         found[panel.name] = {"time": few.time, "values": few.main.values}
     return found
-
-

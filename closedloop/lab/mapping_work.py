@@ -1,4 +1,4 @@
-"""The map of the lab at work: which keys it may have, its runs, the boundary of stability, and going to a place of it."""
+"""The map of the lab at work: the keys it may have, its runs, the boundary of stability, and a click into it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ class MapWork:
         self._controls = {Axis.of(c, 2).name: c for c in found if not c.key.startswith("start.")}
         names = list(self._controls)
         # A gain, say, rather than an instant or a period, of which most values do not fit the step.
-        log = next((n for n, c in self._controls.items() if c.form == "log" and c.unit != "s"), names[-1] if names else "")
+        log = next(
+            (n for n, c in self._controls.items() if c.form == "log" and c.unit != "s"), names[-1] if names else ""
+        )
         message = {
             "kind": "map_keys", "names": names, "quantities": list(MEASURES), "quantity": USUAL, "y": log,
             "x": next((name for name in names if name == "law.force"), names[0] if names else ""),
@@ -173,7 +175,7 @@ class MapWork:
         except (ClosedLoopError, ArithmeticError, ValueError):
             return
         if limits and self.map is found:
-            line = "Red: the boundary of stability of the force loop, linear about this run's motion. Dashed: where the verdicts turn from good."
+            line = "Red: where the force loop becomes unstable, linear about this run. Dashed: where a verdict turns from good."
             xs, ys = zip(*sorted((value, limit.value) for value, limit in limits), strict=True)
             self._lab.tell("boundary", {"kind": "boundary", "x": np.array(xs), "y": np.array(ys), "line": line})
 
@@ -187,4 +189,3 @@ def _axis(axis: Axis) -> Message:
 
 def _range(axis: Axis) -> Range:
     return Range(axis.control.key, float(axis.values[0]), float(axis.values[-1]), axis.control.form == "log")
-

@@ -30,7 +30,7 @@ NUMBERS: dict[str, tuple[str, str, str, bool, float]] = {
     "in contact": ("time_in_contact", "s", "time in contact", False, 1.0),
     "torque": ("torque_share", "%", "largest torque as a share of that joint's own limit", True, 100.0),
     "energy off": ("max_energy_residual", "J", "largest energy unaccounted for", True, 1.0),
-    "friction took": ("energy_lost_to_friction", "J", "energy that friction took, at the tip and in the joints", True, 1.0),
+    "friction took": ("energy_lost_to_friction", "J", "energy that friction took, tip and joints", True, 1.0),
     "step error": ("step_error_force", "N", "how far the step leaves the contact force uncertain", True, 1.0),
 }  # fmt: skip
 MARGINS: dict[str, tuple[str, str, str]] = {

@@ -233,7 +233,8 @@ def run_loop(
         kernel = loop_for(engine)
         make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
     connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
-    step, many = driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree, at_once)
+    arrays = problem.table, problem.integrator.tableau(), rows
+    step, many = driver(problem, kernel, loop, arrays, engine, tree, at_once)
     answers = Answers(problem, loop, interim, lambda: isinstance(kernel, Interim) and kernel.interpreting)
 
     def finish(done: int) -> None:

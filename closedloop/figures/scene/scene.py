@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.ground import Ground, floor_mesh
 from closedloop.figures.scene.joined import Joined, reactions_in, robot_in
 from closedloop.figures.scene.shapes import Shape, robot_shapes
@@ -71,10 +72,13 @@ class Scene:
     run : Run
     tip : str
         The frame that touches the surface.
+    ghosts : tuple of Ghost
+        Bodies that are not of the run and are shown beside it.
     """
 
     run: Run
     tip: str
+    ghosts: tuple[Ghost, ...] = ()
 
     @cached_property
     def robot(self) -> Robot:
@@ -219,6 +223,17 @@ class Scene:
         return int(self._tip_frame.parentJoint)
 
     @cached_property
+    def body_frames(self) -> frozenset[int]:
+        """The numbers of the joints that move free bodies, their sliders included, and what hangs on these bodies."""
+        mechanism, first = _places(self.model).model, set(self.run.model.bodies)
+        moved = [k for k in range(1, mechanism.njoints) if mechanism.joints[k].idx_v in first]
+        return frozenset(k for k in range(1, mechanism.njoints) if set(moved) & set(self.supports(k)))
+
+    def supports(self, joint: int) -> list[int]:
+        """Return the numbers of the joints from the base to one, the base's own, 0, first."""
+        return [int(each) for each in _places(self.model).model.supports[joint]]
+
+    @cached_property
     def size(self) -> float:
         """How far the furthest joint is along those before it, m, or the extent of the robot or the path if larger."""
         mechanism, far = _places(self.model).model, [0.0]
@@ -252,11 +267,11 @@ class Scene:
         return round_down(LONGEST * self.size / self.usual_force) if self.usual_force > 0.0 else 0.01
 
 
-def scene_of(run: Run) -> Scene:
-    """Return a run of at least one row in space."""
+def scene_of(run: Run, ghosts: Sequence[Ghost] = ()) -> Scene:
+    """Return a run of at least one row in space, with bodies beside it."""
     tip = run.scenario.robot.tip or run.model.tip
     assert tip is not None  # a robot without one is refused before anything is simulated
-    return Scene(run, tip)
+    return Scene(run, tip, tuple(ghosts))
 
 
 def round_down(x: float) -> float:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.lab.keeping import save, save_page
 from closedloop.lab.pins import MOST_PINS
+from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Client
 from closedloop.scenario.file import shipped_scenarios
-
-if TYPE_CHECKING:
-    from closedloop.lab.app import Lab
 
 logger = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ None of it may delay the next curves, so it waits for a rest, or for a while whe
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +17,11 @@ from closedloop.lab.drawn import Message, robot_message, space_message, spread
 from closedloop.lab.history import Changes
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import Pin, compared
+from closedloop.lab.protocol import Lab
 from closedloop.lab.strip import margin_tiles, tiles, values
 from closedloop.record.run import Run
 from closedloop.simulation.cache import Cache
 from closedloop.studies.analysis.overview import Overview, overview
-
-if TYPE_CHECKING:
-    from closedloop.lab.app import Lab
 
 # The strip follows when no other run has come for so long, s, and while a slider moves so often; then the rest.
 REST, OFTEN = 0.12, 0.7

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time as clock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +14,10 @@ from closedloop.lab.drawn import Message
 from closedloop.lab.history import Changes
 from closedloop.lab.mapping import Axis, Map
 from closedloop.lab.newest import Newest
+from closedloop.lab.protocol import Lab
 from closedloop.record.report.measures import MEASURES
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.analysis.stability import Range, Stability
-
-if TYPE_CHECKING:
-    from closedloop.lab.app import Lab
 
 USUAL = "rms_force_error"
 # The map is sent again after so long at the earliest while it fills in, s.
@@ -175,7 +173,7 @@ class MapWork:
         except (ClosedLoopError, ArithmeticError, ValueError):
             return
         if limits and self.map is found:
-            line = "Red: where the force loop becomes unstable, linear about this run. Dashed: where a verdict turns from good."
+            line = "Red: where the force loop becomes unstable. Dashed: where a verdict turns from good."
             xs, ys = zip(*sorted((value, limit.value) for value, limit in limits), strict=True)
             self._lab.tell("boundary", {"kind": "boundary", "x": np.array(xs), "y": np.array(ys), "line": line})
 

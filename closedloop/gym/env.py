@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.core import Core
 from closedloop.gym.task import Task, task_of
@@ -40,6 +41,7 @@ class ContactEnv(gymnasium.Env[Observation, Any]):
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
+    @arguments_checked()
     def __init__(
         self, task: Task | str | None = None, *, render_mode: str | None = None, privileged: bool = False,
         **changes: Any,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import fields_checked
 from closedloop.base.errors import ScenarioError
 
 Array = NDArray[np.float64]
@@ -20,6 +21,7 @@ LARGEST_SEED = 2**31
 
 
 @dataclass(frozen=True)
+@fields_checked
 class Range:
     """A range from which a number is drawn for each episode.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from closedloop.base.arguments import fields_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.rewards import Ending, contact_lost, excessive_force
 from closedloop.scenario.load import load_scenario
@@ -17,6 +18,7 @@ SCENARIOS = Path(__file__).parent / "scenarios"
 
 
 @dataclass(frozen=True)
+@fields_checked
 class Task:
     """A task of an environment.
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import atexit
 import html
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
 from closedloop.control.law import ControlLaw
@@ -28,11 +29,12 @@ BEGIN = "wam_slide"  # the scenario below those of which one is chosen
 LONGEST = 600.0  # s that a first run may take, with what is compiled for it
 
 
+@arguments_checked()
 def lab(
     scenario: Scenario | Run | str | Path | None = None,
     overrides: Mapping[str, Any] | None = None,
     *,
-    law: Any = None,
+    law: type[ControlLaw] | Callable[..., Any] | None = None,
     model: RobotModel | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ClosedLoopError, RunFileError, faults_on_one_line
 from closedloop.base.files import reason_of
 from closedloop.loop.events.phases import INSTANT
@@ -56,6 +57,7 @@ _LATER_COLUMNS = {
 }
 
 
+@arguments_checked()
 def load_run(path: str | Path) -> Run:
     """Read a run that `save_run` wrote, now or in an earlier version with this format: a column it lacks is NaN.
 

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
@@ -69,6 +70,7 @@ class Robot:
         If the robot has no such frame, or no default tip.
     """
 
+    @arguments_checked()
     def __init__(self, model: RobotModel, tip: str | None = None) -> None:
         self.model = model
         name = tip if tip is not None else model.tip

@@ -145,7 +145,8 @@ def focus(scene: Scene) -> tuple[NDArray[np.float64], float]:
     if not len(points):
         return whole, radius
     low, high = points.min(axis=0), points.max(axis=0)
-    return 0.5 * (low + high), float(min(FAR_PATH * np.linalg.norm(high - low) + NEAR * scene.size, radius))
+    near = FAR_PATH * float(np.linalg.norm(high - low)) + NEAR * scene.size
+    return 0.5 * (low + high), min(near, radius)
 
 
 def frames(scene: Scene, rows: Rows) -> Message:

@@ -266,6 +266,19 @@ def test_the_cells_of_a_map_are_the_runs_of_their_changes():
     assert coarse_first(9, 10)[:4] == [(0, 0), (0, 8), (8, 0), (8, 8)]
 
 
+def test_cells_that_cannot_be_run_are_grey_and_the_map_goes_on():
+    """Kinetic friction above the static is refused, whole batches of it too: each cell has the reason, others a value."""
+    base = cl.load_scenario("wam_slide_friction", {"time.duration": 0.05})
+    x, y = control_of(base, "law.force"), control_of(base, "friction.kinetic")
+    found = Map(base, Axis.of(x, 3), Axis.of(y, 6), "peak_contact_force")
+    assert list(found.fill(batch=2))[-1] == 18
+    refused = found.y.values > base.friction.static
+    assert refused.any()
+    assert np.all(found.state[refused] == 2.0)
+    assert np.all(np.isfinite(found.grid[~refused]))
+    assert "must not be below kinetic" in found.reasons[5, 0]
+
+
 def test_an_axis_has_the_values_of_its_slider():
     """Each is one that the slider can show; of a step, which moves in round values, every one of them."""
     base = cl.load_scenario("wam_slide")

@@ -68,6 +68,7 @@ class Controls {
     };
     if (this.open.has(first.key)) more.textContent = `▾ ${first.name}, all`;
     more.onfocus = more.onmouseenter = () => this.tell(made.given);
+    made.range?.setAttribute("aria-label", `${first.name}, all joints`);
     name.replaceWith(more);
     this.rows.set(`${first.key}*`, made);
     made.of = rows.map((r) => r.id);

@@ -52,12 +52,12 @@ const on = {
     clearTimeout(late);
     $("plots").classList.remove("late");
     Object.assign(state, { begin: m.begin, end: m.end, step: m.step });
-    state.time = Math.min(Math.max(state.time, m.begin), Math.max(m.end, m.begin));
+    state.time = m.follow ? m.end : Math.min(Math.max(state.time, m.begin), Math.max(m.end, m.begin));
     panels = m.panels;
     if (!socket) m.panels = pick(m.panels);
     plots.show(m);
     show_stopped(m);
-    if (m.frame) { still = m.frame; frames = null; draw_space(); }
+    if (m.frame && m.frame.robot && m.frame.robot === space.about?.robot) { still = m.frame; frames = null; draw_space(); }
     $("time").max = m.end;
     $("time").min = m.begin;
     $("event").disabled = !m.marks.length;
@@ -228,6 +228,7 @@ function offer_columns(names) {
   const key = names.join() + extras.join();
   if (offer_columns.key === key) return;
   offer_columns.key = key;
+  $("more").firstElementChild.hidden = !names.length;
   $("columns").replaceChildren(new Option("choose ...", ""), ...names.filter((n) => !extras.includes(n)).map((n) => new Option(n, n)));
 }
 function pick(all) { return all.filter((p) => !p.name.startsWith(COLUMN) || extras.includes(p.name.slice(COLUMN.length))); }

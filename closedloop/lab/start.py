@@ -5,11 +5,12 @@ from __future__ import annotations
 import atexit
 import html
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
 from closedloop.control.law import ControlLaw
@@ -26,11 +27,12 @@ NEEDS_VISER = 'the lab needs viser, which is not installed: pip install "closedl
 HEIGHT = 800  # px of the lab in a notebook
 
 
+@arguments_checked()
 def lab(
     scenario: Scenario | Run | str | Path = "wam_slide",
     overrides: Mapping[str, Any] | None = None,
     *,
-    law: Any = None,
+    law: type[ControlLaw] | Callable[..., Any] | None = None,
     model: RobotModel | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
 from closedloop.base.interrupts import held_back
 from closedloop.jit.background import make_ready
@@ -38,6 +39,7 @@ from robot_models.errors import shown
 Array = NDArray[np.float64]
 
 
+@arguments_checked(record="a function of the run, or (function, unit), by the name of its column")
 def simulate(
     scenario: Scenario,
     *,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -85,6 +86,7 @@ class Gradient:
         return "\n".join([self.table().drop(columns="method").to_string(index=False), *self.problems])
 
 
+@arguments_checked(keys="a list of keys", of="a list of quantities")
 def gradient(
     scenario: Scenario,
     keys: Sequence[str],

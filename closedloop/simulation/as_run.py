@@ -16,7 +16,7 @@ from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.added import state_columns
-from closedloop.record.columns.recorded import POSITIONS, SURFACE_COLUMNS
+from closedloop.record.columns.recorded import POSITIONS, RESISTANCE_COLUMNS, SURFACE_COLUMNS
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
@@ -66,8 +66,13 @@ def as_run(
     states = state_columns(problem.scenario, n) if with_states else {}
     first = rows.shape[1] - problem.row_states
     columns |= {name: rows[:, first:][:, place].copy() for name, (_, place) in states.items()}
-    if contacts := len(problem.scenario.contact or ()):
-        columns |= {name: recorded(rows, n, name, contacts, problem.row_states) for name in CONTACT_RECORDED}
+    if sections := problem.scenario.contact or ():
+        left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
+        columns |= {
+            name: recorded(rows, n, name, len(sections), problem.row_states)
+            for name in CONTACT_RECORDED
+            if name not in left_out
+        }
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
     if not problem.scenario.has_surface:

@@ -76,7 +76,7 @@ def test_each_contact_of_a_list_has_sliders():
     slider = control_of(base, "contact.4.friction")
     assert (slider.label, slider.form, slider.own) == ("floor left: friction", "linear", base.contact[4].friction)
     assert {control.key.rpartition(".")[2] for control in controls(base, "contact")} == {
-        "at", "normal", "through", "friction", "restitution", "rest_speed", "radius", "half_axes",
+        "at", "normal", "through", "friction", "restitution", "rest_speed", "radius", "half_axes", "rolling", "pivoting",
     }  # fmt: skip
     changed = Variants(base, (slider.key,)).scenario((0.25,))
     assert [contact.friction for contact in changed.contact].count(0.25) == 1
@@ -267,7 +267,7 @@ def test_the_cells_of_a_map_are_the_runs_of_their_changes():
 
 
 def test_cells_that_cannot_be_run_are_grey_and_the_map_goes_on():
-    """Kinetic friction above the static is refused, whole batches of it too: each cell has the reason, others a value."""
+    """Kinetic friction above the static is refused, whole batches too: each cell has the reason, the others a value."""
     base = cl.load_scenario("wam_slide_friction", {"time.duration": 0.05})
     x, y = control_of(base, "law.force"), control_of(base, "friction.kinetic")
     found = Map(base, Axis.of(x, 3), Axis.of(y, 6), "peak_contact_force")

@@ -213,6 +213,23 @@ def test_mcap_has_the_joints_the_tip_and_the_events(run_file, tmp_path):
     force = found["/tip_wrench"][-1].ros_msg.wrench.force
     assert force.z == pytest.approx(run.contact_force[-1] + run.friction_force[-1, 2])
     assert [m.ros_msg.msg.partition(":")[0] for m in found["/events"]] == [event.kind for event in run.events]
+    asked = found["/commanded_wrench"][-1].ros_msg.wrench.force
+    assert [asked.x, asked.y, asked.z] == (run.reference_force[-1] * run.surface_normal[-1]).tolist()
+    assert asked.z > 0.0
+    point = found["/desired_position"][7].ros_msg.point
+    assert [point.x, point.y, point.z] == run.reference_tip[7].tolist()
+    (path,) = found["/desired_path"]
+    ends = [path.ros_msg.poses[k].pose.position for k in (0, -1)]
+    assert [[p.x, p.y, p.z] for p in ends] == run.reference_tip[[0, -1]].tolist()
+
+
+def test_mcap_of_bodies_without_a_law_has_no_path_and_no_command(tmp_path):
+    """Nothing is wanted of a cube that is thrown."""
+    reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed: the extra 'mcap'")
+    (file,) = write_mcap(cl.simulate(cl.load_scenario("cube_toss", {"time.duration": 0.01})), tmp_path / "cube.mcap")
+    topics = {message.channel.topic for message in reader.read_ros2_messages(str(file))}
+    assert "/tip_pose" in topics
+    assert not topics & {"/commanded_wrench", "/desired_position", "/desired_path"}
 
 
 def test_mcap_has_the_forces_between_links(tmp_path):

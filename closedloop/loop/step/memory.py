@@ -148,6 +148,7 @@ class State(Block):
     surface_motion: Called
     loops: Loops  # of the mechanism
     contacts: Called  # of the links; without an entry there is none but the tip's
+    ball: Called  # the round end of the tool, see `closedloop.loop.step.ball_tip`; without an entry it is a point
     sensor: Sensor
     settings: Settings
     addresses: Addresses

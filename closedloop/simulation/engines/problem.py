@@ -16,6 +16,7 @@ from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.jit.user_code import why_member_not_compiled
 from closedloop.loop.events.phases import MEASURED, STEP_END
+from closedloop.loop.step.ball_tip import ball_tip
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
@@ -33,6 +34,7 @@ from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.simulation.engines.bind_ball import ball_memory
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, starts_closed
 from closedloop.simulation.engines.loop_start import close_reading
 from closedloop.simulation.engines.proceed import proceed_at
@@ -76,6 +78,10 @@ class Problem(ScenarioNumbers):
             memory = self.surface.memory()
             state.surface.at = memory.address
             loop.w.keep_alive(surface=memory)
+        if self.scenario.tool.radius > 0.0 and self.scenario.has_surface:
+            ball = ball_memory(self.robot, self.surface, self.scenario.tool.radius, state.address)
+            state.ball.at = ball.links.address
+            loop.w.keep_alive(ball=ball)
         if self.bound:
             loops = step_memory(self.robot, self.stopped)
             state.loops.at, loops.links.loop = loops.address, state.address
@@ -129,6 +135,8 @@ class Problem(ScenarioNumbers):
         entries = list(self.entries(user_law).values())
         if loop.state.loops.at != 0:
             entries.append(closed_loops)
+        if loop.state.ball.at != 0:
+            entries.append(ball_tip)
         if loop.state.contacts.at != 0:
             entries += [contacts_in_step, *(each.entry for each in contact_members(loop))]
         return entries
@@ -157,6 +165,8 @@ class Problem(ScenarioNumbers):
             getattr(loop.state, name).entry = _address_of(entry, name, getattr(self.scenario, name), compiled)
         if loop.state.loops.at != 0:
             loop.state.loops.entry = address(closed_loops)
+        if loop.state.ball.at != 0:
+            loop.state.ball.entry = address(ball_tip)
         if loop.state.contacts.at != 0:
             loop.state.contacts.entry = address(contacts_in_step)
             for each in contact_members(loop):

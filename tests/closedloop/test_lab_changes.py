@@ -76,7 +76,8 @@ def test_each_contact_of_a_list_has_sliders():
     slider = control_of(base, "contact.4.friction")
     assert (slider.label, slider.form, slider.own) == ("floor left: friction", "linear", base.contact[4].friction)
     assert {control.key.rpartition(".")[2] for control in controls(base, "contact")} == {
-        "at", "normal", "through", "friction", "restitution", "rest_speed", "radius", "half_axes", "rolling", "pivoting",
+        "at", "normal", "through", "friction", "restitution", "rest_speed", "radius", "half_axes",
+        "rolling", "pivoting",
     }  # fmt: skip
     changed = Variants(base, (slider.key,)).scenario((0.25,))
     assert [contact.friction for contact in changed.contact].count(0.25) == 1

@@ -50,11 +50,12 @@ def separated(model: "pin.Model", joints: Collection[str], sliding: bool = True)
         armature += list(turning)
     out.armature = np.array(armature)
     frames = [0]
-    for frame in list(model.frames)[1:]:
-        carrier, before = moved[frame.parentJoint], frames[frame.parentFrame]
+    for index, frame in enumerate(list(model.frames)[1:], start=1):
+        above = frame.parentFrame
+        if above == index:  # so Pinocchio leaves the frame of a joint that was locked
+            above = model.getFrameId(model.names[frame.parentJoint]) if frame.parentJoint else 0
         apart = frame.type == pin.FrameType.JOINT and frame.name in joints  # its link may have the same name
-        copy = pin.Frame(
-            f"{frame.name} joint" if apart else frame.name, carrier, before, frame.placement, frame.type, frame.inertia
-        )
+        name, carrier = f"{frame.name} joint" if apart else frame.name, moved[frame.parentJoint]
+        copy = pin.Frame(name, carrier, frames[above], frame.placement, frame.type, frame.inertia)
         frames.append(out.addFrame(copy, False))
     return out

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.core import Core
 from closedloop.gym.task import Task, task_of
@@ -40,6 +41,7 @@ class ContactEnv(gymnasium.Env[Observation, Any]):
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
+    @arguments_checked()
     def __init__(
         self, task: Task | str | None = None, *, render_mode: str | None = None, privileged: bool = False,
         **changes: Any,
@@ -139,6 +141,7 @@ def info_of(core: Core, i: int) -> dict[str, Any]:
         "force": float(now.force[i]),
         "wanted_force": float(now.wanted_force[i]),
         "largest_force": float(now.largest_force[i]),
+        "largest_link_force": float(now.largest_link_force[i]),
         "impulse": float(now.impulse[i]),
         "contact": bool(now.contact[i]),
         "path_error": float(now.path_error[i]),

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.gym.core import Core
@@ -45,6 +46,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    @arguments_checked()
     def __init__(
         self, num_envs: int = 1, task: Task | str | None = None, *, render_mode: str | None = None,
         privileged: bool = False, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -172,6 +174,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             "force": now.force.copy(),
             "wanted_force": now.wanted_force.copy(),
             "largest_force": now.largest_force.copy(),
+            "largest_link_force": now.largest_link_force.copy(),
             "impulse": now.impulse.copy(),
             "contact": now.contact.copy(),
             "path_error": now.path_error.copy(),

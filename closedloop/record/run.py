@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.errors import ScenarioError
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.by_contact import columns_by_contact
@@ -29,6 +30,7 @@ from closedloop.scenario.contact_names import labels_of, tangents_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.cached import cached_property
+from robot_models.errors import shown
 
 if TYPE_CHECKING:
     import pandas
@@ -104,6 +106,8 @@ class Run:
     halved: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.columns, Mapping) or not all(isinstance(x, np.ndarray) for x in self.columns.values()):
+            raise ScenarioError(f"columns = {shown(self.columns)}: must be a dictionary from names to arrays")
         derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)
         for column in (*self.columns.values(), *derived):
             column.setflags(write=False)

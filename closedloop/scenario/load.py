@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import KEEP_ABSENT, Family
 from closedloop.base.sections import Section
@@ -37,6 +38,7 @@ from robot_models.errors import shown
 from robot_models.toml_text import toml_tables
 
 
+@arguments_checked(overrides="keys and their values, such as {'law.force': 15.0}")
 def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
     """Read a scenario and check it.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.report.halved import halved_comparison
@@ -34,6 +35,7 @@ def half_step(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"time": time.model_copy(update={"step": 0.5 * time.step})})
 
 
+@arguments_checked()
 def halve(
     scenario: Scenario,
     *,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Section
 from closedloop.control.drives import torque_limits, torque_steps
@@ -52,6 +53,7 @@ ROBOT_BYTES = 200_000
 SECTION_BYTES = 2_000
 
 
+@arguments_checked()
 def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
     """Turn a scenario into the numbers of a `Problem`.
 

@@ -15,6 +15,7 @@ import time as clock
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.record.run import Run
@@ -66,6 +67,7 @@ class Simulator:
         If the scenario or the robot is at fault, as by `closedloop.simulate`, or if the integrator chooses its steps.
     """
 
+    @arguments_checked()
     def __init__(self, scenario: Scenario, *, engine: str = PINOCCHIO, model: RobotModel | None = None) -> None:
         name = scenario.time.integrator
         if name in ADAPTIVE:

@@ -28,6 +28,14 @@ integrator = "rk4"
 """
 
 
+def test_a_body_beside_an_arm_with_held_joints_changes_nothing_of_it() -> None:
+    """The frames of the Panda's fingers, which are held, belong to themselves in what Pinocchio makes of it."""
+    beside = {"body": [{"name": "ball", "shape": "ball", "radius": 0.05, "mass": 2.0, "position": [3, 3, 3]}]}
+    alone, both = (cl.simulate(cl.load_scenario("panda_slide", {"time.duration": 0.01, **x})) for x in ({}, beside))
+    np.testing.assert_allclose(both.contact_force, alone.contact_force, rtol=1e-12)
+    assert both.model.require_frame("panda_leftfinger") == "panda_leftfinger"
+
+
 def test_a_thrown_body_flies_its_parabola() -> None:
     """x = x0 + v0 t + g t²/2, and a ball turns evenly about its axis, whatever the robot beside it does."""
     run = cl.simulate(parse_scenario(THROWN), progress=False)

@@ -8,20 +8,37 @@ from copy import deepcopy
 from typing import Any, Literal, get_args, get_origin
 
 from scenario_cases import EXAMPLES, SEED, Case
-from shipped_cases import shipped_tables
+from shipped_cases import MECHANISMS, shipped_tables
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import OneOf
 from closedloop.base.sections import field_units
 from closedloop.lab.spans import USUAL
+from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.scenario.file import shipped_scenarios
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.messages import variants
+from closedloop.scenario.robot_sections import BodySection
 from closedloop.scenario.scenario import Scenario
 
 MOST = 6  # changes of a scenario
 # A robot and a start go with each other, and the duration is what a case costs.
 FIXED = {"robot.model", "robot.tip", "start.q", "time.duration", "surface.heights", "surface.expression"}
+
+
+# The tables of a list, of which one is changed, and the keys whose values depend on a place.
+LISTS: dict[str, Any] = {"contact": ContactSection, "body": BodySection}
+PLACES = {"name", "link", "at", "against", "normal", "through", "half_axes", "shape", "position", "surface", "motion",
+          "radius", "edges", "length", "quaternion", "inertia"}  # fmt: skip
+# Laws of a contact, in the words of the section of the tip's.
+LAWS = {
+    "compliance": ({"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 40.0},
+                   {"kind": "hunt_crossley", "stiffness": 1e6, "dissipation": 1.0}),
+    "friction_law": ({"kind": "stribeck", "kinetic": 0.2, "static": 0.3, "stribeck_speed": 0.01},
+                     {"kind": "coulomb_viscous", "coefficient": 0.2, "viscous": 1.0},
+                     {"kind": "lugre", "kinetic": 0.2, "static": 0.3, "stribeck_speed": 0.01, "stiffness": 1e3,
+                      "damping": 10.0}),
+}  # fmt: skip
 
 
 def value_of(draw: random.Random, dotted: str, field: Any, held: Any) -> Any:
@@ -62,15 +79,57 @@ def change(draw: random.Random, data: dict[str, Any]) -> str:
     return f"{section}.{key} = {table[key]}"
 
 
-def combinations(count: int, seed: int = SEED, duration: float | None = None) -> Iterator[Case]:
+def change_in_list(draw: random.Random, data: dict[str, Any]) -> str:
+    """Change a key of a contact or of a body of a scenario that has some, and return what was changed."""
+    section = draw.choice([name for name in LISTS if data.get(name)])
+    at = draw.randrange(len(data[section]))
+    key = draw.choice([key for key in LISTS[section].model_fields if key not in PLACES])
+    table, field = data[section][at], LISTS[section].model_fields[key]
+    if key in LAWS:
+        table.pop("friction", None) if key == "friction_law" else None
+        table[key] = deepcopy(draw.choice(LAWS[key]))
+    elif key in ("velocity", "spin", "quaternion"):
+        table[key] = [draw.uniform(-0.5, 0.5) for _ in range(4 if key == "quaternion" else 3)]
+    elif key in ("restitution", "friction"):
+        table[key] = draw.random()
+    else:
+        table[key] = value_of(draw, f"{section}.{key}", field, table.get(key))
+    return f"{section}[{at}].{key} = {table[key]}"
+
+
+def add_bodies(draw: random.Random, data: dict[str, Any]) -> str:
+    """Put a ball or a box over a floor beside what a scenario has, so that it lands, rolls, slides or stands."""
+    size, gap = draw.uniform(0.02, 0.1), draw.choice((0.0, 0.0, draw.uniform(0.0, 0.02)))
+    ball = draw.random() < 0.5
+    half = size if ball else 0.5 * size
+    shape = {"shape": "ball", "radius": size} if ball else {"shape": "box", "edges": [size, 1.2 * size, size]}
+    body = {"name": "thing", "mass": draw.uniform(0.1, 3.0), "position": [3.0, 3.0, half + gap], **shape}
+    corners = [[x * 0.5 * size, y * 0.6 * size, -half] for x in (-1, 1) for y in (-1, 1)]
+    contact: dict[str, Any] = {"name": "floor", "link": "thing", "friction": draw.choice((0.0, 0.1, 0.5))}
+    contact |= {"radius": size} if ball else {"at": corners}
+    if draw.random() < 0.6:
+        body["velocity"] = [draw.uniform(-0.5, 0.5), draw.uniform(-0.5, 0.5), 0.0]
+    data.setdefault("body", []).append(body)
+    data.setdefault("contact", []).append(contact)
+    return f"a {shape['shape']} of {size:.3g} m, {gap:.3g} m above the floor"
+
+
+def combinations(count: int, seed: int = SEED, duration: float | None = None, contacts: bool = False) -> Iterator[Case]:
     """Return so many shipped scenarios with two changes and more, none of which is refused by itself.
 
-    They last ten steps, or `duration`, s, and then half of them have another scheme than their own.
+    They last ten steps, or `duration`, s, and then half of them have another scheme than their own. With `contacts`
+    each has contacts of links, loops or free bodies, and some of the changes are theirs.
     """
     draw, names = random.Random(seed), shipped_scenarios()
     for number in range(count):
         name = draw.choice(names)
         data, said = deepcopy(shipped_tables(name)), []
+        if contacts:
+            looped = data.get("robot", {}).get("model") in MECHANISMS
+            if not (looped or "contact" in data) or draw.random() < 0.3:
+                said.append(add_bodies(draw, data))
+            for _ in range(draw.randint(0, 2) if "contact" in data else 0):
+                said.append(change_in_list(draw, data))
         for _ in range(draw.randint(2, MOST)):
             seed_of_this = draw.random()
             alone = deepcopy(shipped_tables(name))

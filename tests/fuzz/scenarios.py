@@ -7,8 +7,10 @@ whose name contains TEXT, `--seed N` draws other pairs, `--count N` the first N 
 from __future__ import annotations
 
 import argparse
+import json
 import re
 from collections import Counter
+from pathlib import Path
 
 from bounded import MOST_SECONDS, judged
 from combinations import combinations
@@ -42,11 +44,19 @@ def main() -> None:
     parser.add_argument(
         "--halved", type=float, help="with --combined: so long, s, and good runs again at half the step"
     )
+    parser.add_argument(
+        "--contacts", action="store_true", help="with --combined: contacts of links, loops and free bodies in each"
+    )
+    parser.add_argument("--keep", help="write the cases that are not clean to this file, a line of JSON each")
+    parser.add_argument("--again", help="judge the cases of such a file")
     parser.add_argument("--only", default="")
     parser.add_argument("--slow", type=float, default=2.0, help="name cases that take longer, s of processor time")
     options = parser.parse_args()
-    if options.combined is not None:
-        every = list(combinations(options.combined, options.seed, options.halved))
+    if options.again:
+        lines = Path(options.again).read_text(encoding="utf-8").splitlines()
+        every = [Case(name, content, {}) for name, content in map(json.loads, lines)]
+    elif options.combined is not None:
+        every = list(combinations(options.combined, options.seed, options.halved, options.contacts))
     elif options.shipped is None:
         every = all_cases(options.extremes, options.seed)
     else:
@@ -60,6 +70,9 @@ def main() -> None:
         reasons[f"{outcome}: {reason(words)}"] += options.halved is not None and outcome != FAULTY
         if outcome == FAULTY:
             print(f"{case.name[:300]}\n    {words}", flush=True)
+            if options.keep:
+                with open(options.keep, "a", encoding="utf-8") as file:
+                    file.write(json.dumps([case.name, case.content]) + "\n")
         elif spent > options.slow:
             print(f"{case.name[:300]}\n    {spent:.1f} s: {words}", flush=True)
         if counts.total() % 500 == 0:

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from closedloop.base.errors import ModelError
 from validation.measured.__main__ import main
+from validation.measured.cubes import film
+from validation.measured.cubes.__main__ import main as command
 from validation.measured.cubes.comparing import Tried, against, engines, fits, held_out, impacts_before, interval
 from validation.measured.cubes.engine import CubeEngine, Parameter
 from validation.measured.cubes.fitting import BUDGET, TOSSES, fit, training
@@ -212,3 +214,15 @@ def test_single_corners_bounce_and_slide_as_the_engines_are_fitted(tosses):
     assert abs(e.mean() - values["restitution"]) < 0.05
     assert abs(ratio.mean() - values["friction"]) < 0.05
     assert all(x.before < 0.0 < x.after for x in impacts)
+
+
+def test_a_film_shows_a_toss_beside_the_measured_one(tosses, tmp_path, monkeypatch, capsys):
+    """A page is written for each frame; the ghost is where the log has the cube. A number that is none is one line."""
+    monkeypatch.setattr(film, "SPEED", 4.0)
+    assert command(["--film", str(tosses[3].number), str(tmp_path / "toss.gif")]) == 0
+    assert (tmp_path / "toss.gif").read_bytes()[:3] == b"GIF"
+    ghost = film.measured(tosses[3])
+    np.testing.assert_array_equal(ghost.place(5 / RATE)[1], tosses[3].states[5, 4:7])
+    for words in (["--film", "4000", "a.gif"], ["--film", "x", "a.gif"], ["--film", "3", "a.avi"]):
+        assert command(words) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1

@@ -15,9 +15,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.ground import Ground, floor_mesh
 from closedloop.figures.scene.joined import Joined, reactions_in, robot_in
 from closedloop.figures.scene.shapes import Shape, robot_shapes
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.events import Event
 from closedloop.record.columns.touching import Touching, contacts_of
@@ -70,10 +72,13 @@ class Scene:
     run : Run
     tip : str
         The frame that touches the surface.
+    ghosts : tuple of Ghost
+        Bodies that are not of the run and are shown beside it.
     """
 
     run: Run
     tip: str
+    ghosts: tuple[Ghost, ...] = ()
 
     @cached_property
     def robot(self) -> Robot:
@@ -160,9 +165,8 @@ class Scene:
 
     def _at_tip(self, row: int) -> list[Arrow]:
         run, normal = self.run, self.run.surface_normal[row]
-        forces = (
-            run.contact_force[row] * normal, np.array(run.friction_force[row]), -run.reference_force[row] * normal
-        )  # fmt: skip
+        wanted = 0.0 if run.mode[row] == FREE else float(run.reference_force[row])  # it acts on nothing there
+        forces = run.contact_force[row] * normal, np.array(run.friction_force[row]), -wanted * normal
         return [Arrow(run.position[row], force, kind, kind) for kind, force in zip(ARROWS, forces, strict=False)]
 
     def _in_loops(self, reactions: Array, axes: Array, origins: Array) -> list[Arrow]:
@@ -194,7 +198,7 @@ class Scene:
         """The kinds of arrows that this run has."""
         there = self.ground.there
         some = {LOOP: self.joined.loops, TOUCH: self.touching, "contact force": there, "friction": there}
-        some["commanded force"] = bool(np.any(self.run.reference_force))
+        some["commanded force"] = there and bool(np.any(self.run.reference_force))
         return [kind for kind in ARROWS if some.get(kind, True)]
 
     @cached_property
@@ -219,6 +223,17 @@ class Scene:
         return int(self._tip_frame.parentJoint)
 
     @cached_property
+    def body_frames(self) -> frozenset[int]:
+        """The numbers of the joints that move free bodies, their sliders included, and what hangs on these bodies."""
+        mechanism, first = _places(self.model).model, set(self.run.model.bodies)
+        moved = [k for k in range(1, mechanism.njoints) if mechanism.joints[k].idx_v in first]
+        return frozenset(k for k in range(1, mechanism.njoints) if set(moved) & set(self.supports(k)))
+
+    def supports(self, joint: int) -> list[int]:
+        """Return the numbers of the joints from the base to one, the base's own, 0, first."""
+        return [int(each) for each in _places(self.model).model.supports[joint]]
+
+    @cached_property
     def size(self) -> float:
         """How far the furthest joint is along those before it, m, or the extent of the robot or the path if larger."""
         mechanism, far = _places(self.model).model, [0.0]
@@ -238,21 +253,25 @@ class Scene:
         return middle, float(np.linalg.norm(points - middle, axis=1).max())
 
     @cached_property
-    def metres_per_newton(self) -> float:
-        """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
+    def usual_force(self) -> float:
+        """The largest usual force of this run, N: 99 % of its forces are not above it."""
         others = LOOP, TOUCH
         rows = np.linspace(0, len(self.run) - 1, 20 if set(others) & set(self.kinds) else 0).astype(int)
         of_others = [np.linalg.norm(a.force) for each in self.arrows(rows) for a in each if a.kind in others]
         forces = np.abs(np.concatenate([self.run.contact_force, self.run.reference_force, of_others]))
-        usual = float(np.percentile(forces[np.isfinite(forces)], 99)) if np.isfinite(forces).any() else 0.0
-        return round_down(LONGEST * self.size / usual) if usual > 0.0 else 0.01
+        return float(np.percentile(forces[np.isfinite(forces)], 99)) if np.isfinite(forces).any() else 0.0
+
+    @cached_property
+    def metres_per_newton(self) -> float:
+        """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
+        return round_down(LONGEST * self.size / self.usual_force) if self.usual_force > 0.0 else 0.01
 
 
-def scene_of(run: Run) -> Scene:
-    """Return a run of at least one row in space."""
+def scene_of(run: Run, ghosts: Sequence[Ghost] = ()) -> Scene:
+    """Return a run of at least one row in space, with bodies beside it."""
     tip = run.scenario.robot.tip or run.model.tip
     assert tip is not None  # a robot without one is refused before anything is simulated
-    return Scene(run, tip)
+    return Scene(run, tip, tuple(ghosts))
 
 
 def round_down(x: float) -> float:

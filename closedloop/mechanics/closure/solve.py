@@ -15,6 +15,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from closedloop.base.errors import ScenarioError
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import every
 
@@ -61,24 +62,26 @@ def solve_closure(H: ArrayLike, rhs: ArrayLike, A: ArrayLike, b: ArrayLike) -> t
 
     Raises
     ------
-    ValueError
-        If the shapes do not fit or an entry is not finite.
+    ScenarioError
+        If they are no arrays of numbers, the shapes do not fit, or an entry is not finite.
     numpy.linalg.LinAlgError
         If the pose is singular: the matrix has no inverse.
     """
-    tau = np.asarray(rhs, dtype=np.float64)
-    rows = np.atleast_2d(np.asarray(A, dtype=np.float64))
-    accelerations = np.atleast_1d(np.asarray(b, dtype=np.float64))
-    n, m = tau.shape[0], rows.shape[0]
-    if np.shape(H) != (n, n) or rows.shape != (m, n) or accelerations.shape != (m,):
-        raise ValueError(
+    try:
+        matrix, tau, rows, accelerations = (np.asarray(x, dtype=np.float64) for x in (H, rhs, A, b))
+    except (TypeError, ValueError):
+        raise ScenarioError("Eq. 24: H, Q - C, A and b must be arrays of numbers") from None
+    rows, accelerations = np.atleast_2d(rows), np.atleast_1d(accelerations)
+    n, m = tau.size, rows.shape[0]
+    if matrix.shape != (n, n) or tau.shape != (n,) or rows.shape != (m, n) or accelerations.shape != (m,):
+        raise ScenarioError(
             f"Eq. 24 needs H (n, n), Q - C (n,), A (m, n), b (m,); got {np.shape(H)}, {tau.shape}, "
             f"{np.shape(A)}, {np.shape(b)}"
         )
     matrix = bordered_matrix(H, rows)
     right = np.concatenate([tau, accelerations])
     if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(right))):
-        raise ValueError("Eq. 24: H, Q - C, A and b must be finite")
+        raise ScenarioError("Eq. 24: H, Q - C, A and b must be finite")
     solution = np.linalg.solve(matrix, right)
     force = -solution[n:]
     return solution[:n], float(force[0]) if np.ndim(A) == 1 else force

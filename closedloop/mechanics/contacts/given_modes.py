@@ -29,6 +29,7 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
 )
+from closedloop.mechanics.contacts.resistance import add_turning, has_resistance, is_resistance, moved_by_turning
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, SAME_ROW, independent_rows, shortest_solutions
 from closedloop.mechanics.loops.solve import orthonormal_rows
 
@@ -247,6 +248,7 @@ def pulled_in(c: Contacts, i: int) -> bool:
     """Whether contact i, alone, slides so that a larger force does not push it out."""
     at = 3 * i
     own = c.W[at, at] - c.W[at, at + 1] * c.problem.along[i, 0] - c.W[at, at + 2] * c.problem.along[i, 1]
+    own += moved_by_turning(c, at, i)
     return bool(
         c.problem.form[i] == RAY and not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2])
     )
@@ -315,7 +317,10 @@ def list_unknowns(c: Contacts, k: int, most: float) -> int:
     for i in range(k):
         if c.problem.form[i] == OFF:
             continue
-        for j in range(3 if sticks(c, i) else 1):
+        first, last = 0, 3 if sticks(c, i) else 1
+        if is_resistance(c, i):
+            first, last = 1, last if last == 3 else 1  # its normal force is its owner's
+        for j in range(first, last):
             if c.W[3 * i + j, 3 * i + j] > IMMOBILE * 1e-6 * most:
                 c.scratch.unknown[p] = 3 * i + j
                 p += 1
@@ -327,6 +332,8 @@ def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
     """Add what an unknown stands for to a force: a component of one that sticks, f of one that slides."""
     force[row] += value
     i = row // 3
+    if row % 3 == 0:
+        add_turning(c, i, value, force)
     if not sticks(c, i):
         force[row + 1] -= c.problem.along[i, 0] * value
         force[row + 2] -= c.problem.along[i, 1] * value
@@ -338,7 +345,8 @@ def write_system(c: Contacts, k: int, p: int) -> float:
     n, asked, slides, viscous = c.X.shape[1], 0.0, False, False
     W, S, unknown, X, load = c.W, c.scratch.system, c.scratch.unknown, c.X, c.load
     for q in range(p):
-        slides = slides or not sticks(c, int(unknown[q]) // 3)
+        i = int(unknown[q]) // 3
+        slides = slides or not sticks(c, i) or has_resistance(c, i)
     for j in range(3 * k):
         viscous = viscous or c.viscous[j] != 0.0
     for r in range(p):
@@ -353,6 +361,8 @@ def write_system(c: Contacts, k: int, p: int) -> float:
             i = column // 3
             if not sticks(c, i):
                 S[r, q] -= W[row, column + 1] * c.problem.along[i, 0] + W[row, column + 2] * c.problem.along[i, 1]
+            if column % 3 == 0:
+                S[r, q] += moved_by_turning(c, row, i)
         c.scratch.sought[r] = -c.a[row] - s
         S[r, p], S[r, p + 1] = c.scratch.sought[r], c.scratch.sought[r] + c.b[row]
         size = abs(c.drift[row]) + abs(c.b[row])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, Contacts
+from closedloop.mechanics.contacts.resistance import square_of_turning
 
 Array = NDArray[np.float64]
 
@@ -99,10 +100,14 @@ def shortest_solutions(c: Contacts, p: int, rank: int, asked: float) -> bool:
 def write_weights(c: Contacts, p: int, weight: Array) -> None:
     """Write D⁻¹ of the unknowns."""
     for j in range(p):
-        i, weight[j] = int(c.scratch.unknown[j]) // 3, 1.0
+        row = int(c.scratch.unknown[j])
+        i, square = row // 3, 1.0
         if c.problem.form[i] != CONE and c.problem.form[i] != DOUBLE:
             along = row_of(c.problem.along, i)
-            weight[j] = 1.0 / (1.0 + along[0] * along[0] + along[1] * along[1])
+            square += along[0] * along[0] + along[1] * along[1]
+        if row % 3 == 0:
+            square += square_of_turning(c, i)
+        weight[j] = 1.0 / square
 
 
 @kernel

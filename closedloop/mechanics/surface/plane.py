@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from closedloop.base.arguments import fields_checked
 from closedloop.base.errors import ScenarioError
 
 Array = NDArray[np.float64]
@@ -52,6 +53,7 @@ def contact_frame(normal: ArrayLike) -> Array:
 
 
 @dataclass(frozen=True)
+@fields_checked
 class Plane:
     """The plane n·p = d in the base frame (Eq. 11).
 

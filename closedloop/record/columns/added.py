@@ -22,7 +22,7 @@ from closedloop.record.columns.recorded import Column
 from closedloop.scenario.scenario import Scenario
 
 Function = Callable[[Any], ArrayLike]
-Recorded = Mapping[str, "Function | tuple[Function, str]"]
+Recorded = Mapping[str, Function | tuple[Function, str]]
 """Columns of one's own: by name a function of the `Run`, -> (N,) or (N, k); or that and the unit of what it returns."""
 
 # A name that CSV, MATLAB, NetCDF and Python take as it is.

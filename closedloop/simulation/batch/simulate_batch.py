@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.jit.simd8 import WIDE
@@ -40,6 +41,7 @@ OF_ANY_KIND = (
 )  # fmt: skip
 
 
+@arguments_checked(changes="a list with one value for each run, by its key: {'law.force': [5.0, 10.0]}")
 def simulate_batch(
     scenario: Scenario,
     changes: Mapping[str, Sequence[Any]],

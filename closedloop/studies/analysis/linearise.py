@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.drives import AS_ASKED
 from closedloop.loop.step.memory import RIGID_STICK
@@ -51,6 +52,7 @@ NONE = 1e-12
 MOST_STATES = 2000
 
 
+@arguments_checked()
 def linearise(
     scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None, cache: Cache | None = None
 ) -> LinearLoop:

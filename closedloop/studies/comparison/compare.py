@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
@@ -84,6 +85,7 @@ class Comparison:
         return figure
 
 
+@arguments_checked()
 def compare(
     scenarios: Mapping[str, Scenario] | Sequence[Scenario | str],
     over: Mapping[str, Sequence[Any]] | None = None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import fields_checked
 from closedloop.studies.identify.log import LogError, check_positions
 from closedloop.studies.identify.read import joints_of, listed, plain_name, run_of, table_of, time_of
 
@@ -28,6 +29,7 @@ FEWEST = 50
 
 
 @dataclass(frozen=True, eq=False)
+@fields_checked
 class Recording:
     """N rows of what was recorded.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -150,6 +151,7 @@ class LogComparison:
         return figure
 
 
+@arguments_checked()
 def compare_log(
     log: Recording | Run | str | Path,
     scenario: Scenario,

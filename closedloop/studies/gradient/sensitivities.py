@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.gradient.gradient import Gradient, differentiated
@@ -56,6 +57,7 @@ class Sensitivities(Gradient):
         return figure
 
 
+@arguments_checked(keys="a list of keys", of="a list of columns")
 def sensitivities(
     scenario: Scenario,
     keys: Sequence[str],

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import ClosedLoopError
-from closedloop.base.second_process import cores
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import as_run
+from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
@@ -121,7 +121,7 @@ def samples(
         done.add()
 
     side_by_side(
-        one, len(scenarios), workers or cores(), lambda: Cache(shared=shared),
+        one, len(scenarios), threads_for(COMPILED, workers), lambda: Cache(shared=shared),
         lambda: report(done.count, len(scenarios)), done,
     )  # fmt: skip
     return [each for each in found if each is not None]

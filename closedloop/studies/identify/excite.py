@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ModelError
 from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
 from closedloop.studies.identify.regressor import FRICTION, Regressor, Terms
@@ -102,6 +103,7 @@ class Excitation:
         return told
 
 
+@arguments_checked()
 def excite(
     robot: RobotModel | str | PathLike[str],
     target: Sequence[str] = (),

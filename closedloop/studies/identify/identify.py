@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ModelError
 from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
 from closedloop.studies.identify.fit import Fit, fit, whiteness
@@ -183,6 +184,7 @@ class Identification:
         }  # fmt: skip
 
 
+@arguments_checked()
 def identify(
     log: Log | Sequence[Log],
     robot: RobotModel | str | PathLike[str],
@@ -246,6 +248,8 @@ def identify(
     model = robot if isinstance(robot, RobotModel) else robot_models.load(robot)
     _check(model, method, held_out, confidence)
     logs = [checked(one, model) for one in ([log] if isinstance(log, Log) else log)]
+    if not logs:
+        raise ModelError("log = []: there is no log, give one or more")
     cutoff = max(usual_cutoff(one) for one in logs) if cutoff is None else cutoff
     turns = np.max([np.ptp(one.q, axis=0) for one in logs], axis=0)
     x = joined([motion(one, cutoff) for one in logs])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import fields_checked
 from closedloop.base.errors import ModelError
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ class LogError(ModelError):
 
 
 @dataclass(frozen=True, eq=False)
+@fields_checked
 class Log:
     """What was measured, N rows of n joints.
 

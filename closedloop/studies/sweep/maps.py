@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import OutputError, ScenarioError
 from closedloop.base.files import kind_of, reason_of, write_whole
 from closedloop.figures.style import COLOURS, styled
@@ -33,6 +34,7 @@ FIGURES = ("min_contact_force", "peak_contact_force", "rms_force_error", "max_ab
 MOST_CURVES = 6
 
 
+@arguments_checked()
 def sweep_plot(
     table: str | Path | pa.Table,
     of: Sequence[str] | None = None,
@@ -62,7 +64,7 @@ def sweep_plot(
         If the picture cannot be written.
     """
     if out is None:
-        if not isinstance(table, (str, Path)):
+        if not isinstance(table, (str, Path)) or not Path(table).name:
             raise ScenarioError("out: name the picture's file, such as out='maps.png'")
         out = Path(table).with_suffix(".png")
     found = _read(Path(table)) if isinstance(table, (str, Path)) else table

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
@@ -26,6 +27,7 @@ MOST_STARTS = 1000
 MOVED = 0.1
 
 
+@arguments_checked(vary="keys with two ends each, such as {'law.kd': (1, 10)}")
 def tune(
     scenario: Scenario,
     vary: Mapping[str, Sequence[float]],
@@ -92,6 +94,8 @@ def tune(
         raise ScenarioError(f"tune: robust = {robust!r}: must be {WORST!r} or {MEAN!r}")
     if not 1 <= starts <= MOST_STARTS:
         raise ScenarioError(f"tune: starts = {starts}: must be a whole number from 1 to {MOST_STARTS}")
+    if seed < 0:
+        raise ScenarioError(f"tune: seed = {seed}: must be a whole number, 0 or more")
     weights = {minimise: 1.0} if isinstance(minimise, str) else dict(minimise)
     if not weights:
         raise ScenarioError("tune: minimise: names no value, such as rms_force_error")

@@ -3,6 +3,7 @@
 python -m validation.measured cubes             # judge, with the fitted values that come with the package
 python -m validation.measured.cubes --fit       # fit every engine again, and write the values
 python -m validation.measured.cubes --figures DIR
+python -m validation.measured.cubes --film 20 toss.gif   # a toss, simulated and measured
 """
 
 from validation.measured.cubes.judging import judge

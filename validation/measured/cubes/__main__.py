@@ -1,4 +1,4 @@
-"""The command line: ``python -m validation.measured.cubes --fit``, ``--laws``, ``--impacts`` or ``--figures DIR``.
+"""The command line: ``python -m validation.measured.cubes``, with what to do: fit, compare laws, draw, write a film.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error).
 """
@@ -18,6 +18,7 @@ from closedloop.base.files import write_whole
 from closedloop.command.border import Parser, run_command
 from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.comparing import FITTED, engines, fits, fitted, held_out, tried
+from validation.measured.cubes.film import film, toss_of
 from validation.measured.cubes.fitting import fit, training
 from validation.measured.cubes.impacts import impact_lines
 from validation.measured.cubes.tosses import first_row, mean_errors, read
@@ -39,9 +40,13 @@ def _main(words: list[str]) -> int:
     parser.add_argument("--laws", action="store_true", help="compare laws of restitution and of friction")
     parser.add_argument("--impacts", action="store_true", help="restitution and friction of single corners, no engine")
     parser.add_argument("--figures", metavar="DIR", help="draw errors over time, best and worst tosses, as PNG")
+    parser.add_argument(
+        "--film", nargs=2, metavar=("TOSS", "FILE"),
+        help="write a film of toss number TOSS, simulated and measured, a .gif or a .mp4",
+    )  # fmt: skip
     options = parser.parse_args(words)
-    if options.fit is None and not (options.laws or options.impacts) and options.figures is None:
-        parser.error("say what to do: --fit, --laws, --impacts or --figures DIR")
+    if not (options.laws or options.impacts) and options.fit is options.figures is options.film is None:
+        parser.error("say what to do: --fit, --laws, --impacts, --figures DIR or --film TOSS FILE")
     if options.fit is not None:
         _fit(options.fit or names)
     if options.laws:
@@ -50,6 +55,11 @@ def _main(words: list[str]) -> int:
         print("\n".join(impact_lines(read())))
     if options.figures is not None:
         _figures(Path(options.figures))
+    if options.film is not None:
+        number, path = options.film
+        if not number.isdigit():
+            parser.error(f"--film {number}: must be the number of a toss")
+        print(f"written: {film(toss_of(read(), int(number)), Path(path))}")
     return 0
 
 

@@ -22,7 +22,8 @@ from validation.measured.cubes.tosses import MASS, RATE, Toss
 Array = NDArray[np.float64]
 
 MODEL = """<mujoco><option gravity="0 0 {g!r}"/><worldbody><body name="cube"><freejoint/>
-<inertial mass="{mass!r}" pos="0 0 0" diaginertia="{moment!r} {moment!r} {moment!r}"/></body></worldbody></mujoco>"""
+<inertial mass="{mass!r}" pos="0 0 0" diaginertia="{moment!r} {moment!r} {moment!r}"/>
+<geom type="box" size="{half!r} {half!r} {half!r}"/></body></worldbody></mujoco>"""
 
 SCENARIO = """[robot]
 model = "{model}"
@@ -50,16 +51,17 @@ class ClosedLoopCube(CubeEngine):
     def __init__(self, law: str = "newton") -> None:
         self.law = law
 
-    def scenario(self, values: Sequence[float], folder: Path) -> Scenario:
-        """Return the scenario of a toss, without its start, written into a folder."""
+    def scenario(self, values: Sequence[float], folder: Path, toss: Mapping[str, Any] | None = None) -> Scenario:
+        """Return the scenario of a toss, written into a folder; `toss` has the keys of its start and its end."""
         inertia, radius, side = map(float, values[-len(CUBE) :])
         robot = folder / "cube.xml"
-        robot.write_text(MODEL.format(g=-gravity(side), mass=MASS, moment=moment(inertia, side)), encoding="utf-8")
+        model = MODEL.format(g=-gravity(side), mass=MASS, moment=moment(inertia, side), half=side / 2.0)
+        robot.write_text(model, encoding="utf-8")
         points = corners(side, radius)
         text = SCENARIO.format(model=robot.as_posix(), step=1.0 / (RATE * STEPS), corners=points, radius=radius)
         path = folder / "toss.toml"
         path.write_text(text, encoding="utf-8")
-        return cl.load_scenario(str(path), self.contact(values))
+        return cl.load_scenario(str(path), {**self.contact(values), **(toss or {})})
 
     def contact(self, values: Sequence[float]) -> Mapping[str, Any]:
         """Return the keys of the contact that the parameters set."""

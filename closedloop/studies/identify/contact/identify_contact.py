@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ModelError
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
@@ -122,6 +123,7 @@ class ContactIdentification:
         return figure
 
 
+@arguments_checked()
 def identify_contact(
     log: Recording | Run | str | Path,
     robot: RobotModel | str | PathLike[str] | None = None,

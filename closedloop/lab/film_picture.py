@@ -1,0 +1,216 @@
+"""The picture of a film: bodies, surface, paths and forces in space, beside curves over time.
+
+What stands still is drawn once. For each frame it is copied, and what moves is drawn over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from closedloop.figures.scene.ghost import COLOUR, OPACITY
+from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, Scene
+from closedloop.figures.scene.shapes import Shape
+from closedloop.lab.curves import Panel
+
+Array = NDArray[np.float64]
+
+# Inches, and dots for each: 1000 by 500 pixels.
+SIZE, DOTS = (10.0, 5.0), 100
+# Triangles that are drawn in each frame at most. An arm of more, of meshes, is drawn as a line along its joints.
+MOST_TRIANGLES = 6000
+# The axis of the curves shows at least this share of the largest value.
+FINEST = 0.02
+# Curves with a name at most.
+MOST_NAMED = 8
+# Where a line through several parts is not drawn.
+GAP = np.full(3, np.nan)
+ROD = "#4D738F"
+# The direction of the light, and the least brightness of a face.
+LIGHT, DARKEST = np.array([0.4, -0.5, 0.77]), 0.55
+
+
+class Picture:
+    """The figure of a film, whose parts move."""
+
+    def __init__(self, scene: Scene, panel: Panel) -> None:
+        self.scene, run = scene, scene.run
+        self._figure = figure = Figure(figsize=SIZE, dpi=DOTS, layout="constrained")
+        self._canvas = FigureCanvasAgg(figure)
+        grid = figure.add_gridspec(1, 2, width_ratios=[1.1, 1.0])
+        self._space: Any = figure.add_subplot(grid[0], projection="3d")
+        self._as_rods = sum(len(shape.faces) for shape in scene.shapes) > MOST_TRIANGLES
+        self._solid = Solids([s for s in scene.shapes if s.joint in scene.body_frames or not self._as_rods])
+        self._ghosts = [
+            (ghost, Solids([replace(s, joint=0) for s in ghost.shapes], COLOUR, OPACITY)) for ghost in scene.ghosts
+        ]
+        self._rod = self._line("-o", ROD, 4, markersize=5, solid_capstyle="round")
+        self._arrows = {kind: self._line("-", ARROWS[kind], 2) for kind in scene.kinds}
+        self._done = self._line("-", PATH, 2)
+        wanted = run.reference_tip[:: max(1, len(run) // 400)]
+        if np.ptp(wanted, axis=0).max() > 0.0:
+            self._space.plot(*wanted.T, "--", color=WANTED, linewidth=1)
+        vertices, faces = scene.surface
+        if len(faces):
+            self._space.plot_trisurf(*vertices.T, triangles=faces, color="0.8", alpha=0.4, linewidth=0.0)
+        if scene.marks:
+            self._space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
+        self._frame_view()
+        self._draw_legend()
+        self._cursor = self._draw_curves(figure.add_subplot(grid[1]), panel)
+        figure.suptitle(self._title())
+        self._clock = figure.text(0.985, 0.965, "", ha="right", family="monospace")
+        self._moving = [self._rod, self._done, *self._arrows.values(), self._cursor, self._clock]
+        for part in self._moving:
+            part.set_animated(True)  # left out of what is drawn once
+        self._canvas.draw()
+        self._still = self._canvas.copy_from_bbox(figure.bbox)
+
+    def pixels(self, row: int) -> NDArray[np.uint8]:
+        """Return the picture of a row of the run: red, green, blue and opacity of its pixels (height, width, 4)."""
+        scene, run, there = self.scene, self.scene.run, self.scene.joint_places(row)
+        self._canvas.restore_region(self._still)
+        if self._as_rods:
+            self._rod.set_data_3d(*rods(scene, row).T)
+        self._done.set_data_3d(*run.position[: row + 1 : max(1, row // 300)].T)
+        (arrows,) = scene.arrows([row])
+        for kind, line in self._arrows.items():  # one line for all of a kind, with a gap after each
+            ends = [(a.tail, a.tail + scene.metres_per_newton * a.force, GAP) for a in arrows if a.kind == kind]
+            line.set_data_3d(*np.reshape(ends, (-1, 3)).T)
+        self._cursor.set_xdata([run.time[row]] * 2)
+        self._clock.set_text(f"t = {run.time[row]:.3f} s")
+        ghosts = [(solids, ghost.place(float(run.time[row]))) for ghost, solids in self._ghosts]
+        polygons = [self._solid.seen(self._space, *there)]
+        polygons += [solids.seen(self._space, turn[None], origin[None]) for solids, (turn, origin) in ghosts]
+        renderer = self._canvas.get_renderer()
+        for part in (*polygons, *self._moving):
+            part.draw(renderer)
+        return np.array(self._canvas.buffer_rgba())
+
+    def _line(self, style: str, colour: Any, width: float, **more: Any) -> Any:
+        return self._space.plot([], [], [], style, color=colour, linewidth=width, **more)[0]
+
+    def _title(self) -> str:
+        run, scale = self.scene.run, f"10 N = {10.0 * self.scene.metres_per_newton:.2g} m"
+        name = run.scenario.name
+        robot = "" if run.model.name in ("none", name) else f" ({run.model.name})"
+        return f"{name}{robot}, {scale}"
+
+    def _draw_legend(self) -> None:
+        parts: list[Any] = [Line2D([], [], color=ARROWS[kind], linewidth=2, label=kind) for kind in self.scene.kinds]
+        parts += [Patch(color=COLOUR, alpha=OPACITY, label=ghost.name) for ghost in self.scene.ghosts]
+        self._space.legend(handles=parts, loc="upper left", fontsize=8)
+
+    def _draw_curves(self, plot: Any, panel: Panel) -> Any:
+        """Draw the curves, and return the line that marks the instant."""
+        for trace in panel.traces:
+            style = "--" if trace.limit else "-"
+            named = not trace.limit or len(panel.traces) <= MOST_NAMED
+            plot.plot(
+                panel.time, trace.values, style, color=trace.colour, linewidth=1.2, label=trace.label if named else None
+            )
+        low, high = plot.get_ylim()
+        least = FINEST * max(abs(low), abs(high))
+        if high - low < least:  # a value that stays as it is: its rounding errors are not what the film is about
+            plot.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
+        plot.set_xlabel("time [s]")
+        plot.set_ylabel(panel.title)
+        handles, names = plot.get_legend_handles_labels()
+        plot.legend(handles[:MOST_NAMED], names[:MOST_NAMED], fontsize=8)
+        return plot.axvline(0.0, color="0.3", linewidth=1)
+
+    def _frame_view(self) -> None:
+        """Give the axes one scale, and the size of all that is drawn in them."""
+        scene, space = self.scene, self._space
+        rows = np.unique(np.linspace(0, len(scene.run) - 1, 20).astype(int))
+        places = [(float(scene.run.time[row]), *scene.joint_places(int(row))) for row in rows]
+        points = [scene.surface[0], scene.run.position[rows] if scene.ground.there else np.zeros((0, 3))]
+        if self._as_rods:
+            points += [rods(scene, int(row)) for row in rows]
+        for t, axes, origins in places:
+            points.append(self._solid.points(axes, origins))
+            for ghost, solids in self._ghosts:
+                turn, origin = ghost.place(t)
+                points.append(solids.points(turn[None], origin[None]))
+        every = np.vstack(points)
+        low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+        middle, half = (low + high) / 2.0, 0.55 * float((high - low).max()) + 1e-3
+        space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+        space.set(**{f"{axis}lim": (m - half, m + half) for axis, m in zip("xyz", middle, strict=True)})
+        space.set_box_aspect((1, 1, 1))
+        space.view_init(elev=22.0, azim=-35.0)
+
+
+class Solids:
+    """Shapes as triangles, whose front sides are drawn from the farthest to the nearest.
+
+    Parameters
+    ----------
+    shapes : sequence of Shape
+    colour : three floats, optional
+        Of all, in place of their own.
+    opacity : float
+    """
+
+    def __init__(
+        self, shapes: Sequence[Shape], colour: tuple[float, float, float] | None = None, opacity: float = 1.0
+    ) -> None:
+        first = np.cumsum([0, *(len(s.vertices) for s in shapes)])
+        self._vertices = np.vstack([np.zeros((0, 3)), *(s.vertices for s in shapes)])
+        self._joints = np.repeat(np.array([s.joint for s in shapes], dtype=int), np.diff(first))
+        faces = [s.faces + k for s, k in zip(shapes, first[:-1], strict=True)]
+        self._faces = np.vstack([np.zeros((0, 3), dtype=int), *faces])
+        self._colours = np.repeat(
+            [colour or s.colour for s in shapes] or [(0, 0, 0)], [len(f) for f in faces] or 0, axis=0
+        )
+        self._opacity = opacity
+
+    def points(self, axes: Array, origins: Array) -> Array:
+        """Return the vertices (k, 3), m, base frame, where the joints' frames are so."""
+        placed: Array = np.einsum("kij,kj->ki", axes[self._joints], self._vertices) + origins[self._joints]
+        return placed
+
+    def seen(self, space: Any, axes: Array, origins: Array) -> PolyCollection:
+        """Return the front sides as polygons of the page, where the joints' frames are so."""
+        points = self.points(axes, origins)
+        projected = np.column_stack([points, np.ones(len(points))]) @ np.asarray(space.M).T
+        flat, depth = projected[:, :2] / projected[:, 3:], projected[:, 2] / projected[:, 3]
+        corners = flat[self._faces]
+        (a, b), c = (corners[:, k] - corners[:, 0] for k in (1, 2)), self._faces
+        front = np.flatnonzero(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 0.0)
+        order = front[np.argsort(-depth[c[front]].mean(axis=1))]
+        sides = points[c[order]]
+        normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        bright = DARKEST + (1.0 - DARKEST) * 0.5 * (1.0 + normals @ LIGHT)
+        colours = np.column_stack([self._colours[order] * bright[:, None], np.full(len(order), self._opacity)])
+        # Without smooth edges: half the time, and no seam between two faces.
+        polygons = PolyCollection(corners[order], facecolors=colours, edgecolors="none", antialiaseds=False)
+        polygons.set_figure(space.figure)
+        polygons.set_transform(space.transData)
+        return polygons
+
+
+def rods(scene: Scene, row: int) -> Array:
+    """Return the line (k, 3), m, along the joints to the tip, and those to the sides of loops and to contacts."""
+    axes, origins = scene.joint_places(row)
+    ends = [(scene.last_joint, scene.tip_place(row))]
+    for loop in scene.joined.loops:
+        ends += [(side.frame, origins[side.frame] + axes[side.frame] @ side.point) for side in loop.sides]
+    for touching in scene.touching:
+        place, _ = touching.force(0.0, np.zeros(2), axes, origins)
+        ends.append((touching.point_frame, place))
+    free, lines = scene.body_frames, [GAP[None]]
+    for frame, place in ends:
+        if frame not in free:
+            lines += [origins[scene.supports(frame)], place[None], GAP[None]]
+    return np.vstack(lines)

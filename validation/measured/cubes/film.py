@@ -1,0 +1,80 @@
+"""A film of a measured toss beside the simulated one."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+import closedloop as cl
+from closedloop.base.errors import ScenarioError
+from closedloop.figures.scene.ghost import COLOUR, Ghost
+from closedloop.figures.scene.scene import scene_of
+from closedloop.figures.scene.shapes import Shape
+from closedloop.lab.animate import write_film
+from closedloop.lab.curves import COLOURS, Panel, Trace
+from closedloop.record.run import Run
+from validation.measured.cubes.closedloop import ClosedLoopCube
+from validation.measured.cubes.comparing import fitted
+from validation.measured.cubes.engine import STEPS
+from validation.measured.cubes.tosses import RATE, SIDE, Toss, errors, first_row
+
+# Seconds of the toss in a second of the film.
+SPEED = 0.2
+
+
+def toss_of(tosses: Sequence[Toss], number: int) -> Toss:
+    """Return the toss of a number.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none.
+    """
+    for toss in tosses:
+        if toss.number == number:
+            return toss
+    numbers = [toss.number for toss in tosses]
+    raise ScenarioError(f"there is no toss {number}: there are {len(numbers)}, from {min(numbers)} to {max(numbers)}")
+
+
+def simulated(toss: Toss) -> Run:
+    """Return the run of a toss from its first row, with the fitted values that come with the package."""
+    engine, start = ClosedLoopCube(), first_row(toss)
+    keys = {
+        "name": f"toss {toss.number}",
+        "start.q": np.concatenate([start[4:7], start[:4]]).tolist(),
+        "start.v": np.concatenate([start[10:13], start[7:10]]).tolist(),
+        "time.duration": (len(toss.states) - 1) / RATE,
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        return cl.simulate(engine.scenario(fitted(engine), Path(folder), keys), progress=False)
+
+
+def measured(toss: Toss, side: float = SIDE) -> Ghost:
+    """Return the measured cube as a ghost."""
+    box = trimesh.creation.box((side, side, side))
+    shape = Shape(0, np.asarray(box.vertices, dtype=np.float32), np.asarray(box.faces, dtype=np.int32), COLOUR)
+    time = np.arange(len(toss.states)) / RATE
+    return Ghost("measured", (shape,), time, toss.states[:, :4], toss.states[:, 4:7])
+
+
+def film(toss: Toss, path: Path) -> Path:
+    """Write a film of a toss, simulated and measured, beside its errors; a .gif or a .mp4.
+
+    Raises
+    ------
+    ScenarioError
+        If the path has another ending.
+    OutputError
+        If the file cannot be written.
+    """
+    run = simulated(toss)
+    ghosts = [measured(toss, fitted(ClosedLoopCube())[-1])]
+    position, rotation = errors(toss, run.q[::STEPS])
+    time = np.arange(len(position)) / RATE
+    traces = (Trace("position, % of the side", COLOURS[0], position), Trace("rotation, °", COLOURS[1], rotation))
+    return write_film(scene_of(run, ghosts), Panel("error", "%, °", time, traces), path, speed=SPEED)

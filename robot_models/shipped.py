@@ -4,7 +4,10 @@ from pathlib import Path
 
 _HERE = Path(__file__).parent
 
-_NAMES = ("wam4", "wam7", "planar2", "pointmass3", "four_bar", "five_bar", "delta", "stewart", "two_arms", "gripper")
+_NAMES = (
+    "wam4", "wam7", "planar2", "pointmass3", "four_bar", "five_bar", "delta", "stewart", "two_arms", "gripper",
+    "peg_gantry",
+)  # fmt: skip
 
 
 def shipped_names() -> tuple[str, ...]:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.parameters import parameter_block
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.together.member import FORCE, PARAMETER, SHIFT, TORQUE
+from closedloop.simulation.together.member import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 AXES = ("n", "t1", "t2")
-WORDS = "torque, force, tip, tip.n, tip.t1, tip.t2, or law.KEY"
+WORDS = "torque, force, tip, tip.n, tip.t1, tip.t2, joint, joint.NAME, or law.KEY"
 
 
 class Actions:
@@ -28,7 +28,8 @@ class Actions:
     given : mapping of str to (low, high)
         "torque": of each joint, N m, held until the next action, in place of the law's. "force": f_des, N. "tip": a
         displacement of the desired tip along the normal and both tangents of the contact, m; "tip.n", "tip.t1" or
-        "tip.t2": along one. "law.KEY": a parameter of the scenario's law, of all joints alike where it is one a joint.
+        "tip.t2": along one. "joint": a displacement of each desired joint position, rad (m); "joint.NAME": of one.
+        "law.KEY": a parameter of the scenario's law, of all joints alike where it is one a joint.
         −1 and 1 are `low` and `high`, which may be lists with an entry for each number; what is left out is as the
         scenario says.
     problem : Problem
@@ -94,6 +95,13 @@ def _parts(name: str, problem: Problem) -> list[tuple[str, list[tuple[int, int]]
         return [(f"tip.{axis}", [(SHIFT, i)]) for i, axis in enumerate(AXES)]
     if name.startswith("tip.") and name[4:] in AXES:
         return [(name, [(SHIFT, AXES.index(name[4:]))])]
+    joints = robot.model.joint_names
+    if name == "joint":
+        return [(f"joint.{joint}", [(JOINT, j)]) for j, joint in enumerate(joints)]
+    if name.startswith("joint."):
+        if name[6:] not in joints:
+            raise ScenarioError(f"actions[{name!r}]: no such joint; there are {', '.join(joints)}")
+        return [(name, [(JOINT, joints.index(name[6:]))])]
     key = name.removeprefix("law.")
     block = parameter_block(problem.law.member)
     if not name.startswith("law.") or key not in block.layout.at:

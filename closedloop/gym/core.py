@@ -86,8 +86,9 @@ class Core:
         self.actions = Actions(task.actions, first)
         self._own = self._values_of_scenario(first)
         numbers = len(self.actions.names)
-        self._observed = Observations(task.observations, {**PARTS, **TRUTH}, n, numbers)
-        self._truth = Observations(tuple(TRUTH), TRUTH, n, numbers)
+        contacts = len(self.scenario.contact or ())
+        self._observed = Observations(task.observations, {**PARTS, **TRUTH}, n, numbers, contacts)
+        self._truth = Observations(tuple(TRUTH), TRUTH, n, numbers, contacts)
         self.drawn_keys = tuple(key for key in self.ranges if key != POSTURE)
         self.action_space = spaces.Box(-1.0, 1.0, (numbers,), np.float32)
         self.observation_space = spaces.Box(self._observed.low, self._observed.high, dtype=np.float64)
@@ -101,7 +102,7 @@ class Core:
         self.together.rows = np.zeros((count, first.row_width))
         self.together.wanted = np.zeros((count, 2 * n + 10))
         both = self.together.rows, self.together.wanted, self.together.between
-        self.now = Now(*both, n, numbers, self.period)
+        self.now = Now(*both, n, numbers, self.period, contacts, first.row_states)
         self.now.steps = self.steps
         self._generators: list[np.random.Generator | None] = [None] * count
         self.parameters: list[dict[str, Any]] = [{} for _ in range(count)]
@@ -117,7 +118,7 @@ class Core:
         for i, name in enumerate(self.actions.names):
             if name == "force":
                 values[i] = problem.table[0, 2 * problem.robot.n + 9]
-            elif name.startswith("tip."):
+            elif name.startswith(("tip.", "joint.")):
                 values[i] = 0.0
             elif name.startswith("law."):
                 values[i] = constants.law[self.actions.plan[self.actions.plan[:, 2] == i, 1][0]]
@@ -159,7 +160,7 @@ class Core:
         self._drawn[i] = [values[key] for key in self.drawn_keys]
         now, n = self.now, problem.robot.n
         now.wanted_force[i] = problem.table[0, 2 * n + 9]
-        for each in (now.time, now.phase, now.on_target, now.force_sum, now.force_square):
+        for each in (now.time, now.phase, now.on_target, now.jammed, now.force_sum, now.force_square):
             each[i] = 0.0
         now.left[i], now.touched[i] = self.instants, False
         now.action[i] = now.action_before[i] = self.actions.normal(self._own)
@@ -264,14 +265,18 @@ class Core:
         error = now.force_error
         near = (np.abs(error) <= self.task.tolerance) & now.contact
         now.on_target[:] = np.where(went, np.where(near, now.on_target + period, 0.0), now.on_target)
+        if now.link_forces.shape[1]:
+            now.jammed[:] = np.where(went & now.held, now.jammed + period, 0.0)
         seen = np.where(now.contact & went, now.wanted_force - now.measured, 0.0)
         now.force_sum += period * seen
         now.force_square += np.where(went, period * error * error, 0.0)
 
     def _judge(self, going: Flags, at_end: Flags) -> None:
         """Find which episodes have succeeded."""
-        now, hold = self.now, self.task.hold
-        if hold is not None:
+        now, hold, goal = self.now, self.task.hold, self.task.goal
+        if goal is not None:
+            won = going & np.asarray(goal(now), dtype=np.bool_)
+        elif hold is not None:
             won = going & (now.on_target >= hold * (1.0 - 1e-9))
         else:
             mean = now.force_square / np.maximum(now.time, self.period)

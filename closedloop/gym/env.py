@@ -141,6 +141,7 @@ def info_of(core: Core, i: int) -> dict[str, Any]:
         "force": float(now.force[i]),
         "wanted_force": float(now.wanted_force[i]),
         "largest_force": float(now.largest_force[i]),
+        "largest_link_force": float(now.largest_link_force[i]),
         "impulse": float(now.impulse[i]),
         "contact": bool(now.contact[i]),
         "path_error": float(now.path_error[i]),

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.control.reference.table import Reference
-from closedloop.loop.step.record_row import Row
+from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.simulation.together.member import Between
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+# A tip is held if it is slower than this, m/s, and further from where it is wanted than this, m.
+SLOW, AWAY = 2e-3, 2e-3
 
 
 class Now:
@@ -30,13 +33,16 @@ class Now:
     force, measured, gap, gap_rate : (N,) arrays
         Contact force; the force sensor's latest reading, as a control law has it; distance from the surface, m, and
         its rate.
-    wanted_tip, wanted_tip_velocity : (N, 3) arrays
-        Those of the reference.
+    link_forces, link_gaps : (N, c) arrays
+        Of each `[[contact]]`: the force along its normal, N, and its gap, m.
+    wanted_tip, wanted_tip_velocity, wanted_q : (N, 3), (N, 3), (N, n) arrays
+        Those of the reference, as the action has displaced it.
     wanted_force : (N,) array
         The force of the task, N, whatever the action sets.
     contact, sticks : (N,) arrays of bool
-    largest_force, smallest_force, impulse : (N,) arrays
-        Since the control instant before: of the contact force at any row, N; the largest impulse, N s.
+    largest_force, smallest_force, largest_link_force, impulse : (N,) arrays
+        Since the control instant before: of the contact force at any row, N; of the largest force of a `[[contact]]`,
+        N; the largest impulse, N s.
     free_share, events : (N,) arrays
         Since then: share of rows off the surface; how many events there were.
     time, phase : (N,) arrays
@@ -47,6 +53,9 @@ class Now:
         Whether it has been in contact since the reset.
     on_target : (N,) array
         For how long the force has been within the task's tolerance, s.
+    jammed : (N,) array
+        For how long a `[[contact]]` has been closed and the tip slower than 2 mm/s, though it is wanted more than 2 mm
+        away, s.
     force_sum : (N,) array
         ∫ (wanted_force − measured) dt while in contact, N s.
     force_square : (N,) array
@@ -57,8 +66,15 @@ class Now:
         Time between two control instants, s.
     """
 
-    def __init__(self, rows: Array, wanted: Array, between: Array, n: int, numbers: int, period: float) -> None:
-        count = rows.shape[0]
+    def __init__(
+        self, rows: Array, wanted: Array, between: Array, n: int, numbers: int, period: float, contacts: int = 0,
+        states: int = 0,
+    ) -> None:  # fmt: skip
+        count, end = rows.shape[0], rows.shape[1] - states
+        of_contacts = rows[:, end - ContactRow.count(contacts) : end]
+        self.link_forces, self.link_gaps = (
+            of_contacts[:, ContactRow.place(x, contacts)] for x in ("link_forces", "link_gaps")
+        )
 
         def part(name: str) -> Any:
             return rows[:, Row.place(name, n)]
@@ -69,16 +85,21 @@ class Now:
         self.slip_velocity, self.friction_force = map(part, ("slip_velocity", "friction_force"))
         self.force = part("contact_force")
         self.gap, self.gap_rate, self._mode = part("closure_error"), part("closure_rate"), part("mode")
-        self.wanted_tip, self.wanted_tip_velocity = (wanted[:, Reference.place(x, n)] for x in ("position", "velocity"))
-        self.largest_force, self.smallest_force, self._free, self.events, self.impulse, self.measured = (
-            between[:, i] for i in map(Between.place, Between.layout.at)
+        self.wanted_q, self.wanted_tip, self.wanted_tip_velocity = (
+            wanted[:, Reference.place(x, n)] for x in ("q", "position", "velocity")
         )
+        self.largest_force, self.smallest_force, self.largest_link_force, self._free, self.events, self.impulse = (
+            between[:, Between.place(x)]
+            for x in ("largest_force", "smallest_force", "largest_link_force", "free_rows", "events", "impulse")
+        )
+        self.measured = between[:, Between.place("measured")]
         self.wanted_force: Array = np.zeros(count)
         self.time: Array = np.zeros(count)
         self.phase: Array = np.zeros(count)
         self.left: Array = np.zeros(count)
         self.touched: Flags = np.zeros(count, dtype=np.bool_)
         self.on_target: Array = np.zeros(count)
+        self.jammed: Array = np.zeros(count)
         self.force_sum: Array = np.zeros(count)
         self.force_square: Array = np.zeros(count)
         self.action: Array = np.zeros((count, numbers))
@@ -114,6 +135,15 @@ class Now:
     def force_error(self) -> Array:
         """True force less the wanted one, N."""
         return cast(Array, self._once("force_error", lambda: self.force - self.wanted_force))
+
+    @property
+    def held(self) -> Flags:
+        """Whether a contact of a link is closed, and the tip slow and not where it is wanted."""
+        off, speed = self.tip - self.wanted_tip, self.tip_velocity
+        slow = (speed * speed).sum(axis=1) < SLOW * SLOW
+        touching = (self.link_forces > 0.0).any(axis=1)
+        found: Flags = slow & touching & ((off * off).sum(axis=1) > AWAY * AWAY)
+        return found
 
     @property
     def path_error(self) -> Array:

@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 
 
 class Part(NamedTuple):
-    """A part of an observation: its numbers (N, k), how many they are of n joints and a actions, and their bounds."""
+    """A part of an observation: its numbers (N, k), how many for n joints, a actions, c contacts, and their bounds."""
 
     read: Callable[[Now], Array]
-    numbers: Callable[[int, int], int]
+    numbers: Callable[[int, int, int], int]
     low: float
     high: float
     unit: str
@@ -36,25 +36,29 @@ def _path_error(now: Now) -> Array:
 # Beyond any run that does not end: a joint's speed ends one at 1e4 rad/s (m/s).
 FAR, FAST, STRONG = 1e3, 1e4, 1e6
 PARTS: dict[str, Part] = {
-    "q": Part(lambda now: now.q, lambda n, a: n, -FAR, FAR, "rad"),
-    "v": Part(lambda now: now.v, lambda n, a: n, -FAST, FAST, "rad/s"),
-    "tip_error": Part(_path_error, lambda n, a: 3, -FAR, FAR, "m"),
-    "tip_velocity": Part(lambda now: now.tip_velocity, lambda n, a: 3, -FAST, FAST, "m/s"),
-    "force": Part(lambda now: _one(now.measured), lambda n, a: 1, -STRONG, STRONG, "N"),
-    "force_error": Part(lambda now: _one(now.wanted_force - now.measured), lambda n, a: 1, -STRONG, STRONG, "N"),
-    "force_sum": Part(lambda now: _one(now.force_sum), lambda n, a: 1, -STRONG, STRONG, "N s"),
-    "contact": Part(lambda now: _one(now.contact.astype(np.float64)), lambda n, a: 1, 0.0, 1.0, "1"),
-    "sticks": Part(lambda now: _one(now.sticks.astype(np.float64)), lambda n, a: 1, 0.0, 1.0, "1"),
-    "phase": Part(lambda now: _one(now.phase), lambda n, a: 1, 0.0, 1.0, "1"),
-    "action": Part(lambda now: now.action, lambda n, a: a, -1.0, 1.0, "1"),
+    "q": Part(lambda now: now.q, lambda n, a, c: n, -FAR, FAR, "rad"),
+    "v": Part(lambda now: now.v, lambda n, a, c: n, -FAST, FAST, "rad/s"),
+    "torque": Part(lambda now: now.torque, lambda n, a, c: n, -STRONG, STRONG, "N m"),
+    "joint_error": Part(lambda now: now.q - now.wanted_q, lambda n, a, c: n, -FAR, FAR, "rad"),
+    "tip_error": Part(_path_error, lambda n, a, c: 3, -FAR, FAR, "m"),
+    "tip_velocity": Part(lambda now: now.tip_velocity, lambda n, a, c: 3, -FAST, FAST, "m/s"),
+    "force": Part(lambda now: _one(now.measured), lambda n, a, c: 1, -STRONG, STRONG, "N"),
+    "force_error": Part(lambda now: _one(now.wanted_force - now.measured), lambda n, a, c: 1, -STRONG, STRONG, "N"),
+    "force_sum": Part(lambda now: _one(now.force_sum), lambda n, a, c: 1, -STRONG, STRONG, "N s"),
+    "contact": Part(lambda now: _one(now.contact.astype(np.float64)), lambda n, a, c: 1, 0.0, 1.0, "1"),
+    "sticks": Part(lambda now: _one(now.sticks.astype(np.float64)), lambda n, a, c: 1, 0.0, 1.0, "1"),
+    "phase": Part(lambda now: _one(now.phase), lambda n, a, c: 1, 0.0, 1.0, "1"),
+    "action": Part(lambda now: now.action, lambda n, a, c: a, -1.0, 1.0, "1"),
 }
 # The truth, for critics; what an episode draws stands behind it.
 TRUTH: dict[str, Part] = {
-    "true_force": Part(lambda now: _one(now.force), lambda n, a: 1, -STRONG, STRONG, "N"),
-    "friction_force": Part(lambda now: now.friction_force, lambda n, a: 3, -STRONG, STRONG, "N"),
-    "slip_velocity": Part(lambda now: now.slip_velocity, lambda n, a: 3, -FAST, FAST, "m/s"),
-    "gap": Part(lambda now: _one(now.gap), lambda n, a: 1, -FAR, FAR, "m"),
-    "normal": Part(lambda now: now.normal, lambda n, a: 3, -1.0, 1.0, "1"),
+    "true_force": Part(lambda now: _one(now.force), lambda n, a, c: 1, -STRONG, STRONG, "N"),
+    "friction_force": Part(lambda now: now.friction_force, lambda n, a, c: 3, -STRONG, STRONG, "N"),
+    "slip_velocity": Part(lambda now: now.slip_velocity, lambda n, a, c: 3, -FAST, FAST, "m/s"),
+    "gap": Part(lambda now: _one(now.gap), lambda n, a, c: 1, -FAR, FAR, "m"),
+    "link_forces": Part(lambda now: now.link_forces, lambda n, a, c: c, -STRONG, STRONG, "N"),
+    "link_gaps": Part(lambda now: now.link_gaps, lambda n, a, c: c, -FAR, FAR, "m"),
+    "normal": Part(lambda now: now.normal, lambda n, a, c: 3, -1.0, 1.0, "1"),
 }
 
 
@@ -69,12 +73,12 @@ class Observations:
         Bounds, to which what is observed is cut.
     """
 
-    def __init__(self, parts: Sequence[str], known: dict[str, Part], n: int, numbers: int) -> None:
+    def __init__(self, parts: Sequence[str], known: dict[str, Part], n: int, numbers: int, contacts: int = 0) -> None:
         for name in parts:
             if name not in known:
                 raise ScenarioError(f"observations: no part {name!r}; there are {', '.join(known)}")
         self._parts = [known[name] for name in parts]
-        counts = [part.numbers(n, numbers) for part in self._parts]
+        counts = [part.numbers(n, numbers, contacts) for part in self._parts]
         self.names = tuple(
             name if count == 1 else f"{name}.{i}"
             for name, count in zip(parts, counts, strict=True)

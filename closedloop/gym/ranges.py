@@ -28,17 +28,19 @@ class Range:
     Parameters
     ----------
     low, high : float
-        Ends, in the unit of the key.
+        Ends, in the unit of the key; of a posture also a tuple each, one number for each joint.
     log : bool
         Whether its logarithm is distributed evenly, instead of the number.
     """
 
-    low: float
-    high: float
+    low: float | tuple[float, ...]
+    high: float | tuple[float, ...]
     log: bool = False
 
     def __post_init__(self) -> None:
-        if not -math.inf < self.low <= self.high < math.inf or (self.log and not self.low > 0.0):
+        low, high = np.asarray(self.low, dtype=np.float64), np.asarray(self.high, dtype=np.float64)
+        ordered = low.shape == high.shape and bool(np.all((low > -math.inf) & (low <= high) & (high < math.inf)))
+        if not ordered or (self.log and not np.all(low > 0.0)):
             above = ", and above 0 with log=True" if self.log else ""
             raise ScenarioError(f"range: {self.low!r} to {self.high!r}: must be two numbers, the smaller first{above}")
 
@@ -46,7 +48,7 @@ class Range:
         """Return a number, or an array of `size` numbers."""
         if not self.log:
             return random.uniform(self.low, self.high, size)
-        return np.exp(random.uniform(math.log(self.low), math.log(self.high), size))
+        return np.exp(random.uniform(np.log(self.low), np.log(self.high), size))
 
 
 def as_ranges(given: Mapping[str, Any]) -> dict[str, Range]:
@@ -57,6 +59,8 @@ def as_ranges(given: Mapping[str, Any]) -> dict[str, Range]:
             if not isinstance(value, Range):
                 low, high = map(float, value)
                 value = Range(low, high)
+            if np.ndim(value.low) and key != POSTURE:
+                raise ValueError
             ranges[key] = value
         except (TypeError, ValueError):
             raise ScenarioError(
@@ -85,6 +89,9 @@ def drawn(
     values: dict[str, Any] = {}
     for key, each in ranges.items():
         if key == POSTURE:
+            wanted = np.shape(each.low) or home.shape
+            if wanted != home.shape:
+                raise ScenarioError(f"ranges[{key!r}]: has {wanted[0]} numbers: must be one, or {home.size}")
             values[key] = (home + each.draw(random, home.size)).tolist()
         else:
             values[key] = float(each.draw(random))

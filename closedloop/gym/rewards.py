@@ -54,17 +54,56 @@ def loss(now: Now) -> Array:
     return cost
 
 
-TERMS: dict[str, Term] = {"force": force, "path": path, "smooth": smooth, "overload": overload, "loss": loss}
+def travel(now: Now) -> Array:
+    """−(distance of the tip from the desired one)/10 mm, at least −1, contacts of links or not."""
+    off = now.tip - now.wanted_tip
+    cost: Array = -np.minimum(np.sqrt((off * off).sum(axis=1)) / 0.01, 1.0)
+    return cost
+
+
+def knock(now: Now) -> Array:
+    """−(largest force of a contact of a link)/100 N, at least −1."""
+    cost: Array = -np.minimum(now.largest_link_force / 100.0, 1.0)
+    return cost
+
+
+TERMS: dict[str, Term] = {
+    "force": force, "path": path, "smooth": smooth, "overload": overload, "loss": loss, "travel": travel,
+    "knock": knock,
+}  # fmt: skip
 
 
 def excessive_force(limit: float) -> Ending:
-    """Return the ending of a contact force above `limit`, N, at any row since the control instant before."""
+    """Return the ending of a contact force above `limit`, N, at any row since the control instant before.
+
+    Of the tip's contact, and of those of links.
+    """
 
     def excessive(now: Now) -> Flags:
-        over: Flags = now.largest_force > limit
+        over: Flags = np.maximum(now.largest_force, now.largest_link_force) > limit
         return over
 
     return excessive
+
+
+def jammed(after: float) -> Ending:
+    """Return the ending of a tip that contacts of links hold still for so long, s, though it is wanted elsewhere."""
+
+    def jammed_now(now: Now) -> Flags:
+        held: Flags = now.jammed >= after * (1.0 - 1e-9)
+        return held
+
+    return jammed_now
+
+
+def lowered(depth: float) -> Ending:
+    """Return whether the tip is below z = −`depth`, m: a goal."""
+
+    def deep(now: Now) -> Flags:
+        there: Flags = now.tip[:, 2] <= -depth
+        return there
+
+    return deep
 
 
 def contact_lost(now: Now) -> Flags:

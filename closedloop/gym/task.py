@@ -9,7 +9,8 @@ from typing import Any
 
 from closedloop.base.arguments import fields_checked
 from closedloop.base.errors import ScenarioError
-from closedloop.gym.rewards import Ending, contact_lost, excessive_force
+from closedloop.gym.ranges import Range
+from closedloop.gym.rewards import Ending, contact_lost, excessive_force, jammed, lowered
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 
@@ -48,6 +49,8 @@ class Task:
     hold : float or None
         An episode succeeds once the force has been on target for so long, s; None: if it is so at its end, with a mean
         square of the force's error within the tolerance, and the tip on its path within 5 mm.
+    goal : callable or None
+        In place of that: an episode succeeds as soon as this function of `closedloop.gym.Now`, (N,) truths, says so.
     """
 
     scenario: Scenario | str | Path
@@ -63,6 +66,7 @@ class Task:
     control_rate: float = 100.0
     tolerance: float = 0.5
     hold: float | None = None
+    goal: Ending | None = None
 
     def load_scenario(self) -> Scenario:
         """Return the scenario.
@@ -126,6 +130,19 @@ TASKS: dict[str, Task] = {
             "surface.radius": (0.25, 0.6),
             "sensor.bias": (-0.1, 0.1),
         },
+    ),
+    "insert": Task(
+        SCENARIOS / "insert.toml",
+        actions={"joint": ((-0.004, -0.004, -0.05), (0.004, 0.004, 0.05))},
+        observations=("joint_error", "v", "torque", "tip_error", "phase", "action"),
+        rewards={"travel": 1.0, "knock": 0.2, "smooth": 0.1},
+        endings={"excessive force": excessive_force(45.0), "jammed": jammed(0.3)},
+        ranges={
+            "start.q": Range((-0.0015, 0.0, -0.02), (0.0015, 0.0, 0.02)),
+            "contact.*.friction": (0.05, 0.4),
+            "contact.*.surface.oversize": (0.00005, 0.0002),
+        },
+        goal=lowered(0.015),
     ),
 }
 

@@ -174,6 +174,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             "force": now.force.copy(),
             "wanted_force": now.wanted_force.copy(),
             "largest_force": now.largest_force.copy(),
+            "largest_link_force": now.largest_link_force.copy(),
             "impulse": now.impulse.copy(),
             "contact": now.contact.copy(),
             "path_error": now.path_error.copy(),

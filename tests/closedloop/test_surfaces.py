@@ -36,6 +36,8 @@ KINDS = {
 }
 GRID = 0.01 * np.sin(np.add.outer(np.arange(9) * 0.9, np.arange(12) * 0.7))
 KINDS["height_field"] = {"heights": tuple(map(tuple, GRID)), "spacing": 0.05}
+# Its edges, too sharp for the Chebyshev polynomials of these tests, are far from their paths: see `test_polyhedron`.
+KINDS["polyhedron"] = {"faces": ((1.0, 0.0, 0.5, 4.0), (-0.3, 1.0, 1.0, 5.0)), "oversize": 0.1, "rounding": 0.04}
 KINDS["implicit"] = {"expression": "z*(1 + x*y) + 2*x**2 + 3*y**2*exp(x/2) - z**3"}
 MOVES = {
     "none": {},
@@ -84,11 +86,14 @@ def test_rates_are_the_derivatives(kind, motion, seed):
     r, v, a = at(0.4)
     now = on.touching(r, v, 0.4)
     slope = np.array([Chebyshev.fit(t, np.array(rows)[:, i], 19).deriv()(0.4) for i in range(3)])
-    assert np.allclose(now.frame @ a + now.turning, slope, rtol=0, atol=1e-9)
+    # Third derivatives of a spline jump at the lines of its grid, over which a polynomial errs: by 3e-6 in 100 paths.
+    tolerance = 1e-5 if kind == "height_field" else 1e-9
+    assert np.allclose(now.frame @ a + now.turning, slope, rtol=0, atol=tolerance)
     if kind not in (
         "ellipsoid",
         "height_field",
         "implicit",
+        "polyhedron",
     ):  # of a φ that is no distance: to first order
         rate = Chebyshev.fit(t, gaps, 19).deriv()(0.4)
         assert now.frame[0] @ v - now.carried[0] == pytest.approx(rate, abs=1e-10)

@@ -120,6 +120,15 @@ def measure_rows(
     signals : (CONTROL, N) array
         Written, see `write_control`.
     """
+    measure(tree, scratch, rows, wanted, h, limits, events, out, signals)
+
+
+@kernel_inlined
+def measure(
+    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int, int, int, int], h: float,
+    limits: Array, events: Array, out: Array, signals: Array,
+) -> None:  # fmt: skip
+    """Do as `measure_rows`."""
     n, count = tree.n, rows.shape[0]
     (terms, memory), (table, nodes, held, order, sampled) = scratch, wanted
     largest = 0.0

@@ -19,8 +19,9 @@ from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH, EventRow
 from closedloop.loop.step.memory import State, loop_at
-from closedloop.loop.step.record_row import Row
+from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.robot.tree import Tree, tree_terms
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
 
@@ -30,8 +31,8 @@ IntArray = NDArray[np.int64]
 # What `Member.request` is at a control instant, where an action is waited for.
 WAITING = -1
 # What a number of an action sets: torque of a joint; desired force; displacement of the desired tip along an axis of
-# the contact frame; a number of the law's parameters.
-TORQUE, FORCE, SHIFT, PARAMETER = range(4)
+# the contact frame; a number of the law's parameters; displacement of a desired joint position.
+TORQUE, FORCE, SHIFT, PARAMETER, JOINT = range(5)
 
 
 class Member(Block):
@@ -72,6 +73,7 @@ class Between(Block):
 
     largest_force: float  # largest contact force at a row, N
     smallest_force: float
+    largest_link_force: float  # largest force along the normal of a [[contact]] at a row, N
     free_rows: float  # rows at which the tip was free
     events: float  # how many there were
     impulse: float  # largest impulse along the normal, N s
@@ -144,11 +146,11 @@ def act(m: Member, a: Addresses, action: Array, plan: IntArray) -> None:
     n, nodes = a.n, state.settings.nodes_per_step
     table = matrix_at(a.table, a.instants, a.table_width)
     begin, end = (m.target - m.steps) * nodes, m.target * nodes
-    boundary = vector_at(m.boundary, 3)
-    for i in range(3):  # the last of the rows that were displaced before is displaced by this action instead
+    boundary = vector_at(m.boundary, 2 * n + 3)
+    for i in range(2 * n + 3):  # the last of the rows that were displaced before is displaced by this action instead
         if m.displaced != 0:
-            table[begin, 2 * n + i] = boundary[i]
-        boundary[i] = table[end, 2 * n + i]
+            table[begin, i] = boundary[i]
+        boundary[i] = table[end, i]
     m.displaced = 0
     for i in range(plan.shape[0]):
         what, place, x = plan[i, 0], plan[i, 1], action[plan[i, 2]]
@@ -162,6 +164,10 @@ def act(m: Member, a: Addresses, action: Array, plan: IntArray) -> None:
             for t in range(begin, end + 1):
                 for j in range(3):
                     table[t, 2 * n + j] += x * w.tip.frame[place, j]
+        elif what == JOINT:
+            m.displaced = 1
+            for t in range(begin, end + 1):
+                table[t, place] += x
         else:
             constants.law[place] = x
 
@@ -213,13 +219,21 @@ def tell(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> 
     for j in range(2 * n + 10):
         wanted[j] = table[m.target * state.settings.nodes_per_step, j]
     b = Between(between)
-    b.largest_force, b.smallest_force, b.free_rows = -np.inf, np.inf, 0.0
+    b.largest_force, b.smallest_force, b.free_rows, b.largest_link_force = -np.inf, np.inf, 0.0, 0.0
+    links, at = 0, 0
+    if state.contacts.entry != 0:
+        contacts, _ = contacts_at(state.contacts.at)
+        links, at = contacts.points - 1, contacts.record_at
     for i in range(max(here - m.steps + 1, 0), here + 1):
         each = Row(row_of(rows, i), n)
         b.largest_force = max(b.largest_force, each.contact_force)
         b.smallest_force = min(b.smallest_force, each.contact_force)
         if each.mode == FREE:
             b.free_rows += 1.0
+        if links > 0:
+            forces = ContactRow(row_of(rows, i)[at:], links).link_forces
+            for k in range(links):
+                b.largest_link_force = max(b.largest_link_force, forces[k])
     b.events, b.impulse = state.event.rows, 0.0
     b.measured = vector_at(m.reading, 1)[0]
     events = matrix_at(a.events, a.event_room, EVENT_WIDTH)

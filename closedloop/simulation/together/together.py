@@ -66,7 +66,7 @@ class _One:
             [(address_of(a), address_of(b), a.size) for a, b in zip(memory, marks, strict=True)], dtype=np.int64
         )
         self.addresses.row_count = problem.steps + 1  # the window stands for all of them, see `make_room`
-        boundary = np.zeros(3)
+        boundary = np.zeros(2 * n + 3)
         own[:] = 0
         self.member = m = Member(own)
         m.addresses, m.links, m.constants = map(address_of, (self.addresses.memory, tree.links, tree.constants))

@@ -23,7 +23,14 @@ from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.added import from_text
-from closedloop.record.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, SURFACE_COLUMNS, Column, columns_there
+from closedloop.record.columns.recorded import (
+    ALL_COLUMNS,
+    CONTACT_COLUMNS,
+    RESISTANCE_COLUMNS,
+    SURFACE_COLUMNS,
+    Column,
+    columns_there,
+)
 from closedloop.record.halved import checked_comparison
 from closedloop.record.run import Run
 from closedloop.record.save import (
@@ -113,8 +120,10 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
     allowed = [*json.loads(found["not_finite"]), *absent]
     added = from_text(found[ADDED]) if ADDED in found else {}
-    contacts = len(scenario.contact or ())
-    needed = (*(CONTACT_COLUMNS if contacts else ()), *(SURFACE_COLUMNS if scenario.has_surface else ()))
+    sections = scenario.contact or ()
+    contacts, resists = len(sections), any(section.resists for section in sections)
+    of_contacts = [name for name in CONTACT_COLUMNS if resists or name not in RESISTANCE_COLUMNS]
+    needed = (*(of_contacts if contacts else ()), *(SURFACE_COLUMNS if scenario.has_surface else ()))
     _check_columns(columns, added, _sizes(model, contacts), allowed, needed)
     # A run that was stopped may have events in the step that it did not finish.
     _check_events(columns, model.n + contacts, scenario.time.step if found["stopped"] else 0.0)

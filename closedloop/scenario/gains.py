@@ -203,7 +203,7 @@ def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
     law, n = scenario.law, robot.n
     q = start_posture(scenario, robot.model)
     terms = robot.terms(q, np.zeros(n))
-    surface = PlacedSurface.of(scenario.surface, scenario.surface_motion, terms.position)
+    surface = PlacedSurface.of(scenario.surface, scenario.surface_motion, terms.position, radius=scenario.tool.radius)
     A = surface.touching(terms.position).frame @ terms.jacobian
     held = scenario.surface.contact == "bilateral"
     try:

@@ -70,7 +70,9 @@ class ToolSection(Section):
     """[tool]: a rigid body fixed to the tip's frame; vectors in the axes of that frame."""
 
     offset: tuple[Coordinate, Coordinate, Coordinate] = Field(
-        (0.0, 0.0, 0.0), description="the tool's tip, which touches the surface, m, axes of the frame robot.tip"
+        (0.0, 0.0, 0.0),
+        description="the tool's tip, which touches the surface, or the centre of its round end, m, axes of the frame "
+        "robot.tip",
     )
     mass: Annotated[NotNegative, MASS] = Field(0.0, description="mass, kg")
     centre: tuple[Coordinate, Coordinate, Coordinate] = Field(
@@ -81,8 +83,8 @@ class ToolSection(Section):
     )
     radius: Annotated[NotNegative, PLACE] = Field(
         0.0,
-        description="radius of the tool's round end at its tip, m, 0 of a point: a path through a narrower hollow of "
-        "the surface is refused; nothing else depends on it",
+        description="radius of the tool's round end about its tip, m, 0 of a point: the ball touches the surface, "
+        "and a path through a narrower hollow of it is refused",
     )
     axis: Direction = Field(
         (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.edge import edge_key
 from closedloop.control.reference.force import force_at
+from closedloop.control.reference.tool_fit import refuse_narrow
 from closedloop.jit.parameters import lists_per_joint
 from closedloop.jit.user_code import of_users
 from closedloop.loop.events.phases import RESTING, TOUCHING
@@ -78,7 +79,9 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
     pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
     with of_users(scenario.compliance, "compliance.kind"):
         depth = scenario.compliance.static_depth(pressed) if soft and not section.gap else 0.0
-    surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth)
+    surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth, scenario.tool.radius)
+    if scenario.tool.radius > 0.0 and not surface.fixed_plane and surface.below_start:
+        refuse_narrow(surface, np.zeros(1), surface.origin[None], scenario.tool.radius)
     now = surface.touching(tip, terms.jacobian @ v)
     if now.inside < 0.0 and (section.contact == "bilateral" or soft):
         raise ScenarioError(

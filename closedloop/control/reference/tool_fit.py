@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,8 +58,19 @@ def refuse_tool_too_large(surface: PlacedSurface, tip: TipPath, radius: float) -
     if radius == 0.0 or surface.fixed_plane:
         return
     times = tip.instants(PATH_CHECKS) if tip.segments else np.zeros(1)
-    r = tip.sample(times)[0]
-    hollow = hollow_radii(surface, times, r)
+    r, velocity = tip.sample(times)[:2]
+    refuse_narrow(surface, times, r - radius * surface.normals(times, r, velocity)[0], radius)
+
+
+def refuse_narrow(surface: PlacedSurface, times: Array, r: Array, radius: float) -> None:
+    """Refuse a ball of this radius, m, that touches a surface at points r (N, 3), m, if it does not fit there.
+
+    Raises
+    ------
+    ScenarioError
+        With the narrowest place.
+    """
+    hollow = hollow_radii(replace(surface, radius=0.0), times, r)
     k = int(np.argmin(hollow))
     if radius > hollow[k] * (1.0 + ROUNDING):
         raise ScenarioError(

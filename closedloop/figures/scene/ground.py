@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,14 +49,15 @@ class Ground:
         scenario, start = self.run.scenario, self.run.position[0]
         if not (isinstance(scenario.surface, Surface) and isinstance(scenario.surface_motion, SurfaceMotion)):
             return None
-        found, depth = PlacedSurface.of(scenario.surface, scenario.surface_motion, start), 0.0
+        radius, depth = scenario.tool.radius, 0.0
+        found = PlacedSurface.of(scenario.surface, scenario.surface_motion, start, depth, radius)
         for _ in range(20 if found.below_start else 0):  # a tip that starts in a soft surface, which may slope there
             off = found.touching(start).gap - float(self.run.closure_error[0])
             if abs(off) < 1e-12:
                 break
             depth += off
-            found = PlacedSurface.of(scenario.surface, scenario.surface_motion, start, depth)
-        return found
+            found = PlacedSurface.of(scenario.surface, scenario.surface_motion, start, depth, radius)
+        return replace(found, radius=0.0)
 
     @cached_property
     def mesh(self) -> tuple[Array, NDArray[np.uint32]]:
@@ -67,6 +68,7 @@ class Ground:
         along = np.vstack([thin_out(path) for path in (self.run.position, self.run.reference_tip)]) @ self.frame[1:].T
         low, high = along.min(axis=0), along.max(axis=0)
         offset = float(self.frame[0] @ self.run.position[0] - self.run.closure_error[0])
+        offset -= self.run.scenario.tool.radius
         for share in (1.0, 0.5, 0.2, 0.0):  # a ball may be smaller than what is around the path
             margin = share * max(MARGIN, SHARE * float(np.max(high - low)))
             a, b = (np.linspace(x - margin, y + margin, 2 if flat else CELLS) for x, y in zip(low, high, strict=True))

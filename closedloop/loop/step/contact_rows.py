@@ -23,7 +23,9 @@ from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.given_modes import mobility_of
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
-from closedloop.mechanics.contacts.modes import HOVERING
+from closedloop.mechanics.contacts.modes import near
+from closedloop.mechanics.contacts.resistance import is_resistance
+from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
 from closedloop.mechanics.contacts.rolling import roll_on_plane, roll_on_surface
 from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.soft import write_soft_forces
@@ -59,13 +61,16 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     c.inside[0] = w.tip.inside if state.surface.entry != 0 else math.inf
     for j in range(n):
         c.load[j] = w.y[j]
-    for i in range(links.points + links.stops):
-        near = c.mode[i] != FREE or c.located[3 * i] <= HOVERING or (i == 0 and state.settings.unilateral == 0)
-        if near or c.near[i] != 0.0:
-            write_mobility_rows(c, i, near, w, state)
-        c.near[i] = 1.0 if near else 0.0
+    for i in range(links.joints):
+        if is_resistance(c, i):
+            takes_part = c.near[int(c.resistance.owner[i])] != 0.0
+        else:
+            takes_part = near(c, i) or (i == 0 and state.settings.unilateral == 0)
+        if takes_part or c.near[i] != 0.0:
+            write_mobility_rows(c, i, takes_part, w, state)
+        c.near[i] = 1.0 if takes_part else 0.0
     mobility_of(c, k)
-    for i in range(links.points + links.stops):
+    for i in range(links.joints):
         for j in range(3 * i, 3 * i + 3):
             off = c.located[j]
             if j > 3 * i and i > 0 and not asked(links, i):
@@ -77,6 +82,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     take_states(links, c, w.z)
     write_delayed(c, w.time, constants.h, state.row - 1)
     write_soft_forces(links, c)
+    tie_resistances(links, c)
     return int(OK)
 
 
@@ -87,7 +93,7 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     for j in range(links.n):
         rows.q[j], rows.v[j] = w.q[j], w.v[j]
     locate_rows(joints, rows)
-    for i in range(1, links.k - links.stops if links.shapes != 0 else 0):
+    for i in range(1, links.points if links.shapes != 0 else 0):
         shapes = shapes_at(links.shapes)
         if rolls(shapes, i) and not asked(links, i):
             roll_on_plane(joints, rows, shapes, i)
@@ -99,6 +105,8 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     for i in range(1, links.points if links.surfaces != 0 else 0):
         if not turn_to_surface(links, c, i, w.time, constants.h, state):
             return int(NO_NORMAL)
+    if links.joints > links.points + links.stops:
+        write_resistances(joints, rows, shapes_at(links.shapes), links, c)
     return int(OK)
 
 
@@ -230,7 +238,7 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
 
     the condition of `closedloop.loop.step.joint_friction`. Its normal row is its own, as that of a soft contact.
     """
-    first, n = links.points + links.stops, links.n
+    first, n = links.joints, links.n
     if first == links.k:
         return
     joint_limits(w, constants, state)
@@ -267,7 +275,7 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
 @kernel
 def forget_joints(links: ContactLinks, c: Contacts) -> None:
     """Take out what `locate_joints` has written."""
-    for i in range(links.points + links.stops, links.k):
+    for i in range(links.joints, links.k):
         c.near[i] = 0.0
         for r in range(3 * i, 3 * i + 3):
             c.F[r], c.a[r] = 0.0, 0.0

@@ -56,6 +56,7 @@ from closedloop.mechanics.contacts.memory import (
     contacts_at,
 )
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
+from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import turn_slips
@@ -216,7 +217,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             status = turn_and_solve(c, k, constants.h)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
-        if k > links.points + links.stops:
+        if k > links.joints:
             rest = max(rest, STILL)  # dry friction of the joints stops a slip within a step, which then does not turn
         c.margin = margin_of(c, k, STICK_SPEED, rest)
         if status != OK and w.time > 0.0:  # these modes end here: others, or a time step, go on
@@ -363,13 +364,13 @@ def striking_alone(links: ContactLinks, c: Contacts) -> int:
     """Return the contact that strikes while no other is closed or closes, −1 if there is none such."""
     alone = -1
     for i in range(links.k):
-        if c.soft[i] != 0.0:
+        if c.soft[i] != 0.0 or is_resistance(c, i):
             continue
         if c.friction.pulls[i] != 0.0 or (touches(links, c, i) and (alone >= 0 or c.mode[i] != FREE)):
             return -1
         if touches(links, c, i):
             alone = i
-    if alone < 0 or alone >= links.points or not c.u[3 * alone] < -RESTING:
+    if alone < 0 or alone >= links.points or has_resistance(c, alone) or not c.u[3 * alone] < -RESTING:
         return -1
     return alone
 

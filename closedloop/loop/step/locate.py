@@ -34,6 +34,8 @@ def locate_tip(w: Work, constants: Constants, state: State) -> int:
     """Write the contact frame, the tip's motion in it, and the gap and its rate; return OK or NO_NORMAL."""
     if state.surface.entry == 0:
         locate_on_plane(w, constants)
+        if state.ball.entry != 0:
+            call_at(state.ball.entry, state.ball.at, 0)
         return OK
     if not ask_surface(w, constants.h, state):
         return NO_NORMAL
@@ -42,6 +44,8 @@ def locate_tip(w: Work, constants: Constants, state: State) -> int:
         w.tip.u[i] -= w.tip.carried[i]
         w.tip.drift_c[i] += w.tip.turning[i]
     w.tip.rate = w.tip.u[0]
+    if state.ball.entry != 0:
+        call_at(state.ball.entry, state.ball.at, 0)
     return OK
 
 
@@ -89,7 +93,9 @@ def set_anchor(w: Work, state: State) -> None:
 
 @kernel
 def off_anchor(w: Work, state: State, tangent: int) -> float:
-    """Return how far the tip is from where it stuck, m, along tangent 1 or 2."""
+    """Return how far the tip is from where it stuck, m, along tangent 1 or 2; 0 of a ball, which rolls on."""
+    if state.ball.entry != 0:
+        return 0.0
     if state.surface.entry == 0:
         return float(w.tip.p[tangent] - w.tip.anchor[tangent])
     _, ask = ask_at(state.surface.at)

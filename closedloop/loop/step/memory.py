@@ -122,6 +122,7 @@ class Trial(Block):
     steps: int  # of this search
     off: int  # 1 if an event at the end of this step happens there, not before
     watched: int  # 1 if the event that is searched for may be that an open contact of a link closes
+    settling: int  # of dual numbers (`closedloop.jit.dual8`): 1 while the slope at the instant found is sought, then 2
 
 
 class EventCount(Block):
@@ -148,6 +149,7 @@ class State(Block):
     surface_motion: Called
     loops: Loops  # of the mechanism
     contacts: Called  # of the links; without an entry there is none but the tip's
+    ball: Called  # the round end of the tool, see `closedloop.loop.step.ball_tip`; without an entry it is a point
     sensor: Sensor
     settings: Settings
     addresses: Addresses

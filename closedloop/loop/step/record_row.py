@@ -28,6 +28,7 @@ from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.closure.residuals import residuals
 from closedloop.mechanics.contacts.friction import remember_speed
 from closedloop.mechanics.contacts.memory import contacts_at
+from closedloop.mechanics.contacts.resistance import resistance_of
 
 Array = NDArray[np.float64]
 
@@ -81,6 +82,8 @@ class ContactRow(Block, sizes=("k",)):
     link_forces: Annotated[Array, K]
     link_frictions: Annotated[Array, 2 * K]
     link_slips: Annotated[Array, 2 * K]
+    link_rolling_moments: Annotated[Array, 2 * K]
+    link_pivoting_moments: Annotated[Array, K]
 
 
 CONTACT_RECORDED = tuple(ContactRow.layout.at)
@@ -267,3 +270,11 @@ def record_contacts(w: Work, state: State, part: Array) -> None:
         row.link_modes[to], row.link_gaps[to], row.link_forces[to] = c.mode[i], c.located[at], c.F[at]
         row.link_frictions[2 * to], row.link_frictions[2 * to + 1] = c.F[at + 1], c.F[at + 2]
         row.link_slips[2 * to], row.link_slips[2 * to + 1] = c.u[at + 1], c.u[at + 2]
+        for which in range(2):
+            s = resistance_of(c, i, which)
+            if s >= 0 and which == 0:
+                arm = c.resistance.arm[s]
+                row.link_rolling_moments[2 * to] = arm * c.F[3 * s + 1]
+                row.link_rolling_moments[2 * to + 1] = arm * c.F[3 * s + 2]
+            elif s >= 0:
+                row.link_pivoting_moments[to] = c.resistance.arm[s] * c.F[3 * s + 1]

@@ -29,6 +29,7 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
 )
+from closedloop.mechanics.contacts.resistance import add_turning, is_resistance, moved_by_turning, square_of_turning
 from closedloop.mechanics.loops.solve import orthonormal_rows
 
 Array = NDArray[np.float64]
@@ -205,11 +206,13 @@ def shortest_solutions(c: Contacts, p: int, rank: int, asked: float) -> bool:
         c.scratch.multiplier,
     )
     for j in range(p):
-        i, weight[j] = int(c.scratch.unknown[j]) // 3, 1.0
+        row = int(c.scratch.unknown[j])
+        i, square = row // 3, 1.0
         if not sticks(c, i):
-            weight[j] = 1.0 / (
-                1.0 + c.problem.along[i, 0] * c.problem.along[i, 0] + c.problem.along[i, 1] * c.problem.along[i, 1]
-            )
+            square += c.problem.along[i, 0] * c.problem.along[i, 0] + c.problem.along[i, 1] * c.problem.along[i, 1]
+        if row % 3 == 0:
+            square += square_of_turning(c, i)
+        weight[j] = 1.0 / square
     for r in range(rank):
         i = int(order[r])
         for q in range(r + 1):
@@ -357,6 +360,7 @@ def pulled_in(c: Contacts, i: int) -> bool:
     """Whether contact i, alone, slides so that a larger force does not push it out."""
     at = 3 * i
     own = c.W[at, at] - c.W[at, at + 1] * c.problem.along[i, 0] - c.W[at, at + 2] * c.problem.along[i, 1]
+    own += moved_by_turning(c, at, i)
     return bool(
         c.problem.form[i] == RAY and not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2])
     )
@@ -425,7 +429,10 @@ def list_unknowns(c: Contacts, k: int, most: float) -> int:
     for i in range(k):
         if c.problem.form[i] == OFF:
             continue
-        for j in range(3 if sticks(c, i) else 1):
+        first, last = 0, 3 if sticks(c, i) else 1
+        if is_resistance(c, i):
+            first, last = 1, last if last == 3 else 1  # its normal force is its owner's
+        for j in range(first, last):
             if c.W[3 * i + j, 3 * i + j] > IMMOBILE * 1e-6 * most:
                 c.scratch.unknown[p] = 3 * i + j
                 p += 1
@@ -437,6 +444,8 @@ def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
     """Add what an unknown stands for to a force: a component of one that sticks, f of one that slides."""
     force[row] += value
     i = row // 3
+    if row % 3 == 0:
+        add_turning(c, i, value, force)
     if not sticks(c, i):
         force[row + 1] -= c.problem.along[i, 0] * value
         force[row + 2] -= c.problem.along[i, 1] * value
@@ -456,6 +465,8 @@ def write_system(c: Contacts, k: int, p: int) -> float:
             i, w = column // 3, c.W[row, column]
             if not sticks(c, i):
                 w -= c.W[row, column + 1] * c.problem.along[i, 0] + c.W[row, column + 2] * c.problem.along[i, 1]
+            if column % 3 == 0:
+                w += moved_by_turning(c, row, i)
             c.scratch.system[r, q] = w
         c.scratch.sought[r] = -c.a[row] - s
         c.scratch.system[r, p], c.scratch.system[r, p + 1] = c.scratch.sought[r], c.scratch.sought[r] + c.b[row]

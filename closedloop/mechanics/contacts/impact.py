@@ -26,6 +26,7 @@ from closedloop.mechanics.contacts.friction import cone_limit, take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SMOOTH, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import touches
+from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 
 Array = NDArray[np.float64]
 
@@ -70,6 +71,8 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         c.problem.form[i] = OFF
         if c.friction.pulls[i] != 0.0:
             c.problem.form[i] = OFF if c.soft[i] != 0.0 else (DOUBLE if c.mu[i] > 0.0 else LINE)
+        elif is_resistance(c, i):
+            c.problem.form[i] = form_of_resistance(c, i, CONE)
         elif touches(links, c, i) and c.soft[i] == 0.0:
             c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
         c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
@@ -83,6 +86,9 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
             return PAINLEVE
     for i in range(k):
         if c.friction.pulls[i] != 0.0 or c.problem.form[i] == OFF:
+            continue
+        if is_resistance(c, i):
+            c.mode[i] = mode_of_resistance(c, i)
             continue
         parts = c.problem.after[3 * i] > 0.5 * slowest_rebound(links, c, i, rest_speed)
         if c.event.struck[i] != 0.0:
@@ -109,6 +115,7 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
             fastest = max(fastest, c.problem.after[3 * i])
         slow = math.hypot(c.problem.after[3 * i + 1], c.problem.after[3 * i + 2]) <= own_rest_speed(c, i, rest_speed)
         rests = slow and c.mu[i] > 0.0
+        stays = stays and not is_resistance(c, i)  # it may roll on
         if not pulls:
             c.problem.form[i] = OFF if not stays else (CONE if rests else RAY)
         elif c.problem.form[i] != OFF:

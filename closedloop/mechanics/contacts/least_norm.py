@@ -20,6 +20,8 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.complementarity import into_cone
 from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
+from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
+from closedloop.mechanics.contacts.shared_cone import add_shared_slope, nearest_shared
 
 Array = NDArray[np.float64]
 
@@ -77,6 +79,9 @@ def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
         return False
     for i in range(m):
         force[i] = c.scratch.trial[i] - c.viscous[i]
+    for i in range(k):  # a resistance has the normal force of its contact
+        if is_resistance(c, i):
+            force[3 * i] = force[3 * int(c.resistance.owner[i])] if c.problem.form[i] != OFF else 0.0
     return True
 
 
@@ -91,8 +96,12 @@ def project_all(c: Contacts, k: int, multiplier: Array, spans: bool) -> float:
         c.scratch.best[i], c.scratch.trial[i] = s, s
     for i in range(k):
         F, kind = c.scratch.trial[3 * i : 3 * i + 3], c.problem.form[i]
-        if kind == OFF:
+        if is_resistance(c, i):
+            F[0] = 0.0  # the rest is written with its owner's
+        elif kind == OFF:
             F[0], F[1], F[2] = 0.0, 0.0, 0.0
+        elif has_resistance(c, i):
+            nearest_shared(c, i, c.scratch.best, spans, c.scratch.trial)
         elif kind in (CONE, DOUBLE):
             if kind == DOUBLE:
                 F[0] *= c.friction.sense[i]
@@ -137,7 +146,12 @@ def newton(c: Contacts, k: int, spans: bool, scale: float) -> None:
         S[j, j] = 1e-11 * scale
         S[j, n] = c.scratch.solution[1, j]
     for i in range(k):
-        if c.problem.form[i] == OFF or not write_slope(c, i, spans):
+        if c.problem.form[i] == OFF or is_resistance(c, i):
+            continue
+        if has_resistance(c, i):
+            add_shared_slope(c, i, c.scratch.best, spans, c.scratch.trial, c.scratch.Y, S)
+            continue
+        if not write_slope(c, i, spans):
             continue
         for a in range(3):
             for b in range(3):

@@ -2,8 +2,10 @@
 
 Contact 0 is the tip with the scenario's surface; then come those of the sections [[contact]], in their order; then, of
 each joint with stops, the nearer of its two; then each joint, if dry friction may hold it: a contact with its largest
-torque as normal force, there only while modes are sought. Every contact has three rows, along its normal and two
-tangents, so k contacts have 3 k; those of a stop are ± q̇ of its joint and two of zeros, in rad (m) and N m (N).
+torque as normal force, there only while modes are sought. Before the joints come the resistances to rolling and to
+pivoting (`closedloop.mechanics.contacts.resistance`), contacts with the normal force of another. Every contact has
+three rows, along its normal and two tangents, so k contacts have 3 k; those of a stop are ± q̇ of its joint and two of
+zeros, in rad (m) and N m (N).
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ class ContactLinks(Block):
     n: int  # joints
     k: int  # contacts, the tip's and the stops of joints among them
     points: int  # how many of them, the first, are points that touch surfaces
-    stops: int  # how many, after these; what follows is of joints with friction, while modes are sought alone
+    stops: int  # how many, after these
+    joints: int  # number of the first that stands for the friction of a joint, while modes are sought alone
     surfaces: int  # address of the entry and the memory of the surface of each, 0 of a plane at rest; 0: all are such
     compliances: int  # address of the same of the compliance of each, 0 of a rigid one; 0: all are rigid
     shapes: int  # address of the memory of their shapes, see `closedloop.mechanics.contacts.shapes`; 0: all are points
@@ -145,6 +148,15 @@ class ContactFriction(Block, sizes=("k", "past")):
     speeds: Annotated[Array, K, PAST]  # of slip at the latest rows, m/s
 
 
+class Resistance(Block, sizes=("k",)):
+    """Resistance to rolling and to pivoting, contacts of their own; see `closedloop.mechanics.contacts.resistance`."""
+
+    owner: Annotated[Array, K]  # the contact whose normal force such a contact has; −1 of every other contact
+    arm: Annotated[Array, K]  # largest moment of one, divided by that force, m
+    rolling: Annotated[Array, K]  # of each contact the one that is its resistance to rolling, or −1
+    pivoting: Annotated[Array, K]  # and to pivoting
+
+
 class Contacts(Block, sizes=("n", "k", "past")):
     """What k contacts are, and what they are at a state of n joints; rows n, t1, t2 of each contact."""
 
@@ -183,6 +195,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)
     margin: float  # of the event function
     friction: ContactFriction
+    resistance: Resistance
     problem: Problem
     event: ContactEvent
     step: TimeStep
@@ -213,11 +226,18 @@ class ContactMemory(NamedTuple):
 
 
 def make_contact_memory(
-    n: int, k: int, rows: LoopMemory | None = None, stops: int = 0, joints: int = 0, past: int = 0
+    n: int,
+    k: int,
+    rows: LoopMemory | None = None,
+    stops: int = 0,
+    joints: int = 0,
+    past: int = 0,
+    resistances: tuple[tuple[int, float, bool], ...] = (),
 ) -> ContactMemory:
     """Return the memory of k contacts of a tree of n joints: points, `rows` of all but the first, stops, and joints.
 
-    Of each the speeds of slip at `past` rows are kept.
+    Of each the speeds of slip at `past` rows are kept. `resistances` has the contact, the arm, m, and whether it is to
+    pivoting, of those that stand before the joints.
     """
     links = ContactLinks(np.zeros(CONTACT_LINKS, dtype=np.int64))
     contacts = Contacts(np.zeros(Contacts.count(n, k, past)), n, k, past)
@@ -226,7 +246,13 @@ def make_contact_memory(
         address_of(contacts.memory),
         contacts.memory.size,
     )
-    links.n, links.k, links.points, links.stops, links.past = n, k, k - stops - joints, stops, past
+    links.n, links.k, links.stops, links.joints, links.past = n, k, stops, k - joints, past
+    links.points = links.joints - stops - len(resistances)
+    turns = contacts.resistance
+    turns.owner[:], turns.rolling[:], turns.pivoting[:] = -1.0, -1.0, -1.0
+    for i, (owner, arm, pivots) in enumerate(resistances, links.points + stops):
+        turns.owner[i], turns.arm[i], contacts.mu[i] = owner, arm, 1.0
+        (turns.pivoting if pivots else turns.rolling)[owner] = i
     contacts.past_edge[k - joints :] = 1.0
     links.rows = 0 if rows is None else rows.address
     contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf

@@ -28,6 +28,7 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
 )
+from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 
 Array = NDArray[np.float64]
 
@@ -50,6 +51,12 @@ def touches(links: ContactLinks, c: Contacts, i: int) -> bool:
     if c.past_edge[i] != 0.0:
         return False
     return bool(c.mode[i] != FREE or c.located[3 * i] <= (HOVERING if links.fresh != 0 else TOUCHING))
+
+
+@kernel
+def near(c: Contacts, i: int) -> bool:
+    """Whether a contact is closed, or so near that it may close."""
+    return bool(c.mode[i] != FREE or c.located[3 * i] <= HOVERING)
 
 
 @kernel
@@ -81,10 +88,13 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             found = solve_contacts(c, k)
     if not found:
         return PAINLEVE
-    for i in range(links.points + links.stops):
+    for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
             mode = mode_after(c, i, NO_ACCELERATION * size, links.chattering != 0)
-            c.event.happened[i] = 0.0 if links.fresh != 0 else happened_to(c, i, mode)
+            if is_resistance(c, i) and mode_of_resistance(c, i) == FREE:
+                mode = FREE
+            told = links.fresh == 0 and not is_resistance(c, i)
+            c.event.happened[i] = happened_to(c, i, mode) if told else 0.0
             if mode == STUCK and c.mode[i] != STUCK:
                 for j in range(3 * i, 3 * i + 3):
                     c.anchor[j] = c.at[j]
@@ -100,9 +110,9 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
 def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
     """Write the kind of each contact and the direction of those that slip; return the size of accelerations."""
     n, size = c.X.shape[1], 0.0
-    for i in range(links.points + links.stops, links.k):
+    for i in range(links.joints, links.k):
         c.problem.form[i] = CONE if c.a[3 * i] != 0.0 else OFF
-    for i in range(links.points + links.stops):
+    for i in range(links.joints):
         at = 3 * i
         for row in range(at, at + 3):
             s = abs(c.drift[row])
@@ -112,7 +122,10 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
         c.problem.form[i], c.problem.along[i, 0], c.problem.along[i, 1] = OFF, 0.0, 0.0
         c.viscous[at + 1], c.viscous[at + 2] = 0.0, 0.0
         pulls = c.friction.pulls[i] != 0.0
-        if not pulls and (not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > PARTING and c.soft[i] == 0.0)):
+        if is_resistance(c, i):
+            if form_of_resistance(c, i, CONE) == OFF:
+                continue
+        elif not pulls and (not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > PARTING and c.soft[i] == 0.0)):
             continue
         if not pulls and c.soft[i] != 0.0 and c.located[at] >= 0.0 and c.u[at] > 0.0:
             continue
@@ -159,7 +172,8 @@ def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
     slips, against the friction that would have to hold it.
     """
     at = 3 * i
-    if c.friction.pulls[i] == 0.0 and (c.problem.form[i] == OFF or c.problem.after[at] > nothing):
+    leaves = c.problem.after[at] > nothing and not is_resistance(c, i)
+    if c.friction.pulls[i] == 0.0 and (c.problem.form[i] == OFF or leaves):
         return FREE
     # Where a force has just become zero there is hardly any acceleration; that the mode would have it pull says more.
     if c.friction.pulls[i] == 0.0 and c.event.pulled[i] != 0.0 and c.F[at] <= c.problem.rounding:

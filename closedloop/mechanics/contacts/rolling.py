@@ -52,37 +52,69 @@ def roll_on_surface(joints: LoopLinks, rows: LoopRows, shapes: Shapes, c: Contac
     The rows are turned to n, t1 and t2 already. With r = −ρ n, and ω relative to the surface, u_1 = −ρ ω·t2 and
     u_2 = ρ ω·t1 are added to the centre's velocity, and their rates; t1 and t2 turn with the surface and along it.
     """
-    at_n, touch, pose, N = 3 * i, Touch(ask.touch), Pose(ask.pose), ask.frame
+    at_n = 3 * i
     turn_against(joints, rows, at_n - 3, shapes)
-    radius, spin, rate = shapes.shape[i, RADIUS], shapes.spin, shapes.spin_rate
+    radius, u, carried = shapes.shape[i, RADIUS], c.u[at_n : at_n + 3], c.carried[at_n : at_n + 3]
+    turn_on_surface(shapes, ask)
+    for a in range(3):
+        shapes.reach[i, a] = -radius * ask.frame[0, a]
+    G, turning, drift = c.G[at_n : at_n + 3], c.turning[at_n : at_n + 3], c.drift[at_n : at_n + 3]
+    move_to_ball(shapes, radius, G, u, carried, turning, drift)
+
+
+@kernel
+def move_to_ball(
+    shapes: Shapes, radius: float, G: Array, u: Array, carried: Array, turning: Array, drift: Array
+) -> None:
+    """Move rows n, t1 and t2 from a ball's centre to where it touches, of the turning in `shapes`; see the above."""
+    spin, own = shapes.spin, shapes.carried
+    for a in range(1, 3):
+        t, sign = 3 - a, -radius if a == 1 else radius
+        for j in range(shapes.turns.shape[1]):
+            G[a, j] += sign * shapes.turns[t, j]
+        carried[a] += sign * own[t]
+        u[a] += sign * (spin[t] - own[t])
+        turning[a] += sign * shapes.turning[t]
+        drift[a] += sign * (shapes.turning[t] + shapes.spin_rate[t])
+
+
+@kernel
+def turn_on_surface(shapes: Shapes, ask: Ask) -> None:
+    """Turn what `turn_against` has written for a contact to n, t1 and t2 of a surface that is curved or moves.
+
+    It has been asked about the centre of what touches. Written too: of ω what the surface has by itself, and what
+    turning of n, t1 and t2, with the surface and along it, adds to the rate of ω relative to the surface.
+    """
+    touch, pose, N, v = Touch(ask.touch), Pose(ask.pose), ask.frame, ask.velocity
+    spin, rate = shapes.spin, shapes.spin_rate
     slip, along, turned = shapes.wander, shapes.normal, row_of(shapes.axes, 0)
     for a in range(3):
-        shapes.reach[i, a] = -radius * N[0, a]
-        slip[a] = 0.0  # the centre's velocity relative to the surface, in the surface's axes
+        slip[a] = 0.0  # the velocity relative to the surface, in the surface's axes
         for m in range(3):
-            slip[a] += touch.local[m, a] * c.u[at_n + m]
+            slip[a] += touch.local[m, a] * (N[m, 0] * v[0] + N[m, 1] * v[1] + N[m, 2] * v[2] - touch.carried[m])
     normal_rate(slip, touch, along)
     for a in range(3):
         turned[a] = 0.0  # ω relative to the surface, in its axes
         for m in range(3):
             turned[a] += pose.axes[a, m] * (spin[m] - pose.spin[m])
     bend1, bend2 = tangent_rates(along, turned, touch)
+    bend0 = along[0] * turned[0] + along[1] * turned[1] + along[2] * turned[2]
     w, s = spin, pose.spin
     c0, c1, c2 = w[1] * s[2] - w[2] * s[1], w[2] * s[0] - w[0] * s[2], w[0] * s[1] - w[1] * s[0]  # ω × s
-    for a in range(1, 3):
-        t, sign = 3 - a, -radius if a == 1 else radius
-        x, y, z = N[t, 0], N[t, 1], N[t, 2]
-        bend = bend2 if a == 1 else bend1
-        for j in range(joints.n):
-            g = x * shapes.turns[0, j] + y * shapes.turns[1, j] + z * shapes.turns[2, j]
-            c.G[at_n + a, j] += sign * g
-        own = sign * (x * s[0] + y * s[1] + z * s[2])
-        c.carried[at_n + a] += own
-        c.u[at_n + a] += sign * (x * w[0] + y * w[1] + z * w[2]) - own
+    for a in range(3):
+        x, y, z = N[a, 0], N[a, 1], N[a, 2]
+        bend = bend0 if a == 0 else (bend1 if a == 1 else bend2)
+        shapes.carried[a] = x * s[0] + y * s[1] + z * s[2]
         turning = bend - (x * pose.spin_rate[0] + y * pose.spin_rate[1] + z * pose.spin_rate[2])
-        turning += x * c0 + y * c1 + z * c2
-        c.turning[at_n + a] += sign * turning
-        c.drift[at_n + a] += sign * (turning + x * rate[0] + y * rate[1] + z * rate[2])
+        shapes.turning[a] = turning + x * c0 + y * c1 + z * c2
+    w0, w1, w2, r0, r1, r2 = w[0], w[1], w[2], rate[0], rate[1], rate[2]
+    for a in range(3):
+        x, y, z = N[a, 0], N[a, 1], N[a, 2]
+        w[a], rate[a] = x * w0 + y * w1 + z * w2, x * r0 + y * r1 + z * r2
+    for j in range(shapes.turns.shape[1]):
+        g0, g1, g2 = shapes.turns[0, j], shapes.turns[1, j], shapes.turns[2, j]
+        for a in range(3):
+            shapes.turns[a, j] = N[a, 0] * g0 + N[a, 1] * g1 + N[a, 2] * g2
 
 
 @kernel

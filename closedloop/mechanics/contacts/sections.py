@@ -44,6 +44,7 @@ class ImpactSection(Section):
     )
 
 
+ARM = Size(10.0, "m", "no contact is so wide", 1e-9, "smaller ones are rounding")
 # What `at` says of all collision shapes of the link.
 COLLISION = "collision"
 # A shape thinner than this share of its largest half axis has one half axis less.
@@ -99,6 +100,12 @@ class ContactSection(Section):
     friction_law: Annotated[SurfaceFriction, SURFACE_LAWS] | None = Field(
         None, description="another law of friction in its place, with the keys of [friction]; Coulomb's if left out"
     )
+    rolling: Annotated[NotNegative, ARM] = Field(
+        0.0, description="arm of the moment against rolling, m: at most this times the normal force"
+    )
+    pivoting: Annotated[NotNegative, ARM] = Field(
+        0.0, description="arm of the moment against pivoting about the normal, m: at most this times the normal force"
+    )
     restitution: Restitution = Field(
         0.0, description="coefficient of restitution, 0 to 1: of its law alone, Newton's with others"
     )
@@ -123,6 +130,11 @@ class ContactSection(Section):
         """The point, m, of a contact that is not of all collision shapes of its link."""
         assert not isinstance(self.at, str)
         return self.at
+
+    @property
+    def resists(self) -> bool:
+        """Whether it has a moment against rolling or pivoting."""
+        return self.rolling > 0.0 or self.pivoting > 0.0
 
     @property
     def rolls(self) -> bool:

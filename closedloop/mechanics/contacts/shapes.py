@@ -58,6 +58,8 @@ class Shapes(Block, sizes=("n", "k")):
     turns: Annotated[Array, 3, N]  # rows of ω relative to the frame that carries the surface: ω = turns q̇
     spin: Annotated[Array, 3]  # ω, rad/s
     spin_rate: Annotated[Array, 3]  # its rate at q̈ = 0, rad/s²
+    carried: Annotated[Array, 3]  # of ω what a surface that turns by itself has, and what its turning adds to the rate
+    turning: Annotated[Array, 3]
     wander: Annotated[Array, 3]  # ṙ, m/s
     normal: Annotated[Array, 3]
     axes: Annotated[Array, 3, 3]  # of the link that has the shape, as columns

@@ -22,6 +22,7 @@ from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches
+from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,8 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
         c.problem.form[i] = OFF
         if c.friction.pulls[i] != 0.0:
             c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
+        elif is_resistance(c, i):
+            c.problem.form[i] = form_of_resistance(c, i, CONE)
         elif touches(links, c, i):
             c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
     if not solve_contacts(c, k) and not come_near(c, k):
@@ -63,6 +66,9 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
             c.step.force[j] = c.F[j] / SPAN
         c.event.happened[i], c.friction.start_slip[i] = 0.0, 0.0
         if c.friction.pulls[i] != 0.0:
+            continue
+        if is_resistance(c, i):
+            c.mode[i] = mode_of_resistance(c, i)
             continue
         mode = PRESSED if c.F[at] > 0.0 else FREE  # what sticks after the step is found then
         c.event.happened[i] = happened_to(c, i, mode)

@@ -239,7 +239,7 @@ class Robot:
         model, data = self._pin, self._data
         return np.array([pin.computePotentialEnergy(model, data, row) for row in self._rows(q)])
 
-    def wrist_wrench(self, q: Array, v: Array, a: Array, tip_force: Array) -> Array:
+    def wrist_wrench(self, q: Array, v: Array, a: Array, tip_force: Array, tip_moment: Array | None = None) -> Array:
         """Return what a force-torque sensor between the arm and its tool reads, (N, 6), N and N m.
 
         The force and the moment with which the arm moves all that is fixed to the tip's frame, tool and payload: their
@@ -255,18 +255,21 @@ class Robot:
             Joint positions, rad (m), velocities, rad/s (m/s), and accelerations, rad/s² (m/s²).
         tip_force : (N, 3) array
             Force of the surface on the tip, N, base axes.
+        tip_moment : (N, 3) array, optional
+            Its moment about the tip, N m, base axes.
         """
         model, data, frame = self._pin, self._data, self._frame
         Y, offset = carried_by(self.model.tools, self.tip)
         back = pin.SE3(np.eye(3), offset)  # the tip in the sensor's frame
         found = np.empty((len(q), 6))
+        moments = np.zeros((len(q), 3)) if tip_moment is None else tip_moment
         for k, (qk, vk, ak) in enumerate(zip(self._rows(q), *map(np.ascontiguousarray, (v, a)), strict=True)):
             pin.forwardKinematics(model, data, qk, vk, ak)
             turn = pin.updateFramePlacement(model, data, frame).rotation.T
             motion = back.act(pin.getFrameVelocity(model, data, frame, pin.LOCAL))
             rate = back.act(pin.getFrameAcceleration(model, data, frame, pin.LOCAL))
             rate.linear -= turn @ self.gravity
-            contact = back.act(pin.Force(turn @ tip_force[k], np.zeros(3)))
+            contact = back.act(pin.Force(turn @ tip_force[k], turn @ moments[k]))
             found[k] = (Y * rate + motion.cross(Y * motion) - contact).vector
         return found
 

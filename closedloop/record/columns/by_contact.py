@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.record.columns.recorded import CONTACT_COLUMNS
+from closedloop.record.columns.recorded import CONTACT_COLUMNS, RESISTANCE_COLUMNS
 from closedloop.scenario.contact_names import labels_of, tangents_of
 
 
@@ -14,5 +14,6 @@ def columns_by_contact(sections: tuple[ContactSection, ...]) -> dict[str, tuple[
     return {
         f"{name}_{label}": (name, k)
         for name, spec in CONTACT_COLUMNS.items()
+        if name not in RESISTANCE_COLUMNS or any(section.resists for section in sections)
         for k, label in enumerate(ways[spec.dims[1]])
     }

@@ -67,19 +67,31 @@ def _drive(run: Record) -> Array:
     return found
 
 
+def tip_moment(run: Record) -> Array:
+    """Return the moment of the force of the surface about the tip's centre, (N, 3), N m, base axes."""
+    return np.cross(-run.scenario.tool.radius * run.surface_normal, run.friction_force)
+
+
 def _of_contacts(run: Record, robot: Robot) -> Array:
-    """Return the torques of the contacts of links in each row, (N, n), N m (N)."""
+    """Return the torques of the contacts of links in each row, and of the moment at the tip, (N, n), N m (N)."""
+    of_tip = np.zeros(run.v.shape)
+    if run.scenario.tool.radius > 0.0:
+        for k, moment in enumerate(tip_moment(run)):
+            of_tip[k] = robot.frame_jacobian(run.q[k])[3:].T @ moment
     if not run.scenario.contact:
-        return np.zeros(run.v.shape)
+        return of_tip
     model = robot.model.pinocchio_model()
     q = robot.pinocchios(run.q)
-    return contact_torques(run.scenario, model, run.time, q, run.link_forces, run.link_frictions)
+    resists = any(section.resists for section in run.scenario.contact)
+    moments = (run.link_rolling_moments, run.link_pivoting_moments) if resists else ()
+    of_links = contact_torques(run.scenario, model, run.time, q, run.link_forces, run.link_frictions, *moments)
+    return of_tip + of_links
 
 
 def wrist_wrench(run: Record) -> Array:
     """Return what `Robot.wrist_wrench` says of each row, (N, 6)."""
     robot = robot_of(run.scenario, without_tools(run.model))
-    return robot.wrist_wrench(run.q, run.v, run.acceleration, tip_force(run))
+    return robot.wrist_wrench(run.q, run.v, run.acceleration, tip_force(run), tip_moment(run))
 
 
 def tool_angle(run: Record) -> Array:

@@ -80,7 +80,13 @@ CONTACT_COLUMNS: dict[str, Column] = {
         ("time", "contact_tangent"), "N", "force of each along the two tangents, in the axes of the plane's link"
     ),
     "link_slips": Column(("time", "contact_tangent"), "m s-1", "velocity of each along the two tangents"),
+    "link_rolling_moments": Column(
+        ("time", "contact_tangent"), "N m", "resistance of each to rolling, about the two tangents"
+    ),
+    "link_pivoting_moments": Column(("time", "contact"), "N m", "resistance of each to pivoting, about its normal"),
 }
+# Those of them that a run has if one of its contacts resists to rolling or to pivoting.
+RESISTANCE_COLUMNS = ("link_rolling_moments", "link_pivoting_moments")
 SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
 
 # What it has if there is a surface that its tip may touch; without one a `Run` answers with zeros.

@@ -73,7 +73,14 @@ def placed_frame(mechanism: Any, name: str) -> tuple[int, Array, Array]:
 
 
 def contact_torques(
-    scenario: Scenario, mechanism: Any, times: Array, q: Array, forces: Array, frictions: Array
+    scenario: Scenario,
+    mechanism: Any,
+    times: Array,
+    q: Array,
+    forces: Array,
+    frictions: Array,
+    rolling: Array | None = None,
+    pivoting: Array | None = None,
 ) -> Array:
     """Return the torques of the k contacts of a scenario's links on the joints in N rows, (N, n), N m (N).
 
@@ -87,6 +94,8 @@ def contact_torques(
         rad (m), as Pinocchio has them.
     forces, frictions : (N, k) and (N, 2 k) arrays
         Along the normals and the tangents, N, on the links that have the points.
+    rolling, pivoting : (N, 2 k) and (N, k) arrays, optional
+        Moments about the tangents and the normals, N m, on the same links.
     """
     import pinocchio as pin
 
@@ -98,10 +107,15 @@ def contact_torques(
         for i, touching in enumerate(contacts):
             rub, t = frictions[k, 2 * i : 2 * i + 2], float(times[k])
             place, force = touching.force(float(forces[k, i]), rub, axes, origins, t)
+            moment = np.zeros(3)
+            if rolling is not None and pivoting is not None:
+                moment = touching.force(float(pivoting[k, i]), rolling[k, 2 * i : 2 * i + 2], axes, origins, t)[1]
             for joint, sign in ((touching.point_frame, 1.0), (touching.plane_frame, -1.0)):
                 if joint > 0:
                     J = pin.getJointJacobian(mechanism, data, joint, pin.LOCAL_WORLD_ALIGNED)
-                    torques[k] += sign * (J[:3].T @ force + J[3:].T @ np.cross(place - origins[joint], force))
+                    torques[k] += sign * (
+                        J[:3].T @ force + J[3:].T @ (np.cross(place - origins[joint], force) + moment)
+                    )
     return torques
 
 

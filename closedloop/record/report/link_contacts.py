@@ -13,6 +13,7 @@ from closedloop.mechanics.contacts.soft import is_soft
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.contact_names import names_of
+from robot_models.coordinates import in_pinocchios_order
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,10 @@ def share_not_determined(run: Record) -> tuple[float, int, int] | None:
                 forces[at, i] = 1.0
             else:
                 frictions[at, 2 * i + j - 1] = 1.0
-        times, q = np.full(len(units), run.time[row]), np.tile(run.q[row], (len(units), 1))
+        times, q = (
+            np.full(len(units), run.time[row]),
+            np.tile(in_pinocchios_order(run.q[row], run.model.joint_types), (len(units), 1)),
+        )
         rows = contact_torques(run.scenario, mechanism, times, q, forces, frictions)
         rank = int(np.linalg.matrix_rank(rows, tol=SAME_ROW * float(np.max(np.abs(rows), initial=0.0))))
         if rank < len(units):

@@ -47,13 +47,14 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
     rows, points = rows_of(sections, robot), len(sections) + 1
     stops = np.flatnonzero(np.isfinite(stop_limits(scenario, robot.model)).any(axis=0))
     held = robot.n if joint_friction_of(scenario, robot.model).sticks == "rigid" else 0
-    names, k = names_of(sections), points + len(stops) + held
+    turns = resistances_of(sections)
+    names, k = names_of(sections), points + len(stops) + len(turns) + held
     laws = laws_of(scenario, names)
     asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
     past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
-    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past)
+    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns)
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
-    contacts.restitution[points:] = scenario.robot.stop_restitution
+    contacts.restitution[points : points + len(stops)] = scenario.robot.stop_restitution
     contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]
     contacts.rest_speed[1:points] = [section.rest_speed or 0.0 for section in sections]
     contacts.joint[points : points + len(stops)] = stops
@@ -67,7 +68,7 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
         contacts.soft[list(compliances.members)] = 1.0
         links.compliances = address_of(compliances.addresses)
         links.keep_alive(compliances=compliances)
-    if any(section.rolls for section in sections):
+    if turns or any(section.rolls for section in sections):
         shapes = shapes_of(sections, robot, k)
         links.shapes = shapes.address
         links.keep_alive(shapes=shapes)
@@ -76,6 +77,16 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
         links.surfaces = address_of(placed.addresses)
         links.keep_alive(surfaces=placed)
     return memory
+
+
+def resistances_of(sections: tuple[ContactSection, ...]) -> tuple[tuple[int, float, bool], ...]:
+    """Return the resistances of each contact: its number, the arm, m, and whether it is to pivoting, not to rolling."""
+    return tuple(
+        (i, arm, pivots)
+        for i, section in enumerate(sections, 1)
+        for arm, pivots in ((section.rolling, False), (section.pivoting, True))
+        if arm > 0.0
+    )
 
 
 def laws_of(scenario: Scenario, names: tuple[str, ...]) -> dict[int, tuple[SurfaceFriction, str]]:
@@ -135,10 +146,10 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
     sides: list[tuple[int, int]] = []
     at_a, at_b, along = [], [], []
     for section, name in zip(sections, names_of(sections), strict=True):
-        a, _, point = _placed(robot, poses, section.link, section.point, f"contact {name!r}: link")
+        a, _, point = placed_on_link(robot, poses, section.link, section.point, f"contact {name!r}: link")
         flat = surface_of(section, name) is None
         origin = section.through if flat else (0.0, 0.0, 0.0)
-        b, axes, plane = _placed(robot, poses, section.against, origin, f"contact {name!r}: against")
+        b, axes, plane = placed_on_link(robot, poses, section.against, origin, f"contact {name!r}: against")
         frame = contact_frame(unit(section.normal, f"contact {name!r}: normal")) if flat else np.eye(3)
         for k in range(3):
             sides.append((a, b))
@@ -162,12 +173,12 @@ def shapes_of(sections: tuple[ContactSection, ...], robot: Robot, k: int) -> Sha
     for i, (section, name) in enumerate(zip(sections, names_of(sections), strict=True), 1):
         if section.rolls:
             found[i] = shape_of(
-                section, _placed(robot, poses, section.link, section.point, f"contact {name!r}: link")[1]
+                section, placed_on_link(robot, poses, section.link, section.point, f"contact {name!r}: link")[1]
             )
     return make_shape_memory(robot.n, found)
 
 
-def _placed(
+def placed_on_link(
     robot: Robot, poses: list[tuple[Array, Array]], frame: str, at: tuple[float, ...], where: str
 ) -> tuple[int, Array, Array]:
     """Return the link that carries a frame, the frame's axes and a point of it, m, both in the link's own axes."""

@@ -49,6 +49,7 @@ def can_use_lanes(scenario: Scenario) -> bool:
     return (
         not needs_general_form(scenario)
         and scenario.surface.kind == "plane"
+        and scenario.tool.radius == 0.0
         and scenario.surface_motion.kind == "none"
         and np.isinf(scenario.surface.bounds()[0])
         and scenario.compliance.kind == "none"

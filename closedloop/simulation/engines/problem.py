@@ -16,6 +16,7 @@ from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.jit.user_code import why_member_not_compiled
 from closedloop.loop.events.phases import MEASURED, STEP_END
+from closedloop.loop.step.ball_tip import ball_tip
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
@@ -33,11 +34,17 @@ from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.simulation.engines.bind_ball import ball_memory
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, starts_closed
 from closedloop.simulation.engines.loop_start import close_reading
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
 from closedloop.simulation.engines.start_memory import write_constants, write_start, write_state
+
+
+def as_it_is(entry: Any) -> Any:
+    """Return an entry of floats."""
+    return entry
 
 
 class Problem(ScenarioNumbers):
@@ -76,6 +83,10 @@ class Problem(ScenarioNumbers):
             memory = self.surface.memory()
             state.surface.at = memory.address
             loop.w.keep_alive(surface=memory)
+        if self.scenario.tool.radius > 0.0 and self.scenario.has_surface:
+            ball = ball_memory(self.robot, self.surface, self.scenario.tool.radius, state.address)
+            state.ball.at = ball.links.address
+            loop.w.keep_alive(ball=ball)
         if self.bound:
             loops = step_memory(self.robot, self.stopped)
             state.loops.at, loops.links.loop = loops.address, state.address
@@ -129,11 +140,19 @@ class Problem(ScenarioNumbers):
         entries = list(self.entries(user_law).values())
         if loop.state.loops.at != 0:
             entries.append(closed_loops)
+        if loop.state.ball.at != 0:
+            entries.append(ball_tip)
         if loop.state.contacts.at != 0:
             entries += [contacts_in_step, *(each.entry for each in contact_members(loop))]
         return entries
 
-    def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
+    def connect(
+        self,
+        loop: Loop,
+        user_law: Callable[[bool], None] | None = None,
+        compiled: bool = True,
+        form: Callable[[Any], Any] = as_it_is,
+    ) -> None:
         """Write into a loop's memory where what it calls is: machine code, or what an interpreted loop calls.
 
         Parameters
@@ -145,22 +164,29 @@ class Problem(ScenarioNumbers):
         compiled : bool
             Whether the loop is machine code. A user's class is compiled in either case, so that a run which begins
             interpreted refuses what the next one would.
+        form : callable
+            Returns the form of an entry that is called, see `closedloop.jit.dual.dual`.
 
         Raises
         ------
         ScenarioError
             If numba cannot compile a user's member.
         """
-        address = entry_address if compiled else twin_address
+
+        def address(entry: Any) -> int:
+            return entry_address(form(entry)) if compiled else twin_address(entry)
+
         loop.state.proceed = address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
-            getattr(loop.state, name).entry = _address_of(entry, name, getattr(self.scenario, name), compiled)
+            getattr(loop.state, name).entry = _address_of(form(entry), name, getattr(self.scenario, name), compiled)
         if loop.state.loops.at != 0:
             loop.state.loops.entry = address(closed_loops)
+        if loop.state.ball.at != 0:
+            loop.state.ball.entry = address(ball_tip)
         if loop.state.contacts.at != 0:
             loop.state.contacts.entry = address(contacts_in_step)
             for each in contact_members(loop):
-                _address_of(each.entry, f"contact.{each.contact - 1}.{each.key}", each.member, compiled)
+                _address_of(form(each.entry), f"contact.{each.contact - 1}.{each.key}", each.member, compiled)
             for members in _contact_families(loop):
                 members.connect(address)
         if loop.state.surface_motion.entry != 0:

@@ -38,6 +38,7 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.mechanics.contacts.modes import HOVERING, TOUCHING, touches
+from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.soft import stored_in
 
 Array = NDArray[np.float64]
@@ -64,8 +65,6 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
     links.stepped, links.chattering = 0, 1 if state.event.rapid > MAX_RAPID else 0
     if too_many_events(state, 2 * MAX_RAPID):
         state.status, links.chattering = OK, 2
-    if links.unbounded != 0:
-        links.unbounded, links.chattering = 0, 2
     ask_contacts(state, PLACE)
     if state.striking >= 0:
         i = 3 * state.striking
@@ -158,13 +157,17 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
 def off_surfaces(links: ContactLinks, c: Contacts) -> bool:
     """Whether a rigid contact is off its surface, or has parted from below it, by more than rounding: it is put there.
 
-    A time step presses it in, and what parts and comes back within a nanometre comes back below.
+    A time step presses it in, and what parts and comes back within a nanometre comes back below. Where a round shape
+    is closed nothing is moved: the point that touches would be another.
     """
-    for i in range(links.k):
+    least = 0.0
+    for i in range(links.points + links.stops):
         off, open_now = c.located[3 * i], c.mode[i] == FREE
+        if links.shapes != 0 and rolls(shapes_at(links.shapes), i) and not open_now:
+            return False
         if c.soft[i] == 0.0 and ((open_now and c.floor[i] < -OFF_SURFACE) or (not open_now and abs(off) > OFF_SURFACE)):
-            return True
-    return False
+            least = -1.0
+    return bool(least < 0.0)
 
 
 @kernel

@@ -449,14 +449,16 @@ def closed_depth(links: ContactLinks, c: Contacts) -> float:
 def force_over_load(links: ContactLinks, c: Contacts) -> float:
     """Return the largest force of rigid contacts that are closed, over that which would stop their accelerations.
 
-    It grows without bound on the way to Painlevé's paradox.
+    It grows without bound on the way to Painlevé's paradox. Where none slides there is none: zero.
     """
-    largest, asked, most = 0.0, 0.0, 0.0
+    largest, asked, most, slides = 0.0, 0.0, 0.0, 0.0
     for i in range(links.points + links.stops):
         for j in range(3 * i, 3 * i + 3 if c.soft[i] == 0.0 and c.mode[i] != FREE else 0):
             largest, asked = max(largest, abs(c.rigid[j])), max(asked, abs(c.a[j]))
             most = max(most, c.W[j, j])
-    return float(largest * most / asked) if asked > 0.0 else 0.0
+        if c.mode[i] == PRESSED and c.mu[i] > 0.0:
+            slides = 1.0
+    return float(slides * largest * most / asked) if asked > 0.0 else 0.0
 
 
 @kernel

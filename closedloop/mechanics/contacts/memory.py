@@ -57,7 +57,6 @@ class ContactLinks(Block):
         int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit; 2 after
     )
     # too many: their modes are not sought
-    unbounded: int  # 1 if the forces in the present modes grow without bound: a time step is to go on
     stepped: int  # 1 while the forces are those of a time step, see `closedloop.mechanics.contacts.time_step`
     record_at: int  # where in a row of the record there is a `ContactRow`
 

@@ -165,7 +165,8 @@ class PlacedSurface:
         with of_users(self.motion, "surface_motion.kind"):
             motion_par = pack(self.motion, 0, "surface_motion")
         axes, bounds = self.frame[[1, 2, 0]], self.section.bounds()
-        return make_memory(par, motion_par, entries, self.origin, axes, bounds, self.radius)
+        solid = self.section.solid() if self.radius == 0.0 else (0.0,) * 5  # a ball goes round the edges
+        return make_memory(par, motion_par, entries, self.origin, axes, bounds, self.radius, solid)
 
     @cached_property
     def _interpreted(self) -> SurfaceMemory:
@@ -193,7 +194,7 @@ class PlacedSurface:
         if answer == NO_NORMAL:
             raise ScenarioError(f"surface.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m")
         gap = float(touch.level / touch.size)
-        inside = edge_distance(touch.at, ask.bounds)
+        inside = edge_distance(touch.at, ask.bounds, ask.solid)
         return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
 
     def pose(self, t: float) -> Pose:

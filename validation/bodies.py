@@ -164,7 +164,8 @@ def _turn(q: Array) -> Array:
     """Return the rotation (3, 3) of a unit quaternion."""
     w, x = q[0], q[1:]
     cross = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
-    return np.eye(3) + 2.0 * (w * cross + cross @ cross)
+    turn: Array = np.eye(3) + 2.0 * (w * cross + cross @ cross)
+    return turn
 
 
 def _no_gyroscopic(v: Array, C: Array) -> None:

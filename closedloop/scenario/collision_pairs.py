@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.mechanics.contacts.sections import EdgeSection
+from closedloop.mechanics.surface.kinds.box import Box
+from closedloop.mechanics.surface.kinds.capsule import Capsule
+from closedloop.mechanics.surface.kinds.sphere import Sphere
 from closedloop.mechanics.surface.plane import contact_frame
-from closedloop.mechanics.surface.surface import SURFACES
+from closedloop.mechanics.surface.surface import Surface
 from robot_models.collision import CollisionShape
 
 Array = NDArray[np.float64]
@@ -46,15 +49,16 @@ def pair_of(one: CollisionShape, other: CollisionShape, link: str, against: str)
 def surface_of_shape(shape: CollisionShape) -> dict[str, Any]:
     """Return a shape as a surface that balls and points touch: the keys surface, through and normal of a contact."""
     turn, origin, (a, b, c) = shape.place[:3, :3], shape.place[:3, 3], shape.size
+    surface: Surface
     if shape.kind == "sphere":
-        normal, depth, surface = turn[:, 2], a, SURFACES["sphere"](radius=float(a))
+        normal, depth, surface = turn[:, 2], a, Sphere(radius=float(a))
     else:
         normal, along, depth = (turn[:, 2], turn[:, 0], c) if shape.kind == "box" else (turn[:, 0], turn[:, 2], a)
-        axis = (*(contact_frame(normal)[1:] @ along).tolist(), 0.0)
+        x, y = (contact_frame(normal)[1:] @ along).tolist()
         if shape.kind == "box":
-            surface = SURFACES["box"](edges=_numbers(2.0 * shape.size), axis=axis)
+            surface = Box(edges=(2.0 * float(a), 2.0 * float(b), 2.0 * float(c)), axis=(x, y, 0.0))
         else:
-            surface = SURFACES["capsule"](radius=float(a), length=float(2.0 * b), axis=axis)
+            surface = Capsule(radius=float(a), length=float(2.0 * b), axis=(x, y, 0.0))
     return {"surface": surface, "normal": _numbers(normal), "through": _numbers(origin + depth * normal)}
 
 

@@ -98,7 +98,7 @@ def out_of_sides(side1: Array, side2: Array, N: Array, inside: float) -> float:
         return inside
     into1 = -(N[0, 0] * side1[0] + N[0, 1] * side1[1] + N[0, 2] * side1[2])
     into2 = -(N[0, 0] * side2[0] + N[0, 1] * side2[1] + N[0, 2] * side2[2])
-    return min(inside, LEVER * (into1 + LEAN), LEVER * (into2 + LEAN))
+    return float(min(inside, LEVER * (into1 + LEAN), LEVER * (into2 + LEAN)))
 
 
 @kernel

@@ -69,6 +69,7 @@ class Touching(NamedTuple):
         self, place: Array, normal: float, friction: Array, axes: Array, origins: Array
     ) -> tuple[Array, Array]:
         """Return what `force` does of edges that cross, the middle of the edge of the link being at `place` (3,), m."""
+        assert self.edge is not None
         turn = axes[self.plane_frame] @ self.axes.T
         shapes, link = make_shape_memory(1, np.zeros((1, SHAPE)), np.atleast_2d(self.edge)).shapes, self.point_frame
         shapes.axes[:] = turn.T @ axes[link]

@@ -159,14 +159,19 @@ class PlacedSurface:
         ScenarioError
             If its parameters do not go together.
         """
-        entries = self.section.list_length()
-        with of_users(self.section, "surface.kind"):
-            par = pack(self.section, entries, "surface")
-        with of_users(self.motion, "surface_motion.kind"):
-            motion_par = pack(self.motion, 0, "surface_motion")
-        axes, bounds = self.frame[[1, 2, 0]], self.section.bounds()
+        (par, motion_par), bounds = self._packed, self.section.bounds()
         solid = self.section.solid() if self.radius == 0.0 else (0.0,) * 5  # a ball goes round the edges
-        return make_memory(par, motion_par, entries, self.origin, axes, bounds, self.radius, solid)
+        return make_memory(
+            par, motion_par, self.section.list_length(), self.origin, self.frame[[1, 2, 0]], bounds, self.radius, solid
+        )  # fmt: skip
+
+    @cached_property
+    def _packed(self) -> tuple[Array, Array]:
+        """The numbers of the surface and of its motion: a path asks for them at each of its knots."""
+        with of_users(self.section, "surface.kind"):
+            par = pack(self.section, self.section.list_length(), "surface")
+        with of_users(self.motion, "surface_motion.kind"):
+            return par, pack(self.motion, 0, "surface_motion")
 
     @cached_property
     def _interpreted(self) -> SurfaceMemory:

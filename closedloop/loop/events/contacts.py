@@ -38,7 +38,6 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.mechanics.contacts.modes import HOVERING, TOUCHING, touches
-from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.soft import stored_in
 
 Array = NDArray[np.float64]
@@ -157,14 +156,12 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
 def off_surfaces(links: ContactLinks, c: Contacts) -> bool:
     """Whether a rigid contact is off its surface, or has parted from below it, by more than rounding: it is put there.
 
-    A time step presses it in, and what parts and comes back within a nanometre comes back below. Where a round shape
-    is closed nothing is moved: the point that touches would be another.
+    A time step presses it in, and what parts and comes back within a nanometre comes back below. Where shapes
+    other than points touch nothing is moved: the point that touches would be another.
     """
     least = 0.0
-    for i in range(links.points + links.stops):
+    for i in range(links.points + links.stops if links.shapes == 0 else 0):
         off, open_now = c.located[3 * i], c.mode[i] == FREE
-        if links.shapes != 0 and rolls(shapes_at(links.shapes), i) and not open_now:
-            return False
         if c.soft[i] == 0.0 and ((open_now and c.floor[i] < -OFF_SURFACE) or (not open_now and abs(off) > OFF_SURFACE)):
             least = -1.0
     return bool(least < 0.0)

@@ -122,7 +122,7 @@ def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) ->
     if state.together == 0 or located or state.settings.stages == 1 or state.settings.adaptive != 0:
         return False
     links, c = contacts_at(state.contacts.at)
-    if links.shapes != 0:  # the point of a round shape wanders: its gap is no measure of the error of a step
+    if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
         return False
     depth, force = closed_depth(links, c), force_over_load(links, c)
     sinks = at_end and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS

@@ -75,10 +75,10 @@ def geometry_lines(tosses: Sequence[Toss]) -> list[str]:
     tilt = np.degrees(np.arctan(np.linalg.norm(g.gravity[:2]) / abs(g.gravity[2])))
     level = np.degrees(np.arctan(np.linalg.norm(g.slope)))
     x, y, z = 1e3 * g.centre
+    low, high = 1e3 * np.nanmin(g.heights), 1e3 * np.nanmax(g.heights)
     return [
         f"centre of mass {x:.2f}, {y:.2f}, {z:.2f} mm from the middle of the cube",
         f"gravity {np.linalg.norm(g.gravity):.3f} m/s², {tilt:.2f}° from the vertical of the log",
         f"board {level:.2f}° from the horizontal of the log",
-        f"the middle of a cube at rest is {1e3 * np.nanmin(g.heights):.2f} to {1e3 * np.nanmax(g.heights):.2f} mm high, "
-        "by the side it lies on",
+        f"the middle of a cube at rest is {low:.2f} to {high:.2f} mm high, by the side it lies on",
     ]

@@ -14,7 +14,7 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.figures.export.mcap_file import write_mcap
-from closedloop.lab.server import is_loopback, serve, without_token
+from closedloop.lab.server import Server, is_loopback, without_token
 from closedloop.lab.start import open_in_browser
 
 
@@ -38,7 +38,7 @@ def run_file(tmp_path_factory):
 )
 def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):
     """The exit status is 2, nothing is served, and the line says what is wrong."""
-    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
     assert main(["lab", "--no-browser", *words]) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -46,7 +46,7 @@ def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):
     assert said in err
 
 
-def test_without_viser_the_line_says_what_to_install(monkeypatch, capsys):
+def test_without_websockets_the_line_says_what_to_install(monkeypatch, capsys):
     """The extra is named."""
     monkeypatch.setattr("closedloop.command.lab.find_spec", lambda name: None)
     assert main(["lab"]) == 2
@@ -64,21 +64,21 @@ TOKEN = "0123456789abcdef"
 
 @pytest.fixture(scope="module")
 def served():
-    """A server of a page, its port, and the subprotocol that its page asks for."""
-    viser = pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
-    server = serve("127.0.0.1", 8591, TOKEN)
-    yield server.get_port(), f"viser-v{viser.__version__}"
-    server.stop()
+    """The port of a server of a page."""
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
+    server = Server("127.0.0.1", 8591, TOKEN, lambda: "<p>page</p>", lambda client: None, lambda client, said: None)
+    yield server.port
+    server.close()
 
 
 def asked_for(served, path, *, socketed=True, origin="http://{}", host="{}"):
     """Return the head of what the server answers to a request, for its websocket or for a page."""
-    port, protocol = served
+    port = served
     own = f"127.0.0.1:{port}"
     lines = [f"Host: {host.format(own)}"]
     if socketed:
         lines += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
-                  "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", f"Sec-WebSocket-Protocol: {protocol}"]  # fmt: skip
+                  "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA=="]  # fmt: skip
     lines += [] if origin is None else [f"Origin: {origin.format(own)}"]
     with socket.create_connection(("127.0.0.1", port), 30.0) as asking:
         asking.sendall("\r\n".join([f"GET {path} HTTP/1.1", *lines, "", ""]).encode())
@@ -146,7 +146,7 @@ def test_the_browser_is_given_no_token_on_its_command_line(monkeypatch):
 @pytest.mark.slow
 def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
     """The address is printed, the page is on this computer alone, and Ctrl-C ends it with status 0."""
-    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
     words = [sys.executable, "-m", "closedloop", "lab", "planar2_slide", "--port", "8431", "--no-browser"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         line = process.stdout.readline()
@@ -162,7 +162,7 @@ def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
 @pytest.mark.slow
 def test_a_minute_of_dragging_leaves_the_last_value_and_no_memory():
     """Sixty changes a second, for ten seconds here: no fault, the last value shown, no growth."""
-    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
     from closedloop.command.lab_benchmark import MOST_MB, drag
 
     lab = cl.lab("wam_slide", port=8441, show=False)

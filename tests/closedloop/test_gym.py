@@ -401,3 +401,31 @@ def test_a_policy_becomes_a_law(tmp_path, monkeypatch):
         LinearPolicy(("force_error", "contact"), [0.0] * 4).act(np.zeros(2))
     with pytest.raises(cl.ScenarioError, match="must be 'force' alone"):
         policy.write_law(tmp_path / "other.py", made("slide").core)
+
+
+def test_a_page_shows_an_environment_at_its_address(capsys):
+    """The page gets the arm, its place and the force at each step; a browser reads them as bytes."""
+    sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
+    from closedloop.lab.messages import unpack
+
+    env = made("press", render_mode="human")
+    try:
+        env.reset(seed=0)
+        address = capsys.readouterr().out.split()[-1]
+        with sockets.connect(address.replace("http", "ws", 1), compression=None) as socket:
+            for _ in range(3):
+                env.step(np.zeros(env.action_space.shape))
+            found = {}
+            while not {"robot", "space", "run"} <= found.keys() or len(found["run"]["panels"][0]["time"]) < 3:
+                message = unpack(socket.recv(timeout=60.0))
+                found[message["kind"]] = message
+                if message["kind"] == "run":
+                    socket.send('{"do": "shown"}')
+        force, wanted = (trace["values"] for trace in found["run"]["panels"][0]["traces"])
+        assert np.all(np.isfinite(force))
+        assert np.all(wanted >= 0.0)
+        frame = found["run"]["frame"]
+        assert frame["places"].size == 7 * found["robot"]["joints"]
+        assert np.linalg.norm(frame["forces"][:3]) == pytest.approx(force[-1], abs=1e-6)
+    finally:
+        env.close()

@@ -26,6 +26,7 @@ from closedloop.gym.policy import LinearPolicy
 
 Array = NDArray[np.float64]
 
+PRESS = str(TASKS["press"].scenario)
 SECONDS, SETTLED = 1.5, 0.5
 # The first seed of a held-out surface: far from those of learning.
 HELD_OUT = 1_000_000
@@ -55,7 +56,7 @@ def on_surfaces(changes: dict[str, Any], parameters: list[dict[str, Any]]) -> Ar
     """Return the RMS errors of a law on surfaces (k,), N; infinite where the run stops."""
     found = []
     for each in parameters:
-        scenario = cl.load_scenario(TASKS["press"].scenario, {**each, "time.duration": SECONDS, **changes})
+        scenario = cl.load_scenario(PRESS, {**each, "time.duration": SECONDS, **changes})
         try:
             found.append(rms(cl.simulate(scenario, progress=False)))
         except cl.SimulationError:

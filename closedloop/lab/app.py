@@ -12,6 +12,7 @@ import logging
 import threading
 import time as clock
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,7 @@ FIRST = (
     "map",
     "boundary",
 )
+SLIDERS = ("linear", "log", "whole")
 UNSAVED = "This scenario was made in Python: press save, and run the command in the folder that it names."
 STOPPED = "The lab was closed. What is shown stays; open the lab again to go on."
 
@@ -180,6 +182,8 @@ class Lab:
             self._begin(History(base, name))
             self.pins, self.front, self.answer = Pins(), False, None
             self._last = {}
+            self.details.begin()
+            self.map.begin()
         self.tell("pins", {"kind": "pins", "pins": []})
         self._hello(fresh=True)
         self.refresh()
@@ -191,12 +195,11 @@ class Lab:
             scenario = self.history.scenario()
             found = all_controls(scenario, self.answers.model(scenario))
             with self._lock:  # a span that a value has widened, or that a slider began with, stays
-                kept = {
-                    at: c for at, c in self.controls.items() if at in found and c.form == found[at].form != "choice"
-                }
-                for at, control in kept.items():
-                    if control.form in ("linear", "log", "whole"):
-                        found[at] = control.with_value(found[at].value)
+                for at, control in self.controls.items():
+                    new = found.get(at)
+                    if new is not None and (new.form, new.unit) == (control.form, control.unit) and new.form in SLIDERS:
+                        span = replace(new, low=control.low, high=control.high, step=control.step)
+                        found[at] = span.with_value(new.value)
                 self.controls = found
             self.tell_controls(forced)
             self.map.show_keys()

@@ -40,15 +40,19 @@ class Details:
 
     def __init__(self, lab: Lab) -> None:
         self._lab = lab
-        self._shapes: Any = None
         self._robot = 0
-        self.at: float | None = None  # the instant of the analysis, s; half of the run if None
         self._cache = Cache()
+        self.begin()
+        self._work: Newest[Answer, None] = Newest(self._follow, lambda nothing: None, REST, OFTEN)
+        self._loop: Newest[Answer, None] = Newest(self._analyse, lambda nothing: None, LATER, 5.0)
+
+    def begin(self) -> None:
+        """Forget what was before: another scenario is shown."""
+        self._shapes: Any = None
+        self.at: float | None = None  # the instant of the analysis, s; half of the run if None
         self._margins: dict[str, Any] | None = None
         self._began: tuple[str, dict[str, float | None], dict[str, Any] | None] | None = None
         self._pinned: dict[str, dict[str, Any] | None] = {}
-        self._work: Newest[Answer, None] = Newest(self._follow, lambda nothing: None, REST, OFTEN)
-        self._loop: Newest[Answer, None] = Newest(self._analyse, lambda nothing: None, LATER, 5.0)
 
     def ask(self, answer: Answer) -> None:
         """Let what follows the curves of this answer follow."""

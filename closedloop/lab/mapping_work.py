@@ -42,6 +42,11 @@ class MapWork:
         self._told: Message | None = None
         self._work: Newest[tuple[Map, Changes], None] = Newest(self._fill, lambda nothing: None)
 
+    def begin(self) -> None:
+        """Forget the map: another scenario is shown."""
+        self._stop.set()
+        self.map, self._told = None, None
+
     def show_keys(self) -> None:
         """Offer the keys of the scenario as it is now."""
         found = (c for c in self._lab.controls.values() if c.form in ("linear", "log"))

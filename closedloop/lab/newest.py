@@ -17,6 +17,9 @@ A = TypeVar("A")
 
 logger = logging.getLogger(__name__)
 
+# While requests go on, work that waits for a rest takes no larger part of the time than one over this.
+SHARE = 8.0
+
 
 class Newest(Generic[Q, A]):
     """A thread that computes the newest request.
@@ -29,14 +32,15 @@ class Newest(Generic[Q, A]):
         Takes each answer, in the thread. An answer is shown even if a newer request has come meanwhile, so that
         something moves while requests come faster than they are computed.
     rest, most : float
-        Wait until no other request has come for `rest`, s, but no longer than `most` after the first that waits.
+        Wait until no other request has come for `rest`, s, but no longer than `most` after the first that waits, or
+        `SHARE` times what the work took last: work that takes long leaves the time to others.
     """
 
     def __init__(
         self, compute: Callable[[Q], A], show: Callable[[A], None], rest: float = 0.0, most: float = 0.0
     ) -> None:
         self._compute, self._show, self._rest, self._most = compute, show, rest, most
-        self._first = self._last = 0.0
+        self._first = self._last = self._took = 0.0
         self._changed = threading.Condition()
         self._waiting: list[Q] = []
         self._busy, self._closed = False, False
@@ -74,7 +78,7 @@ class Newest(Generic[Q, A]):
     def _left(self) -> float:
         """Return how long the request that waits is still to wait, s."""
         now = clock.monotonic()
-        return min(self._last + self._rest, self._first + self._most) - now
+        return min(self._last + self._rest, self._first + max(self._most, SHARE * self._took)) - now
 
     def _work(self) -> None:
         while True:
@@ -85,11 +89,12 @@ class Newest(Generic[Q, A]):
                 if self._closed:
                     return
                 request, self._busy = self._waiting.pop(), True
+            began = clock.monotonic()
             try:
                 self._show(self._compute(request))
             except Exception:  # the thread goes on: `compute` turns what can be foreseen into an answer
                 logger.exception("a result could not be computed or shown")
             finally:
                 with self._changed:
-                    self._busy = False
+                    self._busy, self._took = False, clock.monotonic() - began
                     self._changed.notify_all()

@@ -70,7 +70,7 @@ class Client:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Send what waits, but no more."""
+        """Send what waits, but no more, and close the socket."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
@@ -88,7 +88,7 @@ class Client:
                 while (slot := self._next()) is None and self._open:
                     self._changed.wait(FORGOTTEN)
                 if slot is None:
-                    return
+                    break
                 data = self._waiting.pop(slot)
                 if slot == RUN:
                     self._drawn, self._sent = False, clock.monotonic()
@@ -96,6 +96,7 @@ class Client:
                 self._connection.send(data)
             except (ConnectionClosed, OSError):
                 return
+        self._connection.close()
 
 
 class Server:
@@ -128,8 +129,8 @@ class Server:
         self._page, self._opened, self._said, self._closed = page, opened, said, closed
         gate = partial(self._answer, is_loopback(host), token)
         self._server = serve(
-            self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, logger=_quiet(),
-            server_header=None,
+            self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, close_timeout=1.0,
+            logger=_quiet(), server_header=None,
         )  # fmt: skip
         threading.Thread(target=self._server.serve_forever, name="closedloop-server", daemon=True).start()
 

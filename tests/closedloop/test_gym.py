@@ -333,23 +333,6 @@ def test_an_episode_is_recorded_as_a_video(tmp_path):
     assert frames.std() > 10.0
 
 
-def test_a_browser_shows_the_arm(capsys):
-    """With "human" a page is served on this computer alone, which holds the arm and moves with it."""
-    pytest.importorskip("viser")
-    env = made("press", render_mode="human", **FORTH)
-    env.reset(seed=0)
-    said = capsys.readouterr().out
-    assert said.startswith("closedloop.gym: http://127.0.0.1:")
-    frames = env._view._frames
-    before = np.array([frame.wxyz for frame in frames])
-    for _ in range(10):
-        env.step(np.ones(1))
-    after = np.array([frame.wxyz for frame in frames])
-    assert len(frames) == env.core.together.problem(0).robot.n + 1
-    assert not np.array_equal(before, after)
-    env.close()
-
-
 @pytest.mark.slow
 def test_a_million_control_steps_do_not_grow():
     """Over a million control steps, with a thousand resets, the process holds no more than after the first tenth."""
@@ -427,3 +410,31 @@ def test_a_learned_policy_keeps_its_force_on_surfaces_that_it_has_not_met():
     errors = held_out.errors(np.array([policy.weights, np.zeros(4)]), range(5000, 5006))
     assert errors[0].max() < 0.5 < errors[1].max()
     assert learning.on_surfaces({}, held_out.core.parameters[:2]) == pytest.approx(errors[1, :2], abs=1e-3)
+
+
+def test_a_page_shows_an_environment_at_its_address(capsys):
+    """The page gets the arm, its place and the force at each step; a browser reads them as bytes."""
+    sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
+    from closedloop.lab.messages import unpack
+
+    env = made("press", render_mode="human")
+    try:
+        env.reset(seed=0)
+        address = capsys.readouterr().out.split()[-1]
+        with sockets.connect(address.replace("http", "ws", 1), compression=None) as socket:
+            for _ in range(3):
+                env.step(np.zeros(env.action_space.shape))
+            found = {}
+            while not {"robot", "space", "run"} <= found.keys() or len(found["run"]["panels"][0]["time"]) < 3:
+                message = unpack(socket.recv(timeout=60.0))
+                found[message["kind"]] = message
+                if message["kind"] == "run":
+                    socket.send('{"do": "shown"}')
+        force, wanted = (trace["values"] for trace in found["run"]["panels"][0]["traces"])
+        assert np.all(np.isfinite(force))
+        assert np.all(wanted >= 0.0)
+        frame = found["run"]["frame"]
+        assert frame["places"].size == 7 * found["robot"]["joints"]
+        assert np.linalg.norm(frame["forces"][:3]) == pytest.approx(force[-1], abs=1e-6)
+    finally:
+        env.close()

@@ -258,7 +258,8 @@ class Scene:
         others = LOOP, TOUCH
         rows = np.linspace(0, len(self.run) - 1, 20 if set(others) & set(self.kinds) else 0).astype(int)
         of_others = [np.linalg.norm(a.force) for each in self.arrows(rows) for a in each if a.kind in others]
-        forces = np.abs(np.concatenate([self.run.contact_force, self.run.reference_force, of_others]))
+        of_tip = [self.run.contact_force, self.run.reference_force] if self.ground.there else []
+        forces = np.abs(np.concatenate([*of_tip, np.asarray(of_others)]))
         return float(np.percentile(forces[np.isfinite(forces)], 99)) if np.isfinite(forces).any() else 0.0
 
     @cached_property

@@ -117,9 +117,9 @@ class Drawing {
   arrow(tail, d, k, colour) {
     const length = norm(d);
     if (!(length > 0.01 * k)) return;
-    const head = Math.min(0.13 * k, 0.5 * length);
-    this.put(this.shaft, along(tail, d, 0.02 * k, length - head), colour, 1);
-    this.put(this.head, along(plus(tail, d, 1 - head / length), d, 0.05 * k, head), colour, 1);
+    const thin = Math.min(1, length / (0.26 * k)) * k, head = 0.13 * thin; // a short arrow is thin as well
+    this.put(this.shaft, along(tail, d, 0.02 * thin, length - head), colour, 1);
+    this.put(this.head, along(plus(tail, d, 1 - head / length), d, 0.05 * thin, head), colour, 1);
   }
 
   put(mesh, model, colour, lit) {

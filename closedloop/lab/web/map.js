@@ -23,7 +23,7 @@ class MapTab {
       const running = this.running;
       this.send(running ? { do: "stop map" } : { do: "map", x: this.x.value, y: this.y.value, quantity: this.value.value });
     };
-    this.said = make("p", { className: "hint" });
+    this.said = make("p", { className: "hint", textContent: "A value of the run over two keys: choose them and press compute. A click or a drag in the map then loads its runs." });
     this.said.setAttribute("aria-live", "polite");
     this.canvas = make("canvas", { className: "chart", id: "map", tabIndex: 0 });
     this.canvas.style.cursor = "crosshair";
@@ -116,7 +116,7 @@ class MapTab {
     if (w < 60) return;
     g.font = "11px system-ui, sans-serif";
     g.fillStyle = ink("--faint");
-    if (!m) { g.textAlign = "center"; g.fillText("A value of the run over two keys: choose them and press compute.", w / 2, h / 2); return; }
+    if (!m) return;
     const [l, t, width, height] = this.area(), [nx, ny] = [m.x.values.length, m.y.values.length];
     let [low, high] = [Infinity, -Infinity];
     for (const v of m.grid) if (Number.isFinite(v)) { low = Math.min(low, v); high = Math.max(high, v); }

@@ -72,6 +72,9 @@ class Plot {
 
   name_all(labels) {
     this.labels = labels;
+    const names = this.panel.traces.filter((t) => !t.limit).map((t) => t.label); // panda_joint1, panda_joint2: joint1 ...
+    const shared = names.length > 1 ? names[0].slice(0, names[0].lastIndexOf("_") + 1) : "";
+    this.shared = shared && names.every((n) => n.startsWith(shared)) ? shared.length : 0;
     this.spans = this.panel.traces.map((t) => {
       const span = make("button", { title: "click: hide or show it" });
       span.onclick = () => {
@@ -251,7 +254,7 @@ class Plot {
     while (k < high) { const m = (k + high + 1) >> 1; if (time[m] <= at) k = m; else high = m - 1; }
     this.panel.traces.forEach((t, i) => {
       const span = this.spans[i];
-      span.textContent = this.name.startsWith("torque") && t.limit ? "limit" : `${t.label} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k])}`;
+      span.textContent = this.name.startsWith("torque") && t.limit ? "limit" : `${t.limit ? t.label : t.label.slice(this.shared)} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k])}`;
       span.style.color = tint(t.colour);
       span.classList.toggle("off", this.all.hidden.has(`${this.name} ${t.label}`));
     });

@@ -159,13 +159,18 @@ class PlacedSurface:
         ScenarioError
             If its parameters do not go together.
         """
-        entries = self.section.list_length()
+        (par, motion_par), bounds = self._packed, self.section.bounds()
+        return make_memory(
+            par, motion_par, self.section.list_length(), self.origin, self.frame[[1, 2, 0]], bounds, self.radius
+        )  # fmt: skip
+
+    @cached_property
+    def _packed(self) -> tuple[Array, Array]:
+        """The numbers of the surface and of its motion: a path asks for them at each of its knots."""
         with of_users(self.section, "surface.kind"):
-            par = pack(self.section, entries, "surface")
+            par = pack(self.section, self.section.list_length(), "surface")
         with of_users(self.motion, "surface_motion.kind"):
-            motion_par = pack(self.motion, 0, "surface_motion")
-        axes, bounds = self.frame[[1, 2, 0]], self.section.bounds()
-        return make_memory(par, motion_par, entries, self.origin, axes, bounds, self.radius)
+            return par, pack(self.motion, 0, "surface_motion")
 
     @cached_property
     def _interpreted(self) -> SurfaceMemory:

@@ -214,6 +214,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     joint_capture_speed: Annotated[Array, N]
     joint_lag: Annotated[Array, N]
     encoder: Annotated[Array, EncoderParameters.count(N)]
+    measured: Annotated[Array, N]  # 0 of what turns freely, which no encoder reads: the controller knows it as it is
     law: Annotated[Array, Count.of("law")]  # parameters, see `closedloop.jit.parameters`
     compensation: Annotated[Array, Count.of("compensation")]
     friction: Annotated[Array, Count.of("friction")]

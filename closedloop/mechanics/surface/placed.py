@@ -160,8 +160,9 @@ class PlacedSurface:
             If its parameters do not go together.
         """
         (par, motion_par), bounds = self._packed, self.section.bounds()
+        solid = self.section.solid() if self.radius == 0.0 else (0.0,) * 5  # a ball goes round the edges
         return make_memory(
-            par, motion_par, self.section.list_length(), self.origin, self.frame[[1, 2, 0]], bounds, self.radius
+            par, motion_par, self.section.list_length(), self.origin, self.frame[[1, 2, 0]], bounds, self.radius, solid
         )  # fmt: skip
 
     @cached_property
@@ -198,7 +199,7 @@ class PlacedSurface:
         if answer == NO_NORMAL:
             raise ScenarioError(f"surface.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m")
         gap = float(touch.level / touch.size)
-        inside = edge_distance(touch.at, ask.bounds)
+        inside = edge_distance(touch.at, ask.bounds, ask.solid)
         return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
 
     def pose(self, t: float) -> Pose:

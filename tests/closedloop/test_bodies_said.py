@@ -59,6 +59,8 @@ def test_friction_of_contacts_takes_the_energy_of_a_slide():
     run = cl.simulate(scenario)
     assert np.max(np.abs(run.v[-1])) < 1e-12
     assert run.summary()["energy_lost_to_friction"] == pytest.approx(0.65, rel=1e-5)
+    table = cl.simulate_batch(scenario, {"body.box.mass": [1.3, 2.6]})  # sums its rows in another way
+    np.testing.assert_allclose(table["energy_lost_to_friction"].to_pylist(), [0.65, 1.3], rtol=1e-5)
     rows = {row[0]: row[1:] for row in report_rows(run)}
     assert rows["energy unaccounted for"][2] == "of 1.3 J exchanged"
     assert rows["energy lost to friction"][0] == "0.65"
@@ -77,3 +79,10 @@ def test_a_derivative_may_be_with_respect_to_a_key_of_a_table():
         Keys(scenario, ["contact.*.restitution"])
     with pytest.raises(cl.ScenarioError, match="there is no contact 'hand'"):
         Keys(scenario, ["contact.hand.friction"])
+
+
+def test_bodies_alone_have_no_force_loop():
+    """The refusal says that there is no surface, not that a tip which there is not is in flight."""
+    scenario = parse_scenario(BOX, overrides={"body.box.position": [0.0, 0.0, 1.0], "time.duration": 0.1})
+    with pytest.raises(cl.ScenarioError, match=r"linearise: the scenario has no \[surface\]"):
+        cl.linearise(scenario)

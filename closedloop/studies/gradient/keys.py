@@ -99,7 +99,7 @@ class Keys:
 
 
 def _value_at(scenario: Scenario, data: dict[str, Any], name: str) -> Any:
-    """Return what the scenario has at a dotted key; of a key of several tables, as contact.*.friction, what all have."""
+    """Return what the scenario has at a dotted key; at one of several tables, as contact.*.friction, what all have."""
     section = name.partition(".")[0]
     if table_type(section) is None:
         return _within(scenario, data, name, name)

@@ -37,6 +37,4 @@ def turn_slips(c: Contacts, k: int, h: float) -> bool:
             row_of(c.problem.along, i),
         ):
             turned = True
-            for t in (1, 2):  # the next contact answers to it: each in turn, since all in one round may not settle
-                c.F[n + t] = -c.problem.along[i, t - 1] * c.F[n] - c.viscous[n + t]
     return turned

@@ -41,8 +41,14 @@ from closedloop.command.current_folder import leave_out_current_folder, runs_a_c
 
 leave_out_current_folder(__file__)  # before anything else is imported
 if runs_a_command():
+    import _signal  # type: ignore[import-not-found]  # what `signal` is made of, there without a file to read
+
+    if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process without a word while the next is imported
     from closedloop.base.interrupts import leave_quietly
 
+    if _signal.getsignal(_signal.SIGINT) == _signal.SIG_DFL:
+        _signal.signal(_signal.SIGINT, _signal.default_int_handler)
     leave_quietly()  # until the command catches what is raised
 
 import sys  # noqa: E402

@@ -116,6 +116,17 @@ class RobotModel:
         return tuple(balls(self.joint_types))
 
     @cached_property
+    def measured(self) -> Vector:
+        """1 of each joint that an encoder reads, (n,), 0 of a coordinate of a joint that turns freely."""
+        found = np.ones(self.n)
+        for j in self.balls:
+            found[j : j + 3] = 0.0
+        for j in self.bodies:
+            found[j : j + 3] = 0.0
+        found.setflags(write=False)
+        return found
+
+    @cached_property
     def bodies(self) -> tuple[int, ...]:
         """The first velocity of each free joint."""
         ends = tuple(zip(range(-3, 0), PLACES, strict=True))

@@ -85,7 +85,8 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
     joints = (*joints, *(name for loop in loops for name in loop.free if name not in joints))
     for key, value in table.items():
         if key not in _TEXTS + _TABLES + _LISTS:
-            hint = " (it looks like a scenario: give it another name than the robot's)" if "law" in table else ""
+            scenario = {"law", "robot"} & set(table)
+            hint = " (it looks like a scenario: give it another name than the robot's)" if scenario else ""
             raise ModelError(
                 f"{path}: unknown key {shown(key)}: known are {', '.join(_TEXTS + _TABLES + _LISTS)}{hint}"
             )

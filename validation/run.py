@@ -104,6 +104,7 @@ def _compare(options: argparse.Namespace) -> Any:
 
 
 def _plant(options: argparse.Namespace) -> Any:
+    from validation.bodies import plant_on_bodies
     from validation.contacts import plant_on_contacts
     from validation.loops.faults import plant_on_loops
     from validation.plant import plant_all, plant_runs
@@ -119,6 +120,7 @@ def _plant(options: argparse.Namespace) -> Any:
         sections.append(faults_section("panda on curved, moving and soft surfaces", plant_on_surfaces()))
         sections.append(faults_section("mechanisms with loops", plant_on_loops()))
         sections.append(faults_section("several contacts", plant_on_contacts()))
+        sections.append(faults_section("free bodies, and what rolls", plant_on_bodies()))
     return Report(sections=sections)
 
 

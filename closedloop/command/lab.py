@@ -11,7 +11,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.interrupts import Terminated
 from closedloop.command.border import DONE, Parser, run_command
 from closedloop.lab.server import is_loopback
-from closedloop.lab.start import NEEDS_VISER, lab, open_in_browser
+from closedloop.lab.start import NEEDS, lab, open_in_browser
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.user_module import import_law, name_members
 
@@ -31,8 +31,8 @@ def lab_command(arguments: list[str]) -> int:
     """
     overrides, rest = split_overrides(arguments)
     options = _parser().parse_args(rest)
-    if find_spec("viser") is None:
-        raise ScenarioError(NEEDS_VISER)
+    if find_spec("websockets") is None:
+        raise ScenarioError(NEEDS)
     name_members(overrides.items())
     law = import_law(options.law) if options.law else None
     if not is_loopback(options.host):
@@ -61,14 +61,16 @@ def lab_command(arguments: list[str]) -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="closedloop lab",
-        description="Open the lab in a browser: sliders for all keys of a scenario, the arm in space, its curves.",
+        description="Open the lab in a browser: curves and verdicts of a scenario, and sliders for its keys.",
         epilog="Any key of the scenario can be set to begin with, as --law.force 15.",
         cure="see closedloop lab --help",
     )
-    parser.add_argument("scenario", nargs="?", default="wam_slide", help="a shipped name, a .toml file, or a run.nc")
+    parser.add_argument(
+        "scenario", nargs="?", help="a shipped name, a .toml file, or a run.nc; if left out, the page offers them"
+    )
     parser.add_argument("--law", metavar="MODULE:FUNCTION", help="use this function as the control law")
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this computer alone)")
     parser.add_argument("--port", type=int, default=8080, help="port; the next free one if it is in use (default 8080)")
-    parser.add_argument("--dark", action="store_true", help="begin with a dark page")
+    parser.add_argument("--dark", action="store_true", help="a dark page, whatever the system prefers")
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
     return parser

@@ -22,9 +22,12 @@ from closedloop.lab.history import History
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.overrides import split_overrides
 
-KEY, LABEL, RATE = "law.force", "force [N]", 60.0
+KEY, RATE = "law.force", 60.0
 MAP_KEYS = "law.force", "law.kp"  # of a list its first entry
 WANTED_MS, MOST_MB, WANTED_MAP = 100.0, 50.0, 5.0
+# By scenario, where a run alone takes longer: within so many ms 95 % of the changes are to be drawn.
+WANTED = {"delta": 250.0, "gripper_block": 250.0, "panda_polish": 1000.0}
+LEAST_REDRAWN = 2.0  # in a second of dragging
 
 
 class Drag(NamedTuple):
@@ -87,11 +90,10 @@ def drag(lab: Lab, seconds: float, rate: float = RATE) -> Drag:
 
 
 def fill_map(lab: Lab) -> tuple[int, float, float]:
-    """Have the tab "map" compute and draw a map; return how many runs, and the wall and processor time, s."""
-    for choice, key in zip((lab.map.x, lab.map.y), MAP_KEYS, strict=True):
-        choice.value = next((name for name in choice.options if name.startswith(key)), choice.value)
+    """Have a map computed; return how many runs, and the wall and processor time, s."""
+    x, y = (next(name for name in lab.map.names if name.startswith(key)) for key in MAP_KEYS)
     before, spent = clock.perf_counter(), clock.process_time()
-    lab.map.press("compute")
+    lab.map.start(x, y, "peak_contact_force")
     lab.map.wait(600.0)
     runs = 0 if lab.map.map is None else lab.map.map.grid.size
     return runs, clock.perf_counter() - before, clock.process_time() - spent
@@ -124,14 +126,15 @@ def benchmark_command(arguments: list[str]) -> int:
         p50, p95 = np.percentile(walls, [50, 95])
         print(f"from a slider's event to redrawn plots, {options.changes} changes of {KEY}: median {p50:.0f} ms, "
               f"95 % within {p95:.0f} ms; processor {np.median(processor):.0f} ms")  # fmt: skip
-        good = p95 < WANTED_MS
+        wanted = WANTED.get(options.scenario, WANTED_MS)
+        good = p95 < wanted
         if options.drag:
             found = drag(lab, options.drag)
             print(f"{found.asked} changes in {options.drag:g} s: {found.shown} runs shown, {found.faults} faults, last "
                   f"value {found.last:.6g} of {found.wanted:.6g}, memory {found.growth:+.1f} MB")  # fmt: skip
             good = good and found.faults == 0 and found.growth < MOST_MB and abs(found.last - found.wanted) < 1e-6
         if options.browser:
-            good = _in_a_page(lab, options.changes, options.drag) and good
+            good = _in_a_page(lab, options.changes, options.drag, wanted) and good
         if options.map:
             fill_map(lab)  # warm
             runs, wall, spent = fill_map(lab)
@@ -142,23 +145,25 @@ def benchmark_command(arguments: list[str]) -> int:
     return DONE if good else STOPPED
 
 
-def _in_a_page(lab: Lab, changes: int, seconds: float) -> bool:
+def _in_a_page(lab: Lab, changes: int, seconds: float, wanted: float) -> bool:
     """Measure in a page of the lab, print, and return whether the targets are met; they are where it cannot be done."""
     if why := in_browser.why_not():
         print(f"not measured in a browser: {why}")
         return True
     with in_browser.page_of(lab) as page:
-        drawn, shown = (1e3 * times for times in in_browser.page_latencies(page, LABEL, changes))
+        drawn, shown = (1e3 * times for times in in_browser.page_latencies(page, KEY, changes))
         p50, p95 = np.percentile(drawn, [50, 95])
         later = np.percentile(shown, [50, 95])
         print(f"in the page, from the pointer to the plot drawn again, {changes} changes: median {p50:.0f} ms, 95 % "
               f"within {p95:.0f} ms; to the frame that shows it {later[0]:.0f} and {later[1]:.0f} ms")  # fmt: skip
-        good = p95 < WANTED_MS
+        good = p95 < wanted
         if seconds:
-            found = in_browser.page_drag(page, lab, LABEL, KEY, seconds, RATE)
-            print(f"in the page, {found.moves} movements in {found.seconds:.0f} s: {found.faults} faults, last value "
+            found = in_browser.page_drag(page, lab, KEY, seconds, RATE)
+            print(f"in the page, {found.moves} movements in {found.seconds:.0f} s: curves drawn {found.redrawn} times, "
+                  f"{found.faults} faults, last value "
                   f"{found.plotted:.6g} in the plot of {found.wanted:.6g}, memory {found.growth:+.1f} MB")  # fmt: skip
             good = good and found.faults == 0 and found.growth < MOST_MB and abs(found.plotted - found.wanted) < 1e-6
+            good = good and found.redrawn >= LEAST_REDRAWN * found.seconds
     return bool(good)
 
 

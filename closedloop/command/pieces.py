@@ -6,9 +6,11 @@ in the background (`closedloop.jit.background`) calls `compile_these` for a few 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from closedloop.jit.dual import FORM
 
 if TYPE_CHECKING:
     from closedloop.base.families import Family
@@ -118,8 +120,15 @@ def _loops(kernel: str) -> None:
 
 
 def _laws() -> Iterable[Piece]:
-    from closedloop.control.law import COMPENSATIONS, LAWS
     from closedloop.jit.calls import entry_address
+
+    for what, entry in _members():
+        yield Piece(getattr(entry, "__name__", ""), what, partial(entry_address, entry))
+
+
+def _members() -> Iterable[tuple[str, Any]]:
+    """Return the entries of all members that ship, and what each is."""
+    from closedloop.control.law import COMPENSATIONS, LAWS
     from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
     from closedloop.loop.step.soft_contact import compliance_entry
     from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
@@ -143,8 +152,7 @@ def _laws() -> Iterable[Piece]:
     for family, entry_of, what in families:
         for kind, member in family.items():
             if member not in (NoFriction, NoMotion, Rigid):
-                entry = entry_of(member)
-                yield Piece(getattr(entry, "__name__", ""), f"{what} {kind}", partial(entry_address, entry))
+                yield f"{what} {kind}", entry_of(member)
 
 
 def compile_these(names: Iterable[str]) -> None:
@@ -155,6 +163,22 @@ def compile_these(names: Iterable[str]) -> None:
     for piece in pieces():
         if piece.kernel in wanted:
             piece.compile()
+    if any(name.endswith(FORM) for name in wanted):
+        _duals(wanted)
+
+
+def _duals(names: Collection[str]) -> None:
+    """Compile kernels of dual numbers, each by a scenario or a member that has it."""
+    from closedloop.jit.calls import entry_address
+    from closedloop.jit.dual import dual
+    from closedloop.loop.step.closed_loops import closed_loops
+    from closedloop.loop.step.contacts import contacts_in_step
+    from closedloop.simulation.engines.dual_loop import compile_for, prepared
+
+    compile_for(prepared(_problem()), names)
+    for entry in (closed_loops, contacts_in_step, *(entry for _, entry in _members())):
+        if dual(entry).__name__ in names:
+            entry_address(dual(entry))
 
 
 def _problem() -> Problem:

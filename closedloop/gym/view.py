@@ -128,64 +128,115 @@ class Picture:
 
 
 class Browser:
-    """The arm in the browser, as in the lab: a page on this computer alone, brought up to date at each step."""
+    """The arm in the browser: the lab's page, on this computer alone, brought up to date at each step."""
 
     def __init__(self, core: Core) -> None:
-        from closedloop.lab.server import new_token, serve
+        from closedloop.lab.messages import pack
+        from closedloop.lab.server import Client, Server, new_token
+        from closedloop.lab.share import page
 
-        self._core, token = core, new_token()
-        self._server = serve("127.0.0.1", 8080, token)
-        print(f"closedloop.gym: http://127.0.0.1:{self._server.get_port()}/?token={token}", flush=True)
+        self._core, self._pack, token = core, pack, new_token()
+        self._clients: list[Client] = []
+        self._last: dict[str, bytes] = {}
         self._arm: _Arm | None = None
-        self._frames: list[Any] = []
         self._problem: Problem | None = None
+        self._past: list[tuple[float, float, float]] = []
+        self._steps = 0
+        self._server = Server(
+            "127.0.0.1", 8080, token, lambda: page("closedloop.gym"), self._opened,
+            lambda client, said: client.drawn() if said.get("do") == "shown" else None, self._closed,
+        )  # fmt: skip
+        print(f"closedloop.gym: http://127.0.0.1:{self._server.port}/?token={token}", flush=True)
+
+    def _opened(self, client: Any) -> None:
+        for slot, data in list(self._last.items()):
+            client.put(slot, data)
+        self._clients.append(client)
+
+    def _closed(self, client: Any) -> None:
+        if client in self._clients:
+            self._clients.remove(client)
+
+    def _tell(self, slot: str, message: dict[str, Any]) -> None:
+        data = self._last[slot] = self._pack({"kind": slot, **message})
+        for client in list(self._clients):
+            client.put(slot, data)
 
     def show(self, i: int) -> None:
         """Bring the page up to date with environment `i`."""
         problem, now = self._core.together.problem(i), self._core.now
         if problem is not self._problem:
-            self._begin(problem)
-        assert self._arm is not None
-        axes, origins = self._arm.places(now.q[i])
-        turned = quaternions(axes)
-        tip = now.tip[i]
-        ends = [tip + self._arm.scale * force for force in (now.force[i] * now.normal[i], now.friction_force[i])]
-        with self._server.atomic():
-            for frame, place, quaternion in zip(self._frames, origins, turned, strict=True):
-                frame.position, frame.wxyz = place, quaternion
-            colours = np.array([ARROWS["contact force"], ARROWS["friction"]])
-            self._server.scene.add_line_segments(
-                "/forces", np.array([[tip, end] for end in ends]), np.repeat(colours[:, None, :], 2, axis=1),
-                line_width=5.0,
-            )  # fmt: skip
+            self._begin(problem, i)
+        time = float(now.time[i])
+        if self._past and time < self._past[-1][0]:  # an episode begins
+            self._past.clear()
+        self._past = [*self._past[-TRAIL:], (time, float(now.force[i]), float(now.wanted_force[i]))]
+        times, force, wanted = np.array(self._past).T
+        self._steps += 1
+        traces = [
+            {"label": "f", "colour": "#0072B2", "limit": False, "values": force},
+            {"label": "commanded", "colour": "#009E73", "limit": True, "values": wanted},
+        ]
+        panel = {"name": "force", "title": "contact force [N]", "time": times, "band": 0.0, "traces": traces}
+        self._tell("run", {
+            "begin": times[0], "end": time, "step": problem.h, "stopped": "", "panels": [panel], "modes": None,
+            "marks": [], "events": 0, "columns": [], "n": self._steps, "partial": False, "follow": True, "line": "",
+            "frame": self._frame(i) | {"robot": 1},
+        })  # fmt: skip
 
-    def _begin(self, problem: Problem) -> None:
-        import trimesh
+    def _frame(self, i: int) -> dict[str, Any]:
+        """Return where the links are and the forces on the tip, as `closedloop.lab.drawn.frames` does."""
+        assert self._arm is not None
+        now = self._core.now
+        axes, origins = self._arm.places(now.q[i])
+        places = np.vstack([np.hstack([quaternions(axes), origins]), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+        forces = np.array([now.force[i] * now.normal[i], now.friction_force[i]])
+        tails = np.array([now.tip[i], now.tip[i]])
+        return {"time": np.array([now.time[i]]), "places": places, "tails": tails, "forces": forces}
+
+    def _begin(self, problem: Problem, i: int) -> None:
+        from closedloop.lab.drawn import MEANINGS
 
         self._problem, self._arm = problem, _Arm(problem)
-        scene = self._server.scene
-        scene.reset()
-        self._frames = [scene.add_frame(f"/joint {j}", show_axes=False) for j in range(self._arm.mechanism.njoints)]
-        for k, shape in enumerate(self._arm.shapes):
-            scene.add_mesh_simple(
-                f"/joint {shape.joint}/shape {k}", shape.vertices, shape.faces,
-                color=tuple(round(255 * c) for c in shape.colour),
-            )  # fmt: skip
-        if problem.scenario.has_surface:
-            x, y, z = patch(problem, problem.robot.position(problem.q))
-            points, side = np.stack([x, y, z], axis=-1).reshape(-1, 3), SQUARES + 1
-            corner = (np.arange(SQUARES)[:, None] * side + np.arange(SQUARES)).ravel()
-            faces = np.vstack([
-                np.column_stack([corner, corner + side, corner + 1]),
-                np.column_stack([corner + 1, corner + side, corner + side + 1]),
-            ])  # fmt: skip
-            faces = faces[np.isfinite(points[faces]).all(axis=(1, 2))]
-            mesh = trimesh.Trimesh(np.nan_to_num(points), faces, process=False)
-            scene.add_mesh_simple("/surface", mesh.vertices, mesh.faces, color=(200, 200, 200), side="double")
+        scenario, arm, tip = problem.scenario, self._arm, self._core.now.tip[i]
+        about = {"about": scenario.description, "scenario": scenario.to_toml(), "command": ""}
+        self._tell("hello", {"live": False, "name": scenario.name, "title": scenario.name, **about})
+        shapes = [
+            {"joint": s.joint, "kind": "", "colour": s.colour, "vertices": s.vertices,
+             "faces": np.asarray(s.faces, np.uint32)} for s in arm.shapes
+        ]  # fmt: skip
+        joints = arm.mechanism.njoints
+        self._tell("robot", {
+            "joints": joints + 1, "ground": joints, "meanings": MEANINGS, "clear": [], "shapes": shapes, "robot": 1,
+        })  # fmt: skip
+        vertices, faces = _surface(problem)
+        path = problem.table[:, 2 * problem.robot.n : 2 * problem.robot.n + 3]
+        view = {"centre": tip, "radius": 2.0 * HALF}
+        self._tell("space", {
+            "size": problem.robot.reach, "usual": max(abs(scenario.law.force), 1.0), "passing": None, "near": view,
+            "whole": {"centre": 0.5 * tip, "radius": problem.robot.reach}, "normal": problem.frame[0], "robot": 1,
+            "surface": {"vertices": vertices, "faces": faces},
+            "arrows": [{"name": k, "kind": k, "colour": ARROWS[k]} for k in ("contact force", "friction")],
+            "kinds": ["contact force", "friction"], "frames": self._frame(i),
+            "paths": [{"name": "desired path", "colour": WANTED, "points": path[:: max(1, len(path) // TRAIL)]}],
+        })  # fmt: skip
 
     def close(self) -> None:
         """Close the page."""
-        self._server.stop()
+        self._server.close()
+
+
+def _surface(problem: Problem) -> tuple[Array, NDArray[np.uint32]]:
+    """Return the surface about the tip's start as vertices (k, 3) and triangles (l, 3), none if there is none."""
+    if not problem.scenario.has_surface:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.uint32)
+    points, side = np.stack(patch(problem, problem.robot.position(problem.q)), axis=-1).reshape(-1, 3), SQUARES + 1
+    corner = (np.arange(SQUARES)[:, None] * side + np.arange(SQUARES)).ravel()
+    faces = np.vstack([
+        np.column_stack([corner, corner + side, corner + 1]),
+        np.column_stack([corner + 1, corner + side, corner + side + 1]),
+    ]).astype(np.uint32)  # fmt: skip
+    return np.nan_to_num(points), faces[np.isfinite(points[faces]).all(axis=(1, 2))]
 
 
 def view_of(render_mode: str, core: Core) -> Any:

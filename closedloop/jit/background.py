@@ -46,6 +46,9 @@ TAKES_LONG = {
     "run_in_lanes": Long("the step of eight runs at a time", 17.0),
     "contacts_in_step": Long("contacts of links", 24.0),
     "closed_loops": Long("loops and stops", 13.0),
+    "proceed_at_dual8": Long("derivatives of the step", 30.0),
+    "contacts_in_step_dual8": Long("derivatives of contacts of links", 26.0),
+    "closed_loops_dual8": Long("derivatives of loops", 14.0),
     "walk": Long("the inverse kinematics of a path", 5.0),
     "along_path": Long("loops along a path", 8.0),
 }

@@ -21,7 +21,16 @@ from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, call_with_buffers
-from closedloop.jit.pointers import MOST_KEPT, fortran_at, integers_at, matrix_at, matrix_of, row_of, vector_at
+from closedloop.jit.pointers import (
+    MOST_KEPT,
+    fortran_at,
+    integers_at,
+    known_matrix_at,
+    matrix_at,
+    matrix_of,
+    row_of,
+    vector_at,
+)
 
 Array = NDArray[np.float64]
 Buffer = Any  # a memoryview of one or two dimensions
@@ -135,6 +144,7 @@ BUFFERS: dict[Any, Callable[..., Any]] = {
     call_at: call_with_buffers,
     vector_at: vector_buffer,
     matrix_at: matrix_buffer,
+    known_matrix_at: matrix_buffer,
     fortran_at: fortran_buffer,
     integers_at: integers_buffer,
     row_of: row_buffer,

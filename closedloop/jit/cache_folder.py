@@ -33,6 +33,7 @@ from closedloop.jit.uninterrupted import compiler_at_work
 MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entry", b"@lower_builtin")
 COMPILERS = (
     "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py", "measures.py",
+    "dual.py", "dual8.py", "numba_dual8.py",
 )  # fmt: skip
 
 # numba's settings, each an environment variable, that change what it compiles.

@@ -41,8 +41,8 @@ class Kernel:
 
     Attributes
     ----------
-    py_func : callable
-        The Python function.
+    py_func, make : callable
+        The same.
     unguarded : callable or None
         Of an entry that catches what a user's function raises, the one that does not: interpreted code runs that.
     """
@@ -51,14 +51,14 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any], make: Callable[[Callable[..., Any]], Any]) -> None:
         update_wrapper(self, function)
-        self.py_func, self._make = function, make
+        self.py_func, self.make = function, make
 
     @cached_property
     def dispatcher(self) -> Any:
         """What numba made of the function."""
         with compiler_at_work():
             numba_ready()
-            return self._make(self.py_func)
+            return self.make(self.py_func)
 
     @property
     def _numba_type_(self) -> Any:
@@ -87,7 +87,7 @@ def _typeof(value: Any) -> Any:
 @cache
 def numba_ready() -> None:
     """Import numba, and teach it what is ours."""
-    from closedloop.jit import numba_blocks, numba_calls, numba_pointers, numba_simd8  # noqa: F401
+    from closedloop.jit import numba_blocks, numba_calls, numba_dual8, numba_pointers, numba_simd8  # noqa: F401
 
 
 def _made(function: F, make: Callable[[Callable[..., Any]], Any]) -> F:
@@ -159,7 +159,8 @@ def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
     """
 
     def make(plain: Callable[..., Any]) -> Any:
-        return _kept(plain, _njit(plain, error_model="numpy", nogil=nogil, _nrt=False), identity)
+        form = getattr(plain, "form", "")  # see `closedloop.jit.dual`
+        return _kept(plain, _njit(plain, error_model="numpy", nogil=nogil, _nrt=False), identity + form)
 
     return _made(function, make)
 

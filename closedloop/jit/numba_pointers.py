@@ -15,7 +15,7 @@ from numba.extending import lower_builtin
 from numba.np.arrayobj import make_array
 
 from closedloop.jit.numba_blocks import array_on
-from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, matrix_of, row_of, vector_at
+from closedloop.jit.pointers import fortran_at, integers_at, known_matrix_at, matrix_at, matrix_of, row_of, vector_at
 
 
 def _compiled(function: Callable[..., Any], kind: Any) -> None:
@@ -38,6 +38,7 @@ def _compiled(function: Callable[..., Any], kind: Any) -> None:
 
 _compiled(vector_at, types.Array(types.float64, 1, "C"))
 _compiled(matrix_at, types.Array(types.float64, 2, "C"))
+_compiled(known_matrix_at, types.Array(types.float64, 2, "C"))
 _compiled(fortran_at, types.Array(types.float64, 2, "F"))
 _compiled(integers_at, types.Array(types.int64, 1, "C"))
 

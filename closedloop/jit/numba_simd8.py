@@ -9,103 +9,52 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
+from numba.extending import intrinsic, lower_builtin, lower_cast, overload
 
-from closedloop.jit.numba_blocks import array_on
+from closedloop.jit.dual8 import sought
+from closedloop.jit.numba_vectors import DOUBLES, LANE, Vector, made_of, repeated, teach, vectors_at
 from closedloop.jit.simd8 import MANY_TURNS, WIDE, every, nearest, select
-from closedloop.jit.typing_once import plain
 
 _intrinsic: Any = intrinsic  # its annotations know only the function that is written, not the one that is called
 
-_DOUBLES = ir.VectorType(ir.DoubleType(), WIDE)
 _ANSWERS = ir.VectorType(ir.IntType(1), WIDE)
-_INDEX = ir.IntType(32)
 _ALL = ir.IntType(WIDE)((1 << WIDE) - 1)
 
 
-class Float64x8(types.Type):
+class Float64x8(Vector):
     """The type of eight float64; a float or a whole number becomes one by being there eight times."""
 
-    def __init__(self) -> None:
-        super().__init__(name="float64x8")
-
-    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
-        """Say how another type becomes this one."""
-        return Conversion.safe if isinstance(other, (types.Float, types.Integer)) else None
-
-    def unify(self, typingctx: Any, other: Any) -> Any:
-        """Return the type of a variable that is at times this, at times the other."""
-        return self if isinstance(other, (types.Float, types.Integer)) else None
+    others = types.Float, types.Integer
 
 
-class Bool8(types.Type):
-    """The type of what a comparison of float64x8 says: eight times yes or no."""
+class Bool8(Vector):
+    """The type of what a comparison of float64x8 says: eight times yes or no.
 
-    def __init__(self) -> None:
-        super().__init__(name="bool8")
+    numba takes a sum for a float until it has seen what is added, so a boolean becomes one.
+    """
 
-    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
-        """Say how another type becomes this one: numba takes a sum for a float until it has seen what is added."""
-        return Conversion.safe if isinstance(other, types.Boolean) else None
-
-    def unify(self, typingctx: Any, other: Any) -> Any:
-        """Return the type of a variable that is at times this, at times the other."""
-        return self if isinstance(other, types.Boolean) else None
+    others = (types.Boolean,)
 
 
-float64x8, answers = Float64x8(), Bool8()
-plain.extend((Float64x8, Bool8))
-
-
-@register_model(Float64x8)
-class _Float64x8Model(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, _DOUBLES)
-
-
-@register_model(Bool8)
-class _Bool8Model(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, _ANSWERS)
+float64x8, answers = Float64x8(name="float64x8"), Bool8(name="bool8")
+made_of(Float64x8, DOUBLES)
+made_of(Bool8, _ANSWERS)
 
 
 @lower_cast(types.Float, Float64x8)
 @lower_cast(types.Integer, Float64x8)
 def _eight_times(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
-    return _repeated(builder, context.cast(builder, value, given, types.float64), _DOUBLES)
+    return repeated(builder, context.cast(builder, value, given, types.float64))
 
 
 @lower_cast(types.Boolean, Bool8)
 def _eight_answers(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
-    return _repeated(builder, context.cast(builder, value, given, types.boolean), _ANSWERS)
-
-
-def _repeated(builder: Any, value: Any, kind: Any) -> Any:
-    nothing = ir.Constant(kind, ir.Undefined)
-    first = builder.insert_element(nothing, value, _INDEX(0))
-    return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INDEX, WIDE), [0] * WIDE))
+    return repeated(builder, context.cast(builder, value, given, types.boolean), _ANSWERS)
 
 
 def _teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
-    """Teach numba a function of float64x8 (or answers): `emit(builder, *values)` writes its code."""
-
-    @infer_global(function)
-    class Typing(AbstractTemplate):
-        key = function
-
-        def generic(self, args: Any, kws: Any) -> Any:
-            own = any(isinstance(x, (Float64x8, Bool8)) for x in args)
-            fits = len(args) == len(kinds) and all(
-                x == kind or (kind is float64x8 and isinstance(x, (types.Float, types.Integer)))
-                for x, kind in zip(args, kinds, strict=True)
-            )
-            return signature(result, *kinds) if own and fits and not kws else None
-
-    @lower_builtin(function, *kinds)
-    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
-        return emit(builder, *values)
+    teach(function, kinds, result, lambda context, builder, *values: emit(builder, *values))
 
 
 def _bits(builder: Any, x: Any) -> Any:
@@ -122,7 +71,7 @@ def _comparison(sign: str) -> Callable[..., Any]:
 
 
 def _library(name: str) -> Callable[..., Any]:
-    kind = ir.FunctionType(_DOUBLES, [_DOUBLES])
+    kind = ir.FunctionType(DOUBLES, [DOUBLES])
     return lambda builder, x: builder.call(builder.module.declare_intrinsic(name, fnty=kind), [x])
 
 
@@ -144,6 +93,7 @@ _teach(abs, (float64x8,), float64x8, _library(f"llvm.fabs.v{WIDE}f64"))
 _teach(math.sqrt, (float64x8,), float64x8, _library(f"llvm.sqrt.v{WIDE}f64"))
 _teach(max, (float64x8, float64x8), float64x8, _larger)
 _teach(min, (float64x8, float64x8), float64x8, _smaller)
+_teach(sought, (float64x8,), float64x8, lambda builder, x: x)
 _teach(operator.and_, (answers, answers), answers, _one_instruction("and_"))
 _teach(operator.or_, (answers, answers), answers, _one_instruction("or_"))
 
@@ -158,7 +108,8 @@ class _Select(AbstractTemplate):
         if args[0] == answers:
             return signature(float64x8, answers, float64x8, float64x8)
         kind = self.context.unify_types(*args[1:])
-        return signature(kind, types.boolean, kind, kind) if isinstance(kind, types.Number) else None
+        known = isinstance(kind, types.Number | Vector)
+        return signature(kind, types.boolean, kind, kind) if known and args[0] == types.boolean else None
 
 
 @lower_builtin(select, types.Any, types.Any, types.Any)
@@ -188,7 +139,7 @@ def lane(typingctx: Any, x: Any, i: Any) -> Any:
     """Return number i of a float64x8."""
 
     def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
-        return builder.extract_element(values[0], builder.trunc(values[1], _INDEX))
+        return builder.extract_element(values[0], builder.trunc(values[1], LANE))
 
     return types.float64(float64x8, types.intp), lower
 
@@ -198,7 +149,7 @@ def with_lane(typingctx: Any, x: Any, i: Any, number: Any) -> Any:
     """Return a float64x8 with its number i replaced."""
 
     def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
-        return builder.insert_element(values[0], values[2], builder.trunc(values[1], _INDEX))
+        return builder.insert_element(values[0], values[2], builder.trunc(values[1], LANE))
 
     return float64x8(float64x8, types.intp, types.float64), lower
 
@@ -206,12 +157,7 @@ def with_lane(typingctx: Any, x: Any, i: Any, number: Any) -> Any:
 @_intrinsic
 def float64x8_at(typingctx: Any, address: Any, count: Any) -> Any:
     """Return the (count,) array of float64x8 at an address: the memory of an array from `aligned`."""
-    kind = types.Array(float64x8, 1, "C")
-
-    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
-        data = builder.inttoptr(values[0], _DOUBLES.as_pointer())
-        return array_on(context, builder, kind, data, [values[1]])
-
+    kind, lower = vectors_at(float64x8, 1)
     return kind(types.intp, types.intp), lower
 
 

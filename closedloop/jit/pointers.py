@@ -50,6 +50,12 @@ def integers_at(address: int, n: int) -> IntArray:
     return np.ctypeslib.as_array((ctypes.c_int64 * int(n)).from_address(int(address)))
 
 
+@lru_cache(maxsize=MOST_KEPT)
+def known_matrix_at(address: int, rows: int, columns: int) -> Array:
+    """Return what `matrix_at` does, of numbers that nothing of a scenario changes: floats in every form of a kernel."""
+    return vector_at(address, rows * columns).reshape(rows, columns)
+
+
 def row_of(matrix: NDArray[Any], i: int) -> NDArray[Any]:
     """Return a row of a matrix: what `matrix[i]` is, which a buffer refuses (`closedloop.jit.buffers`)."""
     row: NDArray[Any] = matrix[i]

@@ -1,7 +1,8 @@
 """The lab: the whole experiment answers while a gain is dragged (`closedloop lab`, or ``cl.lab("wam_slide")``).
 
-What is drawn is data (`scene`, `curves`), what can be moved follows from the scenario's schema (`controls`), and the
-browser's page is viser's (`app`). The page that `Run.show` opens and `share` writes needs no server (`share`).
+What is drawn is data (`curves`, `drawn`, `strip`), what can be moved follows from the scenario's schema (`controls`,
+`groups`). The page is in `web`: with a server it is the lab (`app`), with data inside it is what `Run.show` opens and
+`share` writes.
 
 The package can be called, since ``closedloop.lab`` is its name as a module and as a function.
 """

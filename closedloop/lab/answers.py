@@ -7,29 +7,36 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError, one_line
+from closedloop.base.interrupts import held_back
 from closedloop.figures.scene.joined import compile_rows
 from closedloop.jit.background import compiling_notice
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.history import Changes, History
+from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.as_run import as_run
-from closedloop.simulation.engines.law_source import fresh
+from closedloop.simulation.as_run import as_run, law_name
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.law_source import fresh, law_digest
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, kernels_of
 from closedloop.simulation.prepare import load_model, model_key, prepare
-from closedloop.simulation.simulate import check_engine, run_loop, simulate
+from closedloop.simulation.simulate import check_engine, run_loop
 from robot_models import RobotModel
 
+Array = NDArray[np.float64]
+
+NO_EVENTS = np.zeros((0, EVENT_WIDTH))
 # Steps of the run with which a loop is compiled.
 FEW = 3
-# So long, s, a run goes on whatever is asked meanwhile, and says nothing of how far it is.
-PATIENCE = 0.5
-
-
-class _Overtaken(Exception):
-    """A newer change waits, and the run takes long: it is given up."""
+# A run that takes longer than this, s, shows what is done of it, this often.
+SLOW = 0.1
+# Evaluations between two looks at the clock: some 5 ms of an arm that slides on a plane.
+AT_ONCE = 4000
 
 
 @dataclass(frozen=True)
@@ -73,15 +80,16 @@ class Answers:
         The robot to use instead of loading the scenario's.
     say : callable
         Takes a line while something is compiled or takes long, and "" when it is done.
-    overtaken : callable
-        Whether a newer change waits; a run that takes long is given up then, where the engine returns meanwhile.
+    part : callable
+        Takes a `Run` until where it is, again and again, of one that takes long.
     """
 
     def __init__(
         self, history: History, law: Any = None, model: RobotModel | None = None,
-        say: Callable[[str], None] = lambda line: None, overtaken: Callable[[], bool] = lambda: False,
+        say: Callable[[str], None] = lambda line: None, part: Callable[[Run], None] = lambda run: None,
     ) -> None:  # fmt: skip
-        self._overtaken = overtaken
+        self._part = part
+        self._cache = Cache()
         self._history, self.law, self._given, self._say = history, law, model, say
         self._models: dict[Hashable, RobotModel] = {}
         self._ready: set[tuple[Any, ...]] = set()
@@ -97,8 +105,6 @@ class Answers:
         try:
             scenario = self._history.scenario(changes)
             return took(self._run(scenario))
-        except _Overtaken:
-            return took(None)
         except SimulationError as error:
             run = error.run if error.run is not None and len(error.run) else None
             return took(run, stopped=one_line(str(error)))
@@ -111,19 +117,33 @@ class Answers:
         model, engine = self.model(scenario), self.engine(scenario)
         if self._compile(scenario, model, engine):
             self._began = clock.perf_counter()  # what is compiled once is no part of what a run takes
-        began = said = clock.perf_counter()
+        law = fresh(self.law)
+        with held_back():
+            problem = prepare(scenario, model, self._cache)
+        rows = np.empty((problem.steps + 1, problem.row_width))
+        name, digest = ("scenario", "") if law is None else (law_name(law), law_digest(law))
 
-        def progress(done: int, total: int) -> None:
-            nonlocal said
-            now = clock.perf_counter()
-            if now - began > PATIENCE and done < total:
-                if self._overtaken():
-                    raise _Overtaken
-                if now - said > PATIENCE:
-                    said = now
-                    self._say(f"computing ... {done / total:.0%}")
+        def made(some: Array, events: Array, seconds: float, stopped: str | None = None) -> Run:
+            return as_run(
+                problem, some, events, seconds, engine, law=(name, digest), with_states=law is None, stopped=stopped
+            )  # fmt: skip
 
-        return simulate(scenario, law=fresh(self.law), model=model, engine=engine, progress=progress)
+        shown = clock.perf_counter()
+
+        def report(done: int, total: int) -> None:
+            nonlocal shown
+            if clock.perf_counter() - shown > SLOW and 1 < done < total:
+                self._say(f"computing ... {done / total:.0%}")
+                if problem.tolerance is None:  # whose rows are elsewhere
+                    self._part(made(rows[:done], NO_EVENTS, 0.0))
+                shown = clock.perf_counter()
+
+        found, events, failure, seconds = run_loop(problem, law, report, engine, rows=rows, at_once=AT_ONCE)
+        run = made(found, events, seconds, None if failure is None else str(failure))
+        if failure is not None:
+            failure.run = run
+            raise failure
+        return run
 
     def model(self, scenario: Scenario) -> RobotModel:
         """Return the robot of a scenario, loaded once."""
@@ -131,7 +151,7 @@ class Answers:
             return self._given
         key = model_key(scenario)
         if key not in self._models:
-            self._models = {key: load_model(scenario)}
+            self._models, self._cache = {key: load_model(scenario)}, Cache()
         return self._models[key]
 
     def engine(self, scenario: Scenario) -> str:

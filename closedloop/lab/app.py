@@ -1,49 +1,66 @@
-"""The lab: everything on the page, and what happens when something on it is moved.
+"""The lab: a scenario, the run of it as it is now, and the pages that show it.
 
-Three threads share the work: viser's takes what the browser sends, one computes runs (`Newest`) and shows their curves,
-one moves the replay and draws in space.
+Each kind of work has a thread of its own, and of what comes meanwhile takes the newest (`Newest`): runs, whose curves
+are sent at once; what follows when the slider rests (`closedloop.lab.details`); and maps. A thread for each page takes
+what it says (`closedloop.lab.actions`).
 """
 
 from __future__ import annotations
 
 import contextlib
-import html
-import io
 import logging
 import threading
 import time as clock
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from closedloop.base.errors import ClosedLoopError
+from closedloop.figures.scene.scene import scene_of
+from closedloop.lab.actions import act
 from closedloop.lab.answers import Answer, Answers
-from closedloop.lab.history import Changes, History
+from closedloop.lab.controls import Control
+from closedloop.lab.details import Details
+from closedloop.lab.drawn import Message, curves, frames, run_message
+from closedloop.lab.gallery import cards, pictures
+from closedloop.lab.groups import all_controls, rows_in_groups
+from closedloop.lab.history import IN_A_FILE, Changes, History
 from closedloop.lab.kinds import begin_values
-from closedloop.lab.look import GREYED, KEYS, PLOTS, paragraph
+from closedloop.lab.mapping_work import MapWork
+from closedloop.lab.messages import pack
 from closedloop.lab.newest import Newest
-from closedloop.lab.picture import Picture
-from closedloop.lab.playback import Playback
-from closedloop.lab.server import FIRST_PORT, new_token, serve
-from closedloop.lab.view_controls import Tabs
-from closedloop.lab.view_keep import STEPS, KeepTab
-from closedloop.lab.view_map import MapTab
-from closedloop.lab.view_playback import PlaybackBar
-from closedloop.lab.view_plots import Plots
-from closedloop.lab.view_settings import ViewTab, configure
-from closedloop.lab.view_space import Space
+from closedloop.lab.pins import Pins
+from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, new_token
+from closedloop.lab.share import page
 from closedloop.record.run import Run
+from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import variants
 from closedloop.simulation.prepare import prepare
 from robot_models import RobotModel
 
 logger = logging.getLogger(__name__)
 
-# Frames of the replay, and movements of the plots' cursor, in a second.
-FRAMES, CURSORS = 30.0, 12.0
-WIDTH = 510  # px of the panel on the right
-# A result that has been overtaken for so long, s, is greyed until the new one is there: sooner it would flicker.
-GREYED_AFTER = 0.25
-LONGEST = 100  # characters of a fault at the top; it stands in full beside its control
+Asked = tuple[Answers, Changes, str]
+
+# The order in which a page that opens is sent what there is.
+FIRST = (
+    "hello",
+    "controls",
+    "map_keys",
+    "pins",
+    "robot",
+    RUN,
+    "space",
+    "strip",
+    "compare",
+    "analysis",
+    "map",
+    "boundary",
+)
+SLIDERS = ("linear", "log", "whole")
+UNSAVED = "This scenario was made in Python: press save, and run the command in the folder that it names."
+STOPPED = "The lab was closed. What is shown stays; open the lab again to go on."
 
 
 class Lab:
@@ -62,7 +79,16 @@ class Lab:
     port : int
         The next free one is taken if it is in use.
     dark : bool
-        Whether the page begins dark.
+        Whether the page is dark, whatever the system prefers.
+    front : bool
+        Whether the page begins with the scenarios that ship, to choose one.
+
+    Attributes
+    ----------
+    after_show : list of callable
+        Called with each `Answer` whose curves were sent.
+    folder : Path or None
+        Where folders for files are made; "out" in the current folder if None.
 
     Raises
     ------
@@ -74,36 +100,42 @@ class Lab:
 
     def __init__(
         self, history: History, *, law: Any = None, model: RobotModel | None = None, host: str = "127.0.0.1",
-        port: int = FIRST_PORT, dark: bool = False,
+        port: int = FIRST_PORT, dark: bool = False, front: bool = False,
     ) -> None:  # fmt: skip
-        self.history, self.playback = history, Playback()
         self.answer: Answer | None = None
-        self._closed, self._shown_at = threading.Event(), 0.0
-        self._waits_since: float | None = None  # the instant of the first change that is not shown yet
-        self._greyed, self._said, self._waiting = False, "", threading.Lock()
         self.after_show: list[Callable[[Answer], None]] = []
-        self.answers = Answers(history, law, model, self._say, lambda: self._newest.overtaken)
+        self.folder: Path | None = None
+        self.pins, self.front = Pins(), front
+        self.clients: list[Client] = []
+        self._last: dict[str, bytes] = {}
+        self._lock, self._count, self._dark = threading.RLock(), 0, dark
+        self._begin(history, law, model)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
+        self.details, self.map = Details(self), MapWork(self)
+        self._newest: Newest[Asked, tuple[Answers, Answer]] = Newest(self._compute, self._show)
         self._token = new_token()
-        self.server = serve(host, port, self._token)
-        self._lay_out(dark)
-        self._newest: Newest[tuple[Changes, str], Answer] = Newest(self._compute, self._show)
+        theme = "dark" if dark else ""
+        self.server = Server(
+            host, port, self._token, lambda: page(f"closedloop: {self.history.base.name}", theme=theme), self._opened,
+            lambda client, message: act(self, client, message), self._closed,
+        )  # fmt: skip
         self.refresh()
         self.ask("")
-        self._player = threading.Thread(target=self._play, name="closedloop-replay", daemon=True)
-        self._player.start()
+
+    def _begin(self, history: History, law: Any = None, model: RobotModel | None = None) -> None:
+        self.history = history
+        self.answers = Answers(history, law, model, self.say, self._show_part)
+        self.controls: dict[tuple[str, int | None], Control] = {}
+        self._first = {
+            at: control.own for at, control in all_controls(history.base, self.answers.model(history.base)).items()
+        }
 
     @property
     def url(self) -> str:
         """The address of the page, with the token that lets in."""
-        host = self.server.get_host()
+        host = self.server.host
         host = "127.0.0.1" if host == "0.0.0.0" else f"[{host}]" if ":" in host else host
-        return f"http://{host}:{self.server.get_port()}/?token={self._token}"
-
-    @property
-    def space(self) -> Space:
-        """What is drawn in space."""
-        return self.picture.space
+        return f"http://{host}:{self.server.port}/?token={self._token}"
 
     @property
     def run(self) -> Run | None:
@@ -115,150 +147,209 @@ class Lab:
         engine = "compiled" if answer.run is None else answer.run.engine
         return self.history.command(answer.changes, engine)
 
-    def _lay_out(self, dark: bool) -> None:
-        gui = self.server.gui
-        configure(gui, dark)
-        gui.set_panel_label(f"closedloop: {self.history.base.name}")
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(WIDTH)
-        self.caption = gui.add_html("")
-        self.status = gui.add_html("")
-        gui.add_html(KEYS)
-        self.bar = PlaybackBar(gui, self.playback, self._moved)
-        self.steps = gui.add_button_group("changes", STEPS, hint="take back the last change, or all of them")
-        self.group = gui.add_tab_group()
-        self.tabs = Tabs(gui, self.group, self.changed)
-        self.view = ViewTab(gui, self.group.add_tab("view"), self.bar, dark)
-        kept, mapped = self.group.add_tab("keep"), self.group.add_tab("map")
-        panel = gui.add_panel()
-        with panel.add_tab("plots"):
-            gui.add_html(paragraph(PLOTS))
-            self.plots = Plots(gui)
-        panel.dock_below(gui.main_panel)
-        self.picture = Picture(self.server, self.history.base, self.playback, self.view, self.caption, WIDTH)
-        self.keep, self.map = KeepTab(self, kept), MapTab(self, mapped)
-
     def changed(self, key: str, value: Any) -> None:
-        """Take a change of a control, and run the scenario with it."""
+        """Take a change of a key, None: back to where it began, and run the scenario with it."""
         more = {}
         section, _, name = key.partition(".")
         if name == "kind" and value in variants(section):
             with contextlib.suppress(ClosedLoopError):  # what is at fault is said by the run
                 more = begin_values(self.history.scenario(), section, value)
-        self.history.change(key, value, more)
+        with self._lock:
+            self.history.change(key, value, more)
+            for at, control in self.controls.items():
+                if at[0] == key and value is not None and control.form != "text":
+                    with contextlib.suppress(ValueError, TypeError, IndexError):  # what is at fault is said by the run
+                        self.controls[at] = control.with_value(value)
         self.ask(key)
-        if more or name == "kind" or key == "surface.contact":  # which changes what other controls may show
+        if more or value is None or name == "kind" or key == "surface.contact":  # other controls may show others
             self.refresh()
 
-    def refresh(self) -> None:
+    def first_value(self, key: str, index: int | None) -> Any:
+        """Return the value with which a key, or an entry of its list, began."""
+        return self._first.get((key, index))
+
+    def open(self, name: str) -> None:
+        """Go over to another scenario that ships.
+
+        Raises
+        ------
+        ScenarioError, ModelError
+            If it cannot be run.
+        """
+        base = load_scenario(name)
+        self.map.stop()
+        with self._lock:
+            self._begin(History(base, name))
+            self.pins, self.front, self.answer = Pins(), False, None
+            self._last = {}
+            self.details.begin()
+            self.map.begin()
+        self.tell("pins", {"kind": "pins", "pins": []})
+        self._hello(fresh=True)
+        self.refresh()
+        self.ask("")
+
+    def refresh(self, forced: bool = True) -> None:
         """Let all controls show the scenario as it is now, if it can be read."""
         with contextlib.suppress(ClosedLoopError):
             scenario = self.history.scenario()
-            self.tabs.show(scenario, self.answers.model(scenario))
+            found = all_controls(scenario, self.answers.model(scenario))
+            with self._lock:  # a span that a value has widened, or that a slider began with, stays
+                for at, control in self.controls.items():
+                    new = found.get(at)
+                    if new is not None and (new.form, new.unit) == (control.form, control.unit) and new.form in SLIDERS:
+                        span = replace(new, low=control.low, high=control.high, step=control.step)
+                        found[at] = span.with_value(new.value)
+                self.controls = found
+            self.tell_controls(forced)
             self.map.show_keys()
+
+    def tell_controls(self, forced: bool = False) -> None:
+        """Send the controls as they are, and the command line that repeats the run."""
+        history = self.history
+        with self._lock:
+            groups = rows_in_groups(self.controls.values(), self._first, history.changes)
+        answer = self.answer
+        message = {
+            "kind": "controls", "groups": groups, "undo": history.can_undo, "redo": history.can_redo, "forced": forced,
+            "changed": len(history.changes), "note": UNSAVED if history.name == IN_A_FILE else "",
+        }  # fmt: skip
+        if answer is not None and answer.run is not None:
+            message |= {"command": self.command(answer), "scenario": answer.run.scenario.to_toml()}
+        self.tell("controls", message)
 
     def ask(self, key: str = "") -> None:
         """Run the scenario as it is now, `key` being what was changed last."""
-        with self._waiting:
-            if self._waits_since is None:
-                self._waits_since = clock.perf_counter()
-            self._newest.ask((self.history.changes, key))
+        self._newest.ask((self.answers, self.history.changes, key))
 
     def wait(self, seconds: float = 60.0) -> bool:
-        """Wait until the newest change is shown, in the plots and in space; return whether it is."""
-        return self.wait_for_plots(seconds) and self.picture.wait(seconds)
+        """Wait until the newest change has been sent, with all that follows its curves; return whether it has."""
+        began = clock.monotonic()
+        return self.wait_for_plots(seconds) and self.details.wait(max(0.0, seconds + began - clock.monotonic()))
 
     def wait_for_plots(self, seconds: float = 60.0) -> bool:
-        """Wait until the plots of the newest change are on their way; return whether they are."""
+        """Wait until the curves of the newest change have been sent; return whether they have."""
         return self._newest.wait(seconds)
 
-    def _compute(self, request: tuple[Changes, str]) -> Answer:
-        return self.answers.answer(*request)
+    def _compute(self, request: Asked) -> tuple[Answers, Answer]:
+        answers, changes, key = request
+        return answers, answers.answer(changes, key)
 
-    def _show(self, answer: Answer) -> None:
-        with self._waiting:
-            self._waits_since = clock.perf_counter() if self._newest.overtaken else None
-            self._greyed, self._said = False, ""
-        with self.server.atomic():
-            self._show_line(answer)
-            if answer.run is not None and len(answer.run):
-                self.answer = answer
-                self._show_run(answer.run)
-        self.server.flush()
+    def _show(self, found: tuple[Answers, Answer]) -> None:
+        answers, answer = found
+        if answers is not self.answers:
+            return  # of a scenario that was left meanwhile
+        self.tell("fault", {"kind": "fault", "key": answer.key, "line": answer.fault}, keep=False)
         if answer.run is not None and len(answer.run):
-            self.picture.ask(answer.run)
+            self.answer = answer
+            self._show_run(answer.run, answer)
+            self.details.ask(answer)
+        else:
+            self.tell_controls()
         for then in self.after_show:
             then(answer)
 
-    def _show_run(self, run: Run) -> None:
-        self.playback.set_end(float(run.time[-1]))
-        self.bar.set_end(self.playback.end, run.scenario.time.step)
-        self.bar.instants = [event.time for event in run.events]
-        self.plots.show_run(run, self.playback.time)
-        self.bar.show()
+    def _show_run(self, run: Run, answer: Answer) -> None:
+        steps = max(0, len(run) - 1)
+        line = answer.stopped or f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({run.engine})"
+        self._send_run(run, line=line, loud=bool(answer.stopped), partial=False, point=self.map.point(run.scenario))
 
-    def _show_line(self, answer: Answer) -> None:
-        self.tabs.note(answer.key, answer.fault)
-        if answer.fault:
-            short = answer.fault if len(answer.fault) <= LONGEST else f"{answer.fault[:LONGEST]} ..."
-            self._set_status(f"not run: {short}", "#D55E00")
-        elif answer.stopped:
-            self._set_status(answer.stopped, "#D55E00")
-        elif answer.run is not None:
-            steps = max(0, len(answer.run) - 1)
-            self._set_status(f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({answer.run.engine})", "inherit")
+    def _show_part(self, run: Run) -> None:
+        """Show what is done of a run that takes long."""
+        if len(run) > 1 and run.scenario.name == self.history.base.name:
+            self._send_run(run, partial=True, total=run.scenario.time.duration)
 
-    def _say(self, line: str) -> None:
+    def _send_run(self, run: Run, **more: Any) -> None:
+        self._count += 1
+        made: dict[Any, bytes] = {}
+        scene = scene_of(run)
+
+        def message(client: Client | None) -> bytes:
+            window, columns, time = (None, (), 0.0) if client is None else (client.window, client.columns, client.time)
+            key = window, columns, time
+            if key not in made:
+                found = run_message(run, curves(run, window, columns), n=self._count, **more)
+                row = min(round(time / run.scenario.time.step), len(run) - 1)
+                if not more["partial"]:
+                    found["frame"] = frames(scene, [row]) | {"robot": self.details.robot_of(scene)}
+                made[key] = pack(found)
+            return made[key]
+
+        for client in list(self.clients):
+            client.put(RUN, message(client))
+        self._last[RUN] = message(None)
+
+    def show_again(self, client: Client) -> None:
+        """Send the run to one page again, whose window or columns are others now."""
+        answer = self.answer
+        if answer is not None and answer.run is not None:
+            found = run_message(
+                answer.run, curves(answer.run, client.window, client.columns), n=self._count, partial=False,
+                point=self.map.point(answer.run.scenario),
+            )  # fmt: skip
+            client.put(RUN, pack(found))
+
+    def say(self, line: str) -> None:
         """Say a line while something is compiled or takes long."""
         if line:
-            self._said = line
-            self._set_status(line, "#D55E00")
+            self.tell("status", {"kind": "status", "line": line, "loud": False}, keep=False)
 
-    def _set_status(self, line: str, colour: str) -> None:
-        style = f"padding:0.3em 0.8em;font-size:0.85em;color:{colour}"
-        said = f'<div id="closedloop-status" style="{style}">{html.escape(line)}</div>'
-        self.status.content = said + (GREYED if self._greyed else "")
+    def tell(self, slot: str, message: Message, keep: bool = True) -> None:
+        """Send a message to every page, and to those that open later if it is to be kept."""
+        data = pack(message)
+        if keep:
+            self._last[slot] = data
+        for client in list(self.clients):
+            client.put(slot, data)
 
-    def _grey_if_late(self, now: float) -> None:
-        """Grey what is shown if the run that is to replace it takes long."""
-        with self._waiting:
-            if self._greyed or self._waits_since is None or now - self._waits_since < GREYED_AFTER:
-                return
-            self._greyed = True
-            line = self._said or ("computing ...; what is shown is the run before" if self.run else "computing ...")
-            self._set_status(line, "#D55E00" if self._said else "grey")
+    def forget(self, *slots: str) -> None:
+        """Send these to pages that open later no more."""
+        for slot in slots:
+            self._last.pop(slot, None)
 
-    def _moved(self) -> None:
-        """Show the instant that the replay was moved to."""
-        with self.server.atomic():
-            self.plots.move_cursor(self.playback.time)
-        self.picture.move()
+    def _hello(self, fresh: bool = False) -> None:
+        scenario, model = self.history.base, self.answers.model(self.history.base)
+        about = scenario.description
+        title = scenario.name if scenario.name == model.name else f"{scenario.name} ({model.name})"
+        message = {
+            "kind": "hello", "live": True, "name": scenario.name, "title": title, "fresh": fresh,
+            "about": about[:1].upper() + about[1:],
+        }  # fmt: skip
+        self.tell("hello", message)
+        self._last["hello"] = pack(message | {"fresh": False})
 
-    def _play(self) -> None:
-        last = cursor = clock.perf_counter()
-        while not self._closed.wait(1.0 / FRAMES):
-            now = clock.perf_counter()
-            moved = self.playback.advance(now - last)
-            last = now
-            self._grey_if_late(now)
-            try:
-                self.picture.follow(now)
-                if not moved or self.run is None:
-                    continue
-                self.picture.move()
-            except Exception:  # the thread goes on: it moves the replay as well
-                logger.exception("a run could not be drawn in space")
-            if now - cursor > 1.0 / CURSORS or not self.playback.playing:
-                cursor = now
-                with self.server.atomic():
-                    self.plots.move_cursor(self.playback.time)
-                    self.bar.show()
+    def _opened(self, client: Client) -> None:
+        if "hello" not in self._last:
+            self._hello()
+        for slot in FIRST:
+            if slot in self._last:
+                client.put(slot, self._last[slot])
+        self.clients.append(client)
+        if self.front:
+            self.show_gallery(client, front=True)
+
+    def _closed(self, client: Client) -> None:
+        if client in self.clients:
+            self.clients.remove(client)
+
+    def show_gallery(self, client: Client, front: bool = False) -> None:
+        """Send one page the scenarios that ship, and then their pictures one by one."""
+        client.put("gallery", pack({"kind": "gallery", "cards": cards(), "open": True, "front": front}))
+
+        def draw() -> None:
+            for name, data in pictures():
+                if client not in self.clients:
+                    return
+                client.put(f"picture {name}", data)
+
+        threading.Thread(target=draw, name="closedloop-gallery", daemon=True).start()
 
     def close(self) -> None:
         """Stop all work and the server."""
-        self._closed.set()
-        for work in (self.map, self.keep, self._newest):
+        self.tell("goodbye", {"kind": "goodbye", "line": STOPPED}, keep=False)
+        for work in (self.map, self.details, self._newest):
             work.close()
-        self._player.join(2.0)
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server.stop()
+        clock.sleep(0.05)  # for the pages to be told
+        for client in list(self.clients):
+            client.close()
+        self.server.close()

@@ -93,14 +93,6 @@ class Control:
             return int(self.own)
         return min(max(float(self.own), self.low), self.high) if self.form == "linear" else self.own
 
-    @property
-    def caption(self) -> str:
-        """The label, with the value and unit where the control does not show them."""
-        unit = f" [{self.unit}]" if self.unit else ""
-        return f"{self.label} = {self.own:g}{' ' + self.unit if self.unit else ''}" if self.form == "log" else (
-            f"{self.label}{unit}"
-        )  # fmt: skip
-
     def read(self, shown: Any) -> Any:
         """Return the value of the key for what the control shows; None: left out.
 
@@ -125,6 +117,28 @@ class Control:
         else:
             number = float(f"{number:.9g}")
         return number if self.index is None else [*self.value[: self.index], number, *self.value[self.index + 1 :]]
+
+    def typed(self, text: str) -> Any:
+        """Return the value of the key for a number that was typed, which may be beyond the slider.
+
+        Raises
+        ------
+        ValueError
+            If it is no number.
+        """
+        if self.form not in ("linear", "log", "whole"):
+            return self.read(text)
+        try:
+            number: float = round(float(text)) if self.form == "whole" else float(text)
+        except (ValueError, OverflowError):
+            raise ValueError(f"{self.key}: {text.strip()[:40]!r} is no number") from None
+        return number if self.index is None else [*self.value[: self.index], number, *self.value[self.index + 1 :]]
+
+    def together(self, value: Sequence[float]) -> list[float]:
+        """Return the list of which this control's entry is as in `value`, and all others changed by the same factor."""
+        assert self.index is not None
+        was, now = float(self.own), float(value[self.index])
+        return [now if was == 0.0 else float(f"{now / was * each:.6g}") for each in self.value]
 
     def with_value(self, value: Any) -> Control:
         """Return this control with another value, in a wider span if need be."""

@@ -6,8 +6,7 @@ of the time shown, so that an overshoot of one row stays visible.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,8 @@ from closedloop.figures.scene.joined import errors_in
 from closedloop.figures.style import length_unit
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.wrench import parts_of
+from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.record.report.measures import SETTLED
 from closedloop.record.run import Run
 from closedloop.scenario.contact_names import names_of
 
@@ -28,11 +29,16 @@ Array = NDArray[np.float64]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8A8A8A", "#B8A500")
 # Parts of the time shown; each gives two points of every trace.
 CELLS = 160
+# Numbers of a column of which curves are drawn at most.
+MOST_WIDE = 16
+# What the name of a column's panel begins with.
+COLUMN = "column "
 # Names of the panels, in their order, and their titles.
 TITLES = {
     "force": "contact force", "links": "link forces",
-    "closure": "closure error", "loops": "loop error", "tip": "tip error",
-    "torque": "torque", "friction": "friction", "error": "error",
+    "torque": "torque", "torque without limit": "torque of joints without a limit",
+    "tip": "tip error", "friction": "friction",
+    "closure": "closure error", "penetration": "depth in the surface", "loops": "loop error", "error": "error",
 }  # fmt: skip
 
 
@@ -48,12 +54,16 @@ class Trace:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over one time: a name of `TITLES`, the unit of the values, the times (N,), s, and the traces."""
+    """Curves over one time: a name of `TITLES`, the unit of the values, the times (N,), s, and the traces.
+
+    `band` is how far from its dashed curve the first other may be, 0 where there is no such bound.
+    """
 
     name: str
     unit: str
     time: Array
     traces: tuple[Trace, ...]
+    band: float = 0.0
 
     @property
     def main(self) -> Trace:
@@ -63,7 +73,7 @@ class Panel:
     @property
     def title(self) -> str:
         """The panel's title with its unit."""
-        return f"{TITLES[self.name]} [{self.unit}]"
+        return f"{TITLES.get(self.name) or self.name.removeprefix(COLUMN)} [{self.unit}]"
 
 
 def panels(run: Run) -> list[Panel]:
@@ -72,7 +82,7 @@ def panels(run: Run) -> list[Panel]:
     loops = [_loops(run)] if run.model.loops else []
     closure, friction = ([_closure(run)], [_friction(run)]) if Ground(run).there else ([], [])
     force = [_force(run)] if run.scenario.has_surface or not links else []
-    return [*force, *links, *closure, *loops, _tip(run), _torque(run), *friction]
+    return [*force, *links, *_torques(run), _tip(run), *friction, *closure, *loops]
 
 
 def main_panel(run: Run) -> Panel:
@@ -81,12 +91,16 @@ def main_panel(run: Run) -> Panel:
 
 
 def _force(run: Run) -> Panel:
-    traces = (
+    """Return f beside f_des and its settling band, and what the sensor says where that differs from f."""
+    measured = () if np.array_equal(run.measured_force, run.contact_force) else (
         Trace("measured", COLOURS[1], run.measured_force),
+    )  # fmt: skip
+    traces = (
+        *measured,
         Trace("f", COLOURS[0], run.contact_force),
         Trace("commanded", COLOURS[2], run.reference_force, limit=True),
     )
-    return Panel("force", "N", run.time, traces)
+    return Panel("force", "N", run.time, traces, SETTLED * _largest(run.reference_force))
 
 
 def _links(run: Run) -> Panel:
@@ -106,8 +120,12 @@ def _largest(*values: Array) -> float:
 
 
 def _closure(run: Run) -> Panel:
-    factor, name = length_unit(_largest(run.closure_error))
-    return Panel("closure", name, run.time, (Trace("e", COLOURS[0], factor * run.closure_error),))
+    """Return e; on a surface that gives way how deep the tip is in it."""
+    soft = not isinstance(run.scenario.compliance, Rigid)
+    values = np.maximum(-run.closure_error, 0.0) if soft else run.closure_error
+    factor, name = length_unit(_largest(values))
+    trace = Trace("depth" if soft else "e", COLOURS[0], factor * values)
+    return Panel("penetration" if soft else "closure", name, run.time, (trace,))
 
 
 def _loops(run: Run) -> Panel:
@@ -132,17 +150,25 @@ def _tip(run: Run) -> Panel:
     return Panel("tip", unit_name, run.time, traces)
 
 
-def _torque(run: Run) -> Panel:
-    """Return the torques of the joints with a drive, as shares of their limits where all have one, else as they are."""
-    driven = np.flatnonzero(run.model.driven).tolist()
-    names, limits = [run.model.joint_names[j] for j in driven], run.model.effort_limit[driven]
-    share = bool(np.all(np.isfinite(limits)))
-    values = 100.0 * run.torque[:, driven] / limits if share else run.torque[:, driven]
-    traces = [Trace(name, COLOURS[j % len(COLOURS)], values[:, j]) for j, name in enumerate(names)]
-    if share:
-        level = np.full(len(run), 100.0)
-        traces += [Trace("limit", COLOURS[6], level, limit=True), Trace("-limit", COLOURS[6], -level, limit=True)]
-    return Panel("torque", "% of limit" if share else run.units("torque"), run.time, tuple(traces))
+def _torques(run: Run) -> list[Panel]:
+    """Return the torques of joints with a drive: as shares of their own limits, and as they are where there is none."""
+    driven = np.flatnonzero(run.model.driven)
+    limited = np.isfinite(run.model.effort_limit[driven]) & (run.model.effort_limit[driven] > 0.0)
+    found = []
+    for joints, share in ((driven[limited], True), (driven[~limited], False)):
+        if not len(joints):
+            continue
+        values = run.torque[:, joints]
+        values = 100.0 * values / run.model.effort_limit[joints] if share else values
+        traces = [
+            Trace(run.model.joint_names[j], COLOURS[j % len(COLOURS)], values[:, k]) for k, j in enumerate(joints)
+        ]
+        if share:
+            level = np.full(len(run), 100.0)
+            traces += [Trace("limit", COLOURS[6], level, limit=True), Trace("-limit", COLOURS[6], -level, limit=True)]
+        name, unit = ("torque", "% of limit") if share else ("torque without limit", run.units("torque"))
+        found.append(Panel(name, unit, run.time, tuple(traces)))
+    return found
 
 
 def _friction(run: Run) -> Panel:
@@ -171,17 +197,28 @@ def reduced(panel: Panel, begin: float, end: float, cells: int = CELLS) -> Panel
         found = np.concatenate([low.argmin(axis=2), high.argmax(axis=2)]) + first + width * np.arange(parts)
         keep = np.unique(np.minimum(np.append(found, [first, last - 1]), last - 1))
     traces = tuple(Trace(t.label, t.colour, t.values[keep], t.limit) for t in panel.traces)
-    return Panel(panel.name, panel.unit, panel.time[keep], traces)
+    return replace(panel, time=panel.time[keep], traces=traces)
 
 
-def with_instants(panel: Panel, instants: Sequence[float]) -> tuple[Panel, Array]:
-    """Return a panel with a point more at each instant within its time, s, and these points' numbers (K,)."""
-    wanted = np.asarray(sorted(instants), dtype=float)
-    wanted = wanted[(wanted >= panel.time[0]) & (wanted <= panel.time[-1])]
-    places = np.searchsorted(panel.time, wanted)
-    values = np.array([trace.values for trace in panel.traces])
-    between = np.array([np.interp(wanted, panel.time, row) for row in values])
-    every = np.insert(values, places, between, axis=1)
-    traces = tuple(Trace(t.label, t.colour, row, t.limit) for t, row in zip(panel.traces, every, strict=True))
-    full = Panel(panel.name, panel.unit, np.insert(panel.time, places, wanted), traces)
-    return full, places + np.arange(wanted.size)
+def column_names(run: Run) -> list[str]:
+    """Return the columns of a run that can be drawn against time beside its panels."""
+    return [
+        name for name, column in run.columns.items()
+        if name != "time" and len(column) == len(run) and column.ndim <= 2 and column.size <= MOST_WIDE * len(run)
+        and column.dtype.kind in "fiub"
+    ]  # fmt: skip
+
+
+def column_panel(run: Run, name: str) -> Panel:
+    """Return a column of a run as a panel, with a trace for each of its numbers."""
+    values = np.asarray(run.columns[name], dtype=float).reshape(len(run), -1)
+    count = values.shape[1]
+    of_joints = run.model.joint_names if count == run.model.n else run.model.coordinate_names
+    labels = (
+        of_joints if count in (run.model.n, len(of_joints)) and count > 1 else ("x", "y", "z") if count == 3 else ()
+    )
+    traces = tuple(
+        Trace(labels[k] if labels else name if count == 1 else f"{name} {k}", COLOURS[k % len(COLOURS)], values[:, k])
+        for k in range(count)
+    )
+    return Panel(COLUMN + name, run.units(name) or "1", run.time, traces)

@@ -71,6 +71,16 @@ class History:
         self.changes = dict(changes)
         return self.changes
 
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a step back."""
+        return bool(self._past)
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is a step forward."""
+        return bool(self._future)
+
     def undo(self) -> bool:
         """Go a step back; return whether there was one."""
         return self._move(self._past, self._future)

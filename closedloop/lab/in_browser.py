@@ -20,19 +20,18 @@ PROGRAMS = "chromium", "chromium-browser", "google-chrome"
 OPTIONS = ["--enable-unsafe-swiftshader", "--no-sandbox", "--enable-precise-memory-info"]
 SIZE = 1440, 900  # px
 PATIENCE = 120_000  # ms
-# Notes when the pointer is moved with its button down, and when the plot of the force has been drawn with other values:
-# then, and in the frame after that, which shows it.
+# Notes when the pointer is moved with its button down, and when the curves of a whole run have been drawn after that:
+# then, and in the frame after that, which shows them.
 WATCH = """() => {
-const charts = Object.values(window.__viserTestpoints.uplots).map(u => u.chart);
-const chart = charts.find(c => c.series.some(s => s.label === 'commanded'));
-const at = chart.series.findIndex(s => s.label === 'commanded'), largest = () => Math.max(...chart.data[at]);
-window.lab = {drawn: [], shown: [], faults: 0, largest};
+const largest = () => Math.max(...run.panels[0].traces.find(t => t.label === 'commanded').values);
+window.lab = {drawn: [], shown: [], redrawn: 0, faults: 0, largest};
 let began = null, last = largest();
 window.lab.forget = () => { began = null; window.lab.drawn = []; window.lab.shown = []; };
 addEventListener('error', () => { window.lab.faults += 1; });
 addEventListener('pointermove', e => { if (began === null && e.buttons) began = e.timeStamp; }, true);
-(chart.hooks.draw ??= []).push(() => {
-  if (largest() === last) return;
+document.addEventListener('drawn', e => {
+  window.lab.redrawn += 1;
+  if (e.detail.partial || largest() === last) return;
   last = largest();
   if (began === null) return;
   const from = began;
@@ -47,8 +46,8 @@ class Moved(NamedTuple):
 
     Attributes
     ----------
-    moves : int
-        Movements of the pointer.
+    moves, redrawn : int
+        Movements of the pointer, and how often the curves were drawn.
     seconds : float
         Time that they took, s.
     plotted, wanted : float
@@ -60,6 +59,7 @@ class Moved(NamedTuple):
     """
 
     moves: int
+    redrawn: int
     seconds: float
     plotted: float
     wanted: float
@@ -88,7 +88,6 @@ def page_of(lab: Lab) -> Iterator[Any]:
             page.set_default_timeout(PATIENCE)
             page.goto(lab.url)
             page.get_by_text("steps in").wait_for()
-            page.wait_for_function("Object.keys(window.__viserTestpoints?.uplots ?? {}).length > 3")
             page.wait_for_timeout(2000)
             page.evaluate(WATCH)
             yield page
@@ -96,12 +95,12 @@ def page_of(lab: Lab) -> Iterator[Any]:
             browser.close()
 
 
-def page_latencies(page: Any, label: str, changes: int) -> tuple[Array, Array]:
+def page_latencies(page: Any, key: str, changes: int) -> tuple[Array, Array]:
     """Drag a slider, each movement after the plot of the one before.
 
     Returns the times (changes,), s, from the pointer's movement to the drawn plot, and to the frame with it.
     """
-    box = _slider(page, label)
+    box = slider_of(page, key)
     x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
     page.mouse.move(x, y)
     page.mouse.down()
@@ -114,15 +113,16 @@ def page_latencies(page: Any, label: str, changes: int) -> tuple[Array, Array]:
     return tuple(np.array(page.evaluate(f"window.lab.{name}")) / 1e3 for name in ("drawn", "shown"))  # type: ignore[return-value]
 
 
-def page_drag(page: Any, lab: Lab, label: str, key: str, seconds: float, rate: float) -> Moved:
+def page_drag(page: Any, lab: Lab, key: str, seconds: float, rate: float) -> Moved:
     """Drag a slider with the pointer `rate` times a second."""
     import time as clock
 
-    box = _slider(page, label)
+    box = slider_of(page, key)
     middle, y = box["x"] + 0.7 * box["width"], box["y"] + 0.5 * box["height"]
     heap = "performance.memory ? performance.memory.usedJSHeapSize / 1e6 : 0"
     page.mouse.move(middle, y)
     page.mouse.down()
+    before = int(page.evaluate("window.lab.redrawn"))
     began, moves, early = clock.perf_counter(), 0, 0.0
     while (now := clock.perf_counter() - began) < seconds:
         page.mouse.move(middle + 0.15 * box["width"] * float(np.sin(2.0 * np.pi * now / 3.0)), y)
@@ -130,14 +130,14 @@ def page_drag(page: Any, lab: Lab, label: str, key: str, seconds: float, rate: f
         if not early and now > 0.1 * seconds:
             early = float(page.evaluate(heap))
         clock.sleep(max(0.0, moves / rate - (clock.perf_counter() - began)))
+    took, redrawn = clock.perf_counter() - began, int(page.evaluate("window.lab.redrawn")) - before
     page.mouse.up()
     page.wait_for_timeout(1000)
     lab.wait()
     page.wait_for_timeout(2000)
-    took = clock.perf_counter() - began
     plotted, faults = float(page.evaluate("window.lab.largest()")), int(page.evaluate("window.lab.faults"))
-    wanted = float(lab.tabs.handle(key).value)
-    return Moved(moves, took, plotted, wanted, faults, float(page.evaluate(heap)) - early)
+    wanted = float(slider_at(page, key).input_value())
+    return Moved(moves, redrawn, took, plotted, wanted, faults, float(page.evaluate(heap)) - early)
 
 
 def program() -> str | None:
@@ -145,8 +145,12 @@ def program() -> str | None:
     return next(filter(None, map(shutil.which, PROGRAMS)), None)
 
 
-def _slider(page: Any, label: str) -> dict[str, float]:
-    """Return the box of the slider with this label, px: x, y, width and height."""
-    row = page.locator(".mantine-Flex-root", has=page.get_by_text(label, exact=True)).last
-    box: dict[str, float] = row.locator(".mantine-Slider-root").bounding_box()
+def slider_at(page: Any, key: str) -> Any:
+    """Return the slider of a key; of a list that of all its numbers."""
+    return page.locator(f'.row[data-key="{key}"] input[type=range]').first
+
+
+def slider_of(page: Any, key: str) -> dict[str, float]:
+    """Return the box of the slider of a key, px: x, y, width and height."""
+    box: dict[str, float] = slider_at(page, key).bounding_box()
     return box

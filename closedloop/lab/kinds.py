@@ -23,7 +23,7 @@ BEGIN: dict[str, Any] = {
     "joint_friction.stribeck_speed": 0.01, "joint_friction.static_excess": 0.1, "joint_friction.memory_delay": 0.005,
     "joint_friction.rise_time": 0.1,
     "surface_motion.velocity": [0.0, 0.01, 0.0], "surface_motion.speed": 0.1,
-    "surface.heights": [[0.0] * 17] * 17, "surface.expression": "z",
+    "surface.heights": [[0.0] * 17] * 17, "surface.expression": "z", "surface.faces": [[1.0, 0.0, 0.0, 0.1]],
     "force_profile.amplitude": 2.0, "force_profile.frequency": 1.0,
 }  # fmt: skip
 

@@ -1,7 +1,7 @@
 """A map of the lab: a value of the run against two keys, a batch of runs that fills in while it is computed.
 
 The runs are those of `closedloop.simulate_batch`, some of the map at a time, coarse first: every eighth row and
-column, then every fourth, and so on, so that the shape shows early. How it is drawn: `closedloop.lab.map_picture`.
+column, then every fourth, and so on, so that the shape shows early. The page draws it (`web/map.js`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.errors import ScenarioError, one_line
 from closedloop.lab.controls import Control
 from closedloop.lab.history import Changes, with_change
+from closedloop.record.report.verdict import GOOD
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import simulate_batch
 from robot_models import RobotModel
@@ -53,9 +55,20 @@ class Axis:
     @property
     def label(self) -> str:
         """The key, with its unit."""
-        control = self.control
-        entry = "" if control.index is None else f" {control.label.rpartition(' ')[2]}"
-        return f"{control.key}{entry}" + (f" [{control.unit}]" if control.unit else "")
+        return self.name + (f" [{self.control.unit}]" if self.control.unit else "")
+
+    @property
+    def name(self) -> str:
+        """The key, with the entry's name where it is a list."""
+        entry = "" if self.control.index is None else f" {self.control.label.rpartition(' ')[2]}"
+        return f"{self.control.key}{entry}"
+
+    def at(self, share: float) -> Any:
+        """Return the key's value at a place on the axis, 0 to 1: one that its slider can show."""
+        place = min(max(share, 0.0), 1.0) * self.values.size - 0.5
+        scale = np.log10 if self.control.form == "log" else np.asarray
+        shown = np.interp(place, np.arange(self.values.size), scale(self.values))
+        return self.control.read(float(shown))
 
     def value(self, cell: int) -> Any:
         """Return the key's value in a cell."""
@@ -78,6 +91,8 @@ class Map:
         A name of `closedloop.record.report.measures.MEASURES`.
     grid : (rows, columns) array
         The quantity, row by row along y; NaN where it is not known yet, or does not exist.
+    state : (rows, columns) array
+        0 where numbers and control are good, 1 where not, 2 where the run was refused or stopped; NaN: not known yet.
     reasons : dict
         (row, column) of a cell whose run was refused or stopped, and why.
     """
@@ -88,10 +103,12 @@ class Map:
     quantity: str
     model: RobotModel | None = None
     grid: Array = field(init=False)
+    state: Array = field(init=False)
     reasons: dict[tuple[int, int], str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.grid = np.full((self.y.values.size, self.x.values.size), np.nan)
+        self.state = np.full_like(self.grid, np.nan)
 
     def changes(self, row: int, column: int, before: Changes | None = None) -> Changes:
         """Return the changes of the scenario that make the run of a cell, on top of others."""
@@ -106,6 +123,18 @@ class Map:
             values[self.x.control.key][self.x.control.index] = self.x.value(column)[self.x.control.index]
         return values
 
+    def _take(self, cells: list[tuple[int, int]], table: Any) -> None:
+        """Take over the values of some cells' runs."""
+        columns_read = (self.quantity, "status", "reason", "verdict", "control_verdict")
+        for cell, value, status, why, *verdicts in zip(
+            cells, *(table[name].to_pylist() for name in columns_read), strict=True
+        ):
+            self.grid[cell] = np.nan if value is None or status != "done" else value
+            good = all(str(verdict).startswith(GOOD) for verdict in verdicts)
+            self.state[cell] = 2.0 if status != "done" else 0.0 if good else 1.0
+            if status != "done":
+                self.reasons[cell] = str(why)
+
     def fill(self, stop: Callable[[], bool] = lambda: False, batch: int = BATCH) -> Iterator[int]:
         """Compute the map, and yield how many cells are done, again and again, until all are or `stop` says so."""
         order, done = coarse_first(*self.grid.shape), 0
@@ -115,12 +144,11 @@ class Map:
             cells = order[done : done + (batch if done else min(batch, FIRST))]
             points = [self._values(*cell) for cell in cells]
             columns = {key: [point[key] for point in points] for key in points[0]}
-            table = simulate_batch(self.scenario, columns, model=self.model)
-            values, statuses = table[self.quantity].to_pylist(), table["status"].to_pylist()
-            for cell, value, status, why in zip(cells, values, statuses, table["reason"].to_pylist(), strict=True):
-                self.grid[cell] = np.nan if value is None or status != "done" else value
-                if status != "done":
-                    self.reasons[cell] = str(why)
+            try:
+                self._take(cells, simulate_batch(self.scenario, columns, model=self.model))
+            except ScenarioError as error:  # none of these runs could be read
+                for cell in cells:
+                    self.state[cell], self.reasons[cell] = 2.0, one_line(str(error))
             done += len(cells)
             yield done
 

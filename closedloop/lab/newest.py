@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time as clock
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -15,6 +16,9 @@ Q = TypeVar("Q")
 A = TypeVar("A")
 
 logger = logging.getLogger(__name__)
+
+# While requests go on, work that waits for a rest takes no larger part of the time than one over this.
+SHARE = 8.0
 
 
 class Newest(Generic[Q, A]):
@@ -27,10 +31,16 @@ class Newest(Generic[Q, A]):
     show : callable
         Takes each answer, in the thread. An answer is shown even if a newer request has come meanwhile, so that
         something moves while requests come faster than they are computed.
+    rest, most : float
+        Wait until no other request has come for `rest`, s, but no longer than `most` after the first that waits, or
+        `SHARE` times what the work took last: work that takes long leaves the time to others.
     """
 
-    def __init__(self, compute: Callable[[Q], A], show: Callable[[A], None]) -> None:
-        self._compute, self._show = compute, show
+    def __init__(
+        self, compute: Callable[[Q], A], show: Callable[[A], None], rest: float = 0.0, most: float = 0.0
+    ) -> None:
+        self._compute, self._show, self._rest, self._most = compute, show, rest, most
+        self._first = self._last = self._took = 0.0
         self._changed = threading.Condition()
         self._waiting: list[Q] = []
         self._busy, self._closed = False, False
@@ -42,12 +52,14 @@ class Newest(Generic[Q, A]):
         """Compute this as soon as possible, and not what is still waiting."""
         with self._changed:
             self.dropped += len(self._waiting)
+            self._last = clock.monotonic()
+            self._first = self._first if self._waiting else self._last
             self._waiting = [request]
             self._changed.notify_all()
 
     @property
     def overtaken(self) -> bool:
-        """Whether a newer request waits than that which is being computed."""
+        """Whether a newer request waits than the one which is being computed."""
         return bool(self._waiting)
 
     def wait(self, seconds: float = 60.0) -> bool:
@@ -63,18 +75,26 @@ class Newest(Generic[Q, A]):
         if threading.current_thread() is not self._thread:
             self._thread.join(seconds)
 
+    def _left(self) -> float:
+        """Return how long the request that waits is still to wait, s."""
+        now = clock.monotonic()
+        return min(self._last + self._rest, self._first + max(self._most, SHARE * self._took)) - now
+
     def _work(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._closed)
+                while not self._closed and (left := self._left()) > 0.0:
+                    self._changed.wait(left)
                 if self._closed:
                     return
                 request, self._busy = self._waiting.pop(), True
+            began = clock.monotonic()
             try:
                 self._show(self._compute(request))
             except Exception:  # the thread goes on: `compute` turns what can be foreseen into an answer
                 logger.exception("a result could not be computed or shown")
             finally:
                 with self._changed:
-                    self._busy = False
+                    self._busy, self._took = False, clock.monotonic() - began
                     self._changed.notify_all()

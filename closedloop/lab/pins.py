@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,7 +16,6 @@ from closedloop.record.run import Run
 MOST_PINS = 4
 # Reddish purple, sky blue and orange of Okabe and Ito's palette, which the run itself does not have, and violet.
 COLOURS = ("#CC79A7", "#56B4E9", "#E69F00", "#7B61C4")
-NOW = "now"
 ROUNDING = 1e-9  # values that differ by no more than this share are equal
 # What the table compares: values of `Run.summary`.
 VALUES = (
@@ -76,18 +74,6 @@ def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str,
         rows.append((label, [_with_difference(number, numbers[-1], k < len(pins)) for k, number in enumerate(numbers)]))
     rows.append(("verdict", [names_of(summary["verdict"]["problems"]) for summary in summaries]))
     return [*rows, ("control_verdict", [told(summary) for summary in summaries])]
-
-
-def table_html(pins: Sequence[Pin], run: Run, changes: Changes) -> str:
-    """Return the table of `compared` as HTML."""
-    heads = "".join(f'<th style="color:{pin.colour}">{html.escape(pin.name)}</th>' for pin in pins)
-    lines = "".join(
-        f"<tr><td>{html.escape(name)}</td>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"
-        for name, cells in compared(pins, run, changes)
-    )
-    style = "font-size:0.75em;border-spacing:0.7em 0.15em;text-align:left"
-    head = f"<tr><th></th>{heads}<th>{NOW}</th></tr>"
-    return f'<div style="overflow-x:auto"><table style="{style}">{head}{lines}</table></div>'
 
 
 def _value_of(scenario: Any, key: str) -> Any:

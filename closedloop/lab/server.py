@@ -1,4 +1,4 @@
-"""The server of the lab's page: viser's, on a free port, for its own page alone, without its tunnel elsewhere.
+"""The server of the lab's page: on a free port of this computer, for its own page alone.
 
 Whoever reaches the port could move the controls and save files, other users of this computer too: they are let in with
 the token alone, a random word in the page's address, ``http://127.0.0.1:8080/?token=0123...``. The page is sent on to
@@ -7,13 +7,16 @@ the token alone, a random word in the page's address, ``http://127.0.0.1:8080/?t
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import io
 import ipaddress
+import json
+import logging
 import secrets
 import socket
-from collections.abc import Iterator, Mapping
+import threading
+import time as clock
+from collections.abc import Callable, Mapping
+from functools import partial
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -23,28 +26,162 @@ from closedloop.base.errors import OutputError
 FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
 
 
+# The slot of runs; a page that has not said for so long, s, that it has drawn the last is sent another anyway.
+RUN, FORGOTTEN = "run", 5.0
+LONGEST = 1_000_000  # bytes of what a page says
+
+
 def new_token() -> str:
     """Return a word that nobody can guess."""
     return secrets.token_hex(24)
 
 
-def serve(host: str, port: int, token: str) -> Any:
-    """Return viser's server, without the lines that it prints, and without its tunnel to a server elsewhere.
+class Client:
+    """A page that is open: what waits to be sent to it, of each kind the newest only.
 
-    It answers those who name the token, and no other.
+    Runs wait until the page says that it has drawn the one before: a page that is slow is sent fewer, and none late.
+
+    Parameters
+    ----------
+    connection : websockets.sync.server.ServerConnection
+    """
+
+    def __init__(self, connection: Any) -> None:
+        self._connection = connection
+        self._changed = threading.Condition()
+        self._waiting: dict[str, bytes] = {}
+        self._drawn, self._sent, self._open = True, 0.0, True
+        self.window: tuple[float, float] | None = None
+        self.columns: tuple[str, ...] = ()
+        self.time = 0.0
+        threading.Thread(target=self._send, name="closedloop-page", daemon=True).start()
+
+    def put(self, slot: str, data: bytes) -> None:
+        """Send a message as soon as may be, instead of that which waits in this slot."""
+        with self._changed:
+            self._waiting.pop(slot, None)
+            self._waiting[slot] = data
+            self._changed.notify_all()
+
+    def drawn(self) -> None:
+        """Take that the page has drawn the run that was sent last."""
+        with self._changed:
+            self._drawn = True
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Send what waits, but no more, and close the socket."""
+        with self._changed:
+            self._open = False
+            self._changed.notify_all()
+
+    def _next(self) -> str | None:
+        """Return the slot whose message may be sent now."""
+        free = self._drawn or clock.monotonic() - self._sent > FORGOTTEN
+        return next((slot for slot in self._waiting if slot != RUN or free), None)
+
+    def _send(self) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        while True:
+            with self._changed:
+                while (slot := self._next()) is None and self._open:
+                    self._changed.wait(FORGOTTEN)
+                if slot is None:
+                    break
+                data = self._waiting.pop(slot)
+                if slot == RUN:
+                    self._drawn, self._sent = False, clock.monotonic()
+            try:
+                self._connection.send(data)
+            except (ConnectionClosed, OSError):
+                return
+        self._connection.close()
+
+
+class Server:
+    """The lab's server: its page to those who name the token, and a socket below the same address.
+
+    Parameters
+    ----------
+    host, port
+        Where it listens; at the next free port if that one is taken.
+    token : str
+        What lets in.
+    page : callable
+        Returns the page.
+    opened, said, closed : callable
+        Called with a `Client` when its page opens, with it and what its page says, and when it is gone.
 
     Raises
     ------
     OutputError
+        If it cannot listen there.
     """
-    import viser
 
-    port = _free_port(host, port)
-    with contextlib.redirect_stdout(io.StringIO()), _for_its_own_page(is_loopback(host), token):
-        server: Any = viser.ViserServer(host=host, port=port, verbose=False)
-    # Any client may ask for the tunnel: what it calls is replaced.
-    server.request_share_url = lambda verbose=True: None
-    return server
+    def __init__(
+        self, host: str, port: int, token: str, page: Callable[[], str], opened: Callable[[Client], None],
+        said: Callable[[Client, Any], None], closed: Callable[[Client], None] = lambda client: None,
+    ) -> None:  # fmt: skip
+        from websockets.sync.server import serve
+
+        self.host, self.port = host, _free_port(host, port)
+        self._page, self._opened, self._said, self._closed = page, opened, said, closed
+        gate = partial(self._answer, is_loopback(host), token)
+        self._server = serve(
+            self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, close_timeout=1.0,
+            logger=_quiet(), server_header=None,
+        )  # fmt: skip
+        threading.Thread(target=self._server.serve_forever, name="closedloop-server", daemon=True).start()
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._server.shutdown()
+
+    def _answer(self, loopback: bool, token: str, connection: Any, request: Any) -> Any:
+        """Return the answer to a request, None for one that opens the socket."""
+        if foreign(request.headers, loopback):
+            return connection.respond(HTTPStatus.FORBIDDEN, "only the lab's own page may use this server\n")
+        path = without_token(request.path, token)
+        if path is None:
+            line = "the lab's address has a token, as it was printed: http://HOST:PORT/?token=...\n"
+            return connection.respond(HTTPStatus.FORBIDDEN, line)
+        if request.headers.get("Upgrade") is not None:
+            return None
+        if not path:
+            found = connection.respond(HTTPStatus.FOUND, "")
+            found.headers["Location"] = f"/{token}"
+        elif path == "/":
+            found = connection.respond(HTTPStatus.OK, self._page())
+            del found.headers["Content-Type"]
+            found.headers["Content-Type"] = "text/html; charset=utf-8"
+        else:
+            found = connection.respond(HTTPStatus.NOT_FOUND, "there is nothing here\n")
+        found.headers["Referrer-Policy"] = "no-referrer"
+        found.headers["Cache-Control"] = "no-store"
+        return found
+
+    def _talk(self, connection: Any) -> None:
+        client = Client(connection)
+        try:
+            self._opened(client)
+            for text in connection:
+                try:
+                    message = json.loads(text)
+                except ValueError:
+                    continue  # no page of the lab's
+                if isinstance(message, dict):
+                    self._said(client, message)
+        finally:
+            client.close()
+            self._closed(client)
+
+
+def _quiet() -> logging.Logger:
+    """Return a logger for the server, which would tell a user of every page that was closed."""
+    found = logging.getLogger("closedloop.lab.socket")
+    found.setLevel(logging.CRITICAL)
+    return found
 
 
 def is_loopback(host: str) -> bool:
@@ -77,48 +214,8 @@ def without_token(path: str, token: str) -> str | None:
     return "" if secrets.compare_digest(given.encode(), token.encode()) else None
 
 
-@contextlib.contextmanager
-def _for_its_own_page(loopback: bool, token: str) -> Iterator[None]:
-    """Let the servers of websockets that start meanwhile refuse what is `foreign`, or comes without the token.
-
-    viser has no setting for that.
-    """
-    from websockets.asyncio import server as sockets
-    from websockets.http11 import Request
-
-    module: Any = sockets
-    plain = module.serve
-
-    def serving(handler: Any, *arguments: Any, process_request: Any = None, **settings: Any) -> Any:
-        def answer(connection: Any, request: Request) -> Any:
-            if foreign(request.headers, loopback):
-                return connection.respond(HTTPStatus.FORBIDDEN, "only the lab's own page may use this server\n")
-            path = without_token(request.path, token)
-            if path is None:
-                line = "the lab's address has a token, as it was printed: http://HOST:PORT/?token=...\n"
-                return connection.respond(HTTPStatus.FORBIDDEN, line)
-            if not path and request.headers.get("Upgrade") is None:
-                found = connection.respond(HTTPStatus.FOUND, "")
-                found.headers["Location"] = f"/{token}"
-            else:
-                request.path = path or "/"
-                found = process_request(connection, request) if process_request else None
-            if found is not None:
-                found.headers["Referrer-Policy"] = "no-referrer"
-                found.headers["Cache-Control"] = "no-store"
-            return found
-
-        return plain(handler, *arguments, process_request=answer, **settings)
-
-    module.serve = serving
-    try:
-        yield
-    finally:
-        module.serve = plain
-
-
 def _free_port(host: str, port: int) -> int:
-    """Return the first port from this one on that can be listened on: viser waits for ever where none can.
+    """Return the first port from this one on that can be listened on.
 
     Raises
     ------

@@ -23,13 +23,15 @@ from robot_models import RobotModel
 if TYPE_CHECKING:
     from closedloop.lab.app import Lab
 
-NEEDS_VISER = 'the lab needs viser, which is not installed: pip install "closedloop[lab]"'
+NEEDS = 'the lab needs websockets, which is not installed: pip install "closedloop[lab]"'
 HEIGHT = 800  # px of the lab in a notebook
+BEGIN = "wam_slide"  # the scenario below those of which one is chosen
+LONGEST = 600.0  # s that a first run may take, with what is compiled for it
 
 
 @arguments_checked()
 def lab(
-    scenario: Scenario | Run | str | Path = "wam_slide",
+    scenario: Scenario | Run | str | Path | None = None,
     overrides: Mapping[str, Any] | None = None,
     *,
     law: type[ControlLaw] | Callable[..., Any] | None = None,
@@ -39,14 +41,15 @@ def lab(
     dark: bool = False,
     show: bool = True,
 ) -> Lab:
-    """Open the lab and return it; `close()` ends it.
+    """Open the lab and return it when its first run is there; `close()` ends it.
 
     In a notebook it is shown below the cell; in a script a browser is opened.
 
     Parameters
     ----------
     scenario : Scenario, Run, str or path
-        What it begins with: a shipped name or a file, as `load_scenario` takes them.
+        What it begins with: a shipped name or a file, as `load_scenario` takes them. If left out the page begins with
+        the scenarios that ship, to choose one.
     overrides : mapping, optional
         As `load_scenario` takes them.
     law : callable or subclass of ControlLaw, optional
@@ -56,21 +59,22 @@ def lab(
     host, port : str and int
         Where it listens; the next free port is taken if this one is in use.
     dark : bool
-        Whether the page begins dark.
+        Whether the page is dark, whatever the system prefers.
     show : bool
         Whether to show the page at all.
 
     Raises
     ------
     ScenarioError, ModelError
-        If the scenario is at fault, or viser is not installed.
+        If the scenario is at fault, or websockets is not installed.
     OutputError
         If it cannot listen there.
     """
-    if find_spec("viser") is None:
-        raise ScenarioError(NEEDS_VISER)
+    if find_spec("websockets") is None:
+        raise ScenarioError(NEEDS)
     from closedloop.lab.app import Lab
 
+    front, scenario = scenario is None, BEGIN if scenario is None else scenario
     changes = dict(overrides or {})
     if isinstance(law, type) and issubclass(law, ControlLaw):
         changes, law = {"law.kind": law} | changes, None
@@ -78,9 +82,11 @@ def lab(
     if not isinstance(scenario, str | Path):
         name, changes = in_words(base)
     words = "" if law is None else f"--law {getattr(law, '__module__', '?')}:{getattr(law, '__qualname__', '?')}"
-    lab = Lab(History(base, name, _in_words(changes), words), law=law, model=model, host=host, port=port, dark=dark)
+    lab = Lab(History(base, name, _in_words(changes), words), law=law, model=model, host=host, port=port, dark=dark,
+              front=front)  # fmt: skip
     if show:
         _show(lab)
+    lab.wait_for_plots(LONGEST)
     return lab
 
 

@@ -19,15 +19,19 @@ from numpy.typing import NDArray
 
 from closedloop.base.errors import ModelError, ScenarioError
 from closedloop.mechanics.contacts.sections import COLLISION, ContactSection
+from closedloop.scenario.collision_pairs import pair_of
 from closedloop.scenario.contact_names import names_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.collision import CollisionShape, collision_shapes
+from robot_models.loop_joint import WORLD
 
 Array = NDArray[np.float64]
 
 # Points of each edge of a cylinder on which it stands.
 FEET = 3
+# Shapes of two links that may touch each other.
+PAIRED = ("box", "sphere", "capsule")
 # A corner of a mesh that is inside its convex hull by more than this share of its size makes it not convex.
 INSIDE = 1e-6
 # As many corners as one hull may have.
@@ -52,10 +56,39 @@ def with_collision_shapes(scenario: Scenario, model: RobotModel) -> Scenario:
         if section.at != COLLISION:
             found.append(section if section.name else section.model_copy(update={"name": name}))
             continue
-        parts = [part for shape in _shapes(section, model, name) for part in parts_of(shape, f"contact {name!r}")]
+        if section.onto == COLLISION:
+            parts = _pairs(section, model, name)
+        else:
+            parts = [part for shape in _shapes(section, model, name) for part in parts_of(shape, f"contact {name!r}")]
         names = [name] if len(parts) == 1 else [f"{name} {k}" for k in range(1, len(parts) + 1)]
         found += [section.model_copy(update={"name": own} | part) for own, part in zip(names, parts, strict=True)]
     return scenario.model_copy(update={"contact": tuple(found)})
+
+
+def _pairs(section: ContactSection, model: RobotModel, name: str) -> list[dict[str, Any]]:
+    """Return the contacts of the collision shapes of two links.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none for two shapes, or one link is the world.
+    """
+    if section.against == WORLD:
+        raise ScenarioError(f"contact {name!r}: onto = {COLLISION!r}: the world has no collision shapes: name a link")
+    if section.surface is not None or section.motion is not None:
+        raise ScenarioError(f"contact {name!r}: onto = {COLLISION!r} takes the shapes of the link: leave surface out")
+    others = _shapes(section.model_copy(update={"link": section.against}), model, name)
+    parts: list[dict[str, Any]] = []
+    for shape in _shapes(section, model, name):
+        for other in others:
+            for kind in (shape.kind, other.kind):
+                if kind not in PAIRED:
+                    raise ScenarioError(
+                        f"contact {name!r}: onto = {COLLISION!r}: a {kind} touches planes and other surfaces only: "
+                        "shapes of two links may be boxes, spheres and capsules"
+                    )
+            parts += pair_of(shape, other, section.link, section.against)
+    return [{"onto": "surface"} | part for part in parts]
 
 
 def hulls_taken(scenario: Scenario, model: RobotModel) -> list[str]:

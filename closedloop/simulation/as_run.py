@@ -16,7 +16,7 @@ from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.added import state_columns
-from closedloop.record.columns.recorded import POSITIONS, RESISTANCE_COLUMNS, SURFACE_COLUMNS
+from closedloop.record.columns.recorded import POSITIONS, RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
@@ -49,30 +49,8 @@ def as_run(
     `law` is the name and the digest of what drove it, `with_states` whether the rows have the states of the scenario's.
     """
     model = problem.robot.model
-    n, length = model.n, rows.shape[0]
-    wanted = problem.table[:: problem.nodes][:length]
-    reference_rows = problem.path[:: problem.nodes][:length]
-    columns: dict[str, NDArray[Any]] = {
-        "time": problem.h * np.arange(length),
-        "reference_position": reference_rows[:, 0].copy(),
-        "reference_velocity": reference_rows[:, 1].copy(),
-        "reference_tip": wanted[:, Reference.place("position", n)].copy(),
-        "reference_force": wanted[:, Reference.place("force", n)].copy(),
-    }
-    columns |= {
-        name: recorded(rows, n, name, len(problem.scenario.contact or ()), problem.row_states)
-        for name in (*RECORDED, *arm_columns(problem.scenario))
-    }
-    states = state_columns(problem.scenario, n) if with_states else {}
-    first = rows.shape[1] - problem.row_states
-    columns |= {name: rows[:, first:][:, place].copy() for name, (_, place) in states.items()}
-    if sections := problem.scenario.contact or ():
-        left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
-        columns |= {
-            name: recorded(rows, n, name, len(sections), problem.row_states)
-            for name in CONTACT_RECORDED
-            if name not in left_out
-        }
+    columns, states = columns_of_rows(problem, rows, problem.table, with_states)
+    if "link_modes" in columns:
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
     if not problem.scenario.has_surface:
@@ -91,8 +69,36 @@ def as_run(
         engine=engine,
         law_digest=law[1],
         member_digests=member_digests(problem.scenario),
-        added={name: column for name, (column, _) in states.items()},
+        added=states,
     )
+
+
+def columns_of_rows(
+    problem: Problem, rows: Array, table: Array, with_states: bool = True
+) -> tuple[dict[str, NDArray[Any]], dict[str, Column]]:
+    """Return the columns that rows and the table of what is desired have as they are, and what those of states are.
+
+    They are copies of parts of both: of derivatives of rows and table they are the derivatives of the columns.
+    """
+    n, length = problem.robot.n, rows.shape[0]
+    wanted = table[:: problem.nodes][:length]
+    reference_rows = wanted[:, : 2 * n].reshape(-1, 2, n)
+    columns: dict[str, NDArray[Any]] = {
+        "time": problem.h * np.arange(length),
+        "reference_position": reference_rows[:, 0].copy(),
+        "reference_velocity": reference_rows[:, 1].copy(),
+        "reference_tip": wanted[:, Reference.place("position", n)].copy(),
+        "reference_force": wanted[:, Reference.place("force", n)].copy(),
+    }
+    sections = problem.scenario.contact or ()
+    left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
+    of_contacts = [name for name in CONTACT_RECORDED if sections and name not in left_out]
+    there = (*RECORDED, *arm_columns(problem.scenario), *of_contacts)
+    columns |= {name: recorded(rows, n, name, len(sections), problem.row_states) for name in there}
+    states = state_columns(problem.scenario, n) if with_states else {}
+    first = rows.shape[1] - problem.row_states
+    columns |= {name: rows[:, first:][:, place].copy() for name, (_, place) in states.items()}
+    return columns, {name: column for name, (column, _) in states.items()}
 
 
 def positions_told(problem: Problem, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -107,6 +107,7 @@ def driver(
     arrays: tuple[Array, Array, Array],
     engine: str,
     made: tuple[Tree, Array] | None = None,
+    at_once: int | None = None,
 ) -> tuple[Call, Call]:
     """Return two functions of the table of events: one provides terms once, one while nothing else is requested.
 
@@ -122,6 +123,8 @@ def driver(
         See `closedloop.simulate`.
     made : (Tree, array), optional
         The robot for the compiled engine, and its scratch array, if they exist already.
+    at_once : int, optional
+        Evaluations of the compiled engine before it returns though nothing is requested.
     """
     if engine == COMPILED:
         from closedloop.simulation.engines.compiled import ALL
@@ -133,7 +136,7 @@ def driver(
         def go_on(events: Array) -> int:
             set_events(addresses, events)
             # Interpreted, it returns after each evaluation, as with Pinocchio, and can be interrupted.
-            most = 1 if isinstance(kernel, Interim) and kernel.interpreting else ALL
+            most = 1 if isinstance(kernel, Interim) and kernel.interpreting else (at_once or ALL)
             return kernel(*given, most)
 
         return go_on, go_on

@@ -187,6 +187,7 @@ def run_loop(
     tree: tuple[Tree, Array] | None = None,
     interim: bool = False,
     keep_interrupted: bool = False,
+    at_once: int | None = None,
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
 
@@ -202,6 +203,9 @@ def run_loop(
         Whether the run may begin interpreted while the loop is not compiled yet; else the loop is compiled first.
     keep_interrupted : bool
         Whether Ctrl-C ends the run as a failure with its record; else it is raised.
+    at_once : int, optional
+        Evaluations of the compiled engine between two reports; all if left out. When `report` is called the rows that
+        are done are in `rows`, but for the last condition numbers.
 
     Returns
     -------
@@ -231,7 +235,8 @@ def run_loop(
         kernel = loop_for(engine)
         make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
     connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
-    step, many = driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
+    arrays = problem.table, problem.integrator.tableau(), rows
+    step, many = driver(problem, kernel, loop, arrays, engine, tree, at_once)
     answers = Answers(problem, loop, interim, lambda: isinstance(kernel, Interim) and kernel.interpreting)
 
     def finish(done: int) -> None:

@@ -56,7 +56,7 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
 def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
     """Refuse what loops, and stops of joints, cannot be combined with."""
     stopped = has_stops(scenario, model)
-    if model.balls and scenario.reads_encoders:
+    if scenario.reads_encoders and not np.any(model.measured):
         raise ScenarioError(f"encoder: {model.name} has joints that turn freely, which no encoder reads: leave it out")
     if scenario.robot.stop_restitution > 0.0 and not stopped:
         raise ScenarioError(

@@ -76,3 +76,38 @@ def test_what_cannot_be_compared(scenarios, over, of, why):
     with pytest.raises(cl.ScenarioError) as caught:
         cl.compare(scenarios, over, of=of)
     assert str(caught.value).startswith(why)
+
+
+OWN = '''
+from closedloop.control.laws.impedance import ImpedanceLaw
+
+
+class Own(ImpedanceLaw):
+    """The shipped law, by another name."""
+'''
+
+
+@pytest.mark.slow
+def test_a_users_law_stands_among_the_shipped_six(tmp_path, monkeypatch):
+    """A law from a module meets the same variations and noise; one that is the shipped one again has its results."""
+    (tmp_path / "own_laws_compared.py").write_text(OWN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    joints = {"kp": [900.0, 900.0, 400.0, 300.0], "kd": [60.0, 60.0, 30.0, 20.0]}
+    laws = {
+        "paper": joints, "hybrid": joints, "impedance": {}, "admittance": {}, "operational_space": {},
+        "dynamic_hybrid": {}, "own_laws_compared:Own": {},
+    }  # fmt: skip
+    fixed = {
+        "time.duration": 0.2, "reference.kind": "hold", "sensor.noise": 0.2, "sensor.seed": 3,
+        "friction": {"kind": "coulomb", "coefficient": 0.2},
+    }  # fmt: skip
+    some = {
+        kind: cl.load_scenario("wam_slide", {**fixed, "law": {"kind": kind, "force_integral": 20.0, **more}})
+        for kind, more in laws.items()
+    }
+    table = cl.compare(some, {"friction.coefficient": [0.1, 0.3]}, of=["rms_force_error"]).runs
+    assert len(table) == 14
+    seen = {kind: table[table["scenario"] == kind]["rms_force_error"].to_numpy() for kind in laws}
+    assert np.array_equal(seen["own_laws_compared:Own"], seen["impedance"])
+    assert all(np.isfinite(each).all() and each.min() > 0.0 for each in seen.values())
+    assert not np.array_equal(seen["paper"], seen["impedance"])

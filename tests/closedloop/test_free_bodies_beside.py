@@ -115,3 +115,16 @@ def test_a_sweep_over_a_body(tmp_path: Path) -> None:
     table = read_table(out).to_pydict()
     assert table["body.ball.mass"] == [1.0, 3.0]
     assert table["verdict"] == ["good", "good"]
+
+
+def test_encoders_read_the_arm_beside_a_body() -> None:
+    """Its joints are read with noise and in steps; the body, which no encoder reads, is known as it is."""
+    arm = {"law.kind": "paper", "law.kp": [100.0] * 3, "law.kd": [10.0] * 3, "encoder.quantisation": 1e-3}
+    run = cl.simulate(parse_scenario(THROWN, overrides=arm | {"start.v": [0.2, -0.1, 0.3]}), progress=False)
+    steps = run.measured_position[:, :3] / 1e-3
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    assert np.max(np.abs(run.measured_position[:, :3] - run.q[:, :3])) > 1e-5
+    names = run.model.joint_names
+    x = [names.index(f"ball_{axis}") for axis in "xyz"]
+    np.testing.assert_array_equal(run.measured_position[:, x], run.q[:, x])
+    np.testing.assert_array_equal(run.measured_velocity[:, 3:], run.v[:, 3:])

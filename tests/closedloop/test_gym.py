@@ -1,9 +1,11 @@
 """Environments of Gymnasium: its own checks, one against many, seeds, actions, endings, rewards."""
 
 import json
+import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -37,11 +39,18 @@ def test_gymnasium_has_nothing_to_say(name):
 
 @pytest.mark.parametrize(
     ("name", "mode"),
-    [("press", AutoresetMode.NEXT_STEP), ("slide", AutoresetMode.SAME_STEP), ("wipe", AutoresetMode.NEXT_STEP)],
+    [
+        ("press", AutoresetMode.NEXT_STEP),
+        ("slide", AutoresetMode.SAME_STEP),
+        ("wipe", AutoresetMode.NEXT_STEP),
+        ("insert", AutoresetMode.SAME_STEP),
+    ],
 )
 def test_many_are_each_as_one(name, mode):
     """Observations, rewards, ends and the truth are those of single environments, to the bit, over several episodes."""
     options = {"overrides": {"time.duration": 0.2}, "control_rate": 50.0}
+    if name == "insert":  # it begins on the plate, pressed against it from the first action on
+        options["ranges"] = {"start.q": clgym.Range((0.0025, -0.0029, 0.0), (0.0035, -0.0029, 0.01))}
     if name != "press":
         options["overrides"] |= {"reference.stop": 0.19, "reference.start": 0.02}
     many = gymnasium.make_vec(
@@ -300,6 +309,76 @@ def test_pictures_are_drawn_without_a_display():
     env.close()
 
 
+def test_an_episode_is_recorded_as_a_video(tmp_path):
+    """`RecordVideo` writes a film of an episode, a picture for each control instant, without a display."""
+    pytest.importorskip("moviepy")
+    env = gymnasium.make(
+        "closedloop/Press-v0", render_mode="rgb_array", overrides={"time.duration": 0.1}, control_rate=50.0
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        film = gymnasium.wrappers.RecordVideo(env, str(tmp_path), disable_logger=True)
+    film.reset(seed=0)
+    truncated = False
+    while not truncated:
+        *_, truncated, _ = film.step(np.zeros(1))
+    film.close()
+    (written,) = tmp_path.glob("*.mp4")
+    import imageio.v3 as iio
+
+    frames = iio.imread(written, plugin="FFMPEG")
+    assert frames.shape[1:] == (480, 640, 3)
+    assert len(frames) == 6
+    assert frames.std() > 10.0
+
+
+def test_a_browser_shows_the_arm(capsys):
+    """With "human" a page is served on this computer alone, which holds the arm and moves with it."""
+    pytest.importorskip("viser")
+    env = made("press", render_mode="human", **FORTH)
+    env.reset(seed=0)
+    said = capsys.readouterr().out
+    assert said.startswith("closedloop.gym: http://127.0.0.1:")
+    frames = env._view._frames
+    before = np.array([frame.wxyz for frame in frames])
+    for _ in range(10):
+        env.step(np.ones(1))
+    after = np.array([frame.wxyz for frame in frames])
+    assert len(frames) == env.core.together.problem(0).robot.n + 1
+    assert not np.array_equal(before, after)
+    env.close()
+
+
+@pytest.mark.slow
+def test_a_million_control_steps_do_not_grow():
+    """Over a million control steps, with thousands of resets, the process holds no more than after the first tenth."""
+    many = ContactVectorEnv(
+        256,
+        "slide",
+        threads=2,
+        worlds=2,
+        control_rate=1000.0,
+        endings={},
+        overrides={"time.duration": 0.25, "reference.start": 0.05, "reference.stop": 0.2},
+    )
+    many.reset(seed=0)
+    still, held, count = np.zeros((256, 3)), [], 0
+    while count < 1_000_000:
+        many.step(still)
+        count += 256
+        if count % (256 * 390) == 0:
+            held.append(resident())
+    many.close()
+    assert len(held) >= 10
+    assert held[-1] - held[1] < 20e6
+
+
+def resident():
+    """Return the memory that the process holds now, bytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
 def test_a_policy_becomes_a_law(tmp_path, monkeypatch):
     """The law that a policy is written as gives the forces of the policy in the environment.
 
@@ -322,3 +401,31 @@ def test_a_policy_becomes_a_law(tmp_path, monkeypatch):
         LinearPolicy(("force_error", "contact"), [0.0] * 4).act(np.zeros(2))
     with pytest.raises(cl.ScenarioError, match="must be 'force' alone"):
         policy.write_law(tmp_path / "other.py", made("slide").core)
+
+
+def test_a_page_shows_an_environment_at_its_address(capsys):
+    """The page gets the arm, its place and the force at each step; a browser reads them as bytes."""
+    sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
+    from closedloop.lab.messages import unpack
+
+    env = made("press", render_mode="human")
+    try:
+        env.reset(seed=0)
+        address = capsys.readouterr().out.split()[-1]
+        with sockets.connect(address.replace("http", "ws", 1), compression=None) as socket:
+            for _ in range(3):
+                env.step(np.zeros(env.action_space.shape))
+            found = {}
+            while not {"robot", "space", "run"} <= found.keys() or len(found["run"]["panels"][0]["time"]) < 3:
+                message = unpack(socket.recv(timeout=60.0))
+                found[message["kind"]] = message
+                if message["kind"] == "run":
+                    socket.send('{"do": "shown"}')
+        force, wanted = (trace["values"] for trace in found["run"]["panels"][0]["traces"])
+        assert np.all(np.isfinite(force))
+        assert np.all(wanted >= 0.0)
+        frame = found["run"]["frame"]
+        assert frame["places"].size == 7 * found["robot"]["joints"]
+        assert np.linalg.norm(frame["forces"][:3]) == pytest.approx(force[-1], abs=1e-6)
+    finally:
+        env.close()

@@ -43,6 +43,8 @@ def test_the_comparison_is_that_of_two_runs(halved):
     stated = run.summary()["step_error"]
     assert stated == {
         "contact_force": off.max(), "position": found["columns"]["position"]["max"], "measured": True, "why_not": None,
+        "extremes": max(off.max(), *(found["values"][name]["difference"] for name in (
+            "final_contact_force", "peak_contact_force", "min_contact_force"))),
     }  # fmt: skip
     assert theirs["halved"] is None
     assert theirs["step_error"]["contact_force"] > 0.0

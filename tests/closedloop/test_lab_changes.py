@@ -1,10 +1,8 @@
-"""The controls of the lab and what comes of moving them, without a browser and without viser."""
+"""The controls of the lab and what comes of moving them, without a browser."""
 
 import shlex
 import threading
 import time
-from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -12,16 +10,16 @@ from budget import every
 
 import closedloop as cl
 import robot_models
+from closedloop.lab import groups, strip
 from closedloop.lab.answers import Answers
 from closedloop.lab.controls import TABS, controls
 from closedloop.lab.history import History, in_words
 from closedloop.lab.keeping import save
 from closedloop.lab.kinds import begin_values
-from closedloop.lab.map_picture import MapPicture
 from closedloop.lab.mapping import Axis, Map, coarse_first
+from closedloop.lab.messages import from_text, in_text, pack, unpack
 from closedloop.lab.newest import Newest
-from closedloop.lab.picture import Picture
-from closedloop.lab.pins import Pins, compared, table_html
+from closedloop.lab.pins import Pins, compared
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
 from closedloop.simulation.cache import Cache
@@ -79,6 +77,7 @@ def test_each_contact_of_a_list_has_sliders():
     assert (slider.label, slider.form, slider.own) == ("floor left: friction", "linear", base.contact[4].friction)
     assert {control.key.rpartition(".")[2] for control in controls(base, "contact")} == {
         "at", "normal", "through", "friction", "restitution", "rest_speed", "radius", "half_axes",
+        "rolling", "pivoting",
     }  # fmt: skip
     changed = Variants(base, (slider.key,)).scenario((0.25,))
     assert [contact.friction for contact in changed.contact].count(0.25) == 1
@@ -196,15 +195,26 @@ def test_an_answer_is_a_run_or_the_one_line_that_says_why_not():
     assert 0 < len(wild.run) < 51
 
 
-def test_a_long_run_is_given_up_when_it_is_overtaken(monkeypatch):
-    """On an engine that returns meanwhile; a run within the patience is finished."""
-    monkeypatch.setattr("closedloop.lab.answers.PATIENCE", 0.0)
-    waiting, base = [True], cl.load_scenario("wam_slide", {"time.integrator": "dop853", "time.duration": 0.2})
-    answers = Answers(History(base, "wam_slide"), overtaken=lambda: waiting[0])
-    given_up = answers.answer({})
-    assert (given_up.run, given_up.fault, given_up.stopped) == (None, "", "")
-    waiting[0] = False
-    assert len(answers.answer({}).run) == 201
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "dop853"])
+def test_a_run_that_has_begun_is_finished_and_its_first_part_is_shown(integrator, monkeypatch):
+    """However long it takes, to the bits of a run without looking; the parts grow, and are rows of the whole."""
+    monkeypatch.setattr("closedloop.lab.answers.SLOW", 0.0)
+    monkeypatch.setattr("closedloop.lab.answers.AT_ONCE", 40)
+    base, parts = cl.load_scenario("wam_slide", {"time.integrator": integrator, "time.duration": 0.2}), []
+    answers = Answers(History(base, "wam_slide"), part=parts.append)
+    found = answers.answer({"law.force": 12.0}).run
+    assert len(found) == 201
+    whole = cl.simulate(cl.load_scenario("wam_slide", {"law.force": 12.0, "time.integrator": integrator,
+                                                       "time.duration": 0.2}), engine=found.engine)  # fmt: skip
+    assert np.array_equal(found.contact_force, whole.contact_force)
+    if integrator == "dop853":  # whose rows are not there before its end
+        assert parts == []
+        return
+    lengths = [len(part) for part in parts]
+    assert len(parts) > 2
+    assert lengths == sorted(lengths)
+    for part in parts:
+        assert np.array_equal(part.contact_force, found.contact_force[: len(part)])
 
 
 def test_pinned_runs_are_compared_with_the_present_one():
@@ -231,7 +241,6 @@ def test_a_run_that_stopped_stands_in_the_table_of_pins():
     first, second = dict(compared(pins.held, good.run, good.changes))["verdict"]
     assert "stopped" in first
     assert second == "good"
-    assert "stopped" in table_html(pins.held, good.run, good.changes)
 
 
 def test_what_is_saved_repeats_the_run(tmp_path):
@@ -256,6 +265,19 @@ def test_the_cells_of_a_map_are_the_runs_of_their_changes():
         assert found.grid[cell] == run.summary()["peak_contact_force"]
     assert sorted(coarse_first(9, 10)) == [(i, j) for i in range(9) for j in range(10)]
     assert coarse_first(9, 10)[:4] == [(0, 0), (0, 8), (8, 0), (8, 8)]
+
+
+def test_cells_that_cannot_be_run_are_grey_and_the_map_goes_on():
+    """Kinetic friction above the static is refused, whole batches too: each cell has the reason, the others a value."""
+    base = cl.load_scenario("wam_slide_friction", {"time.duration": 0.05})
+    x, y = control_of(base, "law.force"), control_of(base, "friction.kinetic")
+    found = Map(base, Axis.of(x, 3), Axis.of(y, 6), "peak_contact_force")
+    assert list(found.fill(batch=2))[-1] == 18
+    refused = found.y.values > base.friction.static
+    assert refused.any()
+    assert np.all(found.state[refused] == 2.0)
+    assert np.all(np.isfinite(found.grid[~refused]))
+    assert "must not be below kinetic" in found.reasons[5, 0]
 
 
 def test_an_axis_has_the_values_of_its_slider():
@@ -288,51 +310,89 @@ def test_what_runs_share_is_as_if_made_for_each(name):
         assert np.array_equal(shared.table, own.table)
 
 
-def test_the_picture_of_a_map_shows_its_cells_while_they_come():
-    """At every stage, a linear scale or one of decades: each cell has the colour of its value, grey where none is."""
-    base = cl.load_scenario("wam_slide")
-    found = Map(
-        base, Axis.of(control_of(base, "law.force"), 8), Axis.of(control_of(base, "law.kp", 1), 5), "rms_force_error"
+def test_a_whole_list_moves_by_one_factor_and_a_typed_number_may_be_beyond_the_slider():
+    """All joints together keep their ratios; from zero all become the same; what is no number is one sentence."""
+    gain = control_of(cl.load_scenario("wam_slide"), "law.kp", 1)
+    assert gain.together(gain.typed("450")) == [450.0, 450.0, 200.0, 150.0]
+    assert gain.typed("1e9")[1] == 1e9
+    assert gain.with_value(gain.typed("1e9")).high == pytest.approx(9.0)
+    zero = gain.with_value([0.0, 900.0, 400.0, 300.0])
+    assert control_of(cl.load_scenario("wam_slide"), "law.kp", 0).index == 0
+    first = type(zero)(**{**zero.__dict__, "index": 0})
+    assert first.together([5.0, 900.0, 400.0, 300.0]) == [5.0] * 4
+    with pytest.raises(ValueError, match=r"law.kp: 'much' is no number"):
+        gain.typed("much")
+
+
+@pytest.mark.parametrize("name", every(4, [(name,) for name in cl.shipped_scenarios()]))
+def test_every_key_has_one_row_in_the_group_of_its_meaning(name):
+    """Gains, damping, friction and surface stand apart; none is twice or missing; what was changed is marked."""
+    scenario = cl.load_scenario(name)
+    found = groups.all_controls(scenario, robot_models.load(scenario.robot.model))
+    shown = groups.rows_in_groups(found.values(), {at: c.own for at, c in found.items()}, {})
+    rows = [row for group in shown for row in group["rows"]]
+    assert sorted(row["id"] for row in rows) == sorted(k if i is None else f"{k}#{i}" for k, i in found)
+    assert not any(row["changed"] for row in rows)
+    assert {groups.group_of(key) for key in ("law.kp", "law.motion_stiffness")} == {groups.STIFFNESS}
+    assert {groups.group_of(key) for key in ("law.kd", "law.motion_damping")} == {groups.DAMPING}
+    if ("law.force", None) in found:
+        force = found["law.force", None].with_value(7.25)
+        (group,) = groups.rows_in_groups([force], {("law.force", None): 1.0}, {"law.force": 7.25})
+        assert (group["name"], group["rows"][0]["changed"]) == (groups.LAW, True)
+
+
+def test_the_strip_says_what_is_better_than_before():
+    """Less error is green, more is red, equal says nothing; torque counts against each joint's own limit."""
+    answers = Answers(History(cl.load_scenario("wam_slide_friction", {"time.duration": 2.0}), "wam_slide_friction"))
+    start, stiff = answers.answer({}).run, answers.answer({"law.force_integral": 5.0}).run
+    before = strip.values(start, start.summary())
+    same = {tile["name"]: tile for tile in strip.tiles(start, start.summary(), before, "the start")}
+    assert all("change" not in tile for tile in same.values())
+    found = {tile["name"]: tile for tile in strip.tiles(stiff, stiff.summary(), before, "the start")}
+    assert found["force RMS"]["better"] == (stiff.summary()["rms_force_error"] < start.summary()["rms_force_error"])
+    assert (found["numbers"]["good"], found["control"]["good"]) == tuple(
+        stiff.summary()[key]["good"] for key in ("verdict", "control_verdict")
     )
-    drawn = MapPicture(found)
-
-    def colours():
-        pixels, (left, right, top, bottom) = drawn.draw(True)
-        high, wide = pixels.shape[:2]
-        x = (left + (right - left) * (np.arange(8) + 0.5) / 8) * wide
-        y = (bottom - (bottom - top) * (np.arange(5) + 0.5) / 5) * high
-        return pixels[np.ix_(y.astype(int), x.astype(int))].astype(int)
-
-    assert np.ptp(colours()) <= 1
-    for values in (np.linspace(1.0, 2.0, 40), np.logspace(-3.0, 3.0, 40)):
-        found.grid[:] = values.reshape(5, 8)
-        shown = colours().sum(axis=2).ravel()
-        assert np.all(np.diff(shown) > 0)
-        found.grid[2, 3] = np.nan
-        assert np.ptp(colours()[2, 3]) <= 1
-    assert len(np.unique(colours().reshape(-1, 3), axis=0)) == 40
+    shares = np.abs(start.torque).max(axis=0) / start.model.effort_limit
+    assert before["torque_share"] == pytest.approx(shares.max())
+    off = np.abs(start.contact_force - start.reference_force)
+    assert before["peak_force_error"] == pytest.approx(off.max())
 
 
-def test_where_the_page_is_late_the_picture_waits_for_the_slider_to_rest(monkeypatch):
-    """While a slider moves a run is drawn once a second; not if the second run after that came late; and at rest."""
-    now, drawn = [100.0], []
-    monkeypatch.setattr("closedloop.lab.picture.clock", SimpleNamespace(perf_counter=lambda: now[0]))
-    picture = Picture(MagicMock(), None, SimpleNamespace(playing=False), MagicMock(), MagicMock(), 400)
-    monkeypatch.setattr(picture, "_show", lambda run: drawn.append(now[0]))
+def test_messages_hold_trees_and_arrays():
+    """What is packed comes back, NaN in arrays included; a number that is not finite is null."""
+    message = {"kind": "run", "time": np.array([0.0, np.nan, 1e-3]), "faces": np.array([[1, 2], [3, 4]], np.uint32),
+               "rows": [{"x": np.float64(2.0), "none": None}, ["µ", float("inf")]]}  # fmt: skip
+    for found in (unpack(pack(message)), from_text(in_text([message]))[0]):
+        assert np.array_equal(found["time"], np.array([0.0, np.nan, 1e-3], np.float32), equal_nan=True)
+        assert found["faces"].tolist() == [1, 2, 3, 4]
+        assert found["rows"] == [{"x": 2.0, "none": None}, ["µ", None]]
 
-    def drag(seconds, gap):
-        drawn.clear()
-        end = now[0] + seconds
-        while now[0] < end:
-            picture.ask(object())
-            picture.follow(now[0])
-            now[0] += gap(now[0])
 
-    drag(4.0, lambda t: 0.05)
-    assert len(drawn) == 4
-    drag(14.0, lambda t: 0.3 if drawn and t - drawn[-1] < 0.1 else 0.05)  # each picture keeps the page for 0.3 s
-    assert len(drawn) == 1
-    now[0] += 0.5
-    picture.follow(now[0])
-    assert len(drawn) == 2
-    assert picture.wait(0.0)
+def test_a_place_of_the_map_is_a_value_that_its_slider_can_show():
+    """The middle of a cell is that cell's value, also of one joint of a list; the ends stay within the axis."""
+    base = cl.load_scenario("wam_slide")
+    for key, index in (("law.force", None), ("law.kp", 1), ("time.step", None)):
+        axis = Axis.of(control_of(base, key, index), 9)
+        for cell, value in enumerate(axis.values):
+            found = axis.at((cell + 0.5) / axis.values.size)
+            assert (found if index is None else found[index]) == pytest.approx(value, rel=6e-3)
+        assert axis.at(0.0) == axis.at(-3.0)
+    assert axis.name == "time.step"
+
+
+def test_work_may_wait_for_a_rest():
+    """While requests go on it waits, but not for ever; after a rest it is done once."""
+    shown = []
+    newest = Newest(lambda x: x, shown.append, rest=0.05, most=10.0)
+    for k in range(10):
+        newest.ask(k)
+        time.sleep(0.005)
+    assert newest.wait(5.0)
+    assert shown == [9]
+    newest.close()
+    often = Newest(lambda x: x, shown.append, rest=10.0, most=0.05)
+    often.ask(10)
+    assert often.wait(5.0)
+    assert shown[-1] == 10
+    often.close()

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -14,7 +15,7 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.figures.export.mcap_file import write_mcap
-from closedloop.lab.server import is_loopback, serve, without_token
+from closedloop.lab.server import Server, is_loopback, without_token
 from closedloop.lab.start import open_in_browser
 
 
@@ -38,7 +39,7 @@ def run_file(tmp_path_factory):
 )
 def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):
     """The exit status is 2, nothing is served, and the line says what is wrong."""
-    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
     assert main(["lab", "--no-browser", *words]) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -46,7 +47,7 @@ def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):
     assert said in err
 
 
-def test_without_viser_the_line_says_what_to_install(monkeypatch, capsys):
+def test_without_websockets_the_line_says_what_to_install(monkeypatch, capsys):
     """The extra is named."""
     monkeypatch.setattr("closedloop.command.lab.find_spec", lambda name: None)
     assert main(["lab"]) == 2
@@ -64,21 +65,21 @@ TOKEN = "0123456789abcdef"
 
 @pytest.fixture(scope="module")
 def served():
-    """A server of a page, its port, and the subprotocol that its page asks for."""
-    viser = pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
-    server = serve("127.0.0.1", 8591, TOKEN)
-    yield server.get_port(), f"viser-v{viser.__version__}"
-    server.stop()
+    """The port of a server of a page."""
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
+    server = Server("127.0.0.1", 8591, TOKEN, lambda: "<p>page</p>", lambda client: None, lambda client, said: None)
+    yield server.port
+    server.close()
 
 
 def asked_for(served, path, *, socketed=True, origin="http://{}", host="{}"):
     """Return the head of what the server answers to a request, for its websocket or for a page."""
-    port, protocol = served
+    port = served
     own = f"127.0.0.1:{port}"
     lines = [f"Host: {host.format(own)}"]
     if socketed:
         lines += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
-                  "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", f"Sec-WebSocket-Protocol: {protocol}"]  # fmt: skip
+                  "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA=="]  # fmt: skip
     lines += [] if origin is None else [f"Origin: {origin.format(own)}"]
     with socket.create_connection(("127.0.0.1", port), 30.0) as asking:
         asking.sendall("\r\n".join([f"GET {path} HTTP/1.1", *lines, "", ""]).encode())
@@ -146,14 +147,17 @@ def test_the_browser_is_given_no_token_on_its_command_line(monkeypatch):
 @pytest.mark.slow
 def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
     """The address is printed, the page is on this computer alone, and Ctrl-C ends it with status 0."""
-    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
     words = [sys.executable, "-m", "closedloop", "lab", "planar2_slide", "--port", "8431", "--no-browser"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         line = process.stdout.readline()
         assert "http://127.0.0.1:84" in line
         assert "/?token=" in line
+        url = re.search(r"http\S+", line)[0]
+        page = sockets.connect(url.replace("http", "ws", 1), compression=None)  # a page that is open keeps nothing
         os.kill(process.pid, signal.SIGINT)
         _, err = process.communicate(timeout=60)
+        page.close()
     assert process.returncode == 0
     assert "Traceback" not in err
     assert "the lab is closed" in err
@@ -162,7 +166,7 @@ def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
 @pytest.mark.slow
 def test_a_minute_of_dragging_leaves_the_last_value_and_no_memory():
     """Sixty changes a second, for ten seconds here: no fault, the last value shown, no growth."""
-    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
     from closedloop.command.lab_benchmark import MOST_MB, drag
 
     lab = cl.lab("wam_slide", port=8441, show=False)
@@ -213,6 +217,23 @@ def test_mcap_has_the_joints_the_tip_and_the_events(run_file, tmp_path):
     force = found["/tip_wrench"][-1].ros_msg.wrench.force
     assert force.z == pytest.approx(run.contact_force[-1] + run.friction_force[-1, 2])
     assert [m.ros_msg.msg.partition(":")[0] for m in found["/events"]] == [event.kind for event in run.events]
+    asked = found["/commanded_wrench"][-1].ros_msg.wrench.force
+    assert [asked.x, asked.y, asked.z] == (run.reference_force[-1] * run.surface_normal[-1]).tolist()
+    assert asked.z > 0.0
+    point = found["/desired_position"][7].ros_msg.point
+    assert [point.x, point.y, point.z] == run.reference_tip[7].tolist()
+    (path,) = found["/desired_path"]
+    ends = [path.ros_msg.poses[k].pose.position for k in (0, -1)]
+    assert [[p.x, p.y, p.z] for p in ends] == run.reference_tip[[0, -1]].tolist()
+
+
+def test_mcap_of_bodies_without_a_law_has_no_path_and_no_command(tmp_path):
+    """Nothing is wanted of a cube that is thrown."""
+    reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed: the extra 'mcap'")
+    (file,) = write_mcap(cl.simulate(cl.load_scenario("cube_toss", {"time.duration": 0.01})), tmp_path / "cube.mcap")
+    topics = {message.channel.topic for message in reader.read_ros2_messages(str(file))}
+    assert "/tip_pose" in topics
+    assert not topics & {"/commanded_wrench", "/desired_position", "/desired_path"}
 
 
 def test_mcap_has_the_forces_between_links(tmp_path):

@@ -198,6 +198,60 @@ def test_flight_against_mujoco():
         assert np.max(np.abs(mine)) > 0.1
 
 
+def test_flight_against_drake():
+    """Of an arm in flight Drake's linearisation, by its automatic differentiation, has ∂q̈/∂(q, q̇, Q) of ours."""
+    primitives = pytest.importorskip("pydrake.systems.primitives")
+    from validation.engines.drake import Drake
+
+    scenario = cl.load_scenario("wam_touchdown", {"start.v": [0.3, -0.2, 0.4, 0.1]})
+    problem = prepare(scenario)
+    here = Here(problem, instant_of(scenario, problem, 0.005), free=True)
+    other, n = Drake(problem.robot.model, problem.robot.tip), problem.robot.n
+    values = here.instant.values
+    other.free_acceleration(values["q"], values["v"], values["torque"])  # which sets the context
+    port = other.plant.get_applied_generalized_force_input_port().get_index()
+    none = pytest.importorskip("pydrake.systems.framework").OutputPortSelection.kNoOutput
+    there = primitives.FirstOrderTaylorApproximation(other.plant, other.context, port, none)
+    A, B, at = there.A()[n:], there.B()[n:], other.columns
+    for name, block in (("q", A[:, :n]), ("v", A[:, n:]), ("torque", B)):
+        mine = columns(here, name, np.full(n, 1e-4), True)["qdd"]
+        np.testing.assert_allclose(mine, block[np.ix_(at, at)], rtol=1e-7, atol=1e-6)
+        assert np.max(np.abs(mine)) > 0.1
+
+
+def test_delay_against_a_delay_differential_equation():
+    """The step response of the loop with a late sensor is that of m ẍ = f_c − f, ḟ_c = K (f_des − f(t − T)).
+
+    The equation is solved by the method of steps: the classical Runge-Kutta scheme, with the force of the interval
+    before, at every half step, from memory. The loop reads its samples once a step, and is late by up to 0.1 ms.
+    """
+    K, late, h, duration = 15.0, 0.004, 1e-4, 0.4
+    loop = cl.linearise(mass_on_a_spring(gain=K, time__step=h, time__duration=0.01, sensor__delay=late))
+    t, found = loop.response("force command", duration=duration)
+    part = 0.5 * h
+    past = round(late / part)
+    forces = np.zeros(past + 2 * t.size + 2)  # of the half steps, from −T on
+
+    def rate(y, delayed):
+        x, v, command = y
+        f = STIFFNESS * x + DAMPING * v
+        return np.array([v, (1.0 + command - f) / MASS, K * (1.0 - delayed)])
+
+    y = np.zeros(3)
+    for i in range(2 * t.size):
+        now, then = forces[i], forces[i + 1]
+        a = rate(y, now)
+        b = rate(y + 0.5 * part * a, 0.5 * (now + then))
+        c = rate(y + 0.5 * part * b, 0.5 * (now + then))
+        d = rate(y + part * c, then)
+        y = y + part / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+        forces[past + i + 1] = STIFFNESS * y[0] + DAMPING * y[1]
+    wanted = forces[past : past + 2 * t.size : 2]
+    assert np.max(np.abs(found - wanted)) < 0.01 * np.max(np.abs(wanted))
+    early = forces[: 2 * t.size : 2]  # a response that is late by T
+    assert np.max(np.abs(found - early)) > 0.1 * np.max(np.abs(wanted))
+
+
 PULSES = {
     "wam_slide": ("wam_slide", {}),
     "soft_table": ("soft_table", {}),

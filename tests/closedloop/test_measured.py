@@ -31,7 +31,7 @@ from closedloop.record.report.row_assumptions import (
 )
 from closedloop.record.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.step_error import resolution_of
+from closedloop.record.report.step_error import bounces_at_the_end, resolution_of, write_beside
 from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
@@ -64,6 +64,8 @@ def row_by_row(run):
         interpreted(count_swings)(row, wanted, i, held, order, sampled, Swings(tally.swings, n))
     interpreted(end_stretch)(held, order, Swings(tally.swings, n))
     interpreted(write_values)(row, n, len(run), tally, values)
+    bounces = bounces_at_the_end(run.event_kind, run.event_time, run.time[-1], run.scenario.time.step, run.mode[-1])
+    write_beside(run.scenario, Swings(tally.swings, n), values, bounces)
     return values
 
 
@@ -211,7 +213,10 @@ def written_out(row, wanted, limits, V, order, sampled):
     if sampled:
         kicks = sum(np.abs(cut_differences(x)) for x in r.torque.T)
         moved += max((abs(miss[i]) for i in lands), default=0.0) + 2.0 * max(kicks[:-1][touching[2:]], default=0.0)
-    of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-12 * np.max(np.abs(f))
+    of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-10 * np.max(np.abs(f))
+    changes = [i for i in range(1, count) if r.mode[i] != r.mode[i - 1]]
+    changed = max((abs(f[i] * touching[i] - f[i - 1] * touching[i - 1]) for i in changes), default=0.0)
+    hidden = failed.any() or any(touching[i] and touching[i - 1] for i in changes)
     aside = [step_error_of(x, r.mode, order)[0] for x in (r.position - wanted.position).T]
     late = (1.0 if first else 0.5) * H * np.max(np.linalg.norm(r.velocity, axis=1))
     lower, upper, fast, strong = limits
@@ -246,6 +251,7 @@ def written_out(row, wanted, limits, V, order, sampled):
         "start_closure_error": e[0] if touching[0] else 0.0,
         "largest_reference_force": np.max(np.abs(wanted.force)),
         "step_error_force": np.nan if failed.any() else varied + moved + of_pose,
+        "step_error_extremes": np.nan if hidden else varied + moved + of_pose + changed,
         "step_error_position": np.linalg.norm(aside) + late + 1e-12,
         "force_chatter": alternating(f) / np.sum(np.abs(f)) if np.any(f) else 0.0,
         "failed_at": [first_of(~met[name]) for name in NAMES],

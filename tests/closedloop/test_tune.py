@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.studies.tune.given import limit_of
+from closedloop.studies.tune.given import limit_of, varied
 from closedloop.studies.tune.search import MEAN, WORST, Search
 
 SHORT = {"time.duration": 1.0, "reference.stop": 1.0, "reference.start": 0.2}
@@ -197,3 +197,10 @@ def test_shipped_gains_become_better(name, changes, vary, subject_to, over):
     assert tuning.feasible
     assert tuning.value < 0.9 * tuning.value_before
     assert np.all(tuning.values["rms_force_error"] < tuning.values_before["rms_force_error"])
+
+
+def test_a_number_at_the_rounding_of_an_end_is_the_end():
+    """A search that ends a rounding beside 0 gives 0: a gain of 1e-14 is refused where the tuned scenario is read."""
+    vary = varied(cl.load_scenario("wam_slide"), {"law.force_integral": (0.0, 60.0)}, ())
+    assert [vary[0].at(share) for share in (0.0, 3e-16, 1.0 - 2e-16, 1.0)] == [0.0, 0.0, 60.0, 60.0]
+    assert 0.0 < vary[0].at(1e-9) < 1e-6

@@ -1,5 +1,7 @@
 """README and documentation: the code in them runs, the links lead somewhere, the site is built without a warning."""
 
+import ast
+import builtins
 import importlib.util
 import os
 import re
@@ -103,6 +105,48 @@ def test_a_public_name_without_a_place_is_refused(generate, monkeypatch):
     monkeypatch.setattr(closedloop, "__all__", sorted([*closedloop.__all__, "newcomer"]))
     with pytest.raises(ValueError, match="newcomer"):
         list(generate.api())
+
+
+def example_names(text):
+    """Return the public names that the Python blocks of a page use: `cl.NAME`, or imported from the package."""
+    code = "\n".join(code for _, code in blocks(text, "python"))
+    used = set(re.findall(r"\b(?:cl|closedloop)\.(\w+)", code))
+    for names in re.findall(r"^from closedloop import (.+)$", code, re.MULTILINE):
+        used |= set(names.split(", "))
+    return used
+
+
+def test_every_public_name_has_an_example():
+    """On a page whose blocks `test_the_code_of_a_page_runs` runs; in a sentence it does not count."""
+    used = set().union(*(example_names(page.read_text(encoding="utf-8")) for page in WITH_CODE))
+    assert sorted(set(closedloop.__all__) - used) == []
+    assert example_names("`cl.simulate`\n\n```python\nfrom closedloop import Law, Run\ncl.halve(x)\n```\n") == {
+        "Law", "Run", "halve",
+    }  # fmt: skip
+
+
+def names_of_others(code):
+    """Return the names that a program reads at its top level and in its functions and does not make itself."""
+    tree = ast.parse(code)
+    made = {alias.asname or alias.name.split(".")[0] for node in ast.walk(tree)
+            if isinstance(node, (ast.Import, ast.ImportFrom)) for alias in node.names}  # fmt: skip
+    made |= {node.name for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    made |= {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
+    made |= {node.name for node in ast.walk(tree) if isinstance(node, ast.ExceptHandler) and node.name}
+    read = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
+    made |= {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return read - made - set(dir(builtins))
+
+
+def test_a_recipe_stands_alone():
+    """Each section's blocks make or import every name that they use; one that needs another section is seen."""
+    sections = re.split(r"^## ", (DOCS / "recipes.md").read_text(encoding="utf-8"), flags=re.MULTILINE)[2:]
+    assert len(sections) >= 9
+    for section in sections:
+        code = "\n".join(code for _, code in blocks(section, "python"))
+        assert code, section[:40]
+        assert names_of_others(code) == set(), section.splitlines()[0]
+    assert names_of_others("import a\nb = a.c(d)\n") == {"d"}
 
 
 def test_every_study_on_a_page_exists():

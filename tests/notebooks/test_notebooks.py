@@ -15,6 +15,7 @@ FIGURES = {
     "figures_4_to_7": 4,
     "log_to_controller": 3,
     "surfaces": 7,
+    "unstable_on_steel": 5,
 }
 
 # These take five to ten seconds each.

@@ -99,12 +99,13 @@ def simulate_slide(
 
     Parameters
     ----------
-    q, v : (n,) the state at t = 0
+    q, v : (n,) the state at t = 0; complex, as gains and force may be, for derivatives by a complex step
     q_des, v_des : (N, n) the reference at t_k = k h; N is the number of rows of the result, N − 1 steps are
         made
     step : h [s]
     """
-    q, v, normal = np.array(q, dtype=float), np.array(v, dtype=float), np.asarray(closure.normal, dtype=float)
+    dtype = np.result_type(np.float64, q, v, law.kp, law.kd, law.force)
+    q, v, normal = np.array(q, dtype=dtype), np.array(v, dtype=dtype), np.asarray(closure.normal, dtype=float)
     offset = closure.offset
     if not np.isclose(normal @ normal, 1.0, rtol=1e-12):
         raise ValueError(f"normal {normal.tolist()} must have length one")
@@ -112,14 +113,9 @@ def simulate_slide(
     gains = (0.0, 0.0) if closure.stabiliser is None else stabiliser_gains(*closure.stabiliser)
     out = Slide(
         time=np.arange(rows) * step,
-        q=np.zeros((rows, n)),
-        v=np.zeros((rows, n)),
-        acceleration=np.zeros((rows, n)),
-        torque=np.zeros((rows, n)),
-        position=np.zeros((rows, 3)),
-        contact_force=np.zeros(rows),
-        closure_error=np.zeros(rows),
-        closure_rate=np.zeros(rows),
+        **{name: np.zeros((rows, n), dtype=dtype) for name in ("q", "v", "acceleration", "torque")},
+        **{name: np.zeros(rows, dtype=dtype) for name in ("contact_force", "closure_error", "closure_rate")},
+        position=np.zeros((rows, 3), dtype=dtype),
     )
     for k, t in enumerate(out.time):
         terms = oracle.terms(q, v)

@@ -83,7 +83,7 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import batch, contestants, feet, inertia, loops
+    from validation.speed import batch, contestants, derivatives, feet, inertia, loops
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
@@ -116,6 +116,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             everyone.append(contestants.drake_loop(arm, slide(arm, max(1, steps // DRAKE_SHARE))))
         if arm == "wam4":
             everyone.append(contestants.user_law(arm, problem))
+            everyone += derivatives.racing(arm, problem)
             whole = slide(arm, 2 * steps)  # by default as long as `wam_slide`
             everyone += contestants.whole_call(arm, whole)
             everyone += [batch.compiled_batch(arm, whole, runs, threads) for threads in (1, 2)]

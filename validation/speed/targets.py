@@ -48,6 +48,8 @@ def targets(timings: Timings) -> list[Target]:
         ("whole cl.simulate / its steps", 2.5, False, lambda: times("call", "call_steps")),
         ("MuJoCo from Python / whole cl.simulate", 8.0, True, lambda: times("mujoco", "call")),
         ("H by Newton–Euler columns / composite bodies", 1.0, True, lambda: times("rnea_columns", "crba")),
+        ("value and seven derivatives / compiled", 1.8, False, lambda: times("duals", "compiled")),
+        ("the same with friction / compiled", 2.5, False, lambda: times("rubbing_duals", "rubbing")),
         (added, 1.0, False, lambda: growth(timings)),
     ]
     found = [Target(what if what == added else f"{ARM}: {what}", w, least, of()) for what, w, least, of in rows]

@@ -27,7 +27,7 @@ def edge_distances(surface: PlacedSurface, times: Array, r: Array) -> Array:
     bounds, axes, found = np.array(surface.section.bounds()), surface.frame[[1, 2, 0]], np.empty(times.size)
     for k, t in enumerate(times):
         turn, shift = surface.displacement(float(t))
-        found[k] = edge_distance(axes @ (turn.T @ (r[k] - shift) - surface.origin), bounds)
+        found[k] = edge_distance(axes @ (turn.T @ (r[k] - shift) - surface.origin), bounds, np.zeros(5))
     return found
 
 

@@ -4,6 +4,9 @@
                                                             rotation vector and the angular velocity in its axes
     /tip_pose             geometry_msgs/msg/PoseStamped     the tip's frame, in the base frame
     /tip_wrench           geometry_msgs/msg/WrenchStamped   f n and friction on the tip, base axes
+    /commanded_wrench     geometry_msgs/msg/WrenchStamped   f_des n, as /tip_wrench; none without a law that presses
+    /desired_position     geometry_msgs/msg/PointStamped    where the law wants the tip, in the base frame
+    /desired_path         nav_msgs/msg/Path                 all of it, once, without orientation
     /wrist_wrench         geometry_msgs/msg/WrenchStamped   what a sensor between arm and tool reads, the tip's axes
     /contacts/NAME        geometry_msgs/msg/WrenchStamped   of a contact of links, on the link with the point, base axes
     /loops/NAME           geometry_msgs/msg/WrenchStamped   of a loop joint on its first side, axes of its second frame
@@ -25,7 +28,9 @@ import numpy as np
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
+from closedloop.control.laws.none import NoLaw
 from closedloop.figures.export.messages import DEFINITIONS
+from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import quaternions, scene_of
 from closedloop.mechanics.loops.wrench import named_side, parts_of
 from closedloop.record.columns.derived import loop_positions
@@ -33,6 +38,7 @@ from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of
 
 NEEDS_MCAP = 'MCAP needs two packages that are not installed: pip install "closedloop[mcap]"'
+PATH_POINTS = 1000  # of the message with the whole desired path, at most
 INFO = 20  # level of a log message
 
 
@@ -66,7 +72,14 @@ def _write(run: Run, file: BinaryIO) -> None:
     base, scene = _base_frame(run), scene_of(run)
     reactions = list(_reactions(run))
     names, q = list(run.model.joint_names), loop_positions(run)
-    nothing = {"x": 0.0, "y": 0.0, "z": 0.0}
+    nothing, unturned = {"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    wanted, commanded = run.reference_tip, bool(np.any(run.reference_force))
+    start = {"stamp": _stamp(0.0), "frame_id": base}
+    points = [] if isinstance(run.scenario.law, NoLaw) else thin_out(wanted, PATH_POINTS)
+    poses = [{"position": _vector(point), "orientation": unturned} for point in points]
+    if poses:
+        path = {"header": start, "poses": [{"header": start, "pose": pose} for pose in poses]}
+        send("/desired_path", "nav_msgs/msg/Path", path, 0.0)
     for k in range(len(run)):
         time, there = float(run.time[k]), scene.joint_places(k)
         header = {"stamp": _stamp(time), "frame_id": base}
@@ -76,6 +89,12 @@ def _write(run: Run, file: BinaryIO) -> None:
         send("/tip_pose", "geometry_msgs/msg/PoseStamped", {"header": header, "pose": pose}, time)
         wrench = {"force": _vector(run.tip_force[k]), "torque": nothing}
         send("/tip_wrench", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+        if poses:
+            point = {"header": header, "point": _vector(wanted[k])}
+            send("/desired_position", "geometry_msgs/msg/PointStamped", point, time)
+        if commanded:
+            wrench = {"force": _vector(run.reference_force[k] * run.surface_normal[k]), "torque": nothing}
+            send("/commanded_wrench", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
         wrench = {"force": _vector(run.wrist_wrench[k, :3]), "torque": _vector(run.wrist_wrench[k, 3:])}
         at_wrist = header | {"frame_id": scene.tip}
         send("/wrist_wrench", "geometry_msgs/msg/WrenchStamped", {"header": at_wrist, "wrench": wrench}, time)

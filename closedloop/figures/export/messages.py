@@ -13,6 +13,23 @@ string frame_id
 {_TIME}"""
 _SEPARATOR = "=" * 80
 
+_POINT = f"""{_SEPARATOR}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z"""
+_POSE = f"""{_SEPARATOR}
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{_POINT}
+{_SEPARATOR}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w"""
+
 DEFINITIONS: dict[str, str] = {
     "sensor_msgs/msg/JointState": f"""std_msgs/Header header
 string[] name
@@ -23,21 +40,19 @@ float64[] effort
     "geometry_msgs/msg/PoseStamped": f"""std_msgs/Header header
 geometry_msgs/Pose pose
 {_HEADER}
+{_POSE}""",
+    "geometry_msgs/msg/PointStamped": f"""std_msgs/Header header
+geometry_msgs/Point point
+{_HEADER}
+{_POINT}""",
+    "nav_msgs/msg/Path": f"""std_msgs/Header header
+geometry_msgs/PoseStamped[] poses
+{_HEADER}
 {_SEPARATOR}
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-{_SEPARATOR}
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-{_SEPARATOR}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w""",
+MSG: geometry_msgs/PoseStamped
+std_msgs/Header header
+geometry_msgs/Pose pose
+{_POSE}""",
     "geometry_msgs/msg/WrenchStamped": f"""std_msgs/Header header
 geometry_msgs/Wrench wrench
 {_HEADER}

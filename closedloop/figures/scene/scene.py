@@ -19,6 +19,7 @@ from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.ground import Ground, floor_mesh
 from closedloop.figures.scene.joined import Joined, reactions_in, robot_in
 from closedloop.figures.scene.shapes import Shape, robot_shapes
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.events import Event
 from closedloop.record.columns.touching import Touching, contacts_of
@@ -164,9 +165,8 @@ class Scene:
 
     def _at_tip(self, row: int) -> list[Arrow]:
         run, normal = self.run, self.run.surface_normal[row]
-        forces = (
-            run.contact_force[row] * normal, np.array(run.friction_force[row]), -run.reference_force[row] * normal
-        )  # fmt: skip
+        wanted = 0.0 if run.mode[row] == FREE else float(run.reference_force[row])  # it acts on nothing there
+        forces = run.contact_force[row] * normal, np.array(run.friction_force[row]), -wanted * normal
         return [Arrow(run.position[row], force, kind, kind) for kind, force in zip(ARROWS, forces, strict=False)]
 
     def _in_loops(self, reactions: Array, axes: Array, origins: Array) -> list[Arrow]:
@@ -198,7 +198,7 @@ class Scene:
         """The kinds of arrows that this run has."""
         there = self.ground.there
         some = {LOOP: self.joined.loops, TOUCH: self.touching, "contact force": there, "friction": there}
-        some["commanded force"] = bool(np.any(self.run.reference_force))
+        some["commanded force"] = there and bool(np.any(self.run.reference_force))
         return [kind for kind in ARROWS if some.get(kind, True)]
 
     @cached_property
@@ -253,14 +253,19 @@ class Scene:
         return middle, float(np.linalg.norm(points - middle, axis=1).max())
 
     @cached_property
-    def metres_per_newton(self) -> float:
-        """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
+    def usual_force(self) -> float:
+        """The largest usual force of this run, N: 99 % of its forces are not above it."""
         others = LOOP, TOUCH
         rows = np.linspace(0, len(self.run) - 1, 20 if set(others) & set(self.kinds) else 0).astype(int)
         of_others = [np.linalg.norm(a.force) for each in self.arrows(rows) for a in each if a.kind in others]
-        forces = np.abs(np.concatenate([self.run.contact_force, self.run.reference_force, of_others]))
-        usual = float(np.percentile(forces[np.isfinite(forces)], 99)) if np.isfinite(forces).any() else 0.0
-        return round_down(LONGEST * self.size / usual) if usual > 0.0 else 0.01
+        of_tip = [self.run.contact_force, self.run.reference_force] if self.ground.there else []
+        forces = np.abs(np.concatenate([*of_tip, np.asarray(of_others)]))
+        return float(np.percentile(forces[np.isfinite(forces)], 99)) if np.isfinite(forces).any() else 0.0
+
+    @cached_property
+    def metres_per_newton(self) -> float:
+        """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
+        return round_down(LONGEST * self.size / self.usual_force) if self.usual_force > 0.0 else 0.01
 
 
 def scene_of(run: Run, ghosts: Sequence[Ghost] = ()) -> Scene:

@@ -1,11 +1,69 @@
 "use strict";
 // Arrays from the page's data, and the little algebra that drawing needs. Matrices are by columns, as WebGL has them.
 
-function bytesOf(text) {
-  return Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+// A message of `closedloop.lab.messages`: its header is JSON, in which arrays are named by where they begin.
+function decode(buffer) {
+  const length = new DataView(buffer).getUint32(0, true), begin = 4 + length;
+  return JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)), (key, v) => {
+    if (v && v.$f) return new Float32Array(buffer, begin + 4 * v.$f[0], v.$f[1]);
+    if (v && v.$u) return new Uint32Array(buffer, begin + 4 * v.$u[0], v.$u[1]);
+    return v;
+  });
 }
-const floats = (text) => new Float32Array(bytesOf(text));
-const whole = (text) => new Uint32Array(bytesOf(text));
+const bytesOf = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+
+const $ = (id) => document.getElementById(id);
+// A new element with properties, and children that are elements or text.
+function make(tag, given = {}, ...children) {
+  const found = Object.assign(document.createElement(tag), given);
+  found.append(...children);
+  return found;
+}
+
+// Colours of curves, which are made for white paper, as they are seen on dark paper.
+const ON_DARK = { "#0072B2": "#4fb0ea", "#009E73": "#2fc796", "#D55E00": "#ff8a3d", "#8A8A8A": "#a5adb5", "#7B61C4": "#a48cf0" };
+let dark = false;
+const tint = (colour) => (dark && ON_DARK[colour]) || colour;
+const rgb = (colour) => `rgb(${colour.map((c) => Math.round(255 * c))})`;
+// A colour that the style sheet names, as a canvas takes it.
+const inks = new Map();
+function ink(name) {
+  if (!inks.has(name)) {
+    const probe = document.body.appendChild(make("i"));
+    probe.style.color = `var(${name})`;
+    inks.set(name, getComputedStyle(probe).color);
+    probe.remove();
+  }
+  return inks.get(name);
+}
+const short = (v, digits = 4) => (Number.isFinite(v) ? String(Number(v.toPrecision(digits))) : "-");
+
+// Round values between low and high, about so many.
+function ticks(low, high, wanted) {
+  const raw = (high - low) / wanted, power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= raw);
+  const found = [];
+  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) + 1e-300 && found.length < 20; k++) found.push(k * step || 0);
+  return found;
+}
+function logTicks(low, high) {
+  const found = [];
+  for (let p = Math.floor(Math.log10(low)); p <= Math.ceil(Math.log10(high)); p++) {
+    for (const k of high / low > 100 ? [1] : [1, 2, 5]) found.push(k * 10 ** p);
+  }
+  return found.filter((v) => v >= low * (1 - 1e-9) && v <= high * (1 + 1e-9));
+}
+
+// The pixels of a canvas for its place on the page; returns its context in CSS pixels, its width and height.
+function sized(canvas) {
+  const dpr = window.devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
+  const [pw, ph] = [Math.max(1, Math.round(w * dpr)), Math.max(1, Math.round(h * dpr))];
+  const g = canvas.getContext("2d");
+  if (canvas.width !== pw || canvas.height !== ph) [canvas.width, canvas.height] = [pw, ph];
+  g.setTransform(dpr, 0, 0, dpr, 0, 0);
+  g.clearRect(0, 0, w, h);
+  return [g, w, h];
+}
 
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 const plus = (a, b, k = 1) => [a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]];

@@ -1,109 +1,262 @@
 "use strict";
-// Curves against time on a canvas each, with one cursor for all. A click or a drag goes to that instant.
+// Curves against time, one window and one cursor for all. A click goes to an instant, a drag enlarges.
+
+const LEFT = 52, RIGHT = 10, BELOW = 18, MODE = 7;
+const MODES = ["rgb(140 150 160 / 0.35)", "rgb(0 114 178 / 0.45)", "rgb(230 159 0 / 0.75)"];
+const EVENT = {
+  impact: "#E69F00", touchdown: "#0072B2", liftoff: "#56B4E9", stick: "#D55E00", slip: "#009E73", reversal: "#CC79A7",
+};
+
+class Plots {
+  constructor(parent, tell) {
+    this.parent = parent;
+    this.tell = tell; // { seek, window, close }
+    this.plots = new Map();
+    this.pins = [];
+    this.hidden = new Set();
+    this.window = null;
+    this.range = [0, 1];
+    this.run = null;
+  }
+
+  // Show another run; its panels keep their places.
+  show(run) {
+    this.run = run;
+    this.range = this.window ?? [run.begin, Math.max(run.total ?? run.end, run.begin + 1e-9)];
+    const names = run.panels.map((p) => p.name);
+    for (const [name, plot] of this.plots) if (!names.includes(name)) { plot.box.remove(); this.plots.delete(name); }
+    run.panels.forEach((panel, k) => {
+      let plot = this.plots.get(panel.name);
+      if (!plot) this.plots.set(panel.name, (plot = new Plot(this, panel.name)));
+      if (this.parent.children[k] !== plot.box) this.parent.insertBefore(plot.box, this.parent.children[k] ?? null);
+      plot.box.classList.toggle("first", k === 0);
+      plot.take(panel, k === 0);
+    });
+    this.draw();
+  }
+
+  draw() { for (const plot of this.plots.values()) plot.draw(); }
+
+  cursor(now, held) { for (const plot of this.plots.values()) plot.cursor(now, held); }
+
+  enlarge(from, to) {
+    const run = this.run, end = run.total ?? run.end;
+    const [a, b] = [Math.max(Math.min(from, to), run.begin), Math.min(Math.max(from, to), end)];
+    this.window = b - a < 2 * run.step || (a <= run.begin && b >= end) ? null : [a, b];
+    this.range = this.window ?? [run.begin, end];
+    this.draw();
+    this.tell.window(this.window);
+  }
+}
 
 class Plot {
-  constructor(parent, panel, marks, seek) {
-    this.panel = { ...panel, time: floats(panel.time), traces: panel.traces.map((t) => ({ ...t, values: floats(t.values) })) };
-    this.marks = marks;
-    const box = parent.appendChild(document.createElement("div"));
-    box.className = "plot";
-    this.names = box.appendChild(document.createElement("div"));
-    this.names.className = "names";
-    this.canvas = box.appendChild(document.createElement("canvas"));
-    const go = (e) => { if (e.buttons) seek(this.instant(e.offsetX)); };
-    this.canvas.addEventListener("pointerdown", (e) => { this.canvas.setPointerCapture(e.pointerId); go(e); });
-    this.canvas.addEventListener("pointermove", go);
-    this.span();
+  constructor(all, name) {
+    this.all = all;
+    this.name = name;
+    this.names = make("div", { className: "names" });
+    this.base = make("canvas");
+    this.over = make("canvas", { className: "over" });
+    this.over.setAttribute("role", "img");
+    this.area = make("div", { className: "area" }, this.base, this.over);
+    this.box = make("div", { className: "plot" }, this.names, this.area);
+    this.hover = null;
+    this.listen();
   }
 
-  span() {
-    let [low, high] = [Infinity, -Infinity];
-    for (const t of this.panel.traces) {
-      for (const v of t.values) if (Number.isFinite(v)) { low = Math.min(low, v); high = Math.max(high, v); }
-    }
-    if (!(low < high)) {
-      const k = 0.05 * Math.abs(low) || 1;
-      low = Number.isFinite(low) ? low - k : 0;
-      high = low + 2 * k;
-    }
-    const margin = 0.06 * (high - low);
-    [this.low, this.high] = [low - margin, high + margin];
-    this.end = this.panel.time[this.panel.time.length - 1] || 1;
+  take(panel, first) {
+    const labels = panel.traces.map((t) => t.label).join("\n") + panel.title;
+    this.panel = panel;
+    this.first = first;
+    if (labels !== this.labels) this.name_all(labels);
   }
 
-  box() {
-    return [52, 6, this.canvas.clientWidth - 62, this.canvas.clientHeight - 26];
+  name_all(labels) {
+    this.labels = labels;
+    const names = this.panel.traces.filter((t) => !t.limit).map((t) => t.label); // panda_joint1, panda_joint2: joint1 ...
+    const shared = names.length > 1 ? names[0].slice(0, names[0].lastIndexOf("_") + 1) : "";
+    this.shared = shared && names.every((n) => n.startsWith(shared)) ? shared.length : 0;
+    this.spans = this.panel.traces.map((t) => {
+      const span = make("button", { title: "click: hide or show it" });
+      span.onclick = () => {
+        const key = `${this.name} ${t.label}`;
+        if (!this.all.hidden.delete(key)) this.all.hidden.add(key);
+        this.draw();
+      };
+      return span;
+    });
+    const shown = this.spans.filter((span, k) => this.panel.traces[k].label !== "-limit");
+    this.names.replaceChildren(make("b", { textContent: this.panel.title }), ...shown.slice(0, 10));
+    if (this.all.tell.extra(this.name)) {
+      const close = make("button", { className: "close", textContent: "close", title: "show this column no longer" });
+      close.onclick = () => this.all.tell.close(this.name);
+      this.names.append(close);
+    }
+  }
+
+  listen() {
+    const c = this.over;
+    let from = null, moved = false, scrub = false;
+    c.addEventListener("pointerdown", (e) => {
+      c.setPointerCapture(e.pointerId);
+      [from, moved, scrub] = [e.offsetX, false, e.offsetY > c.clientHeight - BELOW];
+      if (scrub) this.all.tell.seek(this.instant(e.offsetX));
+    });
+    c.addEventListener("pointermove", (e) => {
+      this.hover = this.instant(e.offsetX);
+      if (from !== null && scrub) this.all.tell.seek(this.hover);
+      if (from !== null && !scrub && Math.abs(e.offsetX - from) > 5) moved = true;
+      this.drag = moved ? [from, e.offsetX] : null;
+      this.all.cursor(this.now, this.hover);
+    });
+    c.addEventListener("pointerup", (e) => {
+      if (from === null) return;
+      if (moved) this.all.enlarge(this.instant(from), this.instant(e.offsetX));
+      else if (!scrub) this.all.tell.seek(this.instant(e.offsetX));
+      [from, this.drag] = [null, null];
+    });
+    c.addEventListener("pointerleave", () => { this.hover = null; this.all.cursor(this.now, null); });
+    c.addEventListener("dblclick", () => this.all.enlarge(-Infinity, Infinity));
+    c.addEventListener("wheel", (e) => {
+      if (!e.ctrlKey && !e.metaKey) return;
+      e.preventDefault();
+      const [a, b] = this.all.range, at = this.instant(e.offsetX), k = Math.exp(0.002 * e.deltaY);
+      this.all.enlarge(at + (a - at) * k, at + (b - at) * k);
+    }, { passive: false });
   }
 
   instant(x) {
-    const [left, , width] = this.box();
-    return Math.min(Math.max((x - left) / width, 0), 1) * this.end;
+    const [a, b] = this.all.range;
+    return a + Math.min(Math.max((x - LEFT) / (this.over.clientWidth - LEFT - RIGHT), 0), 1) * (b - a);
   }
 
-  draw(now) {
-    const c = this.canvas, dpr = window.devicePixelRatio || 1;
-    [c.width, c.height] = [Math.round(c.clientWidth * dpr), Math.round(c.clientHeight * dpr)];
-    const g = c.getContext("2d");
-    g.scale(dpr, dpr);
-    const style = getComputedStyle(document.documentElement);
-    const [left, top, width, height] = this.box();
-    const x = (t) => left + (width * t) / this.end;
-    const y = (v) => top + height * (1 - (v - this.low) / (this.high - this.low));
+  seen() { return this.panel.traces.filter((t) => !this.all.hidden.has(`${this.name} ${t.label}`)); }
+
+  // The least and greatest value in the window; a limit that is far away is left out, except where it is the subject.
+  span(pinned) {
+    let [low, high] = [Infinity, -Infinity];
+    const [a, b] = this.all.range;
+    const over = (time, values) => {
+      for (let i = 0; i < values.length; i++) {
+        const v = values[i];
+        if (Number.isFinite(v) && time[i] >= a && time[i] <= b) { if (v < low) low = v; if (v > high) high = v; }
+      }
+    };
+    for (const t of this.seen()) if (!t.limit) over(this.panel.time, t.values);
+    for (const p of pinned) over(p.time, p.values);
+    const [l, h] = [low, high];
+    for (const t of this.seen()) if (t.limit) over(this.panel.time, t.values);
+    if (this.name === "torque" && h > l && Math.max(Math.abs(l), Math.abs(h)) < 40) [low, high] = [l, h];
+    if (this.panel.band && h - l < 8 * this.panel.band) [low, high] = [low - 1.5 * this.panel.band, high + 1.5 * this.panel.band];
+    if (!(low < high)) {
+      const k = 0.05 * Math.abs(low) || 1;
+      low = Number.isFinite(low) ? low - k : -1;
+      high = low + 2 * k;
+    }
+    const margin = 0.07 * (high - low);
+    return [low - margin, high + margin];
+  }
+
+  draw() {
+    const [g, w, h] = sized(this.base);
+    if (!this.panel || w < 80) return;
+    const [a, b] = this.all.range, run = this.all.run, strip = this.first && run.modes ? MODE : 0;
+    const [x0, y0, width, height] = [LEFT, 4, w - LEFT - RIGHT, h - 4 - BELOW - strip];
+    const pinned = this.all.pins.map((p) => ({ colour: p.colour, ...p.panels[this.name] })).filter((p) => p.time);
+    const [low, high] = this.span(pinned);
+    this.largest = Math.max(Math.abs(low), Math.abs(high));
+    const x = (t) => x0 + (width * (t - a)) / (b - a);
+    const y = (v) => y0 + height * (1 - (v - low) / (high - low));
+    this.x = x;
     g.font = "11px system-ui, sans-serif";
-    g.fillStyle = style.getPropertyValue("--faint");
-    g.strokeStyle = style.getPropertyValue("--line");
+    g.fillStyle = ink("--faint");
+    g.strokeStyle = ink("--line");
     g.lineWidth = 1;
-    for (const v of ticks(this.low, this.high, 5)) this.line(g, left, y(v), left + width, y(v), label(v), left - 6, y(v) + 4, "right");
-    for (const t of ticks(0, this.end, 8)) this.line(g, x(t), top, x(t), top + height, label(t), x(t), top + height + 14, "center");
+    const line = (xa, ya, xb, yb) => { g.beginPath(); g.moveTo(xa, ya); g.lineTo(xb, yb); g.stroke(); };
+    g.textAlign = "right";
+    for (const v of ticks(low, high, Math.max(2, height / 34))) { line(x0, y(v), x0 + width, y(v)); g.fillText(short(v), x0 - 6, y(v) + 4); }
+    g.textAlign = "center";
+    for (const t of ticks(a, b, Math.max(3, width / 90))) { line(x(t), y0, x(t), y0 + height); g.fillText(`${short(t)}${this.first ? " s" : ""}`, x(t), h - 4); }
     g.save();
     g.beginPath();
-    g.rect(left, top, width, height);
+    g.rect(x0, y0 - 3, width, height + 6);
     g.clip();
-    for (const trace of this.panel.traces) {
-      g.strokeStyle = trace.colour;
-      g.lineWidth = 1.3;
-      g.setLineDash(trace.limit ? [5, 4] : []);
-      g.beginPath();
-      trace.values.forEach((v, i) => g.lineTo(x(this.panel.time[i]), y(v)));
-      g.stroke();
+    const asked = this.panel.traces.find((t) => t.limit), time = this.panel.time;
+    if (this.panel.band && asked) this.between(g, time, asked.values, (v) => v - this.panel.band, (v) => v + this.panel.band, x, y);
+    if (this.name === "friction" && asked) this.between(g, time, asked.values, () => 0, (v) => v, x, y);
+    for (const m of run.marks) {
+      g.strokeStyle = tint(EVENT[m.kind] ?? "#8A8A8A");
+      g.globalAlpha = this.first ? 0.55 : 0.3;
+      if (m.time >= a && m.time <= b) line(x(m.time), this.first ? y0 : y0 + height - 8, x(m.time), y0 + height);
     }
-    g.setLineDash([]);
-    g.strokeStyle = "#B8A500";
-    for (const m of this.marks) this.line(g, x(m.time), top + height - 12, x(m.time), top + height);
-    g.strokeStyle = style.getPropertyValue("--ink");
-    this.line(g, x(now), top, x(now), top + height);
+    g.globalAlpha = 1;
+    for (const p of pinned) this.curve(g, p.time, p.values, tint(p.colour), 1.2, [], x, y);
+    for (const t of this.seen()) this.curve(g, time, t.values, tint(t.colour), this.first && t.label === "f" ? 2 : 1.4, t.limit ? [5, 4] : [], x, y);
     g.restore();
-    this.say(now);
+    if (strip) this.modes(g, x, [x0, x0 + width], h - BELOW - strip + 1);
+    this.over.setAttribute("aria-label", `${this.panel.title}, from ${short(low)} to ${short(high)}, against time`);
+    this.cursor(this.now ?? 0, null);
   }
 
-  line(g, x0, y0, x1, y1, text, tx, ty, align) {
+  curve(g, time, values, colour, width, dashes, x, y) {
+    g.strokeStyle = colour;
+    g.lineWidth = width;
+    g.lineJoin = "round";
+    g.setLineDash(dashes);
     g.beginPath();
-    g.moveTo(x0, y0);
-    g.lineTo(x1, y1);
+    let down = false;
+    for (let i = 0; i < values.length; i++) {
+      const v = values[i];
+      if (!Number.isFinite(v)) { down = false; continue; }
+      if (down) g.lineTo(x(time[i]), y(v)); else g.moveTo(x(time[i]), y(v));
+      down = true;
+    }
     g.stroke();
-    if (text !== undefined) { g.textAlign = align; g.fillText(text, tx, ty); }
+    g.setLineDash([]);
   }
 
-  say(now) {
-    const times = this.panel.time;
-    let k = 0;
-    while (k + 1 < times.length && times[k + 1] <= now) k++;
-    this.names.replaceChildren(Object.assign(document.createElement("b"), { textContent: `${this.panel.title}  ` }));
-    for (const t of this.panel.traces) {
-      const value = Number(t.values[k]).toPrecision(4);
-      const name = this.names.appendChild(Object.assign(document.createElement("span"), { textContent: `${t.label} ${value}` }));
-      name.style.color = t.colour;
-      this.names.append(" ");
+  between(g, time, values, under, above, x, y) {
+    g.fillStyle = ink("--band");
+    g.beginPath();
+    for (let i = 0; i < values.length; i++) g.lineTo(x(time[i]), y(above(values[i])));
+    for (let i = values.length - 1; i >= 0; i--) g.lineTo(x(time[i]), y(under(values[i])));
+    g.fill();
+  }
+
+  modes(g, x, [from, to], top) {
+    const { time, mode } = this.all.run.modes, end = this.all.run.end;
+    for (let i = 0; i < time.length; i++) {
+      const [u, v] = [Math.max(x(time[i]), from), Math.min(x(i + 1 < time.length ? time[i + 1] : end), to)];
+      g.fillStyle = MODES[mode[i]];
+      if (v > u) g.fillRect(u, top, Math.max(v - u, 0.6), MODE - 2);
     }
   }
-}
 
-function ticks(low, high, wanted) {
-  const raw = (high - low) / wanted, power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= raw);
-  const found = [];
-  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) && found.length < 20; k++) found.push(k * step || 0);
-  return found;
-}
+  // The cursor, and the values at it: of the pointer while it is here, else of the replay's instant.
+  cursor(now, hover) {
+    this.now = now;
+    const [g, w, h] = sized(this.over);
+    if (!this.x || !this.panel) return;
+    const inside = (t) => this.x(t) >= LEFT - 1 && this.x(t) <= w - RIGHT + 1;
+    const line = (t) => { g.beginPath(); g.moveTo(this.x(t), 4); g.lineTo(this.x(t), h - BELOW); g.stroke(); };
+    g.strokeStyle = ink("--ink");
+    if (inside(now)) line(now);
+    if (hover !== null && hover !== undefined) { g.strokeStyle = ink("--faint"); g.setLineDash([3, 3]); line(hover); g.setLineDash([]); }
+    if (this.drag) {
+      g.fillStyle = "rgb(79 176 234 / 0.2)";
+      g.fillRect(Math.min(...this.drag), 4, Math.abs(this.drag[1] - this.drag[0]), h - BELOW - 4);
+    }
+    this.say(hover ?? now);
+  }
 
-const label = (v) => String(Number(v.toPrecision(4)));
+  say(at) {
+    const time = this.panel.time;
+    let [k, high] = [0, time.length - 1];
+    while (k < high) { const m = (k + high + 1) >> 1; if (time[m] <= at) k = m; else high = m - 1; }
+    this.panel.traces.forEach((t, i) => {
+      const span = this.spans[i];
+      span.textContent = this.name.startsWith("torque") && t.limit ? "limit" : `${t.limit ? t.label : t.label.slice(this.shared)} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k])}`;
+      span.style.color = tint(t.colour);
+      span.classList.toggle("off", this.all.hidden.has(`${this.name} ${t.label}`));
+    });
+  }
+}

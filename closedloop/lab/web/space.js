@@ -1,173 +1,208 @@
 "use strict";
-// The arm, the surface, the paths and the forces, drawn with WebGL 2. Drag turns, the wheel zooms, Shift and drag shifts.
+// The robot, the surface, the paths and the forces in space. Drag turns, the wheel zooms, Shift and drag shifts.
+// Two views: of the contact, with the whole arm as an inset, and of the whole arm.
 
-const VERTEX = `#version 300 es
-in vec3 at; uniform mat4 model, camera; out vec3 world;
-void main() { vec4 p = model * vec4(at, 1.0); world = p.xyz; gl_Position = camera * p; }`;
-const FRAGMENT = `#version 300 es
-precision highp float; in vec3 world; uniform vec4 colour; uniform float lit; out vec4 seen;
-void main() {
-  vec3 n = normalize(cross(dFdx(world), dFdy(world)));
-  float light = 0.45 + 0.4 * abs(dot(n, normalize(vec3(0.4, -0.5, 0.8)))) + 0.15 * abs(n.x);
-  seen = vec4(colour.rgb * mix(1.0, light, lit), colour.a);
-}`;
+const ANGLE = 0.7, RED = [0.85, 0.15, 0.1], SEEN_THROUGH = 0.3;
+// The longest usual arrow, and the longest of all, as shares of the view's radius.
+const USUAL = 0.6, MOST = 1.1;
+const SHOWN = { "contact force": "f", friction: "friction", "commanded force": "commanded" };
 
 class Space {
-  constructor(canvas, data) {
+  constructor(canvas, labels) {
     this.canvas = canvas;
-    this.data = data;
+    this.labels = labels;
     this.hidden = new Set();
-    const gl = (this.gl = canvas.getContext("webgl2", { antialias: true }));
-    if (!gl) return;
-    this.program = this.compile();
-    this.shapes = data.shapes.map((s) => ({ ...s, mesh: this.mesh(floats(s.vertices), whole(s.faces)) }));
-    const k = data.size;
-    this.shaft = this.round(1, 1);
-    this.head = this.round(1, 0);
-    this.surface = this.mesh(floats(data.surface.vertices), whole(data.surface.faces));
-    this.paths = data.paths.map((p) => ({ ...p, mesh: this.tube(floats(p.points), 0.0025 * k) }));
-    this.turn = -0.5;
-    this.rise = 0.4;
-    this.far = 2.6 * data.radius;
-    this.centre = data.centre;
-    this.listen();
+    this.drawing = new Drawing(canvas);
+    this.gl = this.drawing.gl;
+    this.whole = false;
+    this.clear = true;
+    this.views = null;
+    if (this.gl) this.listen();
   }
 
-  compile() {
-    const gl = this.gl;
-    const program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.bindAttribLocation(program, 0, "at");
-    gl.linkProgram(program);
-    this.at = Object.fromEntries(["model", "camera", "colour", "lit"].map((n) => [n, gl.getUniformLocation(program, n)]));
-    return program;
+  // Show another robot.
+  robot(message) {
+    if (!this.gl) return;
+    for (const s of this.shapes ?? []) this.drawing.free(s.mesh);
+    this.about = message;
+    this.shapes = message.shapes.map((s) => ({ ...s, mesh: this.drawing.mesh(s.vertices, s.faces) }));
+    this.views = null;
   }
 
-  mesh(vertices, faces) {
-    const gl = this.gl;
-    const array = gl.createVertexArray();
-    gl.bindVertexArray(array);
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.STATIC_DRAW);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
-    return { array, count: faces.length };
+  // Show another run of it. The views stay where they are, unless the robot is another.
+  space(message) {
+    if (!this.gl) return;
+    const d = this.drawing, scene = this.scene;
+    d.free(this.surface);
+    for (const p of this.paths ?? []) d.free(p.mesh);
+    this.scene = message;
+    this.surface = message.surface.faces.length ? d.mesh(message.surface.vertices, message.surface.faces) : null;
+    const same = scene && norm(minus(scene.near.centre, message.near.centre)) < 0.5 * message.near.radius;
+    if (!this.views || !same) this.fit();
+    const thick = 0.012 * message.near.radius;
+    this.paths = message.paths.map((p) => ({ ...p, mesh: d.tube(p.points, p.name === "desired path" ? 0.7 * thick : thick) }));
+    this.red = new Set(message.passing?.joints ?? []);
   }
 
-  // A cone of height 1 along z, from radius a to radius b.
-  round(a, b, sides = 20) {
-    const v = [], f = [];
-    for (let i = 0; i < sides; i++) {
-      const [c, s] = [Math.cos((2 * Math.PI * i) / sides), Math.sin((2 * Math.PI * i) / sides)];
-      v.push(a * c, a * s, 0, b * c, b * s, 1);
-      const j = (i + 1) % sides;
-      f.push(2 * i, 2 * j, 2 * i + 1, 2 * j, 2 * j + 1, 2 * i + 1, 2 * i, 2 * j, 2 * sides);
-    }
-    v.push(0, 0, 0);
-    return this.mesh(new Float32Array(v), new Uint32Array(f));
+  // The views as they are at first: of the contact from where the surface is seen, of all from the front.
+  fit() {
+    const { near, whole, normal: n } = this.scene;
+    const side = unit(Math.abs(n[2]) > 0.9 ? [0.75, -0.65, 0] : cross(n, [0, 0, 1]));
+    const from = unit(plus(plus([0, 0, 0.35], side, 0.9), n, Math.abs(n[2]) > 0.9 ? 0.12 : 0.6));
+    const at = (v, d) => ({ turn: Math.atan2(d[1], d[0]), rise: Math.asin(d[2]), far: 3.1 * v.radius, centre: Array.from(v.centre), radius: v.radius });
+    this.views = [at(near, from), at(whole, unit([0.85, -0.55, 0.4]))];
   }
 
-  tube(points, radius) {
-    const v = [], f = [];
-    for (let i = 0; 3 * i + 5 < points.length; i++) {
-      const p = points.slice(3 * i, 3 * i + 3), q = points.slice(3 * i + 3, 3 * i + 6);
-      if (norm(minus(q, p)) < 1e-12) continue;
-      const m = along(p, minus(q, p), radius, 1);
-      const first = v.length / 3;
-      for (const end of [p, q]) {
-        for (let k = 0; k < 3; k++) {
-          const [c, s] = [Math.cos(2.1 * k), Math.sin(2.1 * k)];
-          v.push(...[0, 1, 2].map((e) => end[e] + c * m[e] + s * m[4 + e]));
-        }
-      }
-      for (let k = 0; k < 3; k++) {
-        const l = (k + 1) % 3;
-        f.push(first + k, first + l, first + 3 + k, first + l, first + 3 + l, first + 3 + k);
-      }
-    }
-    return this.mesh(new Float32Array(v), new Uint32Array(f));
-  }
+  view() { return this.views[this.whole ? 1 : 0]; }
 
   listen() {
-    const c = this.canvas;
-    const held = new Map();
+    const c = this.canvas, held = new Map();
     let spread = 0;
     c.addEventListener("pointerdown", (e) => { held.set(e.pointerId, e); c.setPointerCapture(e.pointerId); spread = 0; });
     for (const end of ["pointerup", "pointercancel"]) c.addEventListener(end, (e) => held.delete(e.pointerId));
     c.addEventListener("pointermove", (e) => {
       const last = held.get(e.pointerId);
-      if (!last) return;
-      const [dx, dy] = [e.clientX - last.clientX, e.clientY - last.clientY];
+      if (!last || !this.views) return;
+      const [dx, dy] = [e.clientX - last.clientX, e.clientY - last.clientY], v = this.view();
       held.set(e.pointerId, e);
       if (held.size === 2) {
         const [a, b] = [...held.values()];
         const now = Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
-        if (spread) this.far *= spread / now;
+        if (spread) v.far *= spread / now;
         spread = now;
       } else if (e.shiftKey || e.buttons === 2) {
-        const [x, y] = this.screen();
-        const k = this.far / c.clientHeight;
-        this.centre = plus(plus(this.centre, x, -dx * k), y, dy * k);
+        const [x, y] = this.screen(v), k = v.far / c.clientHeight;
+        v.centre = plus(plus(v.centre, x, -dx * k), y, dy * k);
       } else {
-        this.turn -= 0.008 * dx;
-        this.rise = Math.min(1.5, Math.max(-1.5, this.rise + 0.008 * dy));
+        v.turn -= 0.008 * dx;
+        v.rise = Math.min(1.5, Math.max(-1.5, v.rise + 0.008 * dy));
       }
       this.draw();
     });
     c.addEventListener("contextmenu", (e) => e.preventDefault());
-    c.addEventListener("wheel", (e) => { e.preventDefault(); this.far *= Math.exp(0.001 * e.deltaY); this.draw(); }, { passive: false });
+    c.addEventListener("wheel", (e) => { e.preventDefault(); if (this.views) { this.view().far *= Math.exp(0.001 * e.deltaY); this.draw(); } }, { passive: false });
   }
 
-  eye() {
-    const r = Math.cos(this.rise);
-    return plus(this.centre, [r * Math.cos(this.turn), r * Math.sin(this.turn), Math.sin(this.rise)], this.far);
+  eye(v, far = v.far) {
+    const r = Math.cos(v.rise);
+    return plus(v.centre, [r * Math.cos(v.turn), r * Math.sin(v.turn), Math.sin(v.rise)], far);
   }
 
-  screen() {
-    const z = unit(minus(this.eye(), this.centre));
-    const x = unit(cross([0, 0, 1], z));
+  screen(v) {
+    const z = unit(minus(this.eye(v), v.centre)), x = unit(cross([0, 0, 1], z));
     return [x, cross(z, x)];
   }
 
-  // Show an instant: the joints' places and the forces, between the two frames around it.
+  camera(v, aspect) {
+    const far = v.far / Math.min(1, aspect);
+    return times(perspective(ANGLE, aspect, 0.02 * far, 30 * far), lookAt(this.eye(v, far), v.centre, [0, 0, 1]));
+  }
+
+  // Metres for a newton in a view, round.
+  scale(v) {
+    const raw = (USUAL * v.radius) / (this.scene.usual || 1), power = 10 ** Math.floor(Math.log10(raw));
+    return [5, 2, 1].map((k) => k * power).find((k) => k <= raw * (1 + 1e-9));
+  }
+
+  // Show an instant, as soon as the page has time for it.
   show(frame) {
     this.frame = frame;
     this.draw();
   }
 
+  // Without a graphics processor a picture takes a tenth of a second: the next waits until the last is done, and then
+  // as long again, so that curves are drawn meanwhile.
   draw() {
-    const gl = this.gl;
-    if (!gl || !this.frame) return;
-    const c = this.canvas, dpr = window.devicePixelRatio || 1;
+    if (!this.gl || !this.frame || !this.scene || this.waits) return;
+    this.waits = true;
+    const at = performance.now();
+    const wait = this.calm ? Math.max(0, this.calm + (this.cost > 40 ? 160 : 0) - at) : 0;
+    setTimeout(() => requestAnimationFrame(() => {
+      const began = performance.now();
+      this.paint();
+      const fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+      this.gl.flush();
+      const done = () => {
+        const s = this.gl.clientWaitSync(fence, 0, 0);
+        if (s === this.gl.TIMEOUT_EXPIRED && performance.now() - began < 2000) { setTimeout(done, 4); return; }
+        this.gl.deleteSync(fence);
+        this.cost = performance.now() - began;
+        this.waits = false;
+        if (this.again) { this.again = false; this.draw(); }
+      };
+      done();
+    }), wait);
+  }
+
+  // A slider is being moved: where pictures are slow, they wait until it rests.
+  moved() { this.calm = performance.now(); }
+
+  paint() {
+    const c = this.canvas, dpr = Math.min(window.devicePixelRatio || 1, 2);
     const [w, h] = [Math.max(1, Math.round(c.clientWidth * dpr)), Math.max(1, Math.round(c.clientHeight * dpr))];
     if (c.width !== w || c.height !== h) [c.width, c.height] = [w, h];
-    gl.viewport(0, 0, w, h);
-    gl.clearColor(0, 0, 0, 0);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.enable(gl.DEPTH_TEST);
-    gl.useProgram(this.program);
-    const far = this.far / Math.min(1, w / h);
-    const eye = plus(this.centre, minus(this.eye(), this.centre), far / this.far);
-    const camera = times(perspective(0.7, w / h, 0.01 * far, 20 * far), lookAt(eye, this.centre, [0, 0, 1]));
-    gl.uniformMatrix4fv(this.at.camera, false, camera);
-    const still = place(1, 0, 0, 0, 0, 0, 0);
-    for (const s of this.shapes.filter((s) => !this.hidden.has(s.kind))) this.put(s.mesh, this.frame.places[s.joint], [...s.colour, 1], 1);
-    for (const p of this.paths.filter((p) => !this.hidden.has(p.name))) this.put(p.mesh, still, [...p.colour, 1], 0);
-    this.arrows(1);
-    gl.enable(gl.BLEND);
-    gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    gl.disable(gl.DEPTH_TEST);
-    this.arrows(0.35); // through the arm, where that hides them
-    gl.enable(gl.DEPTH_TEST);
-    this.put(this.surface, this.frame.places[this.data.surface.joint], [0.6, 0.66, 0.72, 0.55], 1);
-    gl.disable(gl.BLEND);
+    const v = this.view(), camera = this.camera(v, w / h);
+    this.cut = false;
+    this.part(0, 0, w, h, camera, v, true);
+    if (!this.whole && w > 300 * dpr && h > 220 * dpr) {
+      const size = Math.round(0.3 * Math.min(w, h)), other = this.views[1];
+      this.part(8 * dpr, h - size - 8 * dpr, size, size, this.camera(other, 1), other, false);
+    }
+    this.text(camera, v);
+    this.after?.();
+  }
+
+  part(x, y, w, h, camera, v, arrows) {
+    const d = this.drawing, still = place(1, 0, 0, 0, 0, 0, 0), f = this.frame;
+    d.begin(x, y, w, h, camera);
+    const through = [];
+    for (const s of this.shapes.filter((s) => !this.hidden.has(s.kind))) {
+      const colour = this.red.has(s.joint) ? RED : s.colour;
+      if (this.clear && arrows && this.about.clear.includes(s.joint)) through.push([s, colour]);
+      else d.put(s.mesh, f.places[s.joint], [...colour, 1], 1);
+    }
+    for (const p of this.paths.filter((p) => !this.hidden.has(p.name))) d.put(p.mesh, still, [...p.colour, 1], 0);
+    if (arrows) this.arrows(v, 1);
+    d.blend(true);
+    for (const [s, colour] of through) d.put(s.mesh, f.places[s.joint], [...colour, SEEN_THROUGH], 1);
+    const ground = this.scene.passing?.surface ? [0.8, 0.45, 0.4, 0.5] : dark ? [0.45, 0.5, 0.55, 0.5] : [0.6, 0.66, 0.72, 0.5];
+    if (this.surface) d.put(this.surface, f.places[this.about.ground], ground, 1);
+    d.blend(true, true);
+    if (arrows) this.arrows(v, 0.3); // through the arm, where that hides them
+    d.blend(false);
+  }
+
+  // Call with each arrow to be drawn: its number, tail, vector in m, and whether it is cut short.
+  each_arrow(v, act) {
+    const k = this.scale(v), most = MOST * v.radius;
+    this.frame.arrows.forEach((a, i) => {
+      const { kind } = this.scene.arrows[i], length = k * norm(a.force);
+      if (this.hidden.has(kind) || !(length > 0)) return;
+      act(i, a.tail, a.force.map((x) => (x * Math.min(length, most)) / norm(a.force)), length > most);
+    });
+  }
+
+  arrows(v, opacity) {
+    this.each_arrow(v, (i, tail, d, cut) => {
+      this.cut ||= cut;
+      this.drawing.arrow(tail, d, v.radius, [...this.scene.arrows[i].colour, opacity]);
+    });
+  }
+
+  // The size of the forces at the tip beside their arrows.
+  text(camera, v) {
+    const spans = [];
+    const { clientWidth: w, clientHeight: h } = this.canvas;
+    this.each_arrow(v, (i, tail, d) => {
+      const a = this.scene.arrows[i], name = SHOWN[a.kind] ?? (this.scene.arrows.length < 12 ? "" : null);
+      if (name === null || norm(d) < 0.04 * v.radius) return;
+      const [x, y, , k] = [0, 1, 2, 3].map((r) => [...plus(tail, d), 1].reduce((sum, e, j) => sum + camera[4 * j + r] * e, 0));
+      if (k <= 0) return;
+      const span = make("span", { textContent: `${name} ${short(norm(this.frame.arrows[i].force), 3)} N` });
+      span.style.cssText = `left:${(50 * (x / k + 1) * w) / 100}px;top:${(50 * (1 - y / k) * h) / 100}px;color:${tint_rgb(a.colour)}`;
+      spans.push(span);
+    });
+    this.labels.replaceChildren(...spans);
   }
 
   // Hide what is called so, or show it again; return whether it is hidden now.
@@ -175,31 +210,6 @@ class Space {
     if (!this.hidden.delete(name)) this.hidden.add(name);
     return this.hidden.has(name);
   }
-
-  arrows(opacity) {
-    this.frame.arrows.forEach((a, i) => {
-      const { kind, colour } = this.data.arrows[i];
-      if (!this.hidden.has(kind)) this.arrow(a.tail, a.force, [...colour, opacity]);
-    });
-  }
-
-  arrow(tail, force, colour) {
-    const k = this.data.size;
-    const d = force.map((x) => x * this.data.metres_per_newton);
-    const length = norm(d);
-    if (!(length > 2e-3 * k)) return;
-    const head = Math.min(0.035 * k, 0.5 * length);
-    const neck = plus(tail, d, 1 - head / length);
-    this.put(this.shaft, along(tail, d, 0.006 * k, length - head), colour, 1);
-    this.put(this.head, along(neck, d, 0.015 * k, head), colour, 1);
-  }
-
-  put(mesh, model, colour, lit) {
-    const gl = this.gl;
-    gl.uniformMatrix4fv(this.at.model, false, model);
-    gl.uniform4fv(this.at.colour, colour);
-    gl.uniform1f(this.at.lit, lit);
-    gl.bindVertexArray(mesh.array);
-    gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0);
-  }
 }
+
+const tint_rgb = (colour) => rgb(dark ? colour.map((c) => 0.35 + 0.65 * c) : colour.map((c) => 0.85 * c));

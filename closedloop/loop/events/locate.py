@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
+from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.phases import (
     CHECK_STAGE,
@@ -66,10 +67,10 @@ def cone_margin(w: Work, state: State) -> float:
 def slip_margin(w: Work, constants: Constants) -> float:
     """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
     band = constants.capture_speed
-    along = w.tip.u[1] * w.friction.direction[0] + w.tip.u[2] * w.friction.direction[1]
+    speed = w.tip.u[1] * w.friction.direction[0] + w.tip.u[2] * w.friction.direction[1]
     if w.start.slip_speed <= constants.stick_speed:  # at the onset of slip its velocity is of the size of rounding
-        return float(along + constants.stick_speed)
-    return float(along - (band if w.start.slip_speed > band else 0.0))
+        return float(speed + constants.stick_speed)
+    return float(speed - (band if w.start.slip_speed > band else 0.0))
 
 
 @kernel
@@ -89,6 +90,9 @@ def choose_trial(w: Work, state: State) -> None:
 def refine_bracket(w: Work, state: State) -> int:
     """Shrink the bracket by the event function at the end of a trial step, until the instant is known."""
     tau, value = w.search.tau, w.search.value
+    if state.trial.settling != 0:
+        settle_instant(w, state)
+        return RETRY_SUBSTEP
     if state.trial.purpose == CHECK_STAGE:
         state.trial.purpose = LOCATE_EVENT if value < 0.0 else STAGE_CHECKED
         if state.trial.purpose == STAGE_CHECKED:
@@ -119,4 +123,21 @@ def refine_bracket(w: Work, state: State) -> int:
         w.search.tau = (
             w.search.low if state.mode == FREE and state.together == 0 and state.trial.watched == 0 else w.search.high
         )
+        if has_derivatives(tau):
+            state.trial.purpose, state.trial.settling = LOCATE_EVENT, 1
+            w.search.tau = along(w.search.tau)
     return RETRY_SUBSTEP
+
+
+@kernel
+def settle_instant(w: Work, state: State) -> None:
+    """Give the instant that was found its derivatives, by two more trial steps to it.
+
+    In the first the instant is the unknown, so the event function has its rate there; in the second it is constant.
+    """
+    if state.trial.settling == 1:
+        w.search.at_low, w.search.tau = slope_of(w.search.value), sought(w.search.tau)
+        state.trial.settling = 2
+    else:
+        w.search.tau = settled(w.search.tau, w.search.value, w.search.at_low)
+        state.trial.settling, state.trial.purpose = 0, REACH_EVENT

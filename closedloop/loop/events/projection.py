@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.phases import FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
 from closedloop.loop.step.closed_loops import factorise_tip
@@ -17,6 +18,9 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.memory import contacts_at
 
 Array = NDArray[np.float64]
+
+# `State.projections` once the derivatives of a state of dual numbers (`closedloop.jit.dual8`) have been projected.
+MOVED_ALONG = 1000
 
 
 @kernel
@@ -41,7 +45,11 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
                 w.tip.a[i] = off_anchor(w, state, i) if level == 0 else w.tip.u[i]
                 size = max(size, abs(w.tip.a[i]))
         if level == 0 and (size <= CLOSED or state.projections >= MAX_MOVES):
-            continue
+            if not has_derivatives(size) or state.projections >= MOVED_ALONG:
+                continue
+            state.projections = MOVED_ALONG  # the value stays: the derivatives are moved onto the closure
+            for i in range(3):
+                w.tip.a[i] -= sought(w.tip.a[i])
         if stuck:
             for i in range(3):
                 w.tip.b[i] = 0.0

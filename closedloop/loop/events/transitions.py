@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
+from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.loop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.loop.events.impacts import log_event, make_contact
@@ -270,8 +271,8 @@ def find_direction(w: Work, state: State) -> None:
     low = 0.0
     for i in range(DIRECTIONS + 1):
         angle = 2.0 * np.pi * i / DIRECTIONS
-        across, along = slip_onset(w, state, angle)
-        if i > 0 and before * across <= 0.0 and along > 0.0:
+        across, forward = slip_onset(w, state, angle)
+        if i > 0 and before * across <= 0.0 and forward > 0.0:
             a, b, sign = low, angle, before
             for _ in range(60):
                 middle = 0.5 * (a + b)
@@ -280,6 +281,11 @@ def find_direction(w: Work, state: State) -> None:
                     a = middle
                 else:
                     b = middle
+            if has_derivatives(across):
+                across_middle, along_middle = slip_onset(w, state, along(b))
+                slope = slope_of(across_middle)
+                across_middle, along_middle = slip_onset(w, state, sought(b))
+                b = settled(sought(b), across_middle, slope)
             across_middle, along_middle = slip_onset(w, state, b)
             if along_middle > best:
                 best, here = along_middle, b

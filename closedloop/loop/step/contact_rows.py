@@ -20,6 +20,7 @@ from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, baumgarte_acceleration
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute
+from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.given_modes import mobility_of
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
@@ -27,7 +28,7 @@ from closedloop.mechanics.contacts.modes import near
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
 from closedloop.mechanics.contacts.rolling import roll_on_plane, roll_on_surface
-from closedloop.mechanics.contacts.shapes import rolls, shapes_at
+from closedloop.mechanics.contacts.shapes import has_edge, rolls, shapes_at
 from closedloop.mechanics.contacts.soft import write_soft_forces
 from closedloop.mechanics.loops.memory import loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
@@ -63,7 +64,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         c.load[j] = w.y[j]
     for i in range(links.joints):
         if is_resistance(c, i):
-            takes_part = c.near[int(c.resistance.owner[i])] != 0.0
+            takes_part = c.near[int(c.friction.resistance.owner[i])] != 0.0
         else:
             takes_part = near(c, i) or (i == 0 and state.settings.unilateral == 0)
         if takes_part or c.near[i] != 0.0:
@@ -76,7 +77,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
             if j > 3 * i and i > 0 and not asked(links, i):
                 c.at[j] = c.located[j]
                 off -= c.anchor[j]
-            if j > 3 * i and links.shapes != 0 and rolls(shapes_at(links.shapes), i):
+            if j > 3 * i and links.shapes != 0 and wanders(links, i):
                 off = 0.0  # what rolls without slip does not stay where it stuck
             c.b[j] = baumgarte_acceleration(constants.s_v, constants.s_p, c.u[j], off)
     take_states(links, c, w.z)
@@ -95,19 +96,29 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     locate_rows(joints, rows)
     for i in range(1, links.points if links.shapes != 0 else 0):
         shapes = shapes_at(links.shapes)
-        if rolls(shapes, i) and not asked(links, i):
+        if rolls(shapes, i) and not asked(links, i) and not has_edge(shapes, i):
             roll_on_plane(joints, rows, shapes, i)
     for r in range(joints.m):
         i = r + 3
         c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
         for j in range(links.n):
             c.G[i, j] = rows.G[r, j]
+    for i in range(1, links.points if links.shapes != 0 else 0):
+        if has_edge(shapes_at(links.shapes), i):
+            write_edge_rows(joints, rows, shapes_at(links.shapes), c, i)
     for i in range(1, links.points if links.surfaces != 0 else 0):
         if not turn_to_surface(links, c, i, w.time, constants.h, state):
             return int(NO_NORMAL)
     if links.joints > links.points + links.stops:
         write_resistances(joints, rows, shapes_at(links.shapes), links, c)
     return int(OK)
+
+
+@kernel
+def wanders(links: ContactLinks, i: int) -> bool:
+    """Whether the place of contact i moves over the bodies while they do not slip."""
+    shapes = shapes_at(links.shapes)
+    return bool(rolls(shapes, i) or has_edge(shapes, i))
 
 
 @kernel
@@ -158,7 +169,7 @@ def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: fl
         links.raised = 1 if answer == RAISED else 0
         return False
     touch, N = Touch(ask.touch), ask.frame
-    c.inside[i] = edge_distance(touch.at, ask.bounds)
+    c.inside[i] = edge_distance(touch.at, ask.bounds, ask.solid)
     if c.mode[i] != FREE and touch.growth * h < -1.0:
         return False
     for j in range(links.n):
@@ -215,17 +226,25 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
         for j in range(3):
             for m in range(3):
                 c.point[i, j] += reach[m] * c.axes[3 * i + m, j]
+    for i in range(1, links.points if links.shapes != 0 else 0):
+        if has_edge(shapes_at(links.shapes), i):
+            turn_axes(c, i, shapes_at(links.shapes).frame[i])
     for i in range(1, links.points if links.surfaces != 0 else 0):
         if asked(links, i):
             _, ask = ask_at(integers_at(links.surfaces, 2 * links.k)[2 * i + 1])
-            for j in range(3):
-                x, y, z = c.axes[3 * i, j], c.axes[3 * i + 1, j], c.axes[3 * i + 2, j]
-                for axis in range(3):
-                    turned = ask.frame[axis, 0] * x + ask.frame[axis, 1] * y + ask.frame[axis, 2] * z
-                    c.axes[3 * i + axis, j] = turned
+            turn_axes(c, i, ask.frame)
     for i in range(links.points, links.points + links.stops):
         for j in range(3):
             c.point[i, j] = w.r[j]
+
+
+@kernel
+def turn_axes(c: Contacts, i: int, N: Array) -> None:
+    """Turn the axes x, y, z of contact i to n, t1, t2, the rows of N (3, 3)."""
+    for j in range(3):
+        x, y, z = c.axes[3 * i, j], c.axes[3 * i + 1, j], c.axes[3 * i + 2, j]
+        for axis in range(3):
+            c.axes[3 * i + axis, j] = N[axis, 0] * x + N[axis, 1] * y + N[axis, 2] * z
 
 
 @kernel

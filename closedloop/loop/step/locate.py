@@ -71,7 +71,7 @@ def ask_surface(w: Work, h: float, state: State) -> bool:
     touch = Touch(ask.touch)
     if state.mode != FREE and touch.growth * h < -1.0:
         return False
-    w.tip.gap, w.tip.inside = touch.level / touch.size, edge_distance(touch.at, ask.bounds)
+    w.tip.gap, w.tip.inside = touch.level / touch.size, edge_distance(touch.at, ask.bounds, ask.solid)
     for i in range(3):
         w.tip.carried[i], w.tip.turning[i] = touch.carried[i], touch.turning[i]
         for k in range(3):

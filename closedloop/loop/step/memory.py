@@ -122,6 +122,7 @@ class Trial(Block):
     steps: int  # of this search
     off: int  # 1 if an event at the end of this step happens there, not before
     watched: int  # 1 if the event that is searched for may be that an open contact of a link closes
+    settling: int  # of dual numbers (`closedloop.jit.dual8`): 1 while the slope at the instant found is sought, then 2
 
 
 class EventCount(Block):
@@ -213,6 +214,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     joint_capture_speed: Annotated[Array, N]
     joint_lag: Annotated[Array, N]
     encoder: Annotated[Array, EncoderParameters.count(N)]
+    measured: Annotated[Array, N]  # 0 of what turns freely, which no encoder reads: the controller knows it as it is
     law: Annotated[Array, Count.of("law")]  # parameters, see `closedloop.jit.parameters`
     compensation: Annotated[Array, Count.of("compensation")]
     friction: Annotated[Array, Count.of("friction")]

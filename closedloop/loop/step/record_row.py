@@ -273,8 +273,8 @@ def record_contacts(w: Work, state: State, part: Array) -> None:
         for which in range(2):
             s = resistance_of(c, i, which)
             if s >= 0 and which == 0:
-                arm = c.resistance.arm[s]
+                arm = c.friction.resistance.arm[s]
                 row.link_rolling_moments[2 * to] = arm * c.F[3 * s + 1]
                 row.link_rolling_moments[2 * to + 1] = arm * c.F[3 * s + 2]
             elif s >= 0:
-                row.link_pivoting_moments[to] = c.resistance.arm[s] * c.F[3 * s + 1]
+                row.link_pivoting_moments[to] = c.friction.resistance.arm[s] * c.F[3 * s + 1]

@@ -99,6 +99,8 @@ def read_joints(w: Work, constants: Constants, state: State, table: Array) -> No
             constants.h if row > 0 else 0.0,
             (w.encoders.last_q, w.encoders.last_v),
         )
+        if constants.measured[j] == 0.0:
+            position, velocity = q, v
         w.encoders.q[j], w.encoders.v[j] = position, velocity
         w.q[j], w.v[j] = position, velocity
     if state.loops.entry != 0 and state.loops.seen_at != 0:

@@ -81,7 +81,7 @@ def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
         force[i] = c.scratch.trial[i] - c.viscous[i]
     for i in range(k):  # a resistance has the normal force of its contact
         if is_resistance(c, i):
-            force[3 * i] = force[3 * int(c.resistance.owner[i])] if c.problem.form[i] != OFF else 0.0
+            force[3 * i] = force[3 * int(c.friction.resistance.owner[i])] if c.problem.form[i] != OFF else 0.0
     return True
 
 

@@ -129,6 +129,15 @@ class ContactScratch(Block, sizes=("n", "k")):
     vector: Annotated[Array, 3]
 
 
+class Resistance(Block, sizes=("k",)):
+    """Resistance to rolling and to pivoting, contacts of their own; see `closedloop.mechanics.contacts.resistance`."""
+
+    owner: Annotated[Array, K]  # the contact whose normal force such a contact has; −1 of every other contact
+    arm: Annotated[Array, K]  # largest moment of one, divided by that force, m
+    rolling: Annotated[Array, K]  # of each contact the one that is its resistance to rolling, or −1
+    pivoting: Annotated[Array, K]  # and to pivoting
+
+
 class ContactFriction(Block, sizes=("k", "past")):
     """What the law of friction of each contact is, and its state; of Coulomb's μ too."""
 
@@ -146,15 +155,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     start_u: Annotated[Array, K, 2]  # and its velocity
     delayed: Annotated[Array, K]  # speed of slip that friction with memory answers to, m/s
     speeds: Annotated[Array, K, PAST]  # of slip at the latest rows, m/s
-
-
-class Resistance(Block, sizes=("k",)):
-    """Resistance to rolling and to pivoting, contacts of their own; see `closedloop.mechanics.contacts.resistance`."""
-
-    owner: Annotated[Array, K]  # the contact whose normal force such a contact has; −1 of every other contact
-    arm: Annotated[Array, K]  # largest moment of one, divided by that force, m
-    rolling: Annotated[Array, K]  # of each contact the one that is its resistance to rolling, or −1
-    pivoting: Annotated[Array, K]  # and to pivoting
+    resistance: Resistance
 
 
 class Contacts(Block, sizes=("n", "k", "past")):
@@ -195,7 +196,6 @@ class Contacts(Block, sizes=("n", "k", "past")):
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)
     margin: float  # of the event function
     friction: ContactFriction
-    resistance: Resistance
     problem: Problem
     event: ContactEvent
     step: TimeStep
@@ -248,7 +248,7 @@ def make_contact_memory(
     )
     links.n, links.k, links.stops, links.joints, links.past = n, k, stops, k - joints, past
     links.points = links.joints - stops - len(resistances)
-    turns = contacts.resistance
+    turns = contacts.friction.resistance
     turns.owner[:], turns.rolling[:], turns.pivoting[:] = -1.0, -1.0, -1.0
     for i, (owner, arm, pivots) in enumerate(resistances, links.points + stops):
         turns.owner[i], turns.arm[i], contacts.mu[i] = owner, arm, 1.0

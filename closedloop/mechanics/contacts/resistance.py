@@ -29,26 +29,26 @@ Array = NDArray[np.float64]
 @kernel
 def is_resistance(c: Contacts, i: int) -> bool:
     """Whether contact i is the resistance of another to rolling or to pivoting."""
-    return bool(c.resistance.owner[i] >= 0.0)
+    return bool(c.friction.resistance.owner[i] >= 0.0)
 
 
 @kernel
 def has_resistance(c: Contacts, i: int) -> bool:
     """Whether contact i has a resistance to rolling or to pivoting."""
-    return bool(c.resistance.rolling[i] >= 0.0 or c.resistance.pivoting[i] >= 0.0)
+    return bool(c.friction.resistance.rolling[i] >= 0.0 or c.friction.resistance.pivoting[i] >= 0.0)
 
 
 @kernel
 def form_of_resistance(c: Contacts, s: int, form: int) -> int:
     """Return the form of a resistance, `form` while its owner takes part and it turns anything, else OFF."""
-    owner = int(c.resistance.owner[s])
+    owner = int(c.friction.resistance.owner[s])
     return form if c.problem.form[owner] != OFF and c.W[3 * s, 3 * s] > 0.0 else OFF
 
 
 @kernel
 def mode_of_resistance(c: Contacts, s: int) -> int:
     """Return the mode of a resistance after its owner has struck: it goes on, or begins, with turning; or is none."""
-    if c.mode[int(c.resistance.owner[s])] == FREE:
+    if c.mode[int(c.friction.resistance.owner[s])] == FREE:
         return FREE
     return PRESSED if c.mode[s] == FREE else int(c.mode[s])
 
@@ -56,7 +56,7 @@ def mode_of_resistance(c: Contacts, s: int) -> int:
 @kernel
 def resistance_of(c: Contacts, i: int, which: int) -> int:
     """Return the number of the resistance of contact i to rolling, 0, or to pivoting, 1; −1 if it has none."""
-    return int(c.resistance.rolling[i] if which == 0 else c.resistance.pivoting[i])
+    return int(c.friction.resistance.rolling[i] if which == 0 else c.friction.resistance.pivoting[i])
 
 
 @kernel

@@ -21,7 +21,7 @@ def write_resistances(joints: LoopLinks, rows: LoopRows, shapes: Shapes, links: 
             for j in range(links.n):
                 c.G[r, j] = 0.0
     for i in range(1, links.points):
-        rolling, pivoting = int(c.resistance.rolling[i]), int(c.resistance.pivoting[i])
+        rolling, pivoting = int(c.friction.resistance.rolling[i]), int(c.friction.resistance.pivoting[i])
         if (rolling < 0 and pivoting < 0) or not near(c, i):
             continue
         turn_against(joints, rows, 3 * i - 3, shapes)
@@ -41,7 +41,7 @@ def write_resistances(joints: LoopLinks, rows: LoopRows, shapes: Shapes, links: 
 @kernel
 def _write_turn(shapes: Shapes, c: Contacts, s: int, tangent: int, axis: int) -> None:
     """Write row `tangent` of resistance s: the turning about n, t1 or t2, `axis`, times its arm."""
-    r, arm = 3 * s + tangent, c.resistance.arm[s]
+    r, arm = 3 * s + tangent, c.friction.resistance.arm[s]
     c.u[r] = arm * (shapes.spin[axis] - shapes.carried[axis])
     c.carried[r], c.turning[r] = arm * shapes.carried[axis], arm * shapes.turning[axis]
     c.drift[r] = arm * (shapes.spin_rate[axis] + shapes.turning[axis])
@@ -54,5 +54,5 @@ def tie_resistances(links: ContactLinks, c: Contacts) -> None:
     """Write the normal rows of the resistances, after the mobility of all contacts: u̇_n = w (F_n − f)."""
     for s in range(links.points + links.stops, links.joints):
         n, own = 3 * s, max(c.W[3 * s + 1, 3 * s + 1], c.W[3 * s + 2, 3 * s + 2])
-        c.W[n, n], c.W[n, 3 * int(c.resistance.owner[s])] = own, -own
+        c.W[n, n], c.W[n, 3 * int(c.friction.resistance.owner[s])] = own, -own
         c.a[n], c.b[n] = 0.0, 0.0

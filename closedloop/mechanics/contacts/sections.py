@@ -62,6 +62,29 @@ def _a_place(value: Any) -> Any:
 Place = Annotated[tuple[Coordinate, Coordinate, Coordinate] | Literal["collision"], Field(union_mode="left_to_right")]
 
 
+class EdgeSection(Section):
+    """contact.edge: an edge of the link about `at`, which crosses those of a box, or a rod, about `through`."""
+
+    half: HalfAxis = Field(description="half the edge, m, axes of the frame link")
+    sides: tuple[HalfAxis, HalfAxis] | None = Field(
+        None, description="normals of its two faces, out of the body; none of a rod"
+    )
+    onto: tuple[HalfAxis, ...] = Field(
+        description="half axes of the box, m, axes of the frame against: three vectors at right angles; one of a rod"
+    )
+    onto_radius: Annotated[NotNegative, PLACE] = Field(0.0, description="radius of that rod, m")
+    crossing: Literal["first", "last"] = Field(
+        "first", description="an edge crosses a box twice at most: first or last, as seen along `half`"
+    )
+
+    @model_validator(mode="after")
+    def _lengths(self) -> Self:
+        """Refuse edges of no length."""
+        if len(self.onto) not in (1, 3) or not all(any(axis) for axis in (self.half, *self.onto)):
+            raise ValueError("edge: half and onto must be vectors of some length, onto one or three of them")
+        return self
+
+
 class ContactSection(Section):
     """[[contact]]: a point or a round shape of a link that touches a surface of another link, or of the world."""
 
@@ -79,6 +102,12 @@ class ContactSection(Section):
         None,
         description="half axes of an ellipsoid about the point, m, axes of that frame: a list of three vectors, or of "
         "two, for the edge of a disc; on a plane at rest in the frame against",
+    )
+    edge: EdgeSection | None = Field(
+        None, description="an edge about the point, which crosses edges of the frame against"
+    )
+    onto: Literal["surface", "collision"] = Field(
+        "surface", description='"collision": it touches the collision shapes of the link against, not its surface'
     )
     against: str = Field("world", description="frame that the surface belongs to; world: the base frame")
     normal: Direction = Field(

@@ -33,6 +33,9 @@ N, K = Count.of("n"), Count.of("k")
 # Numbers of a shape: M (xx, xy, xz, yy, yz, zz), m², in the link's axes, and ρ, m.
 SHAPE = 7
 RADIUS = 6
+# Numbers of a contact of edges, see `closedloop.mechanics.contacts.edges`: of its own edge, and of 12 others.
+EDGE_2, OF_EDGE_2, COUNT_OF_EDGES = 16, 13, 13
+EDGE = EDGE_2 + 12 * OF_EDGE_2
 # A disc whose axis is tilted from the normal by less than this, rad, lies flat: its edge has no lowest point.
 FLAT = 1e-9
 
@@ -54,6 +57,10 @@ class Shapes(Block, sizes=("n", "k")):
     """
 
     shape: Annotated[Array, K, SHAPE]  # zeros of a point
+    edge: Annotated[Array, K, EDGE]  # zeros of what is no edge
+    frame: Annotated[Array, K, 3, 3]  # of edges: n, t1, t2
+    chosen: Annotated[Array, K]  # and which of the others it crosses
+    crossing: Annotated[Array, 4]  # gap, m, how far inside, m, s1, m, and |e1 × e2| of the crossing asked about last
     reach: Annotated[Array, K, 3]  # r, from the centre to the contact, m
     turns: Annotated[Array, 3, N]  # rows of ω relative to the frame that carries the surface: ω = turns q̇
     spin: Annotated[Array, 3]  # ω, rad/s
@@ -88,13 +95,13 @@ class ShapeMemory(NamedTuple):
         return int(self.links.address)
 
 
-def make_shape_memory(n: int, shapes: Array) -> ShapeMemory:
-    """Return the memory of the shapes (k, 7) of k contacts of a tree of n joints."""
+def make_shape_memory(n: int, shapes: Array, edges: Array | None = None) -> ShapeMemory:
+    """Return the memory of the shapes (k, SHAPE) of k contacts of a tree of n joints, and of their edges (k, EDGE)."""
     k = len(shapes)
     links, found = ShapeLinks(np.zeros(SHAPE_LINKS, dtype=np.int64)), Shapes(np.zeros(Shapes.count(n, k)), n, k)
     links.address, links.numbers, links.total = address_of(links.memory), address_of(found.memory), found.memory.size
     links.n, links.k = n, k
-    found.shape[:] = shapes
+    found.shape[:], found.edge[:] = shapes, 0.0 if edges is None else edges
     return ShapeMemory(links, found)
 
 
@@ -103,6 +110,12 @@ def rolls(shapes: Shapes, i: int) -> bool:
     """Whether at contact i a round shape touches, and not a point."""
     s = shapes.shape
     return bool(s[i, RADIUS] > 0.0 or s[i, 0] + s[i, 3] + s[i, 5] > 0.0)
+
+
+@kernel
+def has_edge(shapes: Shapes, i: int) -> bool:
+    """Whether contact i is of edges."""
+    return bool(shapes.edge[i, COUNT_OF_EDGES] > 0.0)
 
 
 def shape_of(section: ContactSection, rotation: Array) -> Array:

@@ -18,7 +18,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.kernel import kernel
+from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.closure.contact_force import IMMOBILE
 from closedloop.mechanics.friction.law import STILL
 
@@ -62,23 +63,35 @@ def turn_friction(S: Array, a1: float, a2: float, u: Array, direction: Array, f:
     if math.hypot(p1 / h + q1, p2 / h + q2) < level * abs(f):
         if speed <= STILL:
             return False  # it does not leave: friction is against the direction in which it is pulled
-        along, square = p1 * q1 + p2 * q2, p1 * p1 + p2 * p2
-        rate = (math.sqrt(along * along + square * (largest * largest - q1 * q1 - q2 * q2)) - along) / square
+        pull, square = p1 * q1 + p2 * q2, p1 * p1 + p2 * p2
+        rate = (math.sqrt(pull * pull + square * (largest * largest - q1 * q1 - q2 * q2)) - pull) / square
         d1, d2 = rate * p1 + q1, rate * p2 + q2
     else:
         g11, g12, g22 = reach * S[1, 1], reach * S[1, 2], reach * S[2, 2]
         x1, x2 = u1 + h * a1, u2 + h * a2
-        low, high, d1, d2 = 0.0, math.hypot(x1, x2), x1, x2
+        s, low, high, d1, d2 = 0.0, 0.0, math.hypot(x1, x2), x1, x2
         for _ in range(60):
             s = 0.5 * (low + high)
-            det = (s + g11) * (s + g22) - g12 * g12
-            d1, d2 = ((s + g22) * x1 - g12 * x2) / det, ((s + g11) * x2 - g12 * x1) / det
+            d1, d2 = slowed(s, (g11, g12, g22), x1, x2)
             low, high = (s, high) if math.hypot(d1, d2) > 1.0 else (low, s)
             if high - low <= 1e-14 * high:
                 break
+        if has_derivatives(x1):
+            d1, d2 = slowed(along(s), (g11, g12, g22), x1, x2)
+            slope, s = slope_of(math.hypot(d1, d2)), sought(s)
+            d1, d2 = slowed(s, (g11, g12, g22), x1, x2)
+            d1, d2 = slowed(settled(s, math.hypot(d1, d2), slope), (g11, g12, g22), x1, x2)
     size = math.hypot(d1, d2)
     if not size > 0.0 or d1 * before1 + d2 * before2 < 0.0:
         return False  # slip ends within the step; until then friction is against it
     turned = math.copysign(level / size, f)
     c[0], c[1] = turned * d1, turned * d2
     return True
+
+
+@kernel_inlined
+def slowed(s: float, g: tuple[float, float, float], x1: float, x2: float) -> tuple[float, float]:
+    """Return d = (s I + G)⁻¹ x of the symmetric G (g11, g12, g22): u⁺/s, if |u⁺| is s."""
+    g11, g12, g22 = g
+    det = (s + g11) * (s + g22) - g12 * g12
+    return ((s + g22) * x1 - g12 * x2) / det, ((s + g11) * x2 - g12 * x1) / det

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.loops.factor import factor, meet
@@ -76,6 +77,17 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
             left = left * left / before  # what this step leaves, below rounding
             break
         before = left
+    if has_derivatives(left):  # the derivatives of q are moved onto the loops too, and the rows are those there
+        for k in range(links.m):
+            rows.error[k] -= sought(rows.error[k])
+        meet(links, rows, rows.error)
+        take_free(links, rows, rows.met)
+        for j in range(n):
+            q[j] -= rows.met[j]
+            rows.q[j] = q[j]
+        place_rows(links, rows)
+        factor_rows(links, rows, rows.error, most)
+        factored_here = True
     leave_free(links, rows, v)
     if not factored_here:  # that was where the loops were not closed yet
         for k in range(links.m):

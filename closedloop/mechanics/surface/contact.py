@@ -66,7 +66,8 @@ class Ask(Block, sizes=("size", "motion_size")):
     move: Annotated[Array, Move.count()]
     par: Annotated[Array, Count.of("size")]
     motion_par: Annotated[Array, Count.of("motion_size")]
-    bounds: Annotated[Array, 2]  # see `edge_distance`
+    bounds: Annotated[Array, 2]  # see `edge_distance`, as the next
+    solid: Annotated[Array, 5]
     radius: float  # of a ball that touches in place of a point, m; φ is then the distance of its centre, less it
     near: Annotated[Array, Nearest.count()]
 
@@ -95,7 +96,7 @@ class SurfaceMemory(NamedTuple):
 
 def make_memory(
     par: Array, motion_par: Array, entries: int, origin: Array, axes: Array, bounds: tuple[float, float],
-    radius: float = 0.0,
+    radius: float = 0.0, solid: tuple[float, ...] = (0.0,) * 5,
 ) -> SurfaceMemory:  # fmt: skip
     """Return the memory of a surface at rest.
 
@@ -111,20 +112,26 @@ def make_memory(
         Of its edge, see `closedloop.mechanics.surface.surface.Surface.bounds`.
     radius : float
         Of a ball that touches it, m; 0: a point does.
+    solid : tuple of five floats
+        Of a block that a point touches, see `closedloop.mechanics.surface.surface.Surface.solid`.
     """
     sizes = par.size, motion_par.size
     links, ask = Links(np.zeros(LINKS, dtype=np.int64)), Ask(np.zeros(Ask.count(*sizes)), *sizes)
     links.address, links.numbers, links.total = address_of(links.memory), address_of(ask.memory), ask.memory.size
     links.size, links.motion_size, links.entries = *sizes, entries
     ask.par[:], ask.motion_par[:], ask.origin[:], ask.axes[:] = par, motion_par, origin, axes
-    ask.bounds[:], ask.radius = bounds, radius
+    ask.bounds[:], ask.radius, ask.solid[:] = bounds, radius, solid
     pose = Pose(ask.pose)
     pose.origin[:], pose.axes[:] = origin, axes
     return SurfaceMemory(links, ask)
 
 
+# A face of a block ends so far before its edge, m, where the next one is not nearest yet.
+BEFORE_EDGE = 1e-9
+
+
 @kernel
-def edge_distance(at: Array, bounds: Array) -> float:
+def edge_distance(at: Array, bounds: Array, solid: Array) -> float:
     """Return how far inside its edge a point of the surface is, m, negative outside.
 
     Parameters
@@ -133,7 +140,14 @@ def edge_distance(at: Array, bounds: Array) -> float:
         The point, m, surface's axes.
     bounds : (2,) array
         Half-lengths along x and y, m; of a round edge its radius and 0.
+    solid : (5,) array
+        Of a block its first axis, two numbers, and half its edges, m, the last below the origin: where two faces are
+        nearest, one of them ends. Zeros of another surface.
     """
+    if solid[4] > 0.0:
+        d0 = abs(solid[0] * at[0] + solid[1] * at[1]) - solid[2]
+        d1, d2 = abs(solid[0] * at[1] - solid[1] * at[0]) - solid[3], abs(at[2] + solid[4]) - solid[4]
+        return float(-max(min(d0, d1), min(max(d0, d1), d2)) - BEFORE_EDGE)
     if bounds[1] == 0.0:
         return float(bounds[0] - math.sqrt(at[0] * at[0] + at[1] * at[1]))
     return float(min(bounds[0] - abs(at[0]), bounds[1] - abs(at[1])))
@@ -147,6 +161,7 @@ def surface_entry(member: type[Surface]) -> Entry:
     LEVEL       writes the pose, and at, level, gradient and Hessian of the touch
     """
     Parameters, level = parameter_block(member), function_of(member, "level")
+    is_distance = member.is_distance
 
     def entry(address: int, what: int) -> int:
         links, ask = ask_at(address)
@@ -155,7 +170,9 @@ def surface_entry(member: type[Surface]) -> Entry:
         pose, touch = Pose(ask.pose), Touch(ask.touch)
         into_surface_axes(pose, ask.r, touch)
         touch.level = level(touch.at, Parameters(ask.par, links.entries), touch.gradient, touch.hessian)
-        if ask.radius > 0.0:
+        if ask.radius > 0.0 and is_distance:
+            touch.level -= ask.radius
+        elif ask.radius > 0.0:
             near, size = Nearest(ask.near), math.inf
             if not begin_nearest(touch, near):
                 return NO_NORMAL

@@ -159,13 +159,19 @@ class PlacedSurface:
         ScenarioError
             If its parameters do not go together.
         """
-        entries = self.section.list_length()
+        (par, motion_par), bounds = self._packed, self.section.bounds()
+        solid = self.section.solid() if self.radius == 0.0 else (0.0,) * 5  # a ball goes round the edges
+        return make_memory(
+            par, motion_par, self.section.list_length(), self.origin, self.frame[[1, 2, 0]], bounds, self.radius, solid
+        )  # fmt: skip
+
+    @cached_property
+    def _packed(self) -> tuple[Array, Array]:
+        """The numbers of the surface and of its motion: a path asks for them at each of its knots."""
         with of_users(self.section, "surface.kind"):
-            par = pack(self.section, entries, "surface")
+            par = pack(self.section, self.section.list_length(), "surface")
         with of_users(self.motion, "surface_motion.kind"):
-            motion_par = pack(self.motion, 0, "surface_motion")
-        axes, bounds = self.frame[[1, 2, 0]], self.section.bounds()
-        return make_memory(par, motion_par, entries, self.origin, axes, bounds, self.radius)
+            return par, pack(self.motion, 0, "surface_motion")
 
     @cached_property
     def _interpreted(self) -> SurfaceMemory:
@@ -193,7 +199,7 @@ class PlacedSurface:
         if answer == NO_NORMAL:
             raise ScenarioError(f"surface.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m")
         gap = float(touch.level / touch.size)
-        inside = edge_distance(touch.at, ask.bounds)
+        inside = edge_distance(touch.at, ask.bounds, ask.solid)
         return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
 
     def pose(self, t: float) -> Pose:

@@ -44,6 +44,8 @@ class Surface(Parameters):
     """[surface]: what the tip is in contact with."""
 
     folder: ClassVar[str] = "closedloop.mechanics.surface.kinds"
+    #: Whether φ is the distance everywhere outside, of a body with edges too: a ball then needs no nearest point.
+    is_distance: ClassVar[bool] = False
 
     normal: Direction = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
     gap: Annotated[NotNegative, PLACE] = Field(
@@ -84,6 +86,10 @@ class Surface(Parameters):
         if self.extent is not None:
             raise ScenarioError("surface.edge_radius: cannot be combined with surface.extent; leave out one of them")
         return self.edge_radius, 0.0
+
+    def solid(self) -> tuple[float, ...]:
+        """Return of a block what says where its faces end for a point, see `edge_distance`; zeros of other surfaces."""
+        return (0.0,) * 5
 
     def list_length(self) -> int:
         """Return how many entries each parameter has that is a list."""

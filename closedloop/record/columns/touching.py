@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.interpreted import interpreted
-from closedloop.mechanics.contacts.shapes import lowest_point, shape_of
+from closedloop.mechanics.contacts.edges import E1, ROUND1, choose_crossing, edges_of
+from closedloop.mechanics.contacts.shapes import SHAPE, lowest_point, make_shape_memory, shape_of
 from closedloop.mechanics.contacts.surfaces import surface_of
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import contact_frame, unit
@@ -34,6 +35,7 @@ class Touching(NamedTuple):
     origin: Array
     surface: PlacedSurface | None
     shape: Array
+    edge: Array | None = None  # see `closedloop.mechanics.contacts.edges`
 
     def force(self, normal: float, friction: Array, axes: Array, origins: Array, t: float = 0.0) -> tuple[Array, Array]:
         """Return where the contact is (3,), m, and the force (3,), N, on the link that has the point, base frame.
@@ -51,6 +53,8 @@ class Touching(NamedTuple):
         """
         place, turn = origins[self.point_frame] + axes[self.point_frame] @ self.point, axes[self.plane_frame]
         frame = self.axes
+        if self.edge is not None:
+            return self._of_edges(place, normal, friction, axes, origins)
         if self.surface is not None:
             within = self.axes @ (turn.T @ (place - origins[self.plane_frame]) - self.origin)
             frame = self.surface.touching(within, t=t).frame @ self.axes
@@ -60,6 +64,20 @@ class Touching(NamedTuple):
             interpreted(lowest_point)(self.shape, axes[self.point_frame], turn @ frame[0], reach)
             place = place + reach
         return place, force
+
+    def _of_edges(
+        self, place: Array, normal: float, friction: Array, axes: Array, origins: Array
+    ) -> tuple[Array, Array]:
+        """Return what `force` does of edges that cross, the middle of the edge of the link being at `place` (3,), m."""
+        assert self.edge is not None
+        turn = axes[self.plane_frame] @ self.axes.T
+        shapes, link = make_shape_memory(1, np.zeros((1, SHAPE)), np.atleast_2d(self.edge)).shapes, self.point_frame
+        shapes.axes[:] = turn.T @ axes[link]
+        at = turn.T @ (place - origins[self.plane_frame] - axes[self.plane_frame] @ self.origin)
+        interpreted(choose_crossing)(shapes, 0, at, True, -1)
+        N, e1 = shapes.frame[0], shapes.axes @ shapes.edge[0, E1 : E1 + 3]
+        reach = shapes.crossing[2] * e1 - shapes.edge[0, ROUND1] * N[0]
+        return place + turn @ reach, turn @ (np.array([normal, *friction]) @ N)
 
 
 def placed_frame(mechanism: Any, name: str) -> tuple[int, Array, Array]:
@@ -127,7 +145,15 @@ def contacts_of(scenario: Scenario, mechanism: Any) -> tuple[Touching, ...]:
         joint, rotation, origin = placed_frame(mechanism, section.link)
         other, turned, place = placed_frame(mechanism, section.against)
         surface = surface_of(section, name)
-        axes = np.eye(3) if surface is not None else contact_frame(unit(section.normal, "normal"))
+        axes = (
+            np.eye(3)
+            if surface is not None or section.edge is not None
+            else contact_frame(unit(section.normal, "normal"))
+        )
         at, shape = origin + rotation @ np.array(section.point), shape_of(section, rotation)
-        found.append(Touching(name, joint, at, other, axes @ turned.T, place, surface, shape))
+        edge = None
+        if section.edge is not None:
+            shape, edge = np.zeros(SHAPE), edges_of(section, rotation)
+            place = place + turned @ np.array(section.through)
+        found.append(Touching(name, joint, at, other, axes @ turned.T, place, surface, shape, edge))
     return tuple(found)

@@ -27,7 +27,9 @@ MAIN_COLUMNS = (
     "closure_error", "closure_rate", "kinetic_energy", "motor_position", "transmitted_torque", "link_forces",
 )  # fmt: skip
 # The errors of the step are what the comparison states.
-_STATED = ("step_error_force", "step_error_position")
+_STATED = ("step_error_force", "step_error_position", "step_error_extremes")
+# Values of f that may be those of a row beside a change of contact.
+_EXTREMES = ("final_contact_force", "peak_contact_force", "min_contact_force")
 # Rows before and after a change of mode that are beside it: a row is recorded before what happens in its step.
 BESIDE = (-1, 0, 1, 2)
 # A change of mode moves with the step by this many rows at most; where the modes differ for longer, so do the runs.
@@ -132,7 +134,9 @@ def _events(run: Record, other: Record) -> dict[str, dict[str, Any]]:
 
 def measured_step_error(halved: Mapping[str, Any]) -> dict[str, float | None]:
     """Return the values of the summary that state the error of the step, measured."""
-    return dict(zip(_STATED, (halved["force"], halved["position"]), strict=True))
+    off = [halved["force"], *(halved["values"][name]["difference"] for name in _EXTREMES)]
+    extremes = max((x for x in off if x is not None), default=None)
+    return dict(zip(_STATED, (halved["force"], halved["position"], extremes), strict=True))
 
 
 def _largest(off: Array) -> float | None:

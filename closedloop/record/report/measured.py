@@ -51,9 +51,11 @@ _NONSINGULAR = NAMES.index("nonsingular")
 # In steady motion a run with a scheme of order one lags by half a step, and by a whole one where readings are as old;
 # one of a higher order by far less, but what only follows, as a closure or a surface that breathes, it still gets wrong
 # in that proportion: half of it is assumed. A tip whose pose is off by a radian presses with another force altogether,
-# and posture and weight both count: twice the force itself. Rounding is a share of the force, and of the metre that an
-# arm is long, `RESIDUAL_TOLERANCE`.
+# and posture and weight both count: twice the force itself. Of the tip's position rounding is a share of the metre that
+# an arm is long, `RESIDUAL_TOLERANCE`.
 LAG, HIGHER, POSE = 1.0, 0.5, 2.0
+# Rounding of 1e-16 m in a closure is answered with its 1/τ²-fold, which is up to this share of the force.
+ROUNDED = 1e-10
 # A torque that is held lets f drift until the next sample, where it returns by what the torque changes: as many newtons
 # as newton metres at an arm a metre long. At half a metre it is twice as many, which is assumed. The share is chosen,
 # not a bound: at a shorter arm it is more.
@@ -118,6 +120,15 @@ def measure_rows(
     signals : (CONTROL, N) array
         Written, see `write_control`.
     """
+    measure(tree, scratch, rows, wanted, h, limits, events, out, signals)
+
+
+@kernel_inlined
+def measure(
+    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int, int, int, int], h: float,
+    limits: Array, events: Array, out: Array, signals: Array,
+) -> None:  # fmt: skip
+    """Do as `measure_rows`."""
     n, count = tree.n, rows.shape[0]
     (terms, memory), (table, nodes, held, order, sampled) = scratch, wanted
     largest = 0.0
@@ -300,9 +311,11 @@ def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
     swing = Swing(swings.each[0])
     error = min(swing.error, swing.highest - swing.lowest) + moved + HELD_SHARE * swings.kick + swings.struck
     error = error + select(first_order, swings.begun, 0.0)
-    error = error + (POSE * lag * fastest + RESIDUAL_TOLERANCE) * largest
+    error = error + (POSE * lag * fastest + ROUNDED) * largest
     singular = values.failed_at[_NONSINGULAR]
     values.step_error_force = select(singular == singular, math.nan, error)
+    known = (singular != singular) & (swings.sticks == 0.0)
+    values.step_error_extremes = select(known, error + swings.changed, math.nan)
 
 
 @kernel_inlined

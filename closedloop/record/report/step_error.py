@@ -29,6 +29,7 @@ instant that moves with the step.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Any
 
@@ -36,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.table import IMPACT, TOUCHDOWN
+from closedloop.loop.events.table import IMPACT, LIFTOFF, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
@@ -54,8 +55,22 @@ AT_REST = 1e-6
 # rk4, so that all after the jump comes a sixth of a step early, of a jump within a step up to a third. Where joints are
 # elastic the motors take the jump, and the rows of f do not show it.
 LATE = 1.0 / 3.0
+# Where friction is in joints, f comes in as many steps to what it is as joints come to rest or begin to move: each in a
+# step of its own with a scheme of order one.
+IN_TURN = 2.0
+# A touchdown on a soft surface is found within its step, and f begins at nothing there. What is left of its steepest
+# change, after a jump that a damper makes, is the tip's own error.
+LOCATED = 0.05
+# Friction at the tip bends with the slip within a step, and rows do not show how much: so many times what they show.
+BENT = 3.0
+# Encoders read what is a step old, or the mean of two: the tip is off by as much in feedback.
+OLD = 2.0
+# Contact that ended within so many rows before the last may begin in it at another step.
+BOUNCED = 20
 # Why neither the error of f nor that of the tip is known.
 GROWS = "f grows exponentially: with it the error of each step, and of rounding"
+# Why that of its extremes is not.
+BESIDE_CHANGES = "where the tip sticks, slips or still bounces, f changes for a moment, and a row may fall there or not"
 # Rows in one mode of contact of which the signals are taken one by one.
 LONG = 2048
 
@@ -68,6 +83,7 @@ def write_swings(run: Record, swings: Swings) -> None:
     (held, order, sampled), total = resolution_of(run.scenario), np.zeros(signals.shape[0])
     ends = [0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]
     swings.stretches, swings.steepest, swings.jump, swings.struck, swings.begun = len(ends) - 1, 0.0, 0.0, 0.0, 0.0
+    swings.changed = swings.sticks = 0.0
     for begin, end in pairwise(ends):
         # Of long stretches one signal after the other: what is between would take as much memory as half the columns.
         each = 1 if end - begin > LONG else signals.shape[0]
@@ -79,6 +95,10 @@ def write_swings(run: Record, swings: Swings) -> None:
                 sizes, size = np.abs(np.diff(stretch[0])), np.abs(cut[0])
                 swings.steepest = max(swings.steepest, np.max(size, initial=0.0) / held)
                 swings.jump = max(swings.jump, np.max(sizes - size[: sizes.size], initial=0.0))
+        if begin:
+            around = run.contact_force[begin - 1 : begin + 1] * (run.mode[begin - 1 : begin + 1] != FREE)
+            swings.changed = max(swings.changed, abs(around[1] - around[0]))
+            swings.sticks = max(swings.sticks, float(np.all(run.mode[begin - 1 : begin + 1] != FREE)))
         if begin and run.mode[begin] != FREE and run.mode[begin - 1] == FREE:
             swings.begun = max(swings.begun, abs(run.reference_force[begin] - run.reference_force[begin - 1]))
             swings.struck = max(swings.struck, abs(signals[0, begin]) if sampled else 0.0)
@@ -166,6 +186,13 @@ def why_not_known(scenario: Scenario, singular: bool) -> str:
     return "near a singular pose f depends on how near to it the rows are" if singular else ""
 
 
+def why_position_not_known(scenario: Scenario) -> str:
+    """Return why the error of the step in the tip's position is not estimated besides, "" where it is."""
+    if scenario.sensor.noise or np.any(scenario.encoder.noise) or np.any(scenario.encoder.velocity_noise):
+        return "noise is drawn at each step: the tip of a run at another step follows another noise"
+    return ""
+
+
 def why_force_not_known(scenario: Scenario, off: Array, kinds: Array, touching: bool, speed: float) -> str:
     """Return why the rows do not say what the error of f is, "" where they do.
 
@@ -185,10 +212,34 @@ def why_force_not_known(scenario: Scenario, off: Array, kinds: Array, touching: 
     return GROWS if grows(off) else ""
 
 
-def add_late(scenario: Scenario, swings: Swings, values: Any) -> None:
-    """Add to the error of f what a jump that elastic joints hide from the rows leaves with rk4, see `LATE`."""
-    if scenario.transmission.elastic and resolution_of(scenario)[1] > 1 and swings.stretches <= 1.0:
-        values.step_error_force += max(0.0, LATE * swings.steepest - min(swings.jump, swings.steepest))
+def write_beside(scenario: Scenario, swings: Swings, values: Any, bounces: bool) -> None:
+    """Write what of the errors depends on what the scenario has besides, see `LATE` and the shares below it.
+
+    `bounces` is what `bounces_at_the_end` says.
+    """
+    higher, moved = resolution_of(scenario)[1] > 1, min(swings.jump, swings.steepest)
+    more = 0.0
+    if scenario.transmission.elastic and higher and swings.stretches <= 1.0:
+        more += max(0.0, LATE * swings.steepest - moved)
+    if scenario.compliance.kind != "none" and higher and swings.stretches > 1.0:
+        more -= max(0.0, (1.0 - LOCATED) * swings.steepest - moved)
+    if scenario.rubs_in_joints and not higher:
+        more += IN_TURN * swings.steepest
+    if scenario.friction.kind != "none" and higher:
+        more += BENT * Swing(swings.each[0]).error
+    values.step_error_force += more
+    values.step_error_extremes += math.nan if bounces else more
+    if scenario.reads_encoders:
+        values.step_error_position *= OLD
+    rubs = scenario.friction.kind != "none" or scenario.rubs_in_joints
+    if why_position_not_known(scenario) or (math.isnan(values.step_error_force) and rubs):
+        values.step_error_position = math.nan
+
+
+def bounces_at_the_end(kinds: Array, times: Array, end: float, h: float, mode: float) -> bool:
+    """Whether the tip is off the surface at the end, and was on it in the last `BOUNCED` rows before."""
+    touched = np.isin(kinds, (IMPACT, TOUCHDOWN, LIFTOFF)) & (times > end - BOUNCED * h)
+    return bool(mode == FREE and np.any(touched))
 
 
 def unknown_because(why: str) -> tuple[str, ...]:
@@ -196,7 +247,7 @@ def unknown_because(why: str) -> tuple[str, ...]:
 
     An error that grows with f is the tip's too.
     """
-    return ("step_error_force", "step_error_position")[: (why != "") + (why == GROWS)]
+    return ("step_error_force", "step_error_extremes", "step_error_position")[: 2 * (why != "") + (why == GROWS)]
 
 
 def run_force_not_known(run: Record) -> str:
@@ -208,21 +259,24 @@ def run_force_not_known(run: Record) -> str:
 def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
     """Return the part ``step_error`` of the summary, of its values.
 
-    ``contact_force``, N, None without a surface, and ``position``, m; ``measured``: whether they are the difference of
-    the run at half the step, see `closedloop.record.report.halved`, and no estimate; ``why_not``: why one is not known,
-    or None.
+    ``contact_force``, N, None without a surface, and ``position``, m; ``extremes``, N, of the highest, lowest and last
+    f, which may lie beside a change of contact, None too where that is not known; ``measured``: whether they are the
+    difference of the run at half the step, see `closedloop.record.report.halved`, and no estimate; ``why_not``: why f
+    or the position is not known, or None.
     """
-    force, position = (
+    force, extremes, position = (
         value if value is not None and np.isfinite(value) else None
-        for value in (values["step_error_force"], values["step_error_position"])
+        for value in (values[f"step_error_{name}"] for name in ("force", "extremes", "position"))
     )
     why = None
     if not len(run):
         why = "no row could be computed"
     elif position is None or (force is None and run.scenario.has_surface):
         why = why_not_known(run.scenario, False) or run_force_not_known(run)
-        why = why or why_not_known(run.scenario, values["step_error_force"] is None) or "it is not a finite number"
-    return {"contact_force": force, "position": position, "measured": run.halved is not None, "why_not": why}
+        why = why or why_not_known(run.scenario, values["step_error_force"] is None)
+        why = why or why_position_not_known(run.scenario) or "it is not a finite number"
+    found = {"contact_force": force, "position": position, "extremes": extremes}
+    return found | {"measured": run.halved is not None, "why_not": why}
 
 
 def step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -231,4 +285,9 @@ def step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     said = [("f is within", found["contact_force"], "N"), ("tip is within", found["position"], "m")]
     known = [(label, f"±{error:.2g}", unit, beside) for label, error, unit in said if error is not None]
     missing = [("error of the step", "not known", "", found["why_not"])] if found["why_not"] else []
+    force, extremes = found["contact_force"], found["extremes"]
+    if force is not None and extremes is None:
+        missing.append(("error of peak and last f", "not known", "", BESIDE_CHANGES))
+    elif force is not None and extremes > force:
+        known.insert(1, ("peak and last f are within", f"±{extremes:.2g}", "N", "beside changes of contact too"))
     return missing + known

@@ -60,6 +60,9 @@ class Swings(Block, sizes=("n",)):
     begun: float
     kick: float  # and the largest change of the torques from sample to sample, summed over the joints
     samples: float
+    force: float  # the last, 0 off the surface, and its largest change with which contact begins or ends
+    changed: float
+    sticks: float  # whether a tip in contact stuck or began to slip
     each: Annotated[Array, SIGNALS, Swing.count()]
     torque: Annotated[Array, Count.of("n")]  # the last, and its last two differences
     turned: Annotated[Array, Count.of("n")]
@@ -103,7 +106,7 @@ def begin_swings(swings: Swings) -> None:
     """Write what is remembered of no row."""
     swings.mode, swings.counted, swings.stretches, swings.steepest = _NO_MODE, 0.0, 0.0, 0.0
     swings.jump, swings.struck, swings.kick, swings.samples = 0.0, 0.0, 0.0, 0.0
-    swings.wanted = swings.begun = 0.0
+    swings.wanted = swings.begun = swings.force = swings.changed = swings.sticks = 0.0
     for k in range(SIGNALS):
         swing = Swing(swings.each[k])
         swing.error, swing.lowest, swing.highest = 0.0, np.inf, -np.inf
@@ -122,11 +125,14 @@ def count_swings(
         begins = (swings.mode == FREE) & (row.mode != FREE)
         moved = abs(wanted.force - swings.wanted)
         swings.begun = select(begins & (moved > swings.begun), moved, swings.begun)
+        changed = abs(select(row.mode != FREE, row.contact_force, 0.0) - swings.force)
+        swings.changed = select((swings.mode >= FREE) & (changed > swings.changed), changed, swings.changed)
+        swings.sticks = select((swings.mode > FREE) & (row.mode != FREE), 1.0, swings.sticks)
         if sampled == 1:
             off = abs(row.contact_force - wanted.force)
             swings.struck = select(begins & (off > swings.struck), off, swings.struck)
         swings.mode, swings.counted = row.mode, 0.0
-    swings.wanted = wanted.force
+    swings.wanted, swings.force = wanted.force, select(row.mode != FREE, row.contact_force, 0.0)
     for k in range(SIGNALS):
         if k == 0:
             x = select(row.mode != FREE, row.contact_force - wanted.force, 0.0)

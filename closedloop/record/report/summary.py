@@ -174,11 +174,14 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
     if run.halved is not None:
         found |= measured_step_error(run.halved)
     elif why_not_known(run.scenario, singular=False):
-        found["step_error_force"] = found["step_error_position"] = None
+        found |= dict.fromkeys(("step_error_force", "step_error_extremes", "step_error_position"))
     elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]):
-        found["step_error_force"] = None
+        found |= dict.fromkeys(("step_error_force", "step_error_extremes"))
     elif why := run_force_not_known(run):
         found |= dict.fromkeys(unknown_because(why))
+    for name in ("step_error_extremes", "step_error_position"):
+        if found[name] is not None and math.isnan(found[name]):
+            found[name] = None
     return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
 
 

@@ -36,7 +36,13 @@ from closedloop.record.report.link_contacts import lost_to_slips
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.step_error import add_late, resolution_of, unknown_because, why_force_not_known
+from closedloop.record.report.step_error import (
+    bounces_at_the_end,
+    resolution_of,
+    unknown_because,
+    why_force_not_known,
+    write_beside,
+)
 from closedloop.record.report.step_variation import Swings
 from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.modes import unresolved
@@ -246,14 +252,21 @@ class Worker:
                 robot, (work, tally), rows, wanted, problem.h,
                 joint_limits(problem.robot.model), events, values, signals,
             )  # fmt: skip
+<<<<<<< HEAD
             if k := len(problem.scenario.contact or ()):
                 rubbed = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
                 Values(values, n).energy_lost_to_friction += lost_to_slips(problem.h * np.arange(len(rows)), *rubbed)
             add_late(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n))
+=======
+            last, kinds = Row(rows[-1], n), events[:, EventRow.place("kind")]
+            bounces = bounces_at_the_end(
+                kinds, events[:, EventRow.place("time")], problem.h * (len(rows) - 1), problem.h, last.mode
+            )
+            write_beside(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n), bounces)
+>>>>>>> main
             forget_absent(problem.scenario, values, self.law is not None)
-            last = Row(rows[-1], n)
             why = why_force_not_known(
-                problem.scenario, signals[0] - signals[1], events[:, EventRow.place("kind")], last.mode != FREE,
+                problem.scenario, signals[0] - signals[1], kinds, last.mode != FREE,
                 float(np.max(np.abs(last.v))),
             )  # fmt: skip
             for name in unknown_because(why):

@@ -12,12 +12,13 @@ from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
 from closedloop.jit.user_code import of_users
+from closedloop.mechanics.contacts.edges import PARTNER, choose_crossing, edges_of
 from closedloop.mechanics.contacts.friction import STICKING, contact_frictions, coulomb_of, law_at, plain_friction
 from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
 from closedloop.mechanics.contacts.modes import HOVERING
-from closedloop.mechanics.contacts.rolling import roll_on_plane
+from closedloop.mechanics.contacts.rolling import roll_on_plane, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.contacts.shapes import SHAPE, ShapeMemory, make_shape_memory, shape_of
+from closedloop.mechanics.contacts.shapes import EDGE, SHAPE, ShapeMemory, make_shape_memory, shape_of
 from closedloop.mechanics.contacts.soft import compliances_of, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.mechanics.friction.contact import Contact
@@ -38,7 +39,7 @@ from robot_models.loop_joint import WORLD
 Array = NDArray[np.float64]
 
 # As many contacts as a scenario may have.
-MOST = 64
+MOST = 256
 
 
 def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
@@ -68,7 +69,7 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
         contacts.soft[list(compliances.members)] = 1.0
         links.compliances = address_of(compliances.addresses)
         links.keep_alive(compliances=compliances)
-    if turns or any(section.rolls for section in sections):
+    if turns or any(section.rolls or section.edge for section in sections):
         shapes = shapes_of(sections, robot, k)
         links.shapes = shapes.address
         links.keep_alive(shapes=shapes)
@@ -147,8 +148,8 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
     at_a, at_b, along = [], [], []
     for section, name in zip(sections, names_of(sections), strict=True):
         a, _, point = placed_on_link(robot, poses, section.link, section.point, f"contact {name!r}: link")
-        flat = surface_of(section, name) is None
-        origin = section.through if flat else (0.0, 0.0, 0.0)
+        flat = surface_of(section, name) is None and section.edge is None
+        origin = section.through if flat or section.edge else (0.0, 0.0, 0.0)
         b, axes, plane = placed_on_link(robot, poses, section.against, origin, f"contact {name!r}: against")
         frame = contact_frame(unit(section.normal, f"contact {name!r}: normal")) if flat else np.eye(3)
         for k in range(3):
@@ -169,13 +170,28 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
 
 def shapes_of(sections: tuple[ContactSection, ...], robot: Robot, k: int) -> ShapeMemory:
     """Return a new memory of the shapes of k contacts, those of the sections from the second on."""
-    poses, found = link_poses(robot.tree, robot.model.loop_home), np.zeros((k, SHAPE))
+    poses, found, edges = link_poses(robot.tree, robot.model.loop_home), np.zeros((k, SHAPE)), np.zeros((k, EDGE))
     for i, (section, name) in enumerate(zip(sections, names_of(sections), strict=True), 1):
-        if section.rolls:
-            found[i] = shape_of(
-                section, placed_on_link(robot, poses, section.link, section.point, f"contact {name!r}: link")[1]
-            )
-    return make_shape_memory(robot.n, found)
+        if section.rolls or section.edge is not None:
+            turn = placed_on_link(robot, poses, section.link, section.point, f"contact {name!r}: link")[1]
+        if section.edge is not None:
+            edges[i] = edges_of(section, turn)
+            edges[i, PARTNER] = partner_of(sections, i)
+        elif section.rolls:
+            found[i] = shape_of(section, turn)
+    return make_shape_memory(robot.n, found, edges)
+
+
+def partner_of(sections: tuple[ContactSection, ...], i: int) -> int:
+    """Return the number of the contact of the same edge with the other crossing, beside contact i; 0 if none is."""
+    own = sections[i - 1]
+    for k in (i - 1, i + 1):
+        if 1 <= k <= len(sections):
+            other, edge = sections[k - 1], sections[k - 1].edge
+            alike = (own.link, own.against, own.at) == (other.link, other.against, other.at)
+            if alike and edge and own.edge and edge.half == own.edge.half and edge.crossing != own.edge.crossing:
+                return k
+    return 0
 
 
 def placed_on_link(
@@ -234,6 +250,11 @@ def start_places(sections: tuple[ContactSection, ...], robot: Robot, q: Array) -
     shapes = shapes_of(sections, robot, len(sections) + 1).shapes
     for i, (name, section) in enumerate(zip(names, sections, strict=True)):
         place, surface = rows.rows.error[3 * i : 3 * i + 3], surfaces.get(i + 1)
+        if section.edge is not None:
+            interpreted(turn_against)(rows.links, rows.rows, 3 * i, shapes)
+            interpreted(choose_crossing)(shapes, i + 1, place, True, -1)
+            places.append((float(shapes.crossing[0]), float(shapes.crossing[1])))
+            continue
         if section.rolls and surface is None:
             interpreted(roll_on_plane)(rows.links, rows.rows, shapes, i + 1)
         now = None if surface is None else check_surface(surface, place, name)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
-from closedloop.jit.kernel import entry_kernel, plain
+from closedloop.jit.kernel import entry_kernel, kernel_inlined, plain
 from closedloop.jit.pointers import fortran_at, integers_at, vector_at
 from closedloop.loop.events.phases import TERMS
 from closedloop.loop.step.memory import loop_at
@@ -32,6 +32,12 @@ def run_compiled(tree: Tree, scratch: Array, address: int, most: int) -> int:
     After `most` evaluations, at least one, it returns in any case. The address is that of the memory of
     `closedloop.simulation.engines.proceed.Addresses`, of H and C in `compiled_terms`.
     """
+    return provide_terms(tree, scratch, address, most)
+
+
+@kernel_inlined
+def provide_terms(tree: Tree, scratch: Array, address: int, most: int) -> int:
+    """Do as `run_compiled`."""
     a, n = Addresses(integers_at(address, ADDRESSES)), tree.n
     H, C = fortran_at(a.H, n, n), vector_at(a.C, n)
     state, _, w = loop_at(a.loop)

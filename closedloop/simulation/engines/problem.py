@@ -42,6 +42,11 @@ from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
 from closedloop.simulation.engines.start_memory import write_constants, write_start, write_state
 
 
+def as_it_is(entry: Any) -> Any:
+    """Return an entry of floats."""
+    return entry
+
+
 class Problem(ScenarioNumbers):
     """A scenario as numbers, and the loop's memory made of them.
 
@@ -141,7 +146,13 @@ class Problem(ScenarioNumbers):
             entries += [contacts_in_step, *(each.entry for each in contact_members(loop))]
         return entries
 
-    def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
+    def connect(
+        self,
+        loop: Loop,
+        user_law: Callable[[bool], None] | None = None,
+        compiled: bool = True,
+        form: Callable[[Any], Any] = as_it_is,
+    ) -> None:
         """Write into a loop's memory where what it calls is: machine code, or what an interpreted loop calls.
 
         Parameters
@@ -153,16 +164,21 @@ class Problem(ScenarioNumbers):
         compiled : bool
             Whether the loop is machine code. A user's class is compiled in either case, so that a run which begins
             interpreted refuses what the next one would.
+        form : callable
+            Returns the form of an entry that is called, see `closedloop.jit.dual.dual`.
 
         Raises
         ------
         ScenarioError
             If numba cannot compile a user's member.
         """
-        address = entry_address if compiled else twin_address
+
+        def address(entry: Any) -> int:
+            return entry_address(form(entry)) if compiled else twin_address(entry)
+
         loop.state.proceed = address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
-            getattr(loop.state, name).entry = _address_of(entry, name, getattr(self.scenario, name), compiled)
+            getattr(loop.state, name).entry = _address_of(form(entry), name, getattr(self.scenario, name), compiled)
         if loop.state.loops.at != 0:
             loop.state.loops.entry = address(closed_loops)
         if loop.state.ball.at != 0:
@@ -170,7 +186,7 @@ class Problem(ScenarioNumbers):
         if loop.state.contacts.at != 0:
             loop.state.contacts.entry = address(contacts_in_step)
             for each in contact_members(loop):
-                _address_of(each.entry, f"contact.{each.contact - 1}.{each.key}", each.member, compiled)
+                _address_of(form(each.entry), f"contact.{each.contact - 1}.{each.key}", each.member, compiled)
             for members in _contact_families(loop):
                 members.connect(address)
         if loop.state.surface_motion.entry != 0:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import brief_entry, kernel_inlined
-from closedloop.jit.pointers import address_of, fortran_at, integers_at, matrix_at, vector_at
+from closedloop.jit.pointers import address_of, fortran_at, integers_at, known_matrix_at, matrix_at, vector_at
 from closedloop.loop.events.proceed import proceed
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.make_loop import Loop
@@ -112,6 +112,6 @@ def proceed_at(address: int, source: int) -> int:
     stages = state.settings.stages
     return proceed(
         fortran_at(a.H, n, n), vector_at(a.C, n), w, constants, state, matrix_at(a.table, a.instants, a.table_width),
-        matrix_at(a.tableau, stages + 1, stages), matrix_at(a.rows, a.row_count, a.row_width),
+        known_matrix_at(a.tableau, stages + 1, stages), matrix_at(a.rows, a.row_count, a.row_width),
         matrix_at(a.events, a.event_room, EVENT_WIDTH),
     )  # fmt: skip

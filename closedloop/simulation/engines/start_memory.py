@@ -48,6 +48,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
     constants.armature[:], constants.driven[:] = robot.model.rigid_armature, robot.model.driven
     constants.turns[list(robot.model.balls)] = 1.0
+    constants.measured[:] = robot.model.measured
     constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
     constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
     constants.torque_limit[:], constants.torque_change[:] = problem.drives

@@ -77,6 +77,8 @@ class Along:
         How they were found.
     settled : bool
         Whether they are known well enough.
+    methods : (M,) array of str, optional
+        How each quantity was found, if not all in one way.
     """
 
     best: Estimate | None = None
@@ -87,6 +89,7 @@ class Along:
     count: int = 0
     method: str = DIFFERENCES
     settled: bool = field(default=False, repr=False)
+    methods: NDArray[np.str_] | None = None
 
     def part(self, some: slice) -> Part:
         """Return what is known of some of the quantities."""
@@ -97,7 +100,8 @@ class Along:
             return Part(nothing[some], nothing[some], below, above, none[some], self.method)
         best, kink = self.best, self.best.kink[some]
         value, error = (np.where(kink, math.nan, each[some]) for each in (best.value, best.error))
-        return Part(value, error, best.below[some], best.above[some], kink, self.method)
+        method = self.method if self.methods is None or not kink.size else str(self.methods[some][0])
+        return Part(value, error, best.below[some], best.above[some], kink, method)
 
 
 def along(

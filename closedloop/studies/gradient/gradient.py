@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,10 @@ from closedloop.base.errors import ScenarioError
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.gradient.differences import Along, Part, along
+from closedloop.studies.gradient.exact import exact
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys, indexed
 from closedloop.studies.gradient.outputs import Output, output
-from closedloop.studies.gradient.variants import sample, simulated
+from closedloop.studies.gradient.variants import Sample, sample, simulated
 from robot_models import RobotModel
 
 if TYPE_CHECKING:
@@ -146,20 +148,49 @@ def differentiated(
     workers: int | None,
 ) -> Gradient:
     """Return the derivatives of outputs of a run; see `gradient`."""
-
-    def read(made: Run) -> Array:
-        return np.concatenate([each.of(made).ravel() for each in outputs])
-
-    scale = [np.full(value.size, np.max(np.abs(value), initial=0.0)) for value in (each.of(run) for each in outputs)]
-    base = replace(sample(run, read), scale=np.concatenate(scale))
     directions = varied.directions
     with ExitStack() as open_until_done:
         if progress is True:
             from closedloop.base.progress import bar
 
             progress = open_until_done.enter_context(bar(f"derivatives of {varied.scenario.name}", 6 * len(directions)))
-        found = along(varied, directions, base, read, model, progress or _silent, workers)
-    return _gathered(varied, run, outputs, base.values, found)
+        report = progress or _silent
+        base = _sampled(run, outputs)
+        by_duals = exact(varied, run, base, outputs, model, report, workers)
+        parts = [by_duals.outputs, [each for each in outputs if each not in by_duals.outputs]]
+        made = []
+        for some, found in zip(parts, (by_duals.found, {}), strict=True):
+            if some:
+                base = _sampled(run, some)
+                rest = [d for d in directions if d not in found]
+                found = found | along(varied, rest, base, partial(_read, some), model, report, workers)
+                made.append(_gathered(varied, run, some, base.values, {d: found[d] for d in directions}))
+    return _joined(made, [each.name for each in outputs])
+
+
+def _read(outputs: Sequence[Output], run: Run) -> Array:
+    return np.concatenate([each.of(run).ravel() for each in outputs])
+
+
+def _sampled(run: Run, outputs: Sequence[Output]) -> Sample:
+    """Return what is kept of the run itself."""
+    scale = [np.full(value.size, np.max(np.abs(value), initial=0.0)) for value in (each.of(run) for each in outputs)]
+    return replace(sample(run, partial(_read, outputs)), scale=np.concatenate(scale))
+
+
+def _joined(parts: Sequence[Gradient], names: Sequence[str]) -> Gradient:
+    """Return the derivatives of several groups of outputs as those of all, in the order of `names`."""
+    said = tuple(dict.fromkeys(line for part in parts for line in part.problems))
+    if len(parts) == 1:
+        return replace(parts[0], problems=said)
+    all_of: dict[str, Any] = {}
+    for field in fields(Gradient):
+        if field.name != "problems":
+            both: dict[str, Any] = {}
+            for part in parts:
+                both |= getattr(part, field.name)
+            all_of[field.name] = {name: both[name] for name in names if name in both}
+    return Gradient(**all_of, problems=said)
 
 
 def _gathered(

@@ -37,11 +37,14 @@ class Output:
     read : callable
         Takes a run, and returns the quantity as a number or an array.
     units : str
+    column : str
+        The column that it is, or an entry of; "" of a value of the summary.
     """
 
     name: str
     read: Callable[[Run], Any]
     units: str
+    column: str = ""
 
     def of(self, run: Run) -> Array:
         """Return the quantity of a run."""
@@ -122,9 +125,9 @@ def _column(name: str, column: str, instant: str | None, run: Run, whole: bool) 
             raise ScenarioError(f"of: {name}: events have instants of their own; ask for {column}")
         if not len(values):
             raise ScenarioError(f"of: {name}: this run has no events")
-        return Output(name, lambda made: getattr(made, column), units)
+        return Output(name, lambda made: getattr(made, column), units, column)
     if instant is None:
-        return Output(name, lambda made: getattr(made, column), units)
+        return Output(name, lambda made: getattr(made, column), units, column)
     row = -1
     if instant != END:
         try:
@@ -135,4 +138,4 @@ def _column(name: str, column: str, instant: str | None, run: Run, whole: bool) 
         if not 0.0 <= t <= end * (1.0 + 1e-12):
             raise ScenarioError(f"of: {name}: must be an instant of the run, {column}@0 to {column}@{end:g}, or @{END}")
         row = int(np.argmin(np.abs(run.time - t)))
-    return Output(name, lambda made: getattr(made, column)[row], units)
+    return Output(name, lambda made: getattr(made, column)[row], units, column)

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 _ENTRY = re.compile(r"(.+?)\[(\d+)\]")
 _LIMIT = re.compile(r"\s*([\w@.]+)\s*(<=|>=)\s*(\S+)\s*")
 
+# Shares of a range up to which a number is its end.
+AT_END = 1e-12
+
 
 @dataclass(frozen=True)
 class Varied:
@@ -53,8 +56,8 @@ class Varied:
 
     def at(self, share: float) -> float:
         """Return the number at a share of the range, 0 to 1."""
-        if share in (0.0, 1.0):
-            return self.high if share else self.low
+        if not AT_END < share < 1.0 - AT_END:  # an end, or the rounding of a search that ends there
+            return self.high if share > 0.5 else self.low
         if self.log:
             return float(self.low * (self.high / self.low) ** share)
         return float(self.low + (self.high - self.low) * share)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from closedloop.jit.dual8 import sought
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import MANY_TURNS, every, nearest, select
 from closedloop.mechanics.robot.tree import layout as at
@@ -51,7 +52,7 @@ def sines(tree: Tree, q: Array, work: Array) -> None:
             angle = turn + offset
             taken = angle - turn
             lost = (turn - (angle - taken)) + (offset - taken)  # by rounding the sum: 1e-10 rad at a million
-            quarters = (angle * PER_RIGHT_ANGLE + ROUND) - ROUND
+            quarters = sought((angle * PER_RIGHT_ANGLE + ROUND) - ROUND)  # a whole number has no derivatives
             x = (((angle - quarters * PART_1) - quarters * PART_2) - quarters * PART_3) + lost
             # quarters modulo 4; rounding its quarter less 3/8 rounds down
             quarter = quarters - 4.0 * ((quarters * 0.25 - 0.375 + ROUND) - ROUND)

@@ -20,6 +20,23 @@ Array = NDArray[np.float64]
 OUT_OF_TANGENT = 1e-9
 
 
+def across_normal(direction: tuple[float, float, float], normal: tuple[float, float, float]) -> Array:
+    """Return the unit vector along an axis in the surface's axes.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not at right angles to the normal.
+    """
+    axis, n = unit(direction, "surface.axis"), unit(normal, "surface.normal")
+    if abs(out := float(axis @ n)) > OUT_OF_TANGENT:
+        nearest = axis - out * n
+        hint = f"; the nearest is {(nearest / np.linalg.norm(nearest)).round(9).tolist()}" if abs(out) < 0.999 else ""
+        raise ScenarioError(f"surface.axis = {list(direction)}: must be at right angles to surface.normal{hint}")
+    across: Array = (contact_frame(n)[[1, 2, 0]] @ axis) * [1.0, 1.0, 0.0]
+    return across
+
+
 class Cylinder(Placed):
     """A round bar, or the inside of a pipe."""
 
@@ -37,14 +54,7 @@ class Cylinder(Placed):
         ScenarioError
             If it is not at right angles to the normal.
         """
-        axis, n = unit(self.axis, "surface.axis"), unit(self.normal, "surface.normal")
-        if abs(out := float(axis @ n)) > OUT_OF_TANGENT:
-            nearest = axis - out * n
-            hint = (
-                f"; the nearest is {(nearest / np.linalg.norm(nearest)).round(9).tolist()}" if abs(out) < 0.999 else ""
-            )
-            raise ScenarioError(f"surface.axis = {list(self.axis)}: must be at right angles to surface.normal{hint}")
-        return {"axis": (contact_frame(n)[[1, 2, 0]] @ axis) * [1.0, 1.0, 0.0]}
+        return {"axis": across_normal(self.axis, self.normal)}
 
     @staticmethod
     def level(p: Array, par: Any, gradient: Array, hessian: Array) -> float:

@@ -1,0 +1,106 @@
+"""Kernels of dual numbers: a kernel's Python function, compiled for `closedloop.jit.dual8` in place of floats.
+
+Such a twin is the same code with other globals, as in `closedloop.jit.interpreted`: what makes arrays of an address
+makes arrays of dual numbers, and every kernel is replaced by its twin. So memory that the plain loop has at an address
+as n floats has n dual numbers in this form, and no formula is written twice.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import types
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from closedloop.jit.kernel import Kernel
+from closedloop.jit.pointers import fortran_at, matrix_at, vector_at
+
+
+class NotDualError(Exception):
+    """There is no run of dual numbers, and why."""
+
+
+class NotCompiledError(NotDualError):
+    """Nor will there be one with the same kernels: numba cannot compile one of them."""
+
+
+@contextmanager
+def refused_as_one_line() -> Iterator[None]:
+    """Turn what numba raises of a function that it cannot compile into one line."""
+    from numba.core.errors import NumbaError
+
+    try:
+        yield
+    except NumbaError as error:
+        raise NotCompiledError(str(error).splitlines()[0]) from error
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# The digest of compiled code tells the forms of one function apart by this.
+FORM = "dual8"
+
+
+# `numpy` as twins have it: of its functions of numbers those that dual numbers have.
+_NUMPY = types.ModuleType("numpy", "The functions of numbers of numpy that dual numbers have.")
+_NUMPY.__dict__.update({name: vars(math)[name] for name in (
+    "hypot", "sqrt", "sin", "cos", "tan", "tanh", "exp", "expm1", "log", "isfinite", "isnan", "pi", "inf", "nan",
+)})  # fmt: skip
+_NUMPY.__dict__.update(
+    abs=abs, arctan2=math.atan2, arcsin=math.asin, arccos=math.acos, minimum=min, maximum=max, ceil=math.ceil
+)
+
+# Twins, and the globals of twins, by the identity of what they are of, which is kept with them.
+_twins: dict[int, tuple[Any, Any]] = {}
+_globals: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+_making = threading.RLock()
+
+
+def dual(function: F) -> F:
+    """Return the twin of a kernel that takes dual numbers; what is no kernel is returned as it is."""
+    if not isinstance(function, Kernel):
+        return function
+    with _making:
+        if id(function) not in _twins:
+            source = function.py_func
+            cells = tuple(types.CellType(_twin_value(cell.cell_contents)) for cell in source.__closure__ or ())
+            names = _twin_globals(source.__globals__)
+            twin = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
+            twin.__kwdefaults__, twin.__doc__ = source.__kwdefaults__, source.__doc__
+            twin.__name__, twin.__qualname__ = f"{source.__name__}_{FORM}", f"{source.__qualname__}_{FORM}"
+            twin.__module__ = source.__module__
+            twin.__dict__["form"] = FORM
+            made = Kernel(twin, function.make)
+            unguarded = function.unguarded
+            made.unguarded = None if unguarded is None else dual(unguarded)
+            _twins.setdefault(id(function), (function, made))
+        return cast(F, _twins[id(function)][1])
+
+
+def _twin_globals(names: dict[str, Any]) -> dict[str, Any]:
+    if id(names) not in _globals:
+        # Entered before it is filled: two modules may have functions of each other.
+        _globals[id(names)] = names, dict(names)
+        _globals[id(names)][1].update({name: _twin_value(value) for name, value in names.items()})
+    return _globals[id(names)][1]
+
+
+def _twin_value(value: Any) -> Any:
+    if isinstance(value, Kernel):
+        return dual(value)
+    return _in_place_of().get(id(value), value)
+
+
+@cache
+def _in_place_of() -> dict[int, Any]:
+    from closedloop.jit.numba_dual8 import dual_fortran_at, dual_matrix_at, dual_vector_at
+
+    pairs = (
+        (np, _NUMPY), (vector_at, dual_vector_at), (matrix_at, dual_matrix_at), (fortran_at, dual_fortran_at),
+    )  # fmt: skip
+    return {id(value): other for value, other in pairs}

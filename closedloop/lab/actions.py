@@ -1,0 +1,165 @@
+"""What a page may ask of the lab, and what comes of it: a slider is moved, a run is pinned, a file is written."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from typing import Any
+
+from closedloop.base.errors import ClosedLoopError, one_line
+from closedloop.lab.keeping import save, save_page
+from closedloop.lab.pins import MOST_PINS
+from closedloop.lab.protocol import Lab
+from closedloop.lab.server import Client
+from closedloop.scenario.file import shipped_scenarios
+
+logger = logging.getLogger(__name__)
+
+Said = dict[str, Any]
+MOST_COLUMNS = 8
+
+
+def act(lab: Lab, client: Client, said: Said) -> None:
+    """Do what a page asks; what is at fault is a line on the page, and what is no request is left alone."""
+    action = ACTIONS.get(str(said.get("do")))
+    if action is None:
+        return
+    client.time = _number(said.get("t"), client.time)
+    try:
+        action(lab, client, said)
+    except ClosedLoopError as error:
+        _say(lab, one_line(str(error)), loud=True)
+    except Exception:  # the page goes on: what comes from a browser may be anything
+        logger.exception("a request of the page failed")
+
+
+def _set(lab: Lab, client: Client, said: Said) -> None:
+    """Set a key to what its control shows, or to what was typed beside it."""
+    index = said.get("index")
+    control = lab.controls.get((str(said.get("key")), index if isinstance(index, int) else None))
+    if control is None:
+        return
+    try:
+        value = control.typed(str(said.get("text"))) if said["do"] == "type" else control.read(said.get("shown"))
+    except (ValueError, TypeError, OverflowError, ClosedLoopError) as error:
+        lab.tell("fault", {"kind": "fault", "key": control.key, "line": one_line(str(error))}, keep=False)
+        return
+    if said.get("together") and control.index is not None:
+        value = control.together(value)
+    lab.changed(control.key, value)
+
+
+def _reset(lab: Lab, client: Client, said: Said) -> None:
+    """Set a key back to where it began; of a list one entry, or all."""
+    key, index = str(said.get("key")), said.get("index")
+    control = lab.controls.get((key, index if isinstance(index, int) else None)) or lab.controls.get((key, 0))
+    if control is None:
+        return
+    if isinstance(index, int) and control.index == index:
+        began = lab.first_value(key, index)
+        lab.changed(key, [*control.value[:index], began, *control.value[index + 1 :]])
+        lab.refresh()
+    else:
+        lab.changed(key, None)
+
+
+def _step(lab: Lab, client: Client, said: Said) -> None:
+    """Undo, redo, or go back to where the scenario began."""
+    history, word = lab.history, said["do"]
+    moved = history.undo() if word == "undo" else history.redo() if word == "redo" else bool(history.changes)
+    if word == "begin again" and moved:
+        history.set_all({})
+    if moved:
+        lab.refresh()
+        lab.ask()
+    else:
+        _say(lab, f"there is nothing to {word}" if word != "begin again" else "nothing was changed")
+
+
+def _pin(lab: Lab, client: Client, said: Said) -> None:
+    """Keep the run shown, or the latest pinned one no longer."""
+    answer = lab.answer
+    if said["do"] == "unpin":
+        lab.pins.remove_last()
+    elif answer is None or answer.run is None:
+        return
+    elif lab.pins.add(answer.run, answer.changes) is None:
+        _say(lab, f"{MOST_PINS} runs are pinned already: unpin the last first", loud=True)
+        return
+    lab.details.pinned()
+
+
+def _write(lab: Lab, client: Client, said: Said) -> None:
+    """Write the run shown, as a scenario and a run file, or as a page."""
+    answer = lab.answer
+    if answer is None or answer.run is None:
+        _say(lab, "there is no run yet")
+        return
+    command = lab.command(answer)
+    written = (
+        save(answer.run, command, lab.folder) if said["do"] == "save" else [save_page(answer.run, command, lab.folder)]
+    )
+    _say(lab, f"wrote {', '.join(map(str, written))}")
+
+
+def _window(lab: Lab, client: Client, said: Said) -> None:
+    """Show a part of the time alone."""
+    given = said.get("range")
+    client.window = None
+    if isinstance(given, list) and len(given) == 2:
+        begin, end = (_number(each, math.nan) for each in given)
+        client.window = (begin, end) if begin < end else None
+    lab.show_again(client)
+
+
+def _columns(lab: Lab, client: Client, said: Said) -> None:
+    """Show further columns of the run."""
+    names = said.get("names")
+    client.columns = tuple(map(str, names[:MOST_COLUMNS])) if isinstance(names, list) else ()
+    lab.show_again(client)
+
+
+def _map(lab: Lab, client: Client, said: Said) -> None:
+    """Compute a map, or stop."""
+    if said["do"] == "stop map":
+        lab.map.stop()
+    else:
+        lab.map.start(str(said.get("x")), str(said.get("y")), str(said.get("quantity")))
+
+
+def _point(lab: Lab, client: Client, said: Said) -> None:
+    """Go to a place of the map."""
+    lab.map.go(_number(said.get("u"), 0.5), _number(said.get("v"), 0.5), bool(said.get("last")))
+
+
+def _analyse(lab: Lab, client: Client, said: Said) -> None:
+    """Analyse the force loop at another instant."""
+    at = said.get("at")
+    lab.details.at = None if at is None else _number(at, 0.0)
+    if lab.answer is not None:
+        lab.details.ask(lab.answer)
+
+
+def _open(lab: Lab, client: Client, said: Said) -> None:
+    """Go over to another scenario that ships, and to no other file."""
+    if said.get("name") in shipped_scenarios():
+        lab.open(str(said["name"]))
+
+
+def _say(lab: Lab, line: str, loud: bool = False) -> None:
+    lab.tell("status", {"kind": "status", "line": line, "loud": loud}, keep=False)
+
+
+def _number(value: Any, otherwise: float) -> float:
+    good = isinstance(value, int | float) and math.isfinite(value)
+    return float(value) if good else otherwise
+
+
+ACTIONS: dict[str, Callable[[Lab, Client, Said], None]] = {
+    "set": _set, "type": _set, "reset": _reset, "undo": _step, "redo": _step, "begin again": _step,
+    "pin": _pin, "unpin": _pin, "save": _write, "share": _write, "window": _window, "columns": _columns,
+    "map": _map, "stop map": _map, "point": _point, "analyse": _analyse, "open": _open,
+    "shown": lambda lab, client, said: client.drawn(),
+    "gallery": lambda lab, client, said: lab.show_gallery(client),
+}  # fmt: skip

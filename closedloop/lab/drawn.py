@@ -1,0 +1,180 @@
+"""What the page draws of a run, as messages: its curves, and the robot and the run in space.
+
+The curves go first: they are what a slider is moved for. A run in space is its replay at some rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.figures.scene.ground import thin_out
+from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
+from closedloop.figures.scene.shapes import Shape
+from closedloop.lab.curves import CELLS, Panel, column_names, column_panel, panels, reduced
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.record.clearance import passing_note
+from closedloop.record.run import Run
+
+Message = dict[str, Any]
+Rows = Sequence[int] | NDArray[np.int64]
+
+# Rows of a replay in the lab, points of a path, and events that are listed.
+FRAMES, MOST_POINTS, MOST_MARKS = 200, 600, 1000
+# What the arrows and lines in space are, by the names of `closedloop.figures.scene.scene`.
+MEANINGS = {
+    "contact force": "contact force on the tip",
+    "friction": "friction on the tip",
+    "commanded force": "force commanded",
+    LOOP: "force of a loop joint",
+    TOUCH: "force on a link that touches",
+    JOINTS: "loop joint",
+    "actual path": "path of the tip",
+    "desired path": "path desired",
+}
+MODES = {FREE: "free", PRESSED: "slides", STUCK: "sticks"}
+# The view of the contact shows the path and this share of the robot's size about it.
+NEAR, FAR_PATH = 0.22, 0.65
+
+
+def curves(
+    run: Run, window: tuple[float, float] | None = None, more: Sequence[str] = (), cells: int = CELLS
+) -> list[Message]:
+    """Return the panels of a run, and of the further columns `more`, within a window of time, s."""
+    begin, end = (float(run.time[0]), float(run.time[-1])) if window is None else window
+    columns = set(column_names(run))
+    found = [*panels(run), *(column_panel(run, name) for name in more if name in columns)]
+    return [_panel(reduced(panel, begin, end, cells)) for panel in found]
+
+
+def _panel(panel: Panel) -> Message:
+    return {
+        "name": panel.name, "title": panel.title, "time": panel.time, "band": panel.band, "main": panel.main.label,
+        "traces": [
+            {"label": t.label, "colour": t.colour, "limit": t.limit, "values": t.values} for t in panel.traces
+        ],
+    }  # fmt: skip
+
+
+def run_message(run: Run, panels_of_it: list[Message], **more: Any) -> Message:
+    """Return the message that a run is there: its curves, modes and events."""
+    return {
+        "kind": "run", "begin": float(run.time[0]), "end": float(run.time[-1]), "step": run.scenario.time.step,
+        "stopped": run.stopped or "", "panels": panels_of_it, "modes": _modes(run), "marks": _marks(run),
+        "events": len(run.event_time), "columns": column_names(run), **more,
+    }  # fmt: skip
+
+
+def _modes(run: Run) -> Message | None:
+    """Return when the mode of the tip's contact changes, s, and to which; None without a surface."""
+    if not run.scenario.has_surface:
+        return None
+    change = np.flatnonzero(np.diff(run.mode)) + 1
+    begins = np.concatenate([[0], change])[: 4 * MOST_MARKS]
+    return {"time": run.time[begins], "mode": run.mode[begins].astype(float), "names": list(MODES.values())}
+
+
+def _marks(run: Run) -> list[Message]:
+    """Return the first events of a run, in words."""
+    touching = run.scenario.contact or ()
+    found = []
+    for event in run.events[:MOST_MARKS]:
+        of = touching[event.contact - 1].name if 0 < event.contact <= len(touching) else "tip"
+        place = [round(float(x), 6) for x in event.position]
+        found.append({"time": event.time, "kind": event.kind, "of": of, "place": place})
+    return found
+
+
+def robot_message(scene: Scene) -> Message:
+    """Return what of a scene is the robot's: shapes, marks of loop joints, and what the arrows and colours mean."""
+    ground = len(scene.joint_places(0)[0])
+    return {
+        "kind": "robot", "joints": ground + 1 + len(scene.joined.loops), "ground": ground, "meanings": MEANINGS,
+        "clear": sorted(scene.hiding) if scene.arm_hides_force else [],
+        "shapes": [
+            {"joint": joint, "kind": kind, "colour": s.colour, "vertices": s.vertices,
+             "faces": np.asarray(s.faces, np.uint32)} for joint, kind, s in _shapes(scene)
+        ],
+    }  # fmt: skip
+
+
+def space_message(scene: Scene, rows: Rows, passing: Message | None = None) -> Message:
+    """Return a run in space: replay at `rows`, surface, paths, and what passes through what, as `passing` says."""
+    (vertices, faces), (middle, radius), (near, close) = scene.surface, scene.ball, focus(scene)
+    first = scene.arrows([0])[0]
+    lines = (("actual path", PATH, scene.run.position), ("desired path", WANTED, scene.run.reference_tip))
+    return {
+        "kind": "space", "size": scene.size, "usual": scene.usual_force,
+        "whole": {"centre": middle, "radius": radius}, "near": {"centre": near, "radius": close},
+        "normal": scene.run.surface_normal[0] if scene.ground.there else [0.0, 0.0, 1.0],
+        "surface": {"vertices": vertices, "faces": np.asarray(faces, np.uint32)},
+        "arrows": [{"name": a.name, "kind": a.kind, "colour": ARROWS[a.kind]} for a in first],
+        "kinds": scene.kinds, "passing": _passing(scene, passing),
+        "paths": [{"name": n, "colour": c, "points": thin_out(points, MOST_POINTS)} for n, c, points in lines],
+        "frames": frames(scene, rows),
+    }  # fmt: skip
+
+
+def _passing(scene: Scene, clearance: Message | None) -> Message | None:
+    """Return what passes through what, in words, with the joints whose shapes do; None where nothing does."""
+    text = passing_note(clearance)
+    if clearance is None or not text:
+        return None
+    model = scene.model.pinocchio_model()
+    links = [name for name in clearance["between"] if model.existFrame(name)]
+    joints = [int(model.frames[model.getFrameId(name)].parentJoint) for name in links]
+    return {"text": text, "joints": joints, "surface": len(links) < len(clearance["between"])}
+
+
+def focus(scene: Scene) -> tuple[NDArray[np.float64], float]:
+    """Return the middle (3,) and radius, m, of what the view of the contact shows: where forces act."""
+    run, (whole, radius) = scene.run, scene.ball
+    rows = np.unique(np.linspace(0, len(run) - 1, 12).round().astype(int))
+    if scene.ground.there:
+        points = thin_out(run.position, 50)
+    elif scene.touching:
+        points = np.array([a.tail for each in scene.arrows(rows) for a in each if a.kind == TOUCH])
+    elif scene.joined.loops:
+        return whole, radius
+    else:  # bodies that move
+        points = np.vstack([scene.joint_places(int(row))[1][1:] for row in rows])
+    points = points[np.all(np.isfinite(points), axis=1)]
+    if not len(points):
+        return whole, radius
+    low, high = points.min(axis=0), points.max(axis=0)
+    near = FAR_PATH * float(np.linalg.norm(high - low)) + NEAR * scene.size
+    return 0.5 * (low + high), min(near, radius)
+
+
+def frames(scene: Scene, rows: Rows) -> Message:
+    """Return a replay: instants, places of joints, surface and marks (quaternion, origin), forces and their tails."""
+    run = scene.run
+    places: list[NDArray[np.float64]] = []
+    last: NDArray[np.float64] | None = None
+    for row in rows:
+        there = scene.joint_places(int(row))
+        (turn, shift), marks = scene.ground.place(int(row)), scene.joined.places(*there)
+        turns = quaternions(np.vstack([there[0], turn[None], marks[0]]))
+        if last is not None:  # of the two quaternions of a rotation that which is near the one before
+            turns *= np.where(np.sum(turns * last, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+        last = turns
+        places.append(np.hstack([turns, np.vstack([there[1], shift, marks[1]])]))
+    arrows = scene.arrows(rows)
+    tails, forces = (np.array([[arrow[part] for arrow in each] for each in arrows]) for part in (0, 1))
+    return {"time": run.time[np.asarray(rows)], "places": np.array(places), "tails": tails, "forces": forces}
+
+
+def spread(run: Run, most: int = FRAMES) -> NDArray[np.int64]:
+    """Return the numbers of so many rows at most, evenly spaced, the first and the last among them."""
+    return np.unique(np.linspace(0, len(run) - 1, min(most, len(run))).round().astype(np.int64))
+
+
+def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape]]:
+    """Yield the robot's shapes and the marks of its loop joints, each with the number of its place and what it is."""
+    for shape in scene.shapes:
+        yield shape.joint, "", shape
+    for k, loop in enumerate(scene.joined.loops):
+        yield len(scene.joint_places(0)[0]) + 1 + k, JOINTS, loop.shape

@@ -1,0 +1,252 @@
+"""A run of dual numbers: the loop of `closedloop.simulation.engines.compiled` with a value and seven derivatives.
+
+The memory of a prepared run is copied, eight numbers for each of its floats. Every float of it may have derivatives:
+they are how a scenario's numbers enter a run, whichever they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block
+from closedloop.jit.calls import entry_address
+from closedloop.jit.dual import NotDualError, dual, refused_as_one_line
+from closedloop.jit.kernel import direct
+from closedloop.jit.pointers import address_of
+from closedloop.jit.simd8 import WIDE, aligned
+from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.record.report.measured import CONTROL, Tally, Values
+from closedloop.record.report.row_sample import joint_limits
+from closedloop.record.report.step_error import resolution_of
+from closedloop.simulation.engines.at_addresses import Parts, complete_at, measure_at, run_at, run_varied_at
+from closedloop.simulation.engines.compiled import ALL, compiled_work
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.proceed import Addresses, proceed_at
+
+Array = NDArray[np.float64]
+
+# Directions of one run.
+DIRECTIONS = WIDE - 1
+# Its record and table may take so much memory, bytes.
+MOST_BYTES = 1 << 30
+
+
+class Prepared(NamedTuple):
+    """A problem and its loop's memory at t = 0.
+
+    Attributes
+    ----------
+    problem : Problem
+    loop : Loop
+    floats : list of arrays
+        All that the run reads or writes, in an order that is the same for every scenario with the same sections.
+    words : list of arrays
+        The whole numbers of it, int64, among them addresses.
+    """
+
+    problem: Problem
+    loop: Loop
+    floats: list[Array]
+    words: list[NDArray[np.int64]]
+
+
+def prepared(problem: Problem) -> Prepared:
+    """Return a problem with its loop's memory."""
+    loop = problem.loop()
+    floats: list[Array] = []
+    words: list[NDArray[np.int64]] = []
+    seen: set[int] = set()
+    for array in _arrays((loop.state, loop.constants, loop.w, problem.table, problem.robot.tree.constants)):
+        if array.size and address_of(array) not in seen:
+            seen.add(address_of(array))
+            (words if array.dtype == np.int64 else floats).append(array)
+    return Prepared(problem, loop, floats, words)
+
+
+def structure(base: Prepared) -> tuple[Any, ...]:
+    """Return all that two runs must have in common of which one has derivatives along the way to the other."""
+    arrays = (*base.floats, *base.words)
+    places = {address_of(array): -1 - i for i, array in enumerate(arrays)}
+    words = [tuple(places.get(word, word) for word in array.ravel().tolist()) for array in base.words]
+    return *(array.shape for array in arrays), *words
+
+
+def _arrays(what: Any) -> Iterator[NDArray[Any]]:
+    """Return the arrays of memory and of all that is kept with it, one after the other."""
+    if isinstance(what, np.ndarray):
+        yield what
+    elif isinstance(what, Block):
+        yield what.memory
+        yield from _arrays(what.kept)
+    elif isinstance(what, dict):
+        for part in what.values():
+            yield from _arrays(part)
+    elif isinstance(what, (tuple, list)):
+        for part in what:
+            yield from _arrays(part)
+
+
+class DualRun:
+    """The memory of a run of dual numbers, and the run.
+
+    Parameters
+    ----------
+    base : Prepared
+        The run.
+    seeds : sequence of up to seven lists of arrays
+        Of each direction the derivatives of `base.floats`, None where there are none.
+
+    Raises
+    ------
+    NotDualError
+        If a kernel has no form of dual numbers, or there is not enough memory.
+
+    Attributes
+    ----------
+    rows : (N, width, 8) array
+        The record, values and derivatives.
+    events : (M, EVENT_WIDTH, 8) array
+        The table of events.
+    table : (P, columns, 8) array
+        What is desired, see `closedloop.loop.step.reference_row`.
+    """
+
+    def __init__(self, base: Prepared, seeds: Sequence[Sequence[Array | None]]) -> None:
+        problem, n = base.problem, base.problem.robot.n
+        if (wanted := 8 * WIDE * ((problem.steps + 1) * problem.row_width + problem.table.size)) > MOST_BYTES:
+            raise NotDualError(f"its record would take {wanted / 1e9:.1f} GB")
+        with refused_as_one_line():
+            problem.connect(base.loop, form=dual)
+        self._base, self._n = base, n
+        self._wide = wide = [aligned(*array.shape) for array in base.floats]
+        self._words = words = [array.copy() for array in base.words]
+        self._moved = {
+            address_of(a): address_of(b) for a, b in zip((*base.floats, *base.words), (*wide, *words), strict=True)
+        }
+        wide_of = {id(array): to for array, to in zip(base.floats, wide, strict=True)}
+        loop = base.loop
+        self._constants, self._work = wide_of[id(loop.constants.memory)], wide_of[id(loop.w.memory)]
+        self._state = State(words[0])
+        # What Python reads and writes between calls of the loop: the values.
+        self._loop = Loop(
+            self._state, Constants(self._constants[:, 0], *loop.constants.sizes),
+            Work(self._work[:, 0], *loop.w.sizes),
+        )  # fmt: skip
+        table, tree = wide_of[id(problem.table)], problem.robot.tree
+        constants = wide_of[id(tree.constants)]
+        tableau = np.ascontiguousarray(problem.integrator.tableau())
+        self.rows = aligned(problem.steps + 1, problem.row_width)
+        self.events = aligned(INITIAL_EVENTS, EVENT_WIDTH)
+        work = _widened(compiled_work(n))
+        self._addresses = a = Addresses(np.zeros(Addresses.count(), dtype=np.int64))
+        a.H, a.C = address_of(work), address_of(work[n * n :])
+        a.loop, a.table, a.tableau = address_of(words[0]), address_of(table), address_of(tableau)
+        a.rows, a.n = address_of(self.rows), n
+        a.instants, a.table_width = problem.table.shape
+        a.row_count, a.row_width = self.rows.shape[:2]
+        self._tree, self._tree_constants = tree, constants
+        self._values, self._tally = aligned(Values.count(n)), aligned(Tally.count(n))
+        self._signals, self._limits = aligned(CONTROL, problem.steps + 1), _widened(joint_limits(problem.robot.model))
+        self._step = _widened(np.array([problem.h]))
+        self._parts = p = Parts(np.zeros(Parts.count(), dtype=np.int64))
+        p.constants, p.constants_size, p.scratch = address_of(constants), tree.constants.size, address_of(work)
+        p.tally, p.values, p.signals = map(address_of, (self._tally, self._values, self._signals))
+        p.limits, p.step = address_of(self._limits), address_of(self._step)
+        self.table = table
+        self._kept_too = tableau, work
+        self.begin(seeds)
+
+    def begin(self, seeds: Sequence[Sequence[Array | None]]) -> None:
+        """Go back to the start, with other derivatives."""
+        for i, (array, to) in enumerate(zip(self._base.floats, self._wide, strict=True)):
+            to[..., 0] = array
+            to[..., 1:] = 0.0
+            for lane, parts in enumerate(seeds, 1):
+                part = parts[i]
+                if part is not None:
+                    to[..., lane] = part
+        for given, words in zip(self._base.words, self._words, strict=True):
+            words.reshape(-1)[:] = [self._moved.get(word, word) for word in given.ravel().tolist()]
+        self._varied = bool(np.any(self._tree_constants[:, 1:]))
+        self._set_events()
+
+    def _set_events(self) -> None:
+        self._addresses.events, self._addresses.event_room = address_of(self.events), len(self.events)
+
+    def run(self) -> bool:
+        """Run to the end; False if something stops it."""
+        at, parts = address_of(self._addresses.memory), address_of(self._parts.memory)
+        go_on, request = dual(run_varied_at if self._varied else run_at), TERMS
+        while request != DONE:
+            if request == TABLE_FULL:
+                more = aligned(2 * len(self.events), EVENT_WIDTH)
+                more[: len(self.events)] = self.events
+                self.events = more
+                self._set_events()
+            elif request == IMPACT_LAW_WANTED:
+                self._collide()
+            elif request != TERMS:
+                return False
+            with refused_as_one_line():
+                request = go_on(self._tree, parts, at, ALL)
+        dual(complete_at)(at, int(self._state.row) + 1)
+        self.events = self.events[: int(self._state.event.rows)]
+        return True
+
+    def _collide(self) -> None:
+        constants = self._loop.constants
+        before = float(constants.restitution)
+        self._base.problem.set_restitution(self._loop)
+        if constants.restitution != before:  # it depends on the speed, or is that of another contact
+            raise NotDualError("the coefficient of restitution of an impact is found in Python")
+        dual(collide)(int(self._state.address))
+
+    def values(self) -> Array:
+        """Return the values of the summary and their derivatives, (K, 8), see `closedloop.record.report.measured`."""
+        problem = self._base.problem
+        wanted = (problem.nodes, *resolution_of(problem.scenario))
+        dual(measure_at)(
+            self._tree, address_of(self._parts.memory), address_of(self._addresses.memory), wanted,
+            len(self.rows),
+        )  # fmt: skip
+        return self._values
+
+
+def _widened(array: Array) -> Array:
+    """Return numbers as dual numbers without derivatives."""
+    wide = aligned(*array.shape)
+    wide[..., 0] = array
+    return wide
+
+
+def kernels(base: Prepared, varied: bool = False) -> list[Any]:
+    """Return the kernels of dual numbers that a run needs, those for the values of its summary included.
+
+    `varied` says whether the constants of the robot have derivatives.
+    """
+    found = [run_varied_at if varied else run_at, proceed_at, complete_at, measure_at]
+    if base.loop.state.settings.unilateral or base.loop.state.contacts.at:
+        found.append(collide)
+    return [dual(each) for each in (*found, *base.problem.called(base.loop))]
+
+
+def compile_for(base: Prepared, names: Collection[str]) -> None:
+    """Compile those of the kernels that a run needs that have these names."""
+    integers: dict[Any, tuple[Any, ...]] = {
+        run_at: (base.problem.robot.tree, 0, 0, 0), run_varied_at: (base.problem.robot.tree, 0, 0, 0),
+        measure_at: (base.problem.robot.tree, 0, 0, (0, 0, 0, 0), 0), complete_at: (0, 0), collide: (0,),
+    }  # fmt: skip
+    for kernel, arguments in integers.items():
+        if dual(kernel).__name__ in names:
+            direct(dual(kernel), *arguments)
+    for kernel in (proceed_at, *base.problem.called(base.loop)):
+        if dual(kernel).__name__ in names:
+            entry_address(dual(kernel))

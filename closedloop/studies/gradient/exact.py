@@ -1,0 +1,318 @@
+"""Derivatives of whole runs by dual numbers: one run gives the values and their derivatives in seven directions.
+
+A step of the plain run calculates with dual numbers, see `closedloop.jit.dual8`; instants of events get their
+derivatives by a Newton step at the instant found, so that what an event does to a derivative needs no formula. Two
+plain runs, beside the scenario in a direction between all of those asked for, must have the same events, and the
+derivatives must be the difference between them. What does not is found by differences of runs, and named by them.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ClosedLoopError
+from closedloop.jit.background import make_ready, refused
+from closedloop.jit.background import start as start_compiling
+from closedloop.jit.cache_folder import why_not_kept
+from closedloop.jit.dual import NotCompiledError, NotDualError
+from closedloop.jit.kernel import jit_disabled, needs_compiling
+from closedloop.loop.events.table import event_columns
+from closedloop.mechanics.integrators import ADAPTIVE
+from closedloop.mechanics.robot.tree import energies_of_rows
+from closedloop.record.columns.recorded import POSITIONS
+from closedloop.record.report.measured import Values
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.run import Run
+from closedloop.simulation.as_run import columns_of_rows
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepared, kernels, prepared
+from closedloop.simulation.prepare import prepare
+from closedloop.studies.gradient.differences import Along
+from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, two_sided
+from closedloop.studies.gradient.keys import SHARE, Direction, Keys
+from closedloop.studies.gradient.outputs import Output
+from closedloop.studies.gradient.seeds import Seeds, seeds_of
+from closedloop.studies.gradient.variants import Sample, difference, samples
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+notices = logging.getLogger(__name__)
+
+DUALS, PREPARED, OF_COLUMNS = "dual numbers", "differences of the preparation", "differences of the columns"
+# Values of the summary that are not counted in row by row: they follow from what the rows came to.
+LATE = ("step_error_force", "step_error_position", "torque_limited_share", "torque_limited_at")
+# A value that the rows are counted to must be the summary's to this share.
+SAME = 1e-9
+# The two plain runs are off the scenario by the first of these shares of the keys' sizes at which they have its events,
+# and a derivative must be that of their difference to a share, or to what of the difference is rounding.
+BESIDE, AGREE, NOISE = (1e-5, 1e-7), 1e-4, 20.0
+# The runs on both sides differ from the scenario's by as much, but for this share: else there is a kink.
+KINKED = 1e-3
+# Differences of the columns take steps of this share of those of differences of runs.
+OF_STEP = 0.1
+
+
+class Exact:
+    """The derivatives of outputs along directions that dual numbers give.
+
+    Attributes
+    ----------
+    found : dict of Direction to Along
+        Of the outputs in `outputs`, one after the other.
+    outputs : list of Output
+        Those that have all their derivatives, in order; there may be none.
+    """
+
+    def __init__(self, found: dict[Direction, Along], outputs: list[Output]) -> None:
+        self.found, self.outputs = found, outputs
+
+
+NOTHING = Exact({}, [])
+
+
+def exact(
+    keys: Keys,
+    run: Run,
+    base: Sample,
+    outputs: Sequence[Output],
+    model: RobotModel | None,
+    report: Callable[[int, int], None],
+    workers: int | None = None,
+) -> Exact:
+    """Return what derivatives dual numbers give, of outputs whose values in the run are those of `base`."""
+    if run.scenario.time.integrator in ADAPTIVE or jit_disabled():  # that loop is Python's
+        return NOTHING
+    try:
+        return _exact(keys, run, base, outputs, model, report, workers)
+    except (NotDualError, ClosedLoopError) as error:
+        notices.debug("no dual numbers: %s", error)
+        return NOTHING
+
+
+# What numba cannot compile for dual numbers, such as a user's law that calls what they do not have, and why.
+_refused: dict[tuple[Any, ...], str] = {}
+
+
+def _exact(
+    keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], model: RobotModel | None,
+    report: Callable[[int, int], None], workers: int | None,
+) -> Exact:  # fmt: skip
+    start, cache = prepared(prepare(keys.scenario, model)), Cache()
+    seeds = {d: seeds_of(keys, d, start, model, cache) for d in keys.directions}
+    known = {d: each for d, each in seeds.items() if each is not None}
+    if not known:
+        return NOTHING
+    rows: dict[Direction, list[Array | None]] = {}
+    errors: dict[Direction, dict[int, Array]] = {}
+    directions = list(known)
+    constants = _tree_constants(start)
+    called = tuple(kernels(start, any(each.parts[constants] is not None for each in known.values())))
+    if called in _refused:
+        raise NotDualError(_refused[called])
+    _have_compiled(called)
+    for begin in range(0, len(directions), DIRECTIONS):
+        some = directions[begin : begin + DIRECTIONS]
+        try:
+            duals = DualRun(start, [known[d].parts for d in some])
+            went_on = duals.run()
+        except NotCompiledError as fault:
+            _refused[called] = str(fault)
+            raise
+        if not went_on or not np.array_equal(duals.rows[..., 0][:, : run.model.n], _positions(run, duals)):
+            raise NotDualError("the run of dual numbers is another")
+        reader = _Reader(run, start, duals, outputs, known)
+        for lane, d in enumerate(some, 1):
+            rows[d] = reader.derivatives(lane, d)
+        errors |= reader.errors
+    there = [all(each[i] is not None for each in rows.values()) for i in range(len(outputs))]
+    agree = _agree(keys, run, base, outputs, rows, there, model, report, workers)
+    kept = [i for i, good in enumerate(agree) if good]
+    rounding = LOCATED if base.happened else ROUNDING
+    slices = _slices(outputs, run)
+    found = {}
+    for d, parts in rows.items():
+        value = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(parts[i])) for i in kept)])
+        scale = np.concatenate([np.zeros(0), *(base.scale[slices[i]] for i in kept)])
+        of_columns = [np.broadcast_to(errors.get(d, {}).get(i, 0.0), base.scale[slices[i]].shape) for i in kept]
+        error = rounding * (np.abs(value) + scale * SHARE / d.step) + np.concatenate([np.zeros(0), *of_columns])
+        method = DUALS if known[d].linear else f"{DUALS}, {PREPARED}"
+        methods = [f"{method}, {OF_COLUMNS}" if _by_columns(outputs[i], run) else method for i in kept]
+        none = np.zeros(value.size, dtype=bool)
+        found[d] = Along(
+            Estimate(value, error, value, value, none), count=value.size, method=method, settled=True,
+            methods=np.repeat(methods, [slices[i].stop - slices[i].start for i in kept]) if kept else None,
+        )  # fmt: skip
+    return Exact(found, [outputs[i] for i in kept])
+
+
+def _tree_constants(start: Prepared) -> int:
+    """Return which of the prepared arrays are the constants of the robot."""
+    constants = start.problem.robot.tree.constants
+    return next(i for i, array in enumerate(start.floats) if array is constants)
+
+
+def _have_compiled(called: Sequence[Any]) -> None:
+    """Have kernels compiled: behind this process, or here if none may.
+
+    Raises
+    ------
+    NotDualError
+        If they are being compiled.
+    """
+    missing = [each for each in called if needs_compiling(each)]
+    if missing and not refused() and not why_not_kept():
+        start_compiling(missing)
+        raise NotDualError("the kernels of dual numbers are being compiled")
+    make_ready(*called)
+
+
+def _positions(run: Run, duals: DualRun) -> Array:
+    """Return the positions of a run as the loop has them, (N, n)."""
+    return duals.rows[..., 0][:, : run.model.n] if run.model.balls else run.q
+
+
+def _slices(outputs: Sequence[Output], run: Run) -> list[slice]:
+    """Return where each output is among all of them."""
+    ends = np.cumsum([0, *(each.of(run).size for each in outputs)]).tolist()
+    return [slice(begin, end) for begin, end in pairwise(ends)]
+
+
+def _by_columns(output: Output, run: Run) -> bool:
+    """Whether an output follows from the columns by more than being a part of them, or of what rows are counted to."""
+    if output.column:
+        others = ("potential_energy", *(POSITIONS if run.model.balls else ()))
+        return output.column not in run.columns or output.column in others
+    return output.name in LATE or output.name not in (*MEASURES, *JOINT_MEASURES)
+
+
+class _Reader:
+    """Reads derivatives of outputs from a run of dual numbers."""
+
+    def __init__(
+        self, run: Run, start: Prepared, duals: DualRun, outputs: Sequence[Output], seeds: dict[Direction, Seeds]
+    ) -> None:
+        self._run, self._start, self._duals, self._outputs, self._seeds = run, start, duals, outputs, seeds
+        self._values: Any = None
+        self.errors: dict[Direction, dict[int, Array]] = {}
+        if any(not each.column and not _by_columns(each, run) for each in outputs):
+            self._values = Values(duals.values(), run.model.n)
+
+    def derivatives(self, lane: int, direction: Direction) -> list[Array | None]:
+        """Return the derivative of each output along a direction; None of one that they do not give.
+
+        The errors of those that follow from the columns are in `errors`.
+        """
+        columns, _ = columns_of_rows(self._start.problem, self._duals.rows[..., lane], self._duals.table[..., lane])
+        columns |= event_columns(self._duals.events[..., lane])
+        columns["time"] = np.zeros_like(columns["time"])
+        as_they_are: Any = SimpleNamespace(**columns)
+        late: list[int] = []
+        found: list[Array | None] = []
+        for i, output in enumerate(self._outputs):
+            if _by_columns(output, self._run):
+                late.append(i)
+                found.append(None)
+            elif output.column:
+                found.append(np.asarray(output.read(as_they_are)))
+            else:
+                found.append(self._counted(output, lane))
+        if late and not self._run.model.balls:
+            mine = self.errors.setdefault(direction, {})
+            some = self._by_columns([self._outputs[i] for i in late], columns, direction)
+            for i, both in zip(late, some, strict=True):
+                if both is not None:
+                    found[i], mine[i] = both
+        return found
+
+    def _counted(self, output: Output, lane: int) -> Array | None:
+        """Return the derivative of a value that the rows are counted to; None if the summary has another value."""
+        both = np.asarray(getattr(self._values, output.name))
+        value, derivative = both[..., 0], both[..., lane]
+        its = output.of(self._run)
+        same = np.abs(value - its) <= SAME * np.maximum(np.abs(its), np.abs(value))
+        return np.array(derivative) if np.all(same) and np.all(np.isfinite(derivative)) else None
+
+    def _by_columns(
+        self, outputs: list[Output], columns: dict[str, NDArray[Any]], direction: Direction
+    ) -> list[tuple[Array, Array] | None]:
+        """Return the derivatives of what follows from the columns, by differences of them, and their errors."""
+        run, tree = self._run, self._start.problem.robot.tree
+        if self._seeds[direction].parts[_tree_constants(self._start)] is not None:  # the energies are of another arm
+            return [None] * len(outputs)
+
+        def beside(change: float) -> Array:
+            moved = {
+                name: column + change * columns[name] if name in columns and column.dtype.kind == "f" else column
+                for name, column in run.columns.items()
+            }
+            moved["potential_energy"] = energies_of_rows(tree, moved["q"])
+            made = replace(run, columns=moved)
+            return np.concatenate([each.of(made).ravel() for each in outputs])
+
+        step = OF_STEP * direction.step
+        steps = step * 0.5 ** np.arange(LEVELS)
+        minus, plus = (np.array([beside(sign * each) for each in steps]) for sign in (-1.0, 1.0))
+        estimate = two_sided(step, beside(0.0), minus, plus)
+        value = np.where(estimate.kink, np.nan, estimate.value)
+        return [
+            None if np.any(np.isnan(value[part])) else (value[part].reshape(each.of(run).shape), estimate.error[part])
+            for each, part in zip(outputs, _slices(outputs, run), strict=True)
+        ]
+
+
+def _agree(
+    keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], rows: dict[Direction, list[Array | None]],
+    there: list[bool], model: RobotModel | None, report: Callable[[int, int], None], workers: int | None,
+) -> list[bool]:  # fmt: skip
+    """Return which outputs have the derivatives that two plain runs have between them.
+
+    Raises
+    ------
+    NotDualError
+        If other events happen in them.
+    """
+    weights = np.random.default_rng(0).uniform(0.5, 1.0, len(rows))
+
+    def read(made: Run) -> Array:
+        return np.concatenate([each.of(made).ravel() for each in outputs])
+
+    for beside in BESIDE:
+        changes = {d: beside * weight * d.step / SHARE for d, weight in zip(rows, weights, strict=True)}
+        sides = [{d: sign * change for d, change in changes.items()} for sign in (-1.0, 1.0)]
+        minus, plus = samples([_changed(keys, side) for side in sides], read, model, report, workers)
+        why = difference(base, minus) or difference(base, plus)
+        if not why:
+            break
+    if why:
+        raise NotDualError(why)
+    rounding = NOISE * (LOCATED if base.happened else ROUNDING)
+    good = []
+    for i, part in enumerate(_slices(outputs, run)):
+        if not there[i]:
+            good.append(False)
+            continue
+        expected = sum((changes[d] * np.ravel(np.asarray(each[i])) for d, each in rows.items()), np.zeros(1))
+        between = 0.5 * (plus.values - minus.values)[part]
+        noise = rounding * np.maximum(base.scale[part], np.finfo(float).tiny)
+        size = max(float(np.max(np.abs(between), initial=0.0)), float(np.max(np.abs(expected), initial=0.0)))
+        sides_differ = np.abs((plus.values + minus.values)[part] - 2.0 * base.values[part])
+        good.append(
+            bool(
+                np.all(np.isfinite(expected))
+                and np.all(np.abs(between - expected) <= AGREE * size + noise)
+                and np.all(sides_differ <= KINKED * np.abs(expected) + AGREE * size + noise)
+            )
+        )
+    return good
+
+
+def _changed(keys: Keys, changes: dict[Direction, float]) -> Callable[[], Any]:
+    return lambda: keys.scenario_at(changes)

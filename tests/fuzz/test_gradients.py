@@ -1,0 +1,15 @@
+"""Derivatives of shipped scenarios by dual numbers, beside differences of whole runs; see `gradients.py`."""
+
+import pytest
+from gradients import VALUES, look
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["wam_slide", "planar2_drop", "wam_stick_slip", "soft_table", "wam_sphere", "four_bar"]
+)
+def test_derivatives_of_a_shipped_scenario(name):
+    """They agree to 1e-6, or to what the differences say of themselves, and most are by dual numbers."""
+    count, worst, which = look(name, keys=2, values=VALUES[:1], duration=0.6)
+    assert count["disagree"] == 0, f"{worst} {which}"
+    assert count["agree"] > 0.5 * count["derivatives"] > 0

@@ -252,18 +252,14 @@ class Worker:
                 robot, (work, tally), rows, wanted, problem.h,
                 joint_limits(problem.robot.model), events, values, signals,
             )  # fmt: skip
-<<<<<<< HEAD
             if k := len(problem.scenario.contact or ()):
                 rubbed = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
                 Values(values, n).energy_lost_to_friction += lost_to_slips(problem.h * np.arange(len(rows)), *rubbed)
-            add_late(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n))
-=======
             last, kinds = Row(rows[-1], n), events[:, EventRow.place("kind")]
             bounces = bounces_at_the_end(
                 kinds, events[:, EventRow.place("time")], problem.h * (len(rows) - 1), problem.h, last.mode
             )
             write_beside(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n), bounces)
->>>>>>> main
             forget_absent(problem.scenario, values, self.law is not None)
             why = why_force_not_known(
                 problem.scenario, signals[0] - signals[1], kinds, last.mode != FREE,

@@ -6,15 +6,20 @@ Sphinx calls `write` before it reads the pages (`conf.py`).
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
 from unittest.mock import patch
 
+from PIL import Image
+
 import closedloop
 from closedloop.command.table import COMMANDS, imported, overview
+from closedloop.figures.scene.scene import scene_of
+from closedloop.lab.curves import main_panel
+from closedloop.lab.film_picture import Picture
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.derived import DERIVED
 from closedloop.record.columns.recorded import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
@@ -39,6 +44,8 @@ API = {
     ),
 }
 
+# Pictures in a row; the instant of a picture, as a share of the run; and the part of a film's frame that is space.
+ACROSS, SHOWN, SPACE, TITLE = 3, 0.6, 0.52, 20
 HOME = Path(closedloop.__file__).parent
 # Letters for the lengths of the dimensions of columns.
 SIZES = {"time": "N", "joint": "n", "axis": "3", "event": "E", "contact": "K", "contact_tangent": "2 K"}
@@ -55,13 +62,18 @@ MODELS = {
 
 
 def write(folder: Path, judged: Iterable[str] | None = None) -> None:
-    """Write the pages into a folder, with the verdicts of the scenarios `judged`, of all if None.
+    """Write the pages into a folder, with verdicts and pictures of the scenarios `judged`, of all if None.
 
     One that has not changed is left alone, so that Sphinx need not read it again.
     """
-    folder.mkdir(exist_ok=True)
+    (folder / "gallery").mkdir(parents=True, exist_ok=True)
+    facts = {}
+    for name in judged or closedloop.shipped_scenarios():
+        run = closedloop.simulate(closedloop.load_scenario(name), progress=False)
+        facts[name] = run.summary()
+        picture(run).save(folder / "gallery" / f"{name}.png")
     pages = {"scenario": scenario(), "columns": columns(), "commands": commands(), "api": api(), "models": models(),
-             "verdicts": verdicts(judged)}  # fmt: skip
+             "verdicts": verdicts(facts), "gallery": gallery(facts)}  # fmt: skip
     for name, lines in pages.items():
         text, file = "\n".join(lines) + "\n", folder / f"{name}.md"
         if not file.exists() or file.read_text(encoding="utf-8") != text:
@@ -166,17 +178,39 @@ def models() -> Iterator[str]:
             yield from ("```{eval-rst}", f".. automodule:: {name}", "   :no-index:", "```", "")
 
 
-def verdicts(judged: Iterable[str] | None = None) -> Iterator[str]:
-    """Return the lines of the page of both verdicts of every shipped scenario, each simulated for it."""
+def verdicts(facts: Mapping[str, dict]) -> Iterator[str]:
+    """Return the lines of the page of both verdicts of scenarios, by their names and summaries."""
     yield from ("# Verdicts of the shipped scenarios", "")
     yield "The build runs all scenarios and makes this table; see [the verdicts of a run](../verdict.md). If control is"
     yield "bad, the scenario is meant to show that, as its file says."
     yield ""
-    rows = []
-    for name in judged or closedloop.shipped_scenarios():
-        facts = closedloop.simulate(closedloop.load_scenario(name), progress=False).summary()
-        rows.append((f"`{name}`", *verdicts_of(facts)))
+    rows = [(f"`{name}`", *verdicts_of(each)) for name, each in facts.items()]
     yield from table(("scenario", "numbers", "control", "what is wrong with the control"), rows)
+
+
+def gallery(names: Iterable[str]) -> Iterator[str]:
+    """Return the lines of the page of pictures, one of each scenario."""
+    yield from (
+        "# Gallery",
+        "",
+        "Every scenario of the package, as the build has simulated it. The commands run as they stand.",
+    )
+    yield from ("", "<!-- pictures -->", "", "|" + " |" * ACROSS, "|" + "---|" * ACROSS)
+    cells = []
+    for name in names:
+        about = sentence(closedloop.load_scenario(name).description)
+        cells.append(f"![{escaped(about)}](gallery/{name}.png)<br>`closedloop run {name}`<br>{escaped(about)}")
+    for first in range(0, len(cells), ACROSS):
+        row = [*cells[first : first + ACROSS], *[""] * ACROSS][:ACROSS]
+        yield f"| {' | '.join(row)} |"
+
+
+def picture(run: closedloop.Run) -> Image.Image:
+    """Return a picture of the bodies, forces and paths of a run, at `SHOWN` of its time."""
+    drawn = Picture(scene_of(run), main_panel(run))
+    pixels = drawn.pixels(round(SHOWN * (len(run) - 1)))
+    height, width = pixels.shape[:2]
+    return Image.fromarray(pixels[..., :3]).crop((0, TITLE, round(SPACE * width), height)).quantize(64)
 
 
 def verdicts_of(facts: dict) -> tuple[str, str, str]:

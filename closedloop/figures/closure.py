@@ -51,7 +51,7 @@ def closure_error(run: Run) -> Figure:
     if both:
         panels[0].set_xlabel("")
         unit = _draw(panels[1], run, np.where(touching, run.closure_error, np.nan))
-        dress(panels[1], run, f"The same in contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
+        dress(panels[1], run, f"In contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
     explain_contact(figure, run)
     return figure
 

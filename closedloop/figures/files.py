@@ -78,10 +78,12 @@ def draw_figures(
     if not has_joints(run):
         idle = *idle, joints
     wanted = [each for each in wanted if each[1] not in idle]
-    if has_bodies(run):
-        wanted.append(("fig_bodies", bodies, run))
+    touching: list[tuple[str, Callable[[Run], Figure], Run]] = []
     if run.scenario.contact:
-        wanted.append(("fig_link_contacts", link_contacts, run))
+        touching.append(("fig_link_contacts", link_contacts, run))
+    if has_bodies(run):
+        touching.append(("fig_bodies", bodies, run))
+    wanted = [*touching, *wanted] if tip_is_idle(run) else [*wanted, *touching]  # the first shows what it is about
     if has_impacts(run):
         wanted.append(("fig_impacts", impacts, run))
     if has_friction(run):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.figures.dress import dress, explain_contact
-from closedloop.figures.style import MANY, new_figure
+from closedloop.figures.style import MANY, MOST_CURVES, OTHERS, new_figure
 from closedloop.record.run import Run
 from robot_models import RobotModel
 
@@ -59,17 +60,23 @@ def joints(run: Run) -> Figure:
         names, values = tuple(all_names[j] for j in held), values[:, held]
         if len(low) != len(held):
             low, high = low[held], high[held]
+        colours = _colours(run, names)
         for j, joint in enumerate(names):
-            axes.plot(run.time, values[:, j], _stroke(j), color=MANY[j % len(MANY)], label=joint)
+            named = joint in colours
+            axes.plot(
+                run.time, values[:, j], color=colours.get(joint, OTHERS), label=joint if named else None,
+                zorder=2.0 if named else 1.5,
+            )  # fmt: skip
         axes.margins(y=0.08)
-        _draw_limits(axes, values, low, high)
+        of_named = [j for j, joint in enumerate(names) if joint in colours]
+        _draw_limits(axes, values[:, of_named], low[of_named], high[of_named], [colours[names[j]] for j in of_named])
         units = run.units(name).replace(" s-1", "/s")
         told = f"{title}, {_told(values, low, high, names, units, positions=name == 'q')}"
         last = axes is panels[-1]
         dress(axes, run, told, f"{label} [{units}]", label_marks=axes is panels[0], show_events=last)
         if not last:
             axes.set_xlabel("")
-    _name_joints(figure, panels[0])
+    _name_joints(figure, panels[0], int(sum(not free for free in in_bodies(model, positions=False))))
     explain_contact(figure, run)
     return figure
 
@@ -86,11 +93,15 @@ def _position_limits(model: RobotModel) -> tuple[Array, Array]:
     return lower, upper
 
 
-def _stroke(j: int) -> str:
-    return ("-", "-.", ":")[min(j // len(MANY), 2)]  # limits are dashed
+def _colours(run: Run, names: tuple[str, ...]) -> dict[str, str]:
+    """Return the colour of each joint that is named: all of them, or those with a drive if they are too many."""
+    model = run.model
+    driven = [name for name, drive in zip(model.joint_names, model.driven, strict=True) if drive and name in names]
+    chosen = names if len(names) <= MOST_CURVES else (driven or list(names))[:MOST_CURVES]
+    return dict(zip(chosen, MANY, strict=False))
 
 
-def _draw_limits(axes: Axes, values: Array, low: Array, high: Array) -> None:
+def _draw_limits(axes: Axes, values: Array, low: Array, high: Array, colours: Sequence[str]) -> None:
     """Draw the limits, each in its joint's colour, that are near what the joints do."""
     span = float(np.ptp(values))
     bottom, top = float(np.min(values)) - 0.5 * (ROOM - 1.0) * span, float(np.max(values)) + 0.5 * (ROOM - 1.0) * span
@@ -98,7 +109,7 @@ def _draw_limits(axes: Axes, values: Array, low: Array, high: Array) -> None:
     for j in range(values.shape[1]):
         for limit in (float(low[j]), float(high[j])):
             if bottom <= limit <= top:
-                axes.axhline(limit, color=MANY[j % len(MANY)], linestyle=(0, (6, 3)), linewidth=0.9)
+                axes.axhline(limit, color=colours[j], linestyle=(0, (6, 3)), linewidth=0.9)
                 reach = [min(reach[0], limit - 0.05 * span), max(reach[1], limit + 0.05 * span)]
     axes.set_ylim(*reach)
 
@@ -120,9 +131,10 @@ def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units:
     return f"up to {float(f'{100.0 * share[j]:.2g}'):g} % of a limit ({names[which]}, ±{high[which]:g} {units})"
 
 
-def _name_joints(figure: Figure, axes: Axes) -> None:
+def _name_joints(figure: Figure, axes: Axes, count: int) -> None:
     handles, names = axes.get_legend_handles_labels()
+    others = "" if count == len(names) else f"; grey: {count - len(names)} others"
     figure.legend(
         handles, names, loc="outside upper center", ncols=min(len(names), 4), fontsize=8, columnspacing=1.5,
-        title="joints; limits dashed", title_fontsize=8,
+        title=f"joints; limits dashed{others}", title_fontsize=8,
     )  # fmt: skip

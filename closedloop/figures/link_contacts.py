@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # By how much the broadest line is broader than the last, points.
 WIDER = 5.0
+# The axis of the forces shows at least this share of the largest.
+FLATTEST = 0.02
 # Height of a row of the contacts over time, inches; and how many rows a page has room for.
 ROW, MOST_ROWS = 0.17, 32
 
@@ -55,12 +57,17 @@ def link_contacts(run: Run) -> Figure:
         below.plot(run.time, rub, **style)
         if not has_other_law(sections[k]):
             below.plot(run.time, coulomb_of(sections[k]) * f, "--", color=colour, linewidth=0.7)
+    for axes in (above, below):
+        low, high = axes.get_ylim()
+        least = FLATTEST * max(abs(low), abs(high))
+        if high - low < least:  # a force that stays as it is: its rounding is not what is to be seen
+            axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
     those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
     dress(times, run, "Contacts of the links", "", show_events=False)
-    dress(above, run, f"Their forces{those}", "f [N]", label_marks=False, show_events=False)
+    dress(above, run, f"Contact forces{those}", "f [N]", label_marks=False, show_events=False)
     for axes in (times, above):
         axes.set_xlabel("")
-    dress(below, run, "Their friction; dashed: the edge of the cone", "|friction| [N]", label_marks=False)
+    dress(below, run, "Friction of the contacts; dashed: the edge of the cone", "|friction| [N]", label_marks=False)
     figure.legend(loc="outside upper center", ncols=min(4, len(shown)), fontsize=8, columnspacing=1.5)
     explain_contact(figure, run)
     return figure

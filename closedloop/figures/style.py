@@ -12,8 +12,10 @@ if TYPE_CHECKING:
 # Blue, orange, green of Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
 COLOURS = ("#0072B2", "#D55E00", "#009E73")
 STROKES = ("-", "-", "--")
-# And the rest of it, for as many lines as there are joints: after seven in another stroke.
-MANY = (*COLOURS, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# And the rest of it, with brown and olive in place of black, which is kept for axes and marks.
+MANY = (*COLOURS, "#CC79A7", "#E69F00", "#56B4E9", "#7F4F21", "#999933")
+# What is drawn without a name, where there are more curves than can be told apart.
+OTHERS = "0.75"
 # Curves that are drawn in one panel, at most.
 MOST_CURVES = 8
 STYLE: dict[str, Any] = {

@@ -46,7 +46,7 @@ def tip_position(run: Run) -> Figure:
         dress(
             below,
             run,
-            "The same, off the path" if slide else "Small components of the displacement",
+            "Displacement off the path" if slide else "Small components of the displacement",
             f"[{unit}]",
             label_marks=False,
         )

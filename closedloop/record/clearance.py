@@ -91,6 +91,29 @@ def clearance(run: Record) -> Clearance | None:
     return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
 
 
+def passing(run: Record, rows: NDArray[Any]) -> list[tuple[Clearance, ...]]:
+    """Return, of each of these rows, what passes through what: each two links, or link and plane, with their depth.
+
+    For a drawing that shows them; compared are the shapes that `clearance` compares.
+    """
+    found: list[list[Clearance]] = [[] for _ in rows]
+    solids = _solids(run.model) if len(rows) else ()
+    if not solids:
+        return [() for _ in rows]
+    mechanism = run.model.pinocchio_model()
+    poses = _poses(run, mechanism, np.concatenate([[0], rows]))
+    pairs = [pair for pair in _pairs(run, mechanism, solids) if _distance(*pair, poses[0]) > TOUCHING][:MOST_PAIRS]
+    for at, (row, pose) in enumerate(zip(rows, poses[1:], strict=True)):
+        for pair in pairs:
+            if _bound(*pair, pose) < -TOUCHING and (depth := _distance(*pair, pose)) < -TOUCHING:
+                found[at].append(Clearance(depth, float(run.time[row]), (pair[0].link, pair[1].link)))
+        for plane, touching in _planes(run, mechanism):
+            near = _from_plane(run, solids, plane, touching, mechanism, np.unique([0, row]))
+            if near is not None and near.distance < -TOUCHING and near.time == run.time[row]:
+                found[at].append(near)
+    return [tuple(each) for each in found]
+
+
 def clearance_of(run: Record) -> dict[str, Any] | None:
     """Return `clearance` as the summary has it."""
     found = clearance(run)
@@ -167,7 +190,8 @@ def _planes(run: Record, mechanism: Any) -> list[tuple[Plane, frozenset[int]]]:
     scenario, found = run.scenario, []
     if scenario.surface.kind == "plane" and scenario.surface_motion.kind == "none" and scenario.surface.extent is None:
         n = np.array(run.surface_normal[0])
-        found.append(Plane(SURFACE, n, float(n @ run.position[0] - run.closure_error[0]), -1))
+        offset = float(n @ run.position[0] - run.closure_error[0]) - scenario.tool.radius
+        found.append(Plane(SURFACE, n, offset, -1))
     for section in scenario.contact or ():
         flat = section.surface is None and (section.motion is None or section.motion.kind == "none")
         if section.against == WORLD and flat:

@@ -56,9 +56,9 @@ DRAWN_BY = {
 class Run:
     """The record of a simulation, and what produced it.
 
-    Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute, those of
-    `SURFACE_COLUMNS` without a surface too, but they are in no file then: `run.time`
-    (N,), `run.q` (N, nq), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
+    Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute: `run.time` (N,),
+    `run.q` (N, nq), `run.position` (N, 3), `run.contact_force` (N,) ... Those of `SURFACE_COLUMNS` exist without a
+    surface too, but are in no file then. So is every column of the table of events
     (`closedloop.loop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
     `closedloop.record.columns.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
 
@@ -279,7 +279,7 @@ class Run:
         ScenarioError
             If the path has another ending, or the run has no rows.
         OutputError
-            If the file cannot be written, or a .mp4 is asked for and there is no ffmpeg.
+            If the file cannot be written, or there is no ffmpeg for a .mp4.
         """
         film: Path = _drawn(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
         return film

@@ -3,7 +3,7 @@
 import pytest
 
 import closedloop as cl
-from closedloop.record.clearance import clearance, passing_note
+from closedloop.record.clearance import clearance, passing, passing_note
 
 TWO = """<mujoco><option gravity="0 0 0"/><worldbody><body name="box"><joint name="x" type="slide" axis="1 0 0"/>
 <geom type="box" size="0.1 0.1 0.1" mass="1"/><site name="tip"/></body>
@@ -38,6 +38,17 @@ def test_what_passes_through_is_said(tmp_path):
     assert passing_note(run.summary()["clearance"]).startswith(
         "box passes through ball, up to 300 mm deep at t = 0.05 s"
     )
+
+
+def test_what_passes_through_is_known_in_each_row(tmp_path):
+    """Nothing at the start; ball and box while they overlap; the ball and a floor below it at the end."""
+    floor = '[[contact]]\nname = "floor"\nlink = "box"\nat = [0, 0, -0.1]\nthrough = [0, 0, -0.1]\n'
+    run, _ = passed(tmp_path, [0.0, -14.0], floor)
+    first, middle, last = passing(run, [0, 60, 100])
+    assert first == ()
+    assert {frozenset(each.between) for each in middle} == {frozenset(("box", "ball"))}
+    assert middle[0].distance == pytest.approx(1.0 - 14.0 * 0.06 - 0.3, abs=1e-9)
+    assert ("ball", "the plane of 'floor'") in [each.between for each in last]
 
 
 def test_a_plane_that_another_link_touches(tmp_path):

@@ -5,8 +5,9 @@ import pytest
 from scipy.linalg import null_space
 
 from closedloop.jit.interpreted import interpreted
+from closedloop.loop.step.contact_rows import substitute_in_trees, write_ends
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
+from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR, forward_substitute
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.given_modes import (
     keep_in_cones,
@@ -272,3 +273,20 @@ def test_the_stabiliser_leaves_no_cone():
         assert share == pytest.approx(1.0) or not inside(min(1.0, share * (1 + 1e-6) + 1e-9), 0.0)
         lessened += share < 1.0
     assert lessened > 20
+
+
+def test_rows_are_solved_within_the_trees_that_they_reach():
+    """L⁻¹x of three trees that do not move each other: as of the whole, and nothing where x is zero."""
+    rng = np.random.default_rng(5)
+    L, ends, sizes = np.zeros((9, 9)), np.zeros(9), (2, 6, 1)
+    for at, size in zip((0, 2, 8), sizes, strict=True):
+        L[at : at + size, at : at + size] = np.tril(rng.normal(size=(size, size)) + 3.0 * np.eye(size))
+    interpreted(write_ends)(L, ends)
+    np.testing.assert_array_equal(ends, [2, 2, 8, 8, 8, 8, 8, 8, 9])
+    for where in ([3, 5], [0, 8], [1, 2, 7], []):
+        x = np.zeros(9)
+        x[where] = rng.normal(size=len(where))
+        whole = x.copy()
+        interpreted(forward_substitute)(L, whole)
+        interpreted(substitute_in_trees)(L, x, ends)
+        np.testing.assert_array_equal(x, whole)

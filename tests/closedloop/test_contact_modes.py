@@ -20,6 +20,7 @@ from closedloop.mechanics.contacts.modes import (
     CLOSED_GAP,
     HOVERING,
     LEFT,
+    SINKING,
     SLIPPED,
     STUCK_NOW,
     TURNED_ROUND,
@@ -245,7 +246,7 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
     c, slow, margin = memory.contacts, 1e-7, interpreted(margin_of)
     c.located[0], c.problem.rounding, c.direction[1] = 100.0, 1e-9, [0.6, 0.8]
     c.mode[1], c.located[3], c.floor[1] = FREE, 0.5, -0.1
-    for risen, hair in ((0.0, HOVERING), (1.0, CLOSED_GAP)):
+    for risen, hair in ((0.0, SINKING), (1.0, CLOSED_GAP)):
         c.cleared[1] = risen
         assert margin(c, 2, slow, 0.0) == pytest.approx(0.6 + hair, rel=1e-15)
     c.mode[1], c.rigid[3:], c.mu[1] = STUCK, [5.0, 0.9, 1.2], 0.5

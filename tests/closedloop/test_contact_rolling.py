@@ -163,3 +163,12 @@ def test_force_at_the_contact_has_the_rows_of_the_run_as_torques(kind):
     forces, frictions = np.array([[1.0], [0.0], [0.0]]), np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     torques = contact_torques(scenario, mechanism, np.full(3, t), np.tile(q, (3, 1)), forces, frictions)
     np.testing.assert_allclose(torques, G, atol=1e-13)
+
+
+def test_a_ball_that_rolls_is_not_projected_to_where_it_stuck():
+    """On a turntable it rolls with a projection as it does with a stabiliser: what rolls wanders over its surface."""
+    ends = []
+    for kind in ("baumgarte", "projection"):
+        changes = {"time.duration": 0.02, "stabiliser.kind": kind}
+        ends.append(cl.simulate(cl.load_scenario("ball_on_turntable", changes), progress=False).q[-1])
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-9)

@@ -72,8 +72,10 @@ def test_steps_against_the_complex_step():
         truth = run(**{name: step})
         for column in ("q", "v", "acceleration", "torque", "contact_force", "closure_error"):
             mine = duals.rows[:, Row.place(column, n), lane]
-            its = np.imag(getattr(truth, column)) / step.imag
-            size = max(float(np.max(np.abs(its))), 1e-9)
+            found = getattr(truth, column)
+            its = np.imag(found) / step.imag
+            least = 1e-3 + 1e-2 * float(np.max(np.abs(found.real)))  # the force moves nothing but by rounding
+            size = max(float(np.max(np.abs(its))), least)
             np.testing.assert_allclose(mine, its, rtol=0, atol=1e-12 * size, err_msg=f"{column} by {name}")
 
 
@@ -100,7 +102,7 @@ def test_values_are_those_of_the_plain_run(name):
 
 def test_period_of_stick_and_slip():
     """A mass drawn by a spring at v: T = 2 a/v + (2/ω)(π − atan(a ω/v)), a = (μ_s − μ_k) N/k, and its derivatives."""
-    stiffness, static, kinetic, speed = 200.0, 0.4, 0.3, 0.02
+    stiffness, static, kinetic, speed = 200.0, 0.4, 0.3, 0.0213  # slip begins between two rows
     scenario = point(
         reference={"kind": "line", "direction": [1, 0, 0], "speed": speed, "start": 0.0, "stop": 10.0},
         law={"kind": "paper", "kp": [stiffness, 0.0, 0.0], "kd": [0.0] * 3, "force": FORCE, "pd_start": 0.0},
@@ -122,6 +124,7 @@ def test_period_of_stick_and_slip():
         by = found.derivative["event_time"][key]
         expected = complex_step(lambda x, i=i: period(*(x if j == i else y for j, y in enumerate(at))), at[i])
         assert by[2] - by[0] == pytest.approx(expected, rel=1e-6)
+        assert found.method["event_time"][key].startswith(DUALS)
 
 
 def test_what_dual_numbers_do_not_take_is_found_by_differences():

@@ -10,6 +10,7 @@ from closedloop.figures import draw_figures
 from closedloop.figures.bodies import bodies, turned
 from closedloop.figures.link_contacts import link_contacts, spans_of
 from closedloop.figures.scene.scene import scene_of
+from closedloop.figures.style import MANY, MOST_CURVES, OTHERS
 
 
 @pytest.fixture(scope="module")
@@ -64,3 +65,29 @@ def test_the_scene_has_the_body_as_its_file_has_it_and_the_floor(toss):
     assert faces.shape == (2, 3)
     np.testing.assert_array_equal(vertices[:, 2], 0.0)
     assert scene.kinds == ["force between links"]
+
+
+def test_joints_that_are_too_many_are_grey(monkeypatch):
+    """Those with a drive are named, each in a colour of its own that its limits have; the others are counted."""
+    monkeypatch.setattr("closedloop.figures.joints.MOST_CURVES", 2)
+    run = cl.simulate(cl.load_scenario("five_bar", {"time.duration": 0.002}))
+    figure = cl.figures.joints(run)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["J1", "J2"]
+    assert legend.get_title().get_text() == "joints; limits dashed; grey: 2 others"
+    for axes in figure.axes:
+        colours = [line.get_color() for line in axes.lines[:4]]
+        assert colours.count(OTHERS) == 2
+        assert len({*colours}) == 3
+
+
+def test_every_named_curve_has_a_colour_of_its_own():
+    """As many colours as a panel has curves at most, none of them black, which axes and marks have."""
+    assert len(set(MANY)) == len(MANY) == MOST_CURVES
+    assert "#000000" not in MANY
+
+
+def test_the_first_figure_is_about_the_contacts_where_the_tip_touches_nothing(toss, tmp_path):
+    """Of a cube that is thrown they are its contacts, before its motion and its impacts."""
+    names = [path.stem for path in draw_figures(toss, tmp_path)]
+    assert names[:2] == ["fig_link_contacts", "fig_bodies"]

@@ -1,5 +1,6 @@
 """What can be checked of the language of a page: length of sentences and of pages, and words that are not used."""
 
+import inspect
 import re
 
 MOST_WORDS_IN_A_SENTENCE = 40
@@ -88,3 +89,18 @@ def too_long(text):
     first = re.search(r"^## .*$", head, re.MULTILINE)
     has_summary = first is not None and first[0] == SUMMARY
     return 0 if number <= MOST_WORDS_ON_A_PAGE or has_summary else number
+
+
+def docstring_prose(text):
+    """Return a docstring (NumPy's form) as a page: each parameter's text is a paragraph, without names and headings."""
+    found, lines, sections = [], inspect.cleandoc(text).splitlines(), False
+    for k, line in enumerate(lines):
+        below = lines[k + 1] if k + 1 < len(lines) else ""
+        if set(line.strip()) == {"-"} or (below.strip() and set(below.strip()) == {"-"}):
+            sections = True
+            found.append("")
+        elif sections and not line.startswith(" ") and below.startswith("    "):
+            found.append("")  # the name of a parameter and its type
+        else:
+            found.append(line.strip() if sections else line)
+    return "\n".join(found)

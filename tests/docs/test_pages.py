@@ -35,7 +35,7 @@ def generated(generate, tmp_path_factory):
     """Return the pages that follow from the code, by name."""
     folder = tmp_path_factory.mktemp("generated")
     generate.write(folder, ["planar2_slide"])  # all of them take minutes
-    return {page.stem: page.read_text(encoding="utf-8") for page in folder.iterdir()}
+    return {page.stem: page.read_text(encoding="utf-8") for page in folder.glob("*.md")}
 
 
 def test_both_verdicts_are_tabled(generate, generated):

@@ -1,8 +1,14 @@
-"""The language of README, CONTRIBUTING and pages: short sentences, no private words, a summary of long pages."""
+"""The language of README, CONTRIBUTING, pages and help: short sentences, no private words, long pages summarised."""
+
+import inspect
 
 import pytest
 import style
 from pages import PAGES, ROOT
+
+import closedloop
+from closedloop.command.table import COMMANDS
+from closedloop.scenario import describe
 
 STYLED = [*PAGES, ROOT / "CONTRIBUTING.md"]
 
@@ -71,3 +77,49 @@ def test_a_page_that_is_too_long_is_seen():
     assert style.too_long(f"# Page\n\n## Other\n\n## Summary\n\n{words}")
     assert not style.too_long(f"# Page\n\n## Summary\n\n{words}")
     assert not style.too_long(f"```\n{words}\n```")
+
+
+def spoken(name):
+    """Return the docstrings of a public name, and of its own public methods and properties, by name."""
+    thing = getattr(closedloop, name)
+    found = {name: inspect.getdoc(thing) or ""}
+    if isinstance(thing, type):
+        own = {k: v for k, v in vars(thing).items() if not k.startswith("_")}
+        found |= {
+            f"{name}.{k}": inspect.getdoc(v) or "" for k, v in own.items() if callable(v) or isinstance(v, property)
+        }
+    return found
+
+
+@pytest.mark.parametrize("name", closedloop.__all__)
+def test_a_public_docstring_is_written_in_plain_sentences(name):
+    """As a page is: no sentence is too long, and no word is private."""
+    for of, text in spoken(name).items():
+        prose = style.docstring_prose(text)
+        assert style.long_sentences(prose) == [], of
+        assert style.words_not_used(prose) == [], of
+
+
+def test_texts_of_keys_and_commands_are_written_in_plain_words():
+    """What `--help` prints of every key of a scenario and of every command."""
+    for section, about in describe.sections().items():
+        assert style.words_not_used(about) == [], section
+        for key in describe.keys(section):
+            assert style.words_not_used(key.field.description or "") == [], key.name
+    for command in COMMANDS:
+        assert style.words_not_used(command.help) == [], command.name
+
+
+def test_a_docstring_is_read_by_its_parts():
+    """The text of a parameter is a sentence of its own; code and names are none."""
+    text = f"""Do it.
+
+    Parameters
+    ----------
+    one : float
+        {LONG}.
+    two : float
+        Short.
+    """
+    assert [number for number, _ in style.long_sentences(style.docstring_prose(text))] == [41]
+    assert style.long_sentences(style.docstring_prose(text.replace("word word ", "word. Word "))) == []

@@ -12,6 +12,7 @@ import pytest
 from validation.speed.__main__ import line_up, main
 from validation.speed.arms import ARMS, chain, slide
 from validation.speed.batch import compiled_batch
+from validation.speed.bodies import of_bodies
 from validation.speed.contestants import Contestant, final, our_engine
 from validation.speed.feet import BOXES, STANDS, on_feet
 from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
@@ -57,6 +58,16 @@ def test_every_row_moves_the_box(name):
         assert np.max(np.abs(contestant.lap()[1] - contestant.wanted)) <= contestant.tolerance, contestant
     went = everyone[0].wanted[0]
     assert abs(went) < 1e-9 if name == STANDS else went > 1.5
+
+
+@pytest.mark.parametrize("name", ["cube_toss", "tower_2"])
+def test_every_row_moves_the_bodies(name):
+    """The tower stands in both, and the cube lies on the floor; MuJoCo has four contacts for each body."""
+    everyone = of_bodies(name, True)
+    for contestant in everyone:
+        assert np.max(np.abs(contestant.lap()[1] - contestant.wanted)) <= contestant.tolerance, contestant
+    height = everyone[0].wanted[2]
+    assert height == pytest.approx(0.05 if name != "cube_toss" else 0.0524, abs=1e-6)
 
 
 def test_arms_grow():

@@ -14,6 +14,7 @@ from closedloop.base.files import write_whole
 from closedloop.command.border import Parser, run_command
 from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
+from validation.speed.bodies import BODIES
 from validation.speed.contestants import Contestant
 from validation.speed.feet import BOXES
 from validation.speed.loops import MECHANISMS
@@ -35,7 +36,7 @@ def _main(words: list[str]) -> int:
     for name in ("repeats", "steps", "runs"):
         if getattr(options, name) is not None and getattr(options, name) < 1:
             raise InputError(f"--{name} {getattr(options, name)}: must be at least 1")
-    known = (*ARMS, *MECHANISMS, *BOXES)
+    known = (*ARMS, *MECHANISMS, *BOXES, *BODIES)
     unknown = [arm for arm in options.arms if arm not in known]
     if unknown:
         raise InputError(f"--arms {unknown[0]}: must be of {', '.join(known)}")
@@ -72,9 +73,9 @@ def _parser() -> Parser:
     parser.add_argument(
         "--arms",
         nargs="+",
-        default=[*ARMS, *MECHANISMS, *BOXES],
+        default=[*ARMS, *MECHANISMS, *BOXES, *BODIES],
         metavar="ARM",
-        help=f"of {', '.join((*ARMS, *MECHANISMS, *BOXES))}",
+        help=f"of {', '.join((*ARMS, *MECHANISMS, *BOXES, *BODIES))}",
     )
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
     parser.add_argument("--json", metavar="FILE", help="write every value")
@@ -83,7 +84,7 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import batch, contestants, derivatives, feet, inertia, loops
+    from validation.speed import batch, bodies, contestants, derivatives, feet, inertia, loops
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
@@ -95,6 +96,9 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             continue
         if arm in BOXES:
             everyone += feet.on_feet(arm, there["mujoco"])
+            continue
+        if arm in BODIES:
+            everyone += bodies.of_bodies(arm, there["mujoco"])
             continue
         problem = slide(arm, steps)
         everyone.append(contestants.our_engine(arm, problem, "compiled"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from validation.speed.bodies import CUBE, TOWERS
 from validation.speed.feet import BOXES
 from validation.speed.measure import Timing, ratio
 
@@ -59,8 +60,21 @@ def targets(timings: Timings) -> list[Target]:
         *found,
         Target("four_bar: MuJoCo from Python, connect / compiled", 5.0, True, four_bar),
         Target("delta: constraintDynamics loop / compiled", 1.0, True, delta),
-        *(Target(f"{box}: bare mj_step / compiled", 1.0, True, times("mj_step", "compiled", arm=box)) for box in BOXES),
+        *(
+            Target(f"{who}: bare mj_step / compiled", least, True, times("mj_step", "compiled", arm=who))
+            for who, least in (*((box, 1.0) for box in BOXES), (CUBE, 1.0), ("tower_5", 0.5))
+        ),
+        Target("tower of 10 / of 2: compiled, over mj_step's", 1.0, False, tower_growth(timings)),
     ]
+
+
+def tower_growth(timings: Timings) -> float | None:
+    """Return by how much more a step of ours takes with ten boxes than with two, over what MuJoCo's does."""
+    keys = [(TOWERS[i], name) for name in ("compiled", "mj_step") for i in (0, -1)]
+    if any(key not in timings for key in keys):
+        return None
+    ours_2, ours_10, theirs_2, theirs_10 = (timings[key].processor for key in keys)
+    return (ours_10 / ours_2) / (theirs_10 / theirs_2)
 
 
 def growth(timings: Timings) -> float | None:

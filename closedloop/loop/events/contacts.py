@@ -23,6 +23,7 @@ from closedloop.loop.events.phases import (
     IMPULSES_KNOWN,
     MAX_RAPID,
     NEED_TERMS,
+    PROJECTION,
     SOLVE_IMPACT,
     request_terms,
 )
@@ -40,6 +41,9 @@ from closedloop.mechanics.contacts.modes import HOVERING, TOUCHING, touches
 from closedloop.mechanics.contacts.soft import stored_in
 
 Array = NDArray[np.float64]
+
+# A contact that is further off its surface after an event is put onto it, m.
+OFF_SURFACE = 1e-10
 
 
 @kernel
@@ -132,16 +136,35 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         if state.status != OK:
             return FAIL
         log_contacts(w, links, c, state, events)
-        links.undecided, links.fresh = 0, 0
+        started, links.undecided, links.fresh = links.fresh == 0, 0, 0
         state.mode = int(c.mode[0])
         w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
         if open_but_tip(links, c):
             leave_tip(w, links, c, constants, state)
+        elif started and off_surfaces(links, c):
+            state.projections, state.next_phase = 0, AFTER_EVENT
+            request_terms(state, PROJECTION)
+            return NEED_TERMS
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     if w.contacts.margin < 0.0 or stopped_by_others(links, c):
         return APPLY_EVENT
     return resume_step(w, constants, state)
+
+
+@kernel
+def off_surfaces(links: ContactLinks, c: Contacts) -> bool:
+    """Whether a rigid contact is off its surface, or has parted from below it, by more than rounding: it is put there.
+
+    A time step presses it in, and what parts and comes back within a nanometre comes back below. Where shapes
+    other than points touch nothing is moved: the point that touches would be another.
+    """
+    least = 0.0
+    for i in range(links.points + links.stops if links.shapes == 0 else 0):
+        off, open_now = c.located[3 * i], c.mode[i] == FREE
+        if c.soft[i] == 0.0 and ((open_now and c.floor[i] < -OFF_SURFACE) or (not open_now and abs(off) > OFF_SURFACE)):
+            least = -1.0
+    return bool(least < 0.0)
 
 
 @kernel

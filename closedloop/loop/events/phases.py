@@ -53,9 +53,17 @@ OUTPACED = 100
 # In runs with contacts of links a step is divided where a joint is faster than the first, rad/s (m/s), and would turn
 # by more than the second in it, rad (m): a body on three revolute joints turns them fast where two of their axes are
 # nearly parallel, and rk4 is to leave its energy to 1e-9. While a contact of a link is closed the gap is to stay within
-# 1e-9 m too, of an error that grows with the fourth power of the turn: a quarter of both.
-FAST, LARGEST_TURN = 20.0, 0.02
-FAST_CLOSED, TURN_CLOSED = 5.0, 0.005
+# 1e-9 m too, of an error that grows with the fourth power of the turn: a quarter of both. Near such a pose a speed
+# changes by a multiple of itself in a step: a fast joint's by no more than the last, a share.
+FAST, LARGEST_TURN = 12.5, 0.0125
+FAST_CLOSED, TURN_CLOSED = 3.3, 0.0033
+LARGEST_CHANGE = 0.025
+# A step of several stages at whose end a closed contact is deeper than the first, m, and by more than the second deeper
+# than at its beginning, is taken again in halves, down to the third, s: what it has done there is its own error.
+DEEP, DEEPENS, SHORTEST_HALF = 4e-10, 5e-11, 1e-5
+# So is one in which the forces of contacts multiply by more than the first and come to more than the second, as a
+# multiple of the load: near Painlevé's paradox they have no bound.
+MOST_GROWTH, HIGH = 2.0, 30.0
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
 # Moves of a projection: Newton's method converges quadratically, from the nanometres or micrometres after a step in one

@@ -75,6 +75,7 @@ from closedloop.loop.events.substep import (
     finish_stage,
     restore_state,
     save_state,
+    take_in_halves,
 )
 from closedloop.loop.events.transitions import apply_event, resume_after_event
 from closedloop.loop.step.advance import advance
@@ -156,6 +157,8 @@ def proceed(
     if phase in (STEP_END, PART_END):
         w.search.value = event_function(w, constants, state)
         todo = check_step(w, w.tip.drift_c[0], state)
+        if todo == BEGIN_SUBSTEP and take_in_halves(w, constants, state, True):
+            todo = RETRY_SUBSTEP
         if todo == BEGIN_SUBSTEP and phase == PART_END:
             commit_work(w)
             w.length = state.row * constants.h - w.time
@@ -170,13 +173,15 @@ def proceed(
             state.row += 1
             state.event.in_step, state.after_event = max(state.event.in_step - OUTPACED, 0), 0
             w.length = constants.h
-        elif todo == RETRY_SUBSTEP and state.settings.hold > 0 and state.sampled != 0:
+        if todo == RETRY_SUBSTEP and state.settings.hold > 0 and state.sampled != 0:
             for j in range(w.torque.shape[0]):
                 w.torque[j] = w.drives.held[j]  # until the end of the step the torque of the last sample acted
     elif phase == STAGE:
         todo = check_stage(w, state) if state.settings.unilateral != 0 else ADVANCE
         if state.together != 0 and w.contacts.margin <= NO_FORCES:
             todo = end_before_stage(w, state)
+        elif todo == ADVANCE and take_in_halves(w, constants, state, False):
+            todo = RETRY_SUBSTEP
     elif phase == TRIAL_END:
         w.search.value = event_function(w, constants, state)
         todo = refine_bracket(w, state)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import kernel
-from closedloop.loop.events.phases import FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
+from closedloop.loop.events.phases import AFTER_EVENT, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
 from closedloop.loop.step.closed_loops import factorise_tip
 from closedloop.loop.step.contacts import CLOSE_GAPS, CLOSE_RATES, CLOSED
 from closedloop.loop.step.locate import off_anchor
@@ -15,10 +15,12 @@ from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask
 from closedloop.loop.step.turn import move
 from closedloop.mechanics.closure.contact_force import STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK
-from closedloop.mechanics.contacts.memory import contacts_at
+from closedloop.mechanics.contacts.memory import OFF, ContactLinks, Contacts, contacts_at
 
 Array = NDArray[np.float64]
 
+# A projection after an event moves no joint further than this share of the largest gap, rad/m: levers of a centimetre.
+FARTHEST = 100.0
 # `State.projections` once the derivatives of a state of dual numbers (`closedloop.jit.dual8`) have been projected.
 MOVED_ALONG = 1000
 
@@ -77,10 +79,13 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
 def project_contacts(w: Work, constants: Constants, state: State) -> int:
     """Do `project` for all contacts that are closed, where they are solved together."""
     n = w.q.shape[0]
-    links, _ = contacts_at(state.contacts.at)
+    links, c = contacts_at(state.contacts.at)
     state.status = ask_contacts(state, CLOSE_GAPS)
     if state.status != OK:
         return FAIL
+    after_event = state.next_phase == AFTER_EVENT  # whose velocities obey the modes already
+    if after_event and too_far(links, c, w):
+        links.moved = 0
     if links.moved != 0 and state.projections < MAX_MOVES:
         if state.settings.balls == 0:
             for j in range(n):
@@ -90,10 +95,23 @@ def project_contacts(w: Work, constants: Constants, state: State) -> int:
         state.projections += 1
         request_terms(state, PROJECTION)
         return NEED_TERMS
-    state.status = ask_contacts(state, CLOSE_RATES)
-    if state.status != OK:
-        return FAIL
-    for j in range(n):
-        w.v[j] += w.scratch.column[j]
+    if not after_event:
+        state.status = ask_contacts(state, CLOSE_RATES)
+        if state.status != OK:
+            return FAIL
+        for j in range(n):
+            w.v[j] += w.scratch.column[j]
     request_terms(state, state.next_phase)
     return NEED_TERMS
+
+
+@kernel
+def too_far(links: ContactLinks, c: Contacts, w: Work) -> bool:
+    """Whether the move in `column` is far beside the gaps that it closes, as of rows that nearly depend on others."""
+    gap, far = 0.0, 0.0
+    for i in range(links.points + links.stops):
+        if c.problem.form[i] != OFF:
+            gap = max(gap, abs(c.located[3 * i]))
+    for j in range(links.n):
+        far = max(far, abs(w.scratch.column[j]))
+    return bool(far > FARTHEST * gap)

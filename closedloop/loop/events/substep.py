@@ -14,14 +14,19 @@ from closedloop.loop.events.phases import (
     AT_EVENT,
     BEGIN_SUBSTEP,
     CHECK_STAGE,
+    DEEP,
+    DEEPENS,
     FAST,
     FAST_CLOSED,
+    HIGH,
     INSTANT,
+    LARGEST_CHANGE,
     LARGEST_TURN,
     LEAVING,
     LOCATE_EVENT,
     LOCATE_MINIMUM,
     MAX_IN_STEP,
+    MOST_GROWTH,
     NEED_TERMS,
     NO_TRIAL,
     PART_END,
@@ -31,6 +36,7 @@ from closedloop.loop.events.phases import (
     RESTING,
     RETRY_SUBSTEP,
     SHALLOW,
+    SHORTEST_HALF,
     STAGE,
     STAGE_CHECKED,
     STEP_END,
@@ -40,7 +46,7 @@ from closedloop.loop.events.phases import (
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
-from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE
+from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, closed_depth, force_over_load
 from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.entries import ADVANCE_STATES
 from closedloop.loop.step.joint_friction import advance_joint_friction
@@ -48,6 +54,7 @@ from closedloop.loop.step.memory import SMOOTH, Constants, State, Work, ask_cont
 from closedloop.loop.step.singular import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
+from closedloop.mechanics.contacts.memory import contacts_at
 
 Array = NDArray[np.float64]
 
@@ -87,15 +94,44 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
 
 @kernel
 def divide_step(w: Work, state: State) -> None:
-    """Shorten a substep in which a fast joint would turn by more than it may, and say whether it was."""
-    fastest, left = 0.0, w.length
-    fast, most = (FAST, LARGEST_TURN) if state.together == 0 else (FAST_CLOSED, TURN_CLOSED)
+    """Shorten a substep in which a fast joint would turn, or change its speed, by more than it may; note whether."""
+    fastest, change, left = 0.0, 0.0, w.length
+    fast, most = (
+        (FAST, LARGEST_TURN) if state.together == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
+    )
     for j in range(w.q.shape[0]):
-        fastest = max(fastest, abs(w.v[j]))
+        fastest, change = max(fastest, abs(w.v[j])), max(change, abs(w.qdd[j]))
     state.divided = 0
-    if fastest > fast and fastest * left > most and state.settings.adaptive == 0:
-        w.length = left / np.ceil(fastest * left / most)
+    if state.settings.adaptive != 0:
+        return
+    parts = fastest * left / most if fastest > fast else 1.0
+    if fastest + change * left > FAST:
+        parts = max(parts, change * left / (LARGEST_CHANGE * max(fastest, FAST)))
+    if parts > 1.0:
+        w.length = left / np.ceil(parts)
         state.divided = 1
+
+
+@kernel
+def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) -> bool:
+    """Halve a substep if contacts sink in it, or forces multiply, and say whether it was: it is then taken again.
+
+    Of a stage only the forces count. Without a stabiliser contacts sink all the time: nothing is held against that.
+    """
+    located = state.row == 0 or state.trial.off != 0 or state.trial.purpose > STAGE_CHECKED  # its end is searched for
+    if state.together == 0 or located or state.settings.stages == 1 or state.settings.adaptive != 0:
+        return False
+    links, c = contacts_at(state.contacts.at)
+    if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
+        return False
+    depth, force = closed_depth(links, c), force_over_load(links, c)
+    sinks = at_end and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
+    multiplies = links.stepped == 0 and force > max(HIGH, MOST_GROWTH * w.start.force_over_load)
+    if w.length > SHORTEST_HALF and (sinks or multiplies):
+        w.length *= 0.5
+        w.search.tau, state.divided, state.trial.purpose = w.length, 1, NO_TRIAL
+        return True
+    return False
 
 
 @kernel_inlined

@@ -62,6 +62,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     c.inside[0] = w.tip.inside if state.surface.entry != 0 else math.inf
     for j in range(n):
         c.load[j] = w.y[j]
+    write_ends(w.L, c.scratch.ends)
     for i in range(links.joints):
         if is_resistance(c, i):
             takes_part = c.near[int(c.friction.resistance.owner[i])] != 0.0
@@ -98,11 +99,13 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
         shapes = shapes_at(links.shapes)
         if rolls(shapes, i) and not asked(links, i) and not has_edge(shapes, i):
             roll_on_plane(joints, rows, shapes, i)
+    n, G, given = links.n, c.G, rows.G
     for r in range(joints.m):
         i = r + 3
         c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
-        for j in range(links.n):
-            c.G[i, j] = rows.G[r, j]
+        to, of = row_of(G, i), row_of(given, r)
+        for j in range(n):
+            to[j] = of[j]
     for i in range(1, links.points if links.shapes != 0 else 0):
         if has_edge(shapes_at(links.shapes), i):
             write_edge_rows(joints, rows, shapes_at(links.shapes), c, i)
@@ -130,19 +133,52 @@ def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) 
             for j in range(n):
                 c.G[r, j], c.X[r, j] = w.tip.A[r, j], w.tip.X[r, j] if near else 0.0
             continue
+        X, G = row_of(c.X, r), row_of(c.G, r)
         for j in range(n):
-            c.X[r, j] = c.G[r, j] if near else 0.0
+            X[j] = G[j] if near else 0.0
         c.a[r] = c.drift[r]
         if not near:
             for j in range(c.W.shape[0]):
                 c.W[r, j], c.W[j, r] = 0.0, 0.0
             continue
-        forward_substitute(w.L, row_of(c.X, r))
+        substitute_in_trees(w.L, X, c.scratch.ends)
         for j in range(n):
-            c.a[r] += c.X[r, j] * w.y[j]
+            c.a[r] += X[j] * w.y[j]
         if state.loops.entry != 0:
             bound, loops = loops_at(state.loops.at)
-            leave_free(bound, loops, row_of(c.X, r))
+            leave_free(bound, loops, X)
+
+
+@kernel
+def write_ends(L: Array, ends: Array) -> None:
+    """Write for each joint where the joints end that L couples with it: those of a tree that stands by itself."""
+    n = L.shape[0]
+    first, end = n, n
+    for i in range(n - 1, -1, -1):
+        at = 0
+        while at < i and L[i, at] == 0.0:
+            at += 1
+        first = min(first, at)
+        ends[i] = end
+        if first == i:
+            first, end = n, i
+
+
+@kernel
+def substitute_in_trees(L: Array, x: Array, ends: Array) -> None:
+    """Overwrite x (n,) with L⁻¹x, where it is not zero; see `write_ends`."""
+    n, i = x.shape[0], 0
+    while i < n:
+        if x[i] == 0.0:
+            i += 1
+            continue
+        begin, end = i, int(ends[i])
+        for r in range(begin, end):
+            s = x[r]
+            for m in range(begin, r):
+                s -= L[r, m] * x[m]
+            x[r] = s * L[r, r]
+        i = end
 
 
 @kernel

@@ -55,8 +55,9 @@ from closedloop.mechanics.contacts.memory import (
     Contacts,
     contacts_at,
 )
-from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
+from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, SINKING, decide, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
+from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import turn_slips
@@ -99,6 +100,7 @@ def contacts_in_step(address: int, what: int) -> int:
         w.contacts.margin = c.margin
     elif what == SAVE:
         save_contacts(links, c)
+        w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
         if state.together != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])
     elif what == PLACE:
@@ -145,7 +147,8 @@ def contacts_in_step(address: int, what: int) -> int:
 def close_contacts(links: ContactLinks, c: Contacts, w: Work, rates: bool) -> None:
     """Write as `column` the least change, in the norm of H, of q or q̇ after which what is closed has no error, or rate.
 
-    What sticks as a constraint is put back to where it stuck; what slides, or is held by a spring, onto its surface.
+    What sticks as a constraint is put back to where it stuck; what slides, or is held by a spring, onto its surface;
+    and what has parted from below its surface, too.
     """
     k, size = links.k, 0.0
     for i in range(k):
@@ -153,8 +156,13 @@ def close_contacts(links: ContactLinks, c: Contacts, w: Work, rates: bool) -> No
         c.problem.form[i], c.problem.along[i, 0], c.problem.along[i, 1] = OFF, 0.0, 0.0
         for j in range(at, at + 3):
             off = c.located[j] - (c.anchor[j] if j > at and i > 0 and not asked(links, i) else 0.0)
+            if j > at and links.shapes != 0 and rolls(shapes_at(links.shapes), i):
+                off = 0.0
             c.before[j] = c.u[j] if rates else off
-        if c.soft[i] == 0.0 and (c.mode[i] != FREE or c.friction.pulls[i] != 0.0):
+        parted = not rates and c.mode[i] == FREE and c.floor[i] < 0.0
+        if parted and c.located[at] >= -CLOSED:
+            c.floor[i], parted = 0.0, False
+        if c.soft[i] == 0.0 and (c.mode[i] != FREE or c.friction.pulls[i] != 0.0 or parted):
             c.problem.form[i] = DOUBLE if held else LINE
             for j in range(at, at + (3 if held else 1)):
                 size = max(size, abs(c.before[j]))
@@ -228,13 +236,16 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
     w.tip.rigid_force = c.rigid[0]
     for j in range(n):
         w.contacts.torque[j] = 0.0
+    torque, y = w.contacts.torque, w.y
     for i in range(3, 3 * k):
-        if c.F[i] == 0.0:
+        F = c.F[i]
+        if F == 0.0:
             continue
-        w.contacts.power += c.F[i] * (c.u[i] + c.carried[i])
+        w.contacts.power += F * (c.u[i] + c.carried[i])
+        G, X = row_of(c.G, i), row_of(c.X, i)
         for j in range(n):
-            w.contacts.torque[j] += c.G[i, j] * c.F[i]
-            w.y[j] += c.X[i, j] * c.F[i]
+            torque[j] += G[j] * F
+            y[j] += X[j] * F
     accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
     for i in range(3, 3 * k if state.settings.stages == 1 else 0):
         growth = c.drift[i] - c.turning[i]
@@ -248,8 +259,11 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
 def turn_and_solve(c: Contacts, k: int, h: float) -> int:
     """Turn the friction of slow slips to where they go in the step h, s, until it agrees with the forces.
 
-    Where it does not, friction stays against the slip as it is.
+    Where it does not, friction stays against the slip as it is. So it does where a contact that only presses would
+    pull: its mode ends, and friction that is turned round with the force would drive the slip.
     """
+    if some_pull(c, k):
+        return int(OK)
     for i in range(k):
         c.scratch.start[2 * i], c.scratch.start[2 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     for _ in range(TURNS):
@@ -257,7 +271,7 @@ def turn_and_solve(c: Contacts, k: int, h: float) -> int:
             c.before[r] = c.F[r]
         if not turn_slips(c, k, h):
             return int(OK)
-        if solve_closed(c, k) != OK:
+        if solve_closed(c, k) != OK or some_pull(c, k):
             break
         size, change = 0.0, 0.0
         for r in range(3 * k):
@@ -267,6 +281,15 @@ def turn_and_solve(c: Contacts, k: int, h: float) -> int:
     for i in range(k):
         c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[2 * i], c.scratch.start[2 * i + 1]
     return int(solve_closed(c, k))
+
+
+@kernel
+def some_pull(c: Contacts, k: int) -> bool:
+    """Whether the force of a contact that slides, and only presses, would pull."""
+    least = 0.0
+    for i in range(k):
+        least = min(least, c.F[3 * i] if c.problem.form[i] == RAY else 0.0)
+    return bool(least < 0.0)
 
 
 @kernel
@@ -356,7 +379,7 @@ def open_margin(c: Contacts, i: int) -> float:
     """Return what is left until contact i, which is open, closes, m: beside its surface it does not."""
     if c.past_edge[i] != 0.0:
         return math.inf
-    return float(c.located[3 * i] - c.floor[i] + (CLOSED_GAP if c.cleared[i] != 0.0 else HOVERING))
+    return float(c.located[3 * i] - c.floor[i] + (CLOSED_GAP if c.cleared[i] != 0.0 else SINKING))
 
 
 @kernel
@@ -410,6 +433,32 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
             c.direction[i, 0], c.direction[i, 1] = c.u[3 * i + 1] / speed, c.u[3 * i + 2] / speed
         if c.located[3 * i] > HOVERING:
             c.cleared[i], c.floor[i], c.past_edge[i] = 1.0, 0.0, 0.0
+
+
+@kernel
+def closed_depth(links: ContactLinks, c: Contacts) -> float:
+    """Return the least gap of the rigid contacts that are closed, m, zero if none is below its surface."""
+    least = 0.0
+    for i in range(links.points + links.stops):
+        if c.mode[i] != FREE and c.soft[i] == 0.0:
+            least = min(least, c.located[3 * i])
+    return float(least)
+
+
+@kernel
+def force_over_load(links: ContactLinks, c: Contacts) -> float:
+    """Return the largest force of rigid contacts that are closed, over that which would stop their accelerations.
+
+    It grows without bound on the way to Painlevé's paradox. Where none slides there is none: zero.
+    """
+    largest, asked, most, slides = 0.0, 0.0, 0.0, 0.0
+    for i in range(links.points + links.stops):
+        for j in range(3 * i, 3 * i + 3 if c.soft[i] == 0.0 and c.mode[i] != FREE else 0):
+            largest, asked = max(largest, abs(c.rigid[j])), max(asked, abs(c.a[j]))
+            most = max(most, c.W[j, j])
+        if c.mode[i] == PRESSED and c.mu[i] > 0.0:
+            slides = 1.0
+    return float(slides * largest * most / asked) if asked > 0.0 else 0.0
 
 
 @kernel

@@ -5,6 +5,7 @@ linear           a square system of any rank
 complementarity  forces or impulses in Coulomb's cones that solve all contacts together
 continuation     the same along a path, where the quick method does not find them
 given_modes      forces where it is known which contacts are free, slide or stick
+shortest         of equations that depend on each other which do not, and the shortest forces that obey them
 time_step        one step at the level of impulses, where no modes agree
 least_norm       of forces that are not unique those of least norm inside the cones
 surfaces         those that are curved or move

@@ -29,33 +29,36 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
 )
-from closedloop.mechanics.contacts.resistance import add_turning, is_resistance, moved_by_turning, square_of_turning
+from closedloop.mechanics.contacts.resistance import add_turning, has_resistance, is_resistance, moved_by_turning
+from closedloop.mechanics.contacts.shortest import CONTRADICTS, SAME_ROW, independent_rows, shortest_solutions
 from closedloop.mechanics.loops.solve import orthonormal_rows
 
 Array = NDArray[np.float64]
 
-# A pivot of the mobility below this share of the largest: the row depends on others, its force is not unique. A row
-# that asks for more than this share beyond what the others give contradicts them: points of one body that stick
-# contradict each other by the square of what a step's error leaves of the velocity between them.
-SAME_ROW, CONTRADICTS = 1e-10, 1e-3
 # What is outside its cone by no more than this share of `rounding` is at its edge.
 ON_EDGE = 1e-3
-# What equations of dependent rows may be off, of what they ask for, and how often they are solved for what is left.
-EXACT, REFINEMENTS = 1e-13, 5
 
 
 @kernel
 def mobility_of(c: Contacts, k: int) -> None:
     """Write W = X Xᵀ, of the contacts that are near: elsewhere both are zero."""
-    n = c.X.shape[1]
+    n, X, W, columns = c.X.shape[1], c.X, c.W, c.scratch.Y_columns
     for i in range(3 * k):
-        for j in range(i + 1 if c.near[i // 3] != 0.0 else 0):
-            if c.near[j // 3] == 0.0:
-                continue
-            s = 0.0
-            for m in range(n):
-                s += c.X[i, m] * c.X[j, m]
-            c.W[i, j], c.W[j, i] = s, s
+        for m in range(n):
+            columns[m, i] = X[i, m]
+    for i in range(3 * k):
+        if c.near[i // 3] == 0.0:
+            continue
+        row = row_of(W, i)
+        for j in range(i + 1):
+            row[j] = 0.0
+        for m in range(n):
+            share = X[i, m]
+            if share != 0.0:
+                for j in range(i + 1):
+                    row[j] += share * columns[m, j]
+        for j in range(i):
+            W[j, i] = row[j]
 
 
 @kernel
@@ -153,121 +156,6 @@ def write_forces(c: Contacts, p: int) -> None:
         row = int(c.scratch.unknown[j])
         add_unknown(c, row, c.scratch.solution[0, j], c.rigid)
         add_unknown(c, row, c.scratch.solution[1, j], c.F)
-
-
-@kernel
-def independent_rows(c: Contacts, p: int) -> int:
-    """Write as `column_order` the unknowns in such an order that the first rows depend on no others; return how many.
-
-    By Cholesky's factors of W with pivots.
-    """
-    R, order, left, first = c.scratch.unknowns, c.scratch.column_order, c.scratch.trial, 0.0
-    for i in range(p):
-        row = int(c.scratch.unknown[i])
-        order[i], left[i] = i, c.W[row, row]
-        first = max(first, left[i])
-    for r in range(p):
-        best = r
-        for m in range(r + 1, p):
-            if left[int(order[m])] > left[int(order[best])]:
-                best = m
-        order[r], order[best] = order[best], order[r]
-        i = int(order[r])
-        if not left[i] > SAME_ROW * first:
-            return r
-        root, row = math.sqrt(left[i]), int(c.scratch.unknown[i])
-        for m in range(r + 1, p):
-            j = int(order[m])
-            s = c.W[row, int(c.scratch.unknown[j])]
-            for t in range(r):
-                s -= R[t, i] * R[t, j]
-            s /= root
-            R[r, j] = s
-            left[j] -= s * s
-    return p
-
-
-@kernel
-def shortest_solutions(c: Contacts, p: int, rank: int, asked: float) -> bool:
-    """Write as `solution` the shortest forces, inside cones or not, that obey the first equations of `column_order`.
-
-    With A these equations and D the squares of the forces that the unknowns stand for, x = D⁻¹Aᵀ(A D⁻¹Aᵀ)⁻¹ s.
-
-    Returns
-    -------
-    bool
-        False if rounding is in the way, or the other equations contradict them.
-    """
-    A, B, order, weight, left = (
-        c.scratch.system,
-        c.scratch.unknowns,
-        c.scratch.column_order,
-        c.scratch.best,
-        c.scratch.multiplier,
-    )
-    for j in range(p):
-        row = int(c.scratch.unknown[j])
-        i, square = row // 3, 1.0
-        if not sticks(c, i):
-            square += c.problem.along[i, 0] * c.problem.along[i, 0] + c.problem.along[i, 1] * c.problem.along[i, 1]
-        if row % 3 == 0:
-            square += square_of_turning(c, i)
-        weight[j] = 1.0 / square
-    for r in range(rank):
-        i = int(order[r])
-        for q in range(r + 1):
-            m, s = int(order[q]), 0.0
-            for j in range(p):
-                s += A[i, j] * weight[j] * A[m, j]
-            whole = s
-            for t in range(q):
-                s -= B[r, t] * B[q, t]
-            if q < r:
-                B[r, q] = s / B[q, q]
-            elif s > 1e-12 * whole:
-                B[r, r] = math.sqrt(s)
-            else:
-                return False
-    for side in range(2):
-        x = row_of(c.scratch.solution, side)
-        for j in range(p):
-            x[j] = 0.0
-        worst, size = math.inf, 0.0
-        for r in range(rank):
-            size = max(size, abs(A[int(order[r]), p + side]))
-        for _ in range(REFINEMENTS):
-            worst = 0.0
-            for r in range(rank):
-                i = int(order[r])
-                left[r] = A[i, p + side]
-                for j in range(p):
-                    left[r] -= A[i, j] * x[j]
-                worst = max(worst, abs(left[r]))
-            if worst <= EXACT * size:
-                break
-            for r in range(rank):
-                for t in range(r):
-                    left[r] -= B[r, t] * left[t]
-                left[r] /= B[r, r]
-            for r in range(rank - 1, -1, -1):
-                for t in range(r + 1, rank):
-                    left[r] -= B[t, r] * left[t]
-                left[r] /= B[r, r]
-            for j in range(p):
-                s = 0.0
-                for r in range(rank):
-                    s += A[int(order[r]), j] * left[r]
-                x[j] += weight[j] * s
-        if not worst <= max(EXACT * size, 1e-3 * EXACT * asked):
-            return False
-    for r in range(rank, p):
-        i = int(order[r])
-        s = A[i, p]
-        for j in range(p):
-            s -= A[i, j] * c.scratch.solution[0, j]
-        if not abs(s) <= CONTRADICTS * asked:
-            return False
-    return True
 
 
 @kernel
@@ -454,24 +342,31 @@ def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
 @kernel
 def write_system(c: Contacts, k: int, p: int) -> float:
     """Write the equations of the unknowns with −a and b on the right; return the size of the terms on the right."""
-    n, asked = c.X.shape[1], 0.0
+    n, asked, slides, viscous = c.X.shape[1], 0.0, False, False
+    W, S, unknown, X, load = c.W, c.scratch.system, c.scratch.unknown, c.X, c.load
+    for q in range(p):
+        i = int(unknown[q]) // 3
+        slides = slides or not sticks(c, i) or has_resistance(c, i)
+    for j in range(3 * k):
+        viscous = viscous or c.viscous[j] != 0.0
     for r in range(p):
-        row, s = int(c.scratch.unknown[r]), 0.0
-        for j in range(3 * k):
+        row, s = int(unknown[r]), 0.0
+        for j in range(3 * k if viscous else 0):
             if c.viscous[j] != 0.0:
-                s -= c.W[row, j] * c.viscous[j]
+                s -= W[row, j] * c.viscous[j]
         for q in range(p):
-            column = int(c.scratch.unknown[q])
-            i, w = column // 3, c.W[row, column]
+            S[r, q] = W[row, int(unknown[q])]
+        for q in range(p if slides else 0):
+            column = int(unknown[q])
+            i = column // 3
             if not sticks(c, i):
-                w -= c.W[row, column + 1] * c.problem.along[i, 0] + c.W[row, column + 2] * c.problem.along[i, 1]
+                S[r, q] -= W[row, column + 1] * c.problem.along[i, 0] + W[row, column + 2] * c.problem.along[i, 1]
             if column % 3 == 0:
-                w += moved_by_turning(c, row, i)
-            c.scratch.system[r, q] = w
+                S[r, q] += moved_by_turning(c, row, i)
         c.scratch.sought[r] = -c.a[row] - s
-        c.scratch.system[r, p], c.scratch.system[r, p + 1] = c.scratch.sought[r], c.scratch.sought[r] + c.b[row]
+        S[r, p], S[r, p + 1] = c.scratch.sought[r], c.scratch.sought[r] + c.b[row]
         size = abs(c.drift[row]) + abs(c.b[row])
         for j in range(n):
-            size += abs(c.X[row, j] * c.load[j])
+            size += abs(X[row, j] * load[j])
         asked = max(asked, size)
     return asked

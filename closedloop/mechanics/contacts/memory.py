@@ -118,6 +118,11 @@ class ContactScratch(Block, sizes=("n", "k")):
     unknowns: Annotated[Array, 3 * K, 3 * K]
     basis: Annotated[Array, 3 * K, N]
     Y: Annotated[Array, 3 * K, N]
+    Y_columns: Annotated[Array, N, 3 * K]
+    columns: Annotated[Array, 3 * K, 3 * K]
+    multiples: Annotated[Array, 3 * K]
+    mu: Annotated[Array, K]
+    ends: Annotated[Array, N]  # of each joint's tree, see `closedloop.loop.step.contact_rows.write_ends`
     residuals: Annotated[Array, 3 * K]
     trial: Annotated[Array, 3 * K]
     best: Annotated[Array, 3 * K]

@@ -33,8 +33,10 @@ from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resi
 Array = NDArray[np.float64]
 
 # Within the first gap a contact touches, m; after it has parted, until it has been clear by the second. At the start
-# the second counts: a posture is given in few digits.
+# the second counts: a posture is given in few digits. Until it has been clear it touches again this far below where it
+# has parted, m.
 TOUCHING, CLOSED_GAP, HOVERING = 1e-12, 1e-13, 1e-9
+SINKING = 8e-10
 # A contact that parts slower than this does not, m/s. A slip that has turned round is none below the second, m/s.
 PARTING, TURNED = 1e-8, 1e-6
 # A slip that was no faster when the substep began, m/s, has only just begun, where its law sticks as a spring.

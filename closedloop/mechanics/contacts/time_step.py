@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 # Length of the step, s; sweeps where nothing else finds the impulses, and the residual, of the largest, they may then
 # have.
 SPAN, SWEEPS, NEAR = 2e-5, 2000, 1e-6
+# Shares of friction that are tried where even so no impulses are found.
+LESS_FRICTION = (0.5, 0.25, 0.0)
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 TIME_STEP = 10.0
 
@@ -56,7 +58,7 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
             c.problem.form[i] = form_of_resistance(c, i, CONE)
         elif touches(links, c, i):
             c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
-    if not solve_contacts(c, k) and not come_near(c, k):
+    if not solve_contacts(c, k) and not come_near(c, k) and not solve_with_less_friction(c, k):
         return PAINLEVE
     links.stepped, c.step.end = 1, time + SPAN
     told = False
@@ -81,6 +83,32 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
         c.F[i], c.problem.after[i] = 0.0, c.u[i]
     c.event.energy_lost = c.event.energy_rested = 0.0
     return OK
+
+
+@kernel
+def solve_with_less_friction(c: Contacts, k: int) -> bool:
+    """Do `solve_contacts` with all μ lessened by one factor, and return whether there is a solution.
+
+    Without friction there is one: the problem is convex.
+    """
+    mu, found = c.scratch.mu, False
+    for i in range(k):
+        mu[i] = c.mu[i]
+    for share in LESS_FRICTION:
+        for i in range(k):
+            c.mu[i] = share * mu[i]
+            if c.problem.form[i] in (CONE, RAY):
+                c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
+            elif c.problem.form[i] != OFF:
+                c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
+        for i in range(3 * k):
+            c.F[i] = 0.0
+        found = found or solve_contacts(c, k) or come_near(c, k)
+        if found:
+            break
+    for i in range(k):
+        c.mu[i] = mu[i]
+    return found
 
 
 @kernel

@@ -160,7 +160,7 @@ class Problem(ScenarioNumbers):
         loop : Loop
             The memory.
         user_law : callable, optional
-            What writes where a law of one's own is; it is told `compiled`.
+            Writes the address of a law of your own; it gets `compiled`.
         compiled : bool
             Whether the loop is machine code. A user's class is compiled in either case, so that a run which begins
             interpreted refuses what the next one would.

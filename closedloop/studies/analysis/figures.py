@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # |L| beyond which Nyquist's curve is not drawn.
 NYQUIST = 3.0
+# Poles that are drawn in the plane of s.
+SLOWEST = 10
 
 
 def draw_page(page: Page, folder: Path) -> list[Path]:
@@ -83,19 +85,27 @@ def nyquist(page: Page) -> Figure:
 
 @styled()
 def poles(page: Page) -> Figure:
-    """Return the poles in the plane of z, each in the colour of the part it belongs to."""
-    figure = new_figure(4.6)
-    axes = figure.subplots()
+    """Return the poles in the planes of z and, the slowest, of s, each in the colour of the part it belongs to."""
+    figure = new_figure(3.4)
+    axes, slow = figure.subplots(1, 2)
     _unit_circle(axes)
+    slow.axvline(0.0, color="0.6", linewidth=0.8)
+    finite = sorted((pole for pole in page.loop.poles() if math.isfinite(pole.s.real)), key=lambda pole: abs(pole.s))
+    shown = finite[:SLOWEST]
     parts = sorted({pole.part for pole in page.loop.poles()})
     for part, colour in zip(parts, MANY * 2, strict=False):
         mine = [pole.z for pole in page.loop.poles() if pole.part == part]
         axes.plot([z.real for z in mine], [z.imag for z in mine], "x", color=colour, label=part, markeredgewidth=1.6)
+        near = [pole.s for pole in shown if pole.part == part]
+        slow.plot(
+            [s.real for s in near], [s.imag / (2.0 * math.pi) for s in near], "x", color=colour, markeredgewidth=1.6
+        )
     if page.loop.closure.size:
         z = page.loop.closure
         axes.plot(z.real, z.imag, "+", color="0.5", label="stabiliser")
     axes.legend(loc="lower left", fontsize=8)
     axes.set_title(f"poles, from sample to sample ({page.loop.dt:g} s)")
+    slow.set(xlabel="Re s [1/s]", ylabel="Im s [Hz]", title=f"the {len(shown)} slowest")
     return figure
 
 

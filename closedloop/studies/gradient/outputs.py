@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,18 @@ EVENTS, AT, END = "event_", "@", "end"
 NOT_OF_THE_SCENARIO = ("wall_seconds",)
 # Times that are counted in rows: they are constant, but for jumps.
 COUNTED = ("time_in_contact", "position_limit_left_at", "velocity_limit_exceeded_at", "effort_limit_exceeded_at")
+
+
+# Summaries of runs that are still in use: several quantities are read of each.
+_summaries: WeakKeyDictionary[Run, dict[str, Any]] = WeakKeyDictionary()
+
+
+def _summary(run: Run) -> dict[str, Any]:
+    """Return the summary of a run, made once."""
+    found = _summaries.get(run)
+    if found is None:
+        found = _summaries[run] = run.summary()
+    return found
 
 
 @dataclass(frozen=True)
@@ -79,7 +92,7 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
         if at or whole or column.startswith(EVENTS):
             return _column(name, column, instant if at else None, run, whole)
         raise ScenarioError(f"of: {name}: is a column; say at which instant, such as {name}@{END} or {name}@3.5")
-    summary = run.summary()
+    summary = _summary(run)
     if name in JOINT_MEASURES and not whole:
         value: Any = [joint[name] for joint in summary["joints"].values()]
         read: Callable[[Run], Any] = _of_joints(name)
@@ -100,11 +113,11 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
 
 
 def _of_summary(name: str) -> Callable[[Run], Any]:
-    return lambda run: _there(run.summary()[name])
+    return lambda run: _there(_summary(run)[name])
 
 
 def _of_joints(name: str) -> Callable[[Run], Any]:
-    return lambda run: [_there(joint[name]) for joint in run.summary()["joints"].values()]
+    return lambda run: [_there(joint[name]) for joint in _summary(run)["joints"].values()]
 
 
 def _there(value: Any) -> Any:

@@ -218,7 +218,7 @@ def identify(
     stribeck_speed : float, (n,) or "fit", optional
         v_s, rad/s, of a Stribeck term in each joint; "fit" takes that of `STRIBECK_SPEEDS` that leaves least.
     extra : mapping of names to functions, optional
-        Columns of one's own: q, v, a (N, n) to the torque per unit of the parameter (N, n).
+        Columns of your own: q, v, a (N, n) to the torque per unit of the parameter (N, n).
     slow : float
         Where a joint is slower than this share of its largest speed, its torque does not count: the sign of its dry
         friction is not sure.

@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 _ENTRY = re.compile(r"(.+?)\[(\d+)\]")
 _LIMIT = re.compile(r"\s*([\w@.]+)\s*(<=|>=)\s*(\S+)\s*")
 
-# Shares of a range up to which a number is its end.
-AT_END = 1e-12
+# Shares of a range up to which a number is its end: no search comes nearer to an optimum than that.
+AT_END = 1e-8
 
 
 @dataclass(frozen=True)

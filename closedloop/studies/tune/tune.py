@@ -51,7 +51,7 @@ def tune(
     scenario : Scenario
         From `load_scenario`. The first search starts from its numbers.
     vary : mapping of str to (low, high)
-        Keys and ranges, ``{"law.kp": (100, 2000), "law.kd[1]": (5, 100)}``; of a list each entry varies by itself.
+        Keys and ranges, ``{"law.kp": (100, 2000), "law.kd[1]": (5, 100)}``; each entry of a list varies alone.
     minimise : str, or mapping of str to float
         A value of `Run.summary`, or values and weights, of which the weighted sum is made least. Of a value for each
         joint the largest in size counts.

@@ -20,6 +20,7 @@ from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.comparing import FITTED, engines, fits, fitted, held_out, tried
 from validation.measured.cubes.film import film, toss_of
 from validation.measured.cubes.fitting import fit, training
+from validation.measured.cubes.geometry import geometry_lines
 from validation.measured.cubes.impacts import impact_lines
 from validation.measured.cubes.tosses import first_row, mean_errors, read
 
@@ -39,20 +40,26 @@ def _main(words: list[str]) -> int:
     )
     parser.add_argument("--laws", action="store_true", help="compare laws of restitution and of friction")
     parser.add_argument("--impacts", action="store_true", help="restitution and friction of single corners, no engine")
+    parser.add_argument(
+        "--geometry", action="store_true", help="centre of mass, slope of the board, heights of the sides, no engine"
+    )
     parser.add_argument("--figures", metavar="DIR", help="draw errors over time, best and worst tosses, as PNG")
     parser.add_argument(
         "--film", nargs=2, metavar=("TOSS", "FILE"),
         help="write a film of toss number TOSS, simulated and measured, a .gif or a .mp4",
     )  # fmt: skip
     options = parser.parse_args(words)
-    if not (options.laws or options.impacts) and options.fit is options.figures is options.film is None:
-        parser.error("say what to do: --fit, --laws, --impacts, --figures DIR or --film TOSS FILE")
+    told = options.laws or options.impacts or options.geometry
+    if not told and options.fit is options.figures is options.film is None:
+        parser.error("say what to do: --fit, --laws, --impacts, --geometry, --figures DIR or --film TOSS FILE")
     if options.fit is not None:
         _fit(options.fit or names)
     if options.laws:
         _laws()
     if options.impacts:
         print("\n".join(impact_lines(read())))
+    if options.geometry:
+        print("\n".join(geometry_lines(read())))
     if options.figures is not None:
         _figures(Path(options.figures))
     if options.film is not None:

@@ -1,0 +1,37 @@
+"""A block that rocks on two feet rests when independent code says (`planar_block`), at any friction and restitution."""
+
+import numpy as np
+import pytest
+from boxes import simulate
+from planar_block import Block
+
+ANGLE = 0.05
+QUICK = {(1.0, 0.05, 0.3), (2.0, 3.0, 0.0)}
+# Those whose reference takes a few seconds at most.
+CASES = [
+    *((1.0, mu, e) for mu in (0.05, 0.3, 0.7, 3.0) for e in (0.0, 0.3, 0.5)),
+    *((2.0, mu, e) for mu in (0.05, 0.3, 3.0) for e in (0.0, 0.3)),
+    (2.0, 0.7, 0.5),
+    (4.0, 0.05, 0.0),
+    (4.0, 0.05, 0.5),
+]
+
+
+@pytest.mark.parametrize(
+    ("aspect", "mu", "e"), [pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow) for case in CASES]
+)
+def test_a_rocking_block_rests_at_the_instant_of_a_planar_reference(tmp_path, aspect, mu, e):
+    """The first strikes to a microsecond, the instant of rest to a thousandth, on the floor to a nanometre."""
+    half = np.array([0.1, 0.1, 0.1 * aspect])
+    height = half[0] * np.sin(ANGLE) + half[2] * np.cos(ANGLE)
+    start = ([0.0, height, -ANGLE], [0.0, 0.0, 0.0])
+    rest, strikes = Block(half[0], half[2], mu, e).comes_to_rest(*start)
+    feet = [(x, 0.0, -half[2]) for x in (half[0], -half[0])]
+    duration = round(1.1 * rest + 0.05, 3)
+    run = simulate(tmp_path, half, feet, start, mu, e, **{"time.duration": duration})
+    struck = [event.time for event in run.events if event.kind in ("impact", "touchdown")]
+    first = min(4, len(strikes))
+    np.testing.assert_allclose(struck[:first], strikes[:first], atol=1e-6)
+    assert struck[-1] == pytest.approx(rest, rel=1e-3)
+    assert np.max(np.abs(run.v[-1])) < 1e-8
+    assert np.min(run.link_gaps) > -1e-9

@@ -1,4 +1,4 @@
-"""Bodies whose motion is known: a top, a rattleback, Newton's cradle, dominoes, a tower that is pushed."""
+"""Bodies whose motion is known: a top, a rattleback, Newton's cradle, dominoes."""
 
 import numpy as np
 import pytest

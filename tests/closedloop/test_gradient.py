@@ -77,6 +77,10 @@ def test_impulses_of_a_bouncing_ball(bounced):
     )
     assert bounced.units["event_time"] == "s"
     assert set(bounced.table()["key"]) == {"impact.restitution", "surface.gap", "law.force"}
+    assert repr(bounced) == str(bounced)
+    assert str(bounced).splitlines()[0].split() == ["of", "key", "value", "derivative", "error", "method"]
+    assert "..." not in str(bounced)
+    assert len(str(bounced).splitlines()) == 1 + len(bounced.table())
 
 
 def test_saltation_at_impacts():

@@ -28,6 +28,7 @@ class MapTab {
     this.canvas = make("canvas", { className: "chart", id: "map", tabIndex: 0 });
     this.canvas.style.cursor = "crosshair";
     this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "map: not computed yet");
     this.element = make("div", { className: "fill" }, make("div", { className: "bar" }, this.x, this.y, this.value, this.start), this.canvas, this.said);
     this.listen();
   }

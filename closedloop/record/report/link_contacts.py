@@ -39,6 +39,15 @@ class ContactFaults(NamedTuple):
     complementarity: Array
 
 
+def lost_to_slips(time: Array, frictions: Array, slips: Array) -> float:
+    """Return the energy that sliding friction took at contacts of links, J, from (N,) instants and (N, 2 k) columns.
+
+    It counts with the slip, as `closedloop.record.report.row_sample.friction_power` does at the tip.
+    """
+    power = np.sum(frictions * slips, axis=1)
+    return -float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(time)))
+
+
 def contact_faults(run: Record) -> ContactFaults | None:
     """Return by how much the contacts of links miss their conditions; None if there are none."""
     sections = run.scenario.contact

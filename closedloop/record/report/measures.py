@@ -38,7 +38,7 @@ MEASURES: dict[str, Measure] = {
     "time_in_contact": Measure("s", "time in contact"),
     "max_friction_force": Measure("N", "largest friction force on the tip"),
     "max_joint_friction": Measure("N m", "largest torque of friction in a joint"),
-    "energy_lost_to_friction": Measure("J", "energy that friction took, at the tip and in the joints"),
+    "energy_lost_to_friction": Measure("J", "energy that sliding friction took, at all contacts and in the joints"),
     "energy_lost_in_impacts": Measure("J", "energy that impacts took, and what a soft surface had stored at its edge"),
     "energy_taken_at_rest": Measure("J", "energy of that, taken so that what parts too slowly rests"),
     "largest_rate_cut": Measure("m s-1", "fastest bounce that was cut to rest"),

@@ -13,6 +13,7 @@ from closedloop.record.columns.record import Record
 from closedloop.record.report.link_contacts import contact_rows
 from closedloop.record.report.step_error import step_rows
 from closedloop.record.report.summary import joint_measures
+from closedloop.record.report.verdict import energy_at_stake
 
 # Quantity, value, unit, and what stands beside it.
 Row = tuple[str, str, str, str]
@@ -63,7 +64,7 @@ def report_rows(run: Record) -> list[Row]:
             "energy unaccounted for",
             _shown(facts["max_energy_residual"], ".2g"),
             "J",
-            f"of {_shown(facts['energy_exchanged'], '.2g')} J exchanged",
+            f"of {energy_at_stake(facts):.2g} J exchanged",
         ),
         (
             "order of the integrator",
@@ -184,7 +185,8 @@ def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
         f"{count} {kind.replace('_', ' ')}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count
     )
     rows = [("events", str(len(run.events)), "", counts)] if run.events else []
-    if facts["max_friction_force"] or facts["max_joint_friction"]:
+    at_links = bool(run.scenario.contact) and np.any(run.link_frictions)
+    if facts["max_friction_force"] or facts["max_joint_friction"] or at_links:
         rows.append(("energy lost to friction", _shown(facts["energy_lost_to_friction"], ".3g"), "J", ""))
     if run.scenario.surface.contact == "bilateral":
         return rows

@@ -21,6 +21,7 @@ from closedloop.record.columns.record import Record
 from closedloop.record.columns.recorded import POSITIONS
 from closedloop.record.report.alternation import SPAN, alternation
 from closedloop.record.report.limited import count_limited
+from closedloop.record.report.link_contacts import lost_to_slips
 from closedloop.record.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.record.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
 from closedloop.record.report.step_error import bounces_at_the_end, resolution_of, write_beside, write_swings
@@ -75,6 +76,8 @@ def run_values(run: Record) -> Any:
         count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)
     values.energy_taken_at_rest = np.nansum(run.event_energy_rested)  # NaN in files from before there was the column
+    if run.scenario.contact:
+        values.energy_lost_to_friction += lost_to_slips(run.time, run.link_frictions, run.link_slips)
     values.largest_rate_cut = np.max(run.event_rate_cut, initial=0.0)
     values.events[:] = np.bincount(run.event_kind, minlength=values.events.size + 1)[1:]
     return values

@@ -215,8 +215,16 @@ def energy_bound(facts: Facts) -> float:
     order = 1 if scheme is None else min(2, scheme.order)
     if facts.events or facts.scenario.law.sample_period or facts.scenario.reads_encoders:
         order = 1
-    stake = (m["energy_exchanged"] or 0.0) + abs(m["energy_lost_to_friction"] or 0.0) + (m["max_kinetic_energy"] or 0.0)
-    return max(LEAST_ENERGY, ENERGY_SHARE[order] * stake)
+    return max(LEAST_ENERGY, ENERGY_SHARE[order] * energy_at_stake(m))
+
+
+def energy_at_stake(measures: Mapping[str, float | None]) -> float:
+    """Return what the torques exchanged, friction took and the motion had at most, J; what is not known counts zero.
+
+    The motion of a body that falls has what gravity gave it.
+    """
+    exchanged, held = measures["energy_exchanged"] or 0.0, measures["max_kinetic_energy"] or 0.0
+    return exchanged + abs(measures["energy_lost_to_friction"] or 0.0) + held
 
 
 def _energy(facts: Facts) -> dict[str, Any] | None:

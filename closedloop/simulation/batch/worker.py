@@ -32,6 +32,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.columns.recorded import SURFACE_COLUMNS
 from closedloop.record.report.limited import count_limited
+from closedloop.record.report.link_contacts import lost_to_slips
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
@@ -251,6 +252,9 @@ class Worker:
                 robot, (work, tally), rows, wanted, problem.h,
                 joint_limits(problem.robot.model), events, values, signals,
             )  # fmt: skip
+            if k := len(problem.scenario.contact or ()):
+                rubbed = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
+                Values(values, n).energy_lost_to_friction += lost_to_slips(problem.h * np.arange(len(rows)), *rubbed)
             last, kinds = Row(rows[-1], n), events[:, EventRow.place("kind")]
             bounces = bounces_at_the_end(
                 kinds, events[:, EventRow.place("time")], problem.h * (len(rows) - 1), problem.h, last.mode

@@ -89,6 +89,10 @@ class Here:
                     f"linearise: {key}.kind = {kind!r} answers to the slip of {lag:g} s ago; take another"
                 )
         constants.s_v = constants.s_p = 0.0
+        if not problem.scenario.has_surface and not self.free:
+            raise ScenarioError(
+                "linearise: the scenario has no [surface]: without a tip's contact there is no force loop"
+            )
         if self.instant.mode == FREE and not self.free:
             raise SimulationError(
                 f"linearise: the tip is in flight at t = {self.instant.time:g} s, where there is no force loop; take "

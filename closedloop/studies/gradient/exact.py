@@ -190,7 +190,8 @@ def _by_columns(output: Output, run: Run) -> bool:
     if output.column:
         others = ("potential_energy", *(POSITIONS if run.model.balls else ()))
         return output.column not in run.columns or output.column in others
-    return output.name in LATE or output.name not in (*MEASURES, *JOINT_MEASURES)
+    late = (*LATE, "energy_lost_to_friction") if run.scenario.contact else LATE
+    return output.name in late or output.name not in (*MEASURES, *JOINT_MEASURES)
 
 
 class _Reader:

@@ -32,7 +32,7 @@ Entry = float | Array
 ROUGH = 1e-4
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Gradient:
     """Values of a run and their derivatives.
 
@@ -85,7 +85,11 @@ class Gradient:
         return pd.DataFrame(rows)
 
     def __str__(self) -> str:
-        return "\n".join([self.table().drop(columns="method").to_string(index=False), *self.problems])
+        """Return the whole table and the problems, whatever pandas' display leaves out."""
+        numbers = dict.fromkeys(("value", "derivative"), "{:.6g}".format) | {"error": "{:.1e}".format}
+        return "\n".join([self.table().to_string(index=False, formatters=numbers), *self.problems])
+
+    __repr__ = __str__
 
 
 @arguments_checked(keys="a list of keys", of="a list of quantities")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import table_type, tables_of
 
 Array = NDArray[np.float64]
 
@@ -97,10 +98,21 @@ class Keys:
         return self._variants.scenario([value.tolist() for value in values.values()])
 
 
-def _value_at(scenario: Scenario, data: Any, name: str) -> Any:
-    """Return what the scenario has at a dotted key."""
-    value = data
-    for part in name.split("."):
+def _value_at(scenario: Scenario, data: dict[str, Any], name: str) -> Any:
+    """Return what the scenario has at a dotted key; at one of several tables, as contact.*.friction, what all have."""
+    section = name.partition(".")[0]
+    if table_type(section) is None:
+        return _within(scenario, data, name, name)
+    tables, rest = tables_of(dict(data), name)
+    values = [_within(scenario, table, rest, name) for table in tables]
+    if any(value != values[0] for value in values):
+        raise ScenarioError(f"keys: {name}: these have different values; take the derivative for each by its name")
+    return values[0]
+
+
+def _within(scenario: Scenario, value: Any, rest: str, name: str) -> Any:
+    """Return what is at the rest of the key `name` in a section or a table."""
+    for part in rest.split("."):
         if isinstance(value, dict) and part in value:
             value = value[part]
         elif isinstance(value, (list, tuple)) and part.isdigit() and int(part) < len(value):

@@ -59,7 +59,7 @@ def geometry(tosses: Sequence[Toss]) -> Geometry:
         columns = np.einsum("ts,sij->tij", out, columns).reshape(3 * n, 6)
         place = (out @ toss.states[:n, 4:7]).reshape(3 * n)
         square, side = square + columns.T @ columns, side + columns.T @ place
-    found: Array = np.linalg.solve(square, side)
+    found = np.asarray(np.linalg.solve(square, side), dtype=np.float64)
     ends = np.array([toss.states[-LAST:, 4:7].mean(axis=0) for toss in tosses])
     plane: Array = np.linalg.lstsq(np.column_stack([np.ones(len(ends)), ends[:, :2]]), ends[:, 2], rcond=None)[0]
     upwards = np.array([rotations(toss.states[-1:]).as_matrix()[0, 2] for toss in tosses])

@@ -46,7 +46,10 @@ def world_xml(bodies: str, surface: str) -> str:
 def tower(n: int) -> Problem:
     """Return a tower of n boxes at rest, for a second: each stands on the one below by four corners."""
     xml = f'<mujoco model="tower"><worldbody>{boxes_xml(n)}</worldbody></mujoco>'
-    model = robot_models.from_text(xml, "mjcf", name="tower")
+    home = [number for i in range(n) for number in (0.0, 0.0, HALF * (1 + 2 * i), 1.0, 0.0, 0.0, 0.0)]
+    model = robot_models.from_text(
+        xml, "mjcf", name="tower", armature=np.zeros(6 * n), tip=None, home=home, locked={}
+    )  # fmt: skip
     corners = [[x * HALF, y * HALF, -HALF] for x in (-1, 1) for y in (-1, 1)]
     text = ["[robot]", 'model = "planar2"', "[stabiliser]", "time_constant = 0.01", "[time]"]
     text += [f"duration = {STEPS * STEP}", f"step = {STEP}", 'integrator = "semi_implicit_euler"']
@@ -80,6 +83,7 @@ def bare(name: str, joints: int) -> Contestant:
 
     if name == CUBE:
         scenario = load_scenario(CUBE)
+        assert scenario.contact is not None  # a cube whose corners touch
         mu = scenario.contact[0].friction
         cube = '<body><freejoint/><inertial pos="0 0 0" mass="0.37" diaginertia="8.1e-4 8.1e-4 8.1e-4"/>'
         surface = f'condim="3" friction="{mu} 0 0"'

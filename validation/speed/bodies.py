@@ -7,6 +7,8 @@ cube ends elsewhere, at rest on the floor as ours does.
 
 from __future__ import annotations
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -46,10 +48,10 @@ def world_xml(bodies: str, surface: str) -> str:
 def tower(n: int) -> Problem:
     """Return a tower of n boxes at rest, for a second: each stands on the one below by four corners."""
     xml = f'<mujoco model="tower"><worldbody>{boxes_xml(n)}</worldbody></mujoco>'
-    home = [number for i in range(n) for number in (0.0, 0.0, HALF * (1 + 2 * i), 1.0, 0.0, 0.0, 0.0)]
-    model = robot_models.from_text(
-        xml, "mjcf", name="tower", armature=np.zeros(6 * n), tip=None, home=home, locked={}
-    )  # fmt: skip
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "tower.xml"
+        file.write_text(xml)
+        model = robot_models.load(file)
     corners = [[x * HALF, y * HALF, -HALF] for x in (-1, 1) for y in (-1, 1)]
     text = ["[robot]", 'model = "planar2"', "[stabiliser]", "time_constant = 0.01", "[time]"]
     text += [f"duration = {STEPS * STEP}", f"step = {STEP}", 'integrator = "semi_implicit_euler"']

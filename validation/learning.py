@@ -68,9 +68,7 @@ def tuned(kind: str, starts: int) -> tuple[dict[str, Any], float]:
     """Return the gains of a law by dotted key, as tuned, and how long that took, s."""
     own, vary = LAWS[kind]
     law = {"kind": kind, "force": 10.0, "sample_period": 0.001, **own}
-    scenario = cl.load_scenario(
-        TASKS["press"].scenario, {"law": law, "time.duration": SECONDS, "model_error.payload": PAYLOAD}
-    )
+    scenario = cl.load_scenario(PRESS, {"law": law, "time.duration": SECONDS, "model_error.payload": PAYLOAD})
     begun = time.perf_counter()
     tuning = cl.tune(scenario, {**vary, **FEEDBACK}, "rms_force_error", over=OVER, starts=starts, iterations=15)
     return {"law": tuning.scenario.law.model_dump(exclude_none=True)}, time.perf_counter() - begun

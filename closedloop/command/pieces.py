@@ -59,6 +59,7 @@ def pieces() -> tuple[Piece, ...]:
         Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
         Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
         Piece("contacts_in_step", "contacts of the links", _contacts),
+        Piece("ball_tip", "the round end of a tool", _ball_tip),
         Piece("step_members", "simulations side by side", _together, "run_compiled"),
         Piece("strike", "impacts in them", _strike),
         *_laws(),
@@ -71,6 +72,14 @@ def _contacts() -> None:
     from closedloop.loop.step.contacts import contacts_in_step
 
     entry_address(contacts_in_step)
+
+
+def _ball_tip() -> None:
+    """Compile the round end of a tool."""
+    from closedloop.jit.calls import entry_address
+    from closedloop.loop.step.ball_tip import ball_tip
+
+    entry_address(ball_tip)
 
 
 def _together() -> None:

@@ -45,7 +45,8 @@ class Picture:
     def __init__(self, scene: Scene, panel: Panel) -> None:
         self.scene, run = scene, scene.run
         self._figure = figure = Figure(figsize=SIZE, dpi=DOTS, layout="constrained")
-        self._canvas = FigureCanvasAgg(figure)
+        canvas: Any = FigureCanvasAgg  # its methods have no annotations
+        self._canvas = canvas(figure)
         grid = figure.add_gridspec(1, 2, width_ratios=[1.1, 1.0])
         self._space: Any = figure.add_subplot(grid[0], projection="3d")
         self._as_rods = sum(len(shape.faces) for shape in scene.shapes) > MOST_TRIANGLES

@@ -85,6 +85,7 @@ def bare(name: str, joints: int) -> Contestant:
 
     if name == CUBE:
         scenario = load_scenario(CUBE)
+        assert scenario.contact is not None  # a cube whose corners touch
         mu = scenario.contact[0].friction
         cube = '<body><freejoint/><inertial pos="0 0 0" mass="0.37" diaginertia="8.1e-4 8.1e-4 8.1e-4"/>'
         surface = f'condim="3" friction="{mu} 0 0"'

@@ -75,7 +75,7 @@ def _write(run: Run, file: BinaryIO) -> None:
     nothing, unturned = {"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     wanted, commanded = run.reference_tip, bool(np.any(run.reference_force))
     start = {"stamp": _stamp(0.0), "frame_id": base}
-    points = [] if isinstance(run.scenario.law, NoLaw) else thin_out(wanted, PATH_POINTS)
+    points: Any = [] if isinstance(run.scenario.law, NoLaw) else thin_out(wanted, PATH_POINTS)
     poses = [{"position": _vector(point), "orientation": unturned} for point in points]
     if poses:
         path = {"header": start, "poses": [{"header": start, "pose": pose} for pose in poses]}

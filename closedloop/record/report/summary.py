@@ -180,7 +180,8 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
     elif why := run_force_not_known(run):
         found |= dict.fromkeys(unknown_because(why))
     for name in ("step_error_extremes", "step_error_position"):
-        if found[name] is not None and math.isnan(found[name]):
+        value = found[name]
+        if value is not None and math.isnan(value):
             found[name] = None
     return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
 

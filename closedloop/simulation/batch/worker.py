@@ -254,7 +254,8 @@ class Worker:
             )  # fmt: skip
             if k := len(problem.scenario.contact or ()):
                 rubbed = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
-                Values(values, n).energy_lost_to_friction += lost_to_slips(problem.h * np.arange(len(rows)), *rubbed)
+                time = problem.h * np.arange(float(len(rows)))
+                Values(values, n).energy_lost_to_friction += lost_to_slips(time, *rubbed)
             last, kinds = Row(rows[-1], n), events[:, EventRow.place("kind")]
             bounces = bounces_at_the_end(
                 kinds, events[:, EventRow.place("time")], problem.h * (len(rows) - 1), problem.h, last.mode

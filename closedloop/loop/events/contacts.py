@@ -162,6 +162,8 @@ def off_surfaces(links: ContactLinks, c: Contacts) -> bool:
     least = 0.0
     for i in range(links.points + links.stops if links.shapes == 0 else 0):
         off, open_now = c.located[3 * i], c.mode[i] == FREE
+        if open_now and c.past_edge[i] != 0.0:
+            continue  # beside its surface, and below its level
         if c.soft[i] == 0.0 and ((open_now and c.floor[i] < -OFF_SURFACE) or (not open_now and abs(off) > OFF_SURFACE)):
             least = -1.0
     return bool(least < 0.0)

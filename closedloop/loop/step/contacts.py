@@ -159,7 +159,7 @@ def close_contacts(links: ContactLinks, c: Contacts, w: Work, rates: bool) -> No
             if j > at and links.shapes != 0 and rolls(shapes_at(links.shapes), i):
                 off = 0.0
             c.before[j] = c.u[j] if rates else off
-        parted = not rates and c.mode[i] == FREE and c.floor[i] < 0.0
+        parted = not rates and c.mode[i] == FREE and c.floor[i] < 0.0 and c.past_edge[i] == 0.0
         if parted and c.located[at] >= -CLOSED:
             c.floor[i], parted = 0.0, False
         if c.soft[i] == 0.0 and (c.mode[i] != FREE or c.friction.pulls[i] != 0.0 or parted):

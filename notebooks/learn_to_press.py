@@ -89,4 +89,4 @@ for run, each in zip(runs, parameters, strict=False):
     axes.plot(run.time, run.contact_force, linewidth=1.0, label=f"{stiffness / 1e3:.0f} kN/m")
 axes.axhline(10.0, color="0.6", linewidth=0.8)
 axes.set(xlabel="t [s]", ylabel="f [N]", ylim=(0.0, 20.0), title="the learned law on held-out surfaces")
-axes.legend(title="stiffness", fontsize=8)
+_ = axes.legend(title="stiffness", fontsize=8)

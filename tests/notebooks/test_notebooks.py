@@ -91,13 +91,14 @@ def test_saved_notebook_is_that_of_its_script(script):
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_saved_notebook_holds_nothing_of_the_machine(script):
-    """No version of a kernel, no time stamps, no paths of the one who made it."""
+    """No version of a kernel, no time stamps, no paths of the one who made it, no address of an object in memory."""
     notebook = saved(script.stem)
     assert notebook.metadata == build.read_script(script).metadata
     assert all(not cell.metadata for cell in notebook.cells)
     text = script.with_suffix(".ipynb").read_text(encoding="utf-8")
     assert str(FOLDER.parent) not in text
     assert str(Path.home()) + "/" not in text
+    assert not re.search(r" at 0x[0-9a-f]+>", text)
 
 
 @pytest.mark.slow

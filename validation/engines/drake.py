@@ -191,9 +191,10 @@ def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.multibody.tree import FixedOffsetFrame
 
+    sites: dict[str, tuple[str, Array]] = {}
     if robot.format == "urdf":
         refuse_balls(robot, "drake, for a URDF,")
-        text, sites = bare_urdf(robot.text), {}
+        text = bare_urdf(robot.text)
     else:
         text, sites = bare_mjcf(robot.text)
     plant: Any = MultibodyPlant(time_step)
@@ -207,6 +208,7 @@ def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
         root = plant.GetBodyByName(root_link(text))
         if root.index() != plant.world_body().index():
             plant.WeldFrames(plant.world_frame(), root.body_frame())
+    place: Any  # Drake's types name an array of float64 only
     for name, (body, place) in sites.items():
         plant.AddFrame(FixedOffsetFrame(name, plant.GetBodyByName(body).body_frame(), RigidTransform(place)))
     for name, value in robot.locked.items():

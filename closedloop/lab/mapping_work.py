@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from closedloop.base.errors import ClosedLoopError, one_line
+from closedloop.base.sections import Section
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.answers import Answer
 from closedloop.lab.controls import Control
@@ -88,19 +89,19 @@ class MapWork:
         self._stop.set()
         across, up, lab = self._axes.get(x), self._axes.get(y), self._lab
         if across is None or up is None or x == y or quantity not in MEASURES:
-            self._say("choose two different keys")
+            self._refuse("choose two different keys")
             return
         if across[0].key == up[0].key and (across[1] or up[1]):
-            self._say("choose two keys of which one does not change the other")
+            self._refuse("choose two keys of which one does not change the other")
             return
         if lab.answers.law is not None:
-            self._say("a map needs a law that is a class: batches take no function")
+            self._refuse("a map needs a law that is a class: batches take no function")
             return
         try:
             scenario = lab.history.scenario()
             model = lab.answers.model(scenario)
         except ClosedLoopError as error:
-            self._say(one_line(str(error)))
+            self._refuse(one_line(str(error)))
             return
         over, along = (Axis.of(control, together=together) for control, together in (across, up))
         self._work.ask((Map(scenario, over, along, quantity, model), by_itself))
@@ -178,7 +179,7 @@ class MapWork:
             now, then = getattr(scenario, section), getattr(self.map.scenario, section)
             if now == then:
                 continue
-            if type(now) is not type(then) or not hasattr(now, "model_fields"):
+            if type(now) is not type(then) or not isinstance(now, Section):
                 if not any(axis.control.key.startswith(f"{section}.") for axis in axes):
                     return section
                 continue
@@ -253,8 +254,11 @@ class MapWork:
             xs, ys = zip(*sorted((value, limit.value) for value, limit in limits), strict=True)
             self._lab.tell("boundary", {"kind": "boundary", "x": np.array(xs), "y": np.array(ys), "line": line})
 
-    def _say(self, line: str) -> None:
-        self._lab.tell("map_said", {"kind": "map_said", "line": line}, keep=False)
+    def _say(self, line: str, refused: bool = False) -> None:
+        self._lab.tell("map_said", {"kind": "map_said", "line": line, "refused": refused}, keep=False)
+
+    def _refuse(self, line: str) -> None:
+        self._say(line, refused=True)
 
 
 def _axis(axis: Axis) -> Message:

@@ -276,7 +276,7 @@ def test_a_drag_in_the_map_loads_the_runs_below_the_pointer(page, lab):
 def test_the_map_shows_where_the_loop_becomes_unstable(page, lab):
     """It begins by itself, stops for a slider, and says what it lacks; whole, its red line is where a pole leaves."""
     page.wait_for_function("map.m")
-    lab.changed("time.duration", 0.2)
+    lab.changed("time.duration", 1.2)
     page.wait_for_function("map.m.complete && map.canvas.classList.contains('late')")
     assert "another time.duration" in page.locator("#pane").inner_text()
     settled(page, lab)
@@ -289,9 +289,10 @@ def test_the_map_shows_where_the_loop_becomes_unstable(page, lab):
         for share, stable in ((0.98, True), (1.02, False)):
             values = {"law.kp": [kps[k] * each / 900.0 for each in (900.0, 900.0, 400.0, 300.0)],
                       "law.kd": [share * kds[k] * each / 60.0 for each in (60.0, 60.0, 30.0, 20.0)]}  # fmt: skip
-            scenario = cl.load_scenario("wam_slide", {"time.duration": 0.2})
+            scenario = cl.load_scenario("wam_slide", {"time.duration": 1.2})
             assert (Stability(scenario).growth(values) < 0.0) == stable
-    red = """() => { const c = map.canvas, g = c.getContext('2d'), d = g.getImageData(0, 0, c.width, c.height).data; let n = 0;
+    red = """() => { const c = map.canvas, g = c.getContext('2d'); let n = 0, d;
+        d = g.getImageData(0, 0, c.width, c.height).data;
         for (let k = 0; k < d.length; k += 4) n += d[k] === 255 && d[k + 1] === 90 && d[k + 2] === 54; return n }"""
     assert page.evaluate(red) > 50
     assert page.evaluate("map.point") == [900.0, 60.0]

@@ -21,6 +21,7 @@ class MapTab {
     this.start = make("button", { textContent: "compute", id: "compute" });
     this.start.onclick = () => {
       const running = this.running;
+      if (!running) this.busy(true);
       this.send(running ? { do: "stop map" } : { do: "map", x: this.x.value, y: this.y.value, quantity: this.value.value });
     };
     this.said = make("p", { className: "hint", textContent: "A value of the run over two keys: choose them and press compute. A click or a drag in the map then loads its runs." });
@@ -45,13 +46,21 @@ class MapTab {
     this.m = m;
     this.line = null;
     this.canvas.hidden = false;
-    this.running = !m.complete;
-    this.start.textContent = m.complete ? "compute" : "stop";
+    this.busy(!m.complete);
     this.said.textContent = m.line;
     this.shown();
   }
 
-  say(line) { this.said.textContent = line; }
+  busy(running) {
+    this.running = running;
+    this.start.textContent = running ? "stop" : "compute";
+    if (this.m) this.m.complete = !running;
+  }
+
+  say(line, refused) {
+    this.said.textContent = line;
+    if (refused) this.busy(false);
+  }
 
   boundary(m) {
     this.line = m;

@@ -104,7 +104,7 @@ const on = {
   },
   map_keys(m) { map.keys(m); },
   map(m) { map.show(m); },
-  map_said(m) { map.say(m.line); },
+  map_said(m) { map.say(m.line, m.refused); },
   boundary(m) { map.boundary(m); },
   point(m) { map.here(m.at, m.stale); },
   analysis(m) { analysis.show(m); },

@@ -8,6 +8,8 @@ So the loop's memory is copied just before that row is evaluated (the mark), and
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,12 +17,13 @@ from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, row_of, vector_at
+from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH, EventRow
 from closedloop.loop.step.memory import State, loop_at
 from closedloop.loop.step.record_row import ContactRow, Row
-from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.robot.tree import Tree, tree_terms
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
@@ -63,9 +66,35 @@ class Member(Block):
     strike: int  # address of what computes an impact; 0: Python does
     steps: int  # between two control instants
     target: int  # the row of the next control instant
-    marked: int  # 1 if the mark is of the latest control instant
+    marked: int  # 1 if the mark is of the latest control instant, AT_MARK if the memory itself is as the mark would be
     known: int  # 1 if the terms are those of the state in the loop's memory
     request: int  # what the loop asked for last
+    lanes: int  # 1 if it may be stepped in lanes
+
+
+class Group(Block):
+    """Whole numbers, int64: members that are stepped together, and memory of float64x8 for it.
+
+    See `closedloop.simulation.together.lanes`.
+    """
+
+    entry: int  # address of what steps them
+    mode: int  # of the tips
+    filled: int  # how many there are
+    members: Annotated[IntArray, WIDE]  # addresses of each `Member`
+    numbers: Annotated[IntArray, WIDE]  # which of all members it is
+    trees: Annotated[IntArray, WIDE]  # addresses of the constants of the arm that each lane has
+    work: int
+    constants: int
+    terms: int
+    tree: int
+    row: int
+    forces: int
+    before: int
+    everyone: int  # addresses of all `Member`s, and of what `tell` writes of them
+    rows: int
+    wanted: int
+    between: int
 
 
 class Between(Block):
@@ -80,7 +109,10 @@ class Between(Block):
     measured: float  # the force sensor's reading as a law has it at the control instant, N
 
 
-MEMBER, BETWEEN = Member.count(), Between.count()
+MEMBER, BETWEEN, GROUP = Member.count(), Between.count(), Group.count()
+AT_MARK = 2
+# Eight in lanes take about as long as two by themselves.
+FEWEST = 3
 
 
 @entry_kernel
@@ -108,12 +140,14 @@ def copy_memory(m: Member, back: bool) -> None:
 @kernel
 def go_back(m: Member, state: State) -> None:
     """Put the loop back to just before the row of the latest control instant was recorded."""
-    copy_memory(m, True)
+    if m.marked != AT_MARK:
+        copy_memory(m, True)
     if state.row > 0 and (state.mode != FREE or state.contacts.at != 0):
         state.trial.off = 1  # the step before has been searched, with what acted in it
     state.event.rows, state.batched = 0, 0
+    # With encoders other terms have been evaluated since.
+    m.known = 1 if state.settings.encoder == 0 and m.marked != AT_MARK else 0
     m.marked = 0
-    m.known = 1 if state.settings.encoder == 0 else 0  # with encoders other terms have been evaluated since
 
 
 @kernel
@@ -208,16 +242,23 @@ def to_target(m: Member, a: Addresses) -> int:
 
 
 @kernel
+def write_wanted(m: Member, a: Addresses, wanted: Array) -> None:
+    """Write what is desired at the control instant."""
+    state, _, _ = loop_at(a.loop)
+    table = matrix_at(a.table, a.instants, a.table_width)
+    for j in range(2 * a.n + 10):
+        wanted[j] = table[m.target * state.settings.nodes_per_step, j]
+
+
+@kernel
 def tell(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> None:
     """Write the row of the control instant, what is desired there, and `Between`."""
     state, _, _ = loop_at(a.loop)
     n, here = a.n, m.target - m.first
     rows = matrix_at(m.window, m.room, a.row_width)
-    table = matrix_at(a.table, a.instants, a.table_width)
     for j in range(a.row_width):
         row[j] = rows[here, j]
-    for j in range(2 * n + 10):
-        wanted[j] = table[m.target * state.settings.nodes_per_step, j]
+    write_wanted(m, a, wanted)
     b = Between(between)
     b.largest_force, b.smallest_force, b.free_rows, b.largest_link_force = -np.inf, np.inf, 0.0, 0.0
     links, at = 0, 0
@@ -242,10 +283,33 @@ def tell(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> 
         b.impulse = max(b.impulse, event.compression + event.decompression)
 
 
+@kernel
+def step_alone(m: Member, i: int, rows: Array, wanted: Array, between: Array) -> None:
+    """Step member `i` to its next control instant, or until it asks for something; see `step_members`."""
+    a = Addresses(integers_at(m.addresses, ADDRESSES))
+    state, _, _ = loop_at(a.loop)
+    make_room(m, a, state.row)
+    m.request = to_target(m, a)
+    if m.request == DONE:
+        tell(m, a, row_of(rows, i), row_of(wanted, i), row_of(between, i))
+        m.request = WAITING
+
+
+@kernel
+def step_group(group: int, fewest: int, rows: Array, wanted: Array, between: Array) -> None:
+    """Step the members of a group, and those alone that cannot be stepped together, or all if they are too few."""
+    g = Group(integers_at(group, GROUP))
+    done = call_at(g.entry, group, g.filled) if g.filled >= fewest else 0
+    for k in range(g.filled):
+        if done & (1 << k) == 0:
+            step_alone(Member(integers_at(g.members[k], MEMBER)), g.numbers[k], rows, wanted, between)
+    g.filled = 0
+
+
 @entry_kernel
 def step_members(
     members: IntArray, going: IntArray, first: int, last: int, actions: Array, plan: IntArray, rows: Array,
-    wanted: Array, between: Array,
+    wanted: Array, between: Array, groups: IntArray,
 ) -> None:  # fmt: skip
     """Step some members to their next control instant, without Python.
 
@@ -261,18 +325,27 @@ def step_members(
         (N, k) and (l, 3), see `act`; they act where a member stands at a control instant (WAITING).
     rows, wanted, between : (N, ...) arrays
         Written, see `tell`, of members that reach it. The others' `Member.request` says what they ask for.
+    groups : (2,) array
+        Addresses of groups for tips that slide and tips that stick, whose memory no other thread has; 0: there are
+        none.
     """
     for at in range(first, last):
         i = going[at]
         m = Member(row_of(members, i))
-        a = Addresses(integers_at(m.addresses, ADDRESSES))
         if m.request == WAITING:
+            a = Addresses(integers_at(m.addresses, ADDRESSES))
             state, _, _ = loop_at(a.loop)
             go_back(m, state)
             m.target += m.steps
-            make_room(m, a, state.row)
             act(m, a, row_of(actions, i), plan)
-        m.request = to_target(m, a)
-        if m.request == DONE:
-            tell(m, a, row_of(rows, i), row_of(wanted, i), row_of(between, i))
-            m.request = WAITING
+            if groups[0] != 0 and m.lanes != 0 and state.mode != FREE and state.approached == 0:
+                group = groups[0] if state.mode == PRESSED else groups[1]
+                g = Group(integers_at(group, GROUP))
+                g.members[g.filled], g.numbers[g.filled] = g.everyone + 8 * MEMBER * i, i
+                g.filled += 1
+                if g.filled == WIDE:
+                    step_group(group, FEWEST, rows, wanted, between)
+                continue
+        step_alone(m, i, rows, wanted, between)
+    for k in range(2 if groups[0] != 0 else 0):
+        step_group(groups[k], FEWEST, rows, wanted, between)

@@ -8,12 +8,10 @@ So the loop's memory is copied just before that row is evaluated (the mark), and
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.blocks import Block
+from closedloop.control.reference.table import Reference
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, row_of, vector_at
@@ -27,92 +25,23 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.robot.tree import Tree, tree_terms
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
+from closedloop.simulation.together.records import (
+    AT_MARK,
+    FEWEST,
+    FORCE,
+    GROUP,
+    JOINT,
+    MEMBER,
+    SHIFT,
+    TORQUE,
+    WAITING,
+    Between,
+    Group,
+    Member,
+)
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-# What `Member.request` is at a control instant, where an action is waited for.
-WAITING = -1
-# What a number of an action sets: torque of a joint; desired force; displacement of the desired tip along an axis of
-# the contact frame; a number of the law's parameters; displacement of a desired joint position.
-TORQUE, FORCE, SHIFT, PARAMETER, JOINT = range(5)
-
-
-class Member(Block):
-    """Whole numbers, int64: where the memory of a simulation is, and where it stands."""
-
-    addresses: int  # see `closedloop.simulation.engines.proceed.Addresses`
-    links: int  # the robot, see `closedloop.mechanics.robot.tree.Tree`
-    constants: int
-    constants_size: int
-    blocks: int
-    once: int
-    carrier: int
-    serial: int
-    balls: int
-    scratch: int  # address and size of the scratch of its kernels
-    scratch_size: int
-    copied: int  # address of rows (from, to, length) of the memory that the mark is a copy of, and how many there are
-    copied_count: int
-    reading: int  # address of the reading of the force sensor in the mark
-    boundary: int  # address of the reference's row at the next control instant, before an action displaced it
-    displaced: int  # 1 if one did
-    window: int  # address of the rows that are kept, how many there is room for, and which row is the first
-    room: int
-    first: int
-    keep: int  # how many earlier rows a step may read or write
-    begins: int  # the phase that a row begins with
-    held: int  # 1 if a torque from outside acts; 0: the scenario's law
-    strike: int  # address of what computes an impact; 0: Python does
-    steps: int  # between two control instants
-    target: int  # the row of the next control instant
-    marked: int  # 1 if the mark is of the latest control instant, AT_MARK if the memory itself is as the mark would be
-    known: int  # 1 if the terms are those of the state in the loop's memory
-    request: int  # what the loop asked for last
-    lanes: int  # 1 if it may be stepped in lanes
-
-
-class Group(Block):
-    """Whole numbers, int64: members that are stepped together, and memory of float64x8 for it.
-
-    See `closedloop.simulation.together.lanes`.
-    """
-
-    entry: int  # address of what steps them
-    mode: int  # of the tips
-    filled: int  # how many there are
-    members: Annotated[IntArray, WIDE]  # addresses of each `Member`
-    numbers: Annotated[IntArray, WIDE]  # which of all members it is
-    trees: Annotated[IntArray, WIDE]  # addresses of the constants of the arm that each lane has
-    work: int
-    constants: int
-    terms: int
-    tree: int
-    row: int
-    forces: int
-    before: int
-    everyone: int  # addresses of all `Member`s, and of what `tell` writes of them
-    rows: int
-    wanted: int
-    between: int
-
-
-class Between(Block):
-    """What happened between two control instants, the later one included."""
-
-    largest_force: float  # largest contact force at a row, N
-    smallest_force: float
-    largest_link_force: float  # largest force along the normal of a [[contact]] at a row, N
-    free_rows: float  # rows at which the tip was free
-    events: float  # how many there were
-    impulse: float  # largest impulse along the normal, N s
-    measured: float  # the force sensor's reading as a law has it at the control instant, N
-
-
-MEMBER, BETWEEN, GROUP = Member.count(), Between.count(), Group.count()
-AT_MARK = 2
-# Eight in lanes take about as long as two by themselves.
-FEWEST = 3
 
 
 @entry_kernel
@@ -242,12 +171,19 @@ def to_target(m: Member, a: Addresses) -> int:
 
 
 @kernel
-def write_wanted(m: Member, a: Addresses, wanted: Array) -> None:
-    """Write what is desired at the control instant."""
+def write_wanted(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> None:
+    """Write what is desired at the control instant, and the distance of the tip in `row` from it."""
     state, _, _ = loop_at(a.loop)
     table = matrix_at(a.table, a.instants, a.table_width)
     for j in range(2 * a.n + 10):
         wanted[j] = table[m.target * state.settings.nodes_per_step, j]
+    there, desired, out, square = Row(row, a.n), Reference(wanted, a.n), 0.0, 0.0
+    for k in range(3):
+        out += (there.position[k] - desired.position[k]) * there.surface_normal[k]
+    for k in range(3):
+        along = there.position[k] - desired.position[k] - out * there.surface_normal[k]
+        square += along * along
+    Between(between).path_error = np.sqrt(square)
 
 
 @kernel
@@ -258,7 +194,7 @@ def tell(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> 
     rows = matrix_at(m.window, m.room, a.row_width)
     for j in range(a.row_width):
         row[j] = rows[here, j]
-    write_wanted(m, a, wanted)
+    write_wanted(m, a, row, wanted, between)
     b = Between(between)
     b.largest_force, b.smallest_force, b.free_rows, b.largest_link_force = -np.inf, np.inf, 0.0, 0.0
     links, at = 0, 0
@@ -296,10 +232,10 @@ def step_alone(m: Member, i: int, rows: Array, wanted: Array, between: Array) ->
 
 
 @kernel
-def step_group(group: int, fewest: int, rows: Array, wanted: Array, between: Array) -> None:
+def step_group(group: int, rows: Array, wanted: Array, between: Array) -> None:
     """Step the members of a group, and those alone that cannot be stepped together, or all if they are too few."""
     g = Group(integers_at(group, GROUP))
-    done = call_at(g.entry, group, g.filled) if g.filled >= fewest else 0
+    done = call_at(g.entry, group, g.filled) if g.filled >= FEWEST else 0
     for k in range(g.filled):
         if done & (1 << k) == 0:
             step_alone(Member(integers_at(g.members[k], MEMBER)), g.numbers[k], rows, wanted, between)
@@ -344,8 +280,8 @@ def step_members(
                 g.members[g.filled], g.numbers[g.filled] = g.everyone + 8 * MEMBER * i, i
                 g.filled += 1
                 if g.filled == WIDE:
-                    step_group(group, FEWEST, rows, wanted, between)
+                    step_group(group, rows, wanted, between)
                 continue
         step_alone(m, i, rows, wanted, between)
     for k in range(2 if groups[0] != 0 else 0):
-        step_group(groups[k], FEWEST, rows, wanted, between)
+        step_group(groups[k], rows, wanted, between)

@@ -29,8 +29,10 @@ from closedloop.simulation.engines.loops import COMPILED, kernels_of
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import addresses_of, set_events
 from closedloop.simulation.loop_calls import Answers
-from closedloop.simulation.together.lanes import Lanes, may_step_in_lanes, step_in_lanes
-from closedloop.simulation.together.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
+from closedloop.simulation.together.lane_steps import step_in_lanes
+from closedloop.simulation.together.lanes import Lanes, may_step_in_lanes
+from closedloop.simulation.together.member import step_members, strike
+from closedloop.simulation.together.records import BETWEEN, MEMBER, WAITING, Member
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -137,7 +139,7 @@ class Together:
     wanted : (count, 2 n + 10) array
         What is desired there, see `closedloop.loop.step.memory.Reference`.
     between : (count, BETWEEN) array
-        What happened since the control instant before, see `closedloop.simulation.together.member.Between`.
+        What happened since the control instant before, see `closedloop.simulation.together.records.Between`.
     actions : (count, k) array
         To be written before `step`, SI units.
     failures, failed : list, (count,) array of bool

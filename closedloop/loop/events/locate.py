@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,7 +67,7 @@ def cone_margin(w: Work, state: State) -> float:
 
 
 @kernel
-def slip_margin(w: Work, constants: Constants) -> float:
+def slip_margin(w: Work, constants: Any) -> float:
     """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
     band, before = constants.capture_speed, w.start.slip_speed
     speed = w.tip.u[1] * w.friction.direction[0] + w.tip.u[2] * w.friction.direction[1]

@@ -269,7 +269,7 @@ class Together:
         else:
             step_members(members, going, 0, count, *given, groups[0])
         for at in np.flatnonzero(members[going, Member.place("request")] != WAITING):
-            self._answer(going[at : at + 1], given)
+            self._answer(going[at : at + 1], (*given, groups[0]))
 
     def _answer(self, one: IntArray, given: tuple[Any, ...]) -> None:
         """Let one simulation go on that asks for something, until it is at its control instant or cannot."""
@@ -281,7 +281,7 @@ class Together:
             if self.failures[i] is not None:
                 self.failed[i] = True
                 return
-            step_members(self._members, one, 0, 1, *given, self._groups[0])
+            step_members(self._members, one, 0, 1, *given)
 
     def _threads(self) -> ThreadPoolExecutor:
         if self._pool is None:

@@ -220,6 +220,8 @@ class Lab:
 
     def ask(self, key: str = "") -> None:
         """Run the scenario as it is now, `key` being what was changed last."""
+        if key or self.answer is not None:
+            self.map.changed()
         self._newest.ask((self.answers, self.history.changes, key))
 
     def wait(self, seconds: float = 60.0) -> bool:
@@ -252,7 +254,8 @@ class Lab:
     def _show_run(self, run: Run, answer: Answer) -> None:
         steps = max(0, len(run) - 1)
         line = answer.stopped or f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({run.engine})"
-        self._send_run(run, line=line, loud=bool(answer.stopped), partial=False, point=self.map.point(run.scenario))
+        self._send_run(run, line=line, loud=bool(answer.stopped), partial=False,
+                       point=self.map.point(run.scenario), stale=self.map.stale(run.scenario))  # fmt: skip
 
     def _show_part(self, run: Run) -> None:
         """Show what is done of a run that takes long."""
@@ -285,7 +288,7 @@ class Lab:
         if answer is not None and answer.run is not None:
             found = run_message(
                 answer.run, curves(answer.run, client.window, client.columns), n=self._count, partial=False,
-                point=self.map.point(answer.run.scenario),
+                point=self.map.point(answer.run.scenario), stale=self.map.stale(answer.run.scenario),
             )  # fmt: skip
             client.put(RUN, pack(found))
 
@@ -327,6 +330,8 @@ class Lab:
         self.clients.append(client)
         if self.front:
             self.show_gallery(client, front=True)
+        elif self.answer is not None:
+            self.map.begin_by_itself(self.answer)
 
     def _closed(self, client: Client) -> None:
         if client in self.clients:

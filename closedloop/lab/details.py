@@ -138,6 +138,8 @@ class Details:
             if self._began is not None and self._began[2] is None and not answer.changes:
                 self._began = (*self._began[:2], self._margins)
             self._send_strip(run, run.summary())
+            if lab.clients and not lab.front:
+                lab.map.begin_by_itself(answer)
 
 
 def analysis_message(found: Overview) -> Message:

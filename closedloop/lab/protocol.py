@@ -21,6 +21,8 @@ class Lab(Protocol):
     answer: Answer | None
     pins: Pins
     folder: Path | None
+    clients: list[Client]
+    front: bool
     controls: dict[tuple[str, int | None], Control]
     details: Any
     map: Any

@@ -144,8 +144,11 @@ class Space {
     const v = this.view(), camera = this.camera(v, w / h);
     this.cut = false;
     this.part(0, 0, w, h, camera, v, true);
+    const inset = $("inset");
+    if (inset) inset.hidden = true;
     if (!this.whole && w > 300 * dpr && h > 220 * dpr) {
       const size = Math.round(0.3 * Math.min(w, h)), other = this.views[1];
+      if (inset) Object.assign(inset, { hidden: false }).style.cssText = `width:${size / dpr}px;height:${size / dpr}px`;
       this.part(8 * dpr, h - size - 8 * dpr, size, size, this.camera(other, 1), other, false);
     }
     this.text(camera, v);
@@ -191,15 +194,20 @@ class Space {
 
   // The size of the forces at the tip beside their arrows.
   text(camera, v) {
-    const spans = [];
+    const spans = [], taken = [];
     const { clientWidth: w, clientHeight: h } = this.canvas;
     this.each_arrow(v, (i, tail, d) => {
       const a = this.scene.arrows[i], name = SHOWN[a.kind] ?? (this.scene.arrows.length < 12 ? "" : null);
       if (name === null || norm(d) < 0.04 * v.radius) return;
       const [x, y, , k] = [0, 1, 2, 3].map((r) => [...plus(tail, d), 1].reduce((sum, e, j) => sum + camera[4 * j + r] * e, 0));
       if (k <= 0) return;
-      const span = make("span", { textContent: `${name} ${short(norm(this.frame.arrows[i].force), 3)} N` });
-      span.style.cssText = `left:${(50 * (x / k + 1) * w) / 100}px;top:${(50 * (1 - y / k) * h) / 100}px;color:${tint_rgb(a.colour)}`;
+      const text = `${name} ${short(norm(this.frame.arrows[i].force), 3)} N`, wide = 7 * text.length + 7;
+      let [left, top] = [(50 * (x / k + 1) * w) / 100, (50 * (1 - y / k) * h) / 100];
+      if (left + wide > w) left -= wide + 7; // beside the arrow on its other side
+      if (taken.some(([l, t, r]) => Math.abs(t - top) < 13 && left < r && l < left + wide)) return; // one on another is unreadable
+      taken.push([left, top, left + wide]);
+      const span = make("span", { textContent: text.trim() });
+      span.style.cssText = `left:${left}px;top:${top}px;color:${tint_rgb(a.colour)}`;
       spans.push(span);
     });
     this.labels.replaceChildren(...spans);

@@ -51,6 +51,9 @@ class Lab(Protocol):
     def forget(self, *slots: str) -> None:
         """Send these to pages that open later no more."""
 
+    def wait_for_plots(self, seconds: float = 60.0) -> bool:
+        """Wait until the curves of the newest change have been sent; return whether they have."""
+
     def tell_controls(self, forced: bool = False) -> None:
         """Send the controls as they are."""
 

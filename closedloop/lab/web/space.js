@@ -110,14 +110,20 @@ class Space {
     this.draw();
   }
 
-  // Without a graphics processor a picture takes a tenth of a second: the next waits until the last is done, and then
-  // as long again, so that curves are drawn meanwhile.
+  // Without a graphics processor a picture takes a tenth of a second: the next waits until the last is done.
   draw() {
     if (!this.gl || !this.frame || !this.scene || this.waits) return;
     this.waits = true;
-    const at = performance.now();
-    const wait = this.calm ? Math.max(0, this.calm + (this.cost > 40 ? 160 : 0) - at) : 0;
-    setTimeout(() => requestAnimationFrame(() => {
+    this.asked = performance.now();
+    this.wait();
+  }
+
+  // Where pictures are slow, and a slider is being moved, they wait for it, but no longer than 0.7 s.
+  wait() {
+    const now = performance.now(), slow = this.calm && this.cost > 40;
+    const left = slow ? Math.min(this.calm + 200, this.asked + 700) - now : 0;
+    if (left > 1) { setTimeout(() => this.wait(), left); return; }
+    requestAnimationFrame(() => {
       const began = performance.now();
       this.paint();
       const fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
@@ -131,7 +137,7 @@ class Space {
         if (this.again) { this.again = false; this.draw(); }
       };
       done();
-    }), wait);
+    });
   }
 
   // A slider is being moved: where pictures are slow, they wait until it rests.

@@ -17,7 +17,12 @@ def let_go(angle: float, integrator: str, velocity=(0.0, 0.0, 0.0), spin=(0.0, 0
     feet = [[x * HALF[0], y * HALF[1], -HALF[2]] for x in (1, -1) for y in (1, -1)]
     text = ["[robot]", 'model = "planar2"', "[[body]]", 'name = "box"', 'shape = "box"', "edges = [0.2, 0.15, 0.1]"]
     text += ["mass = 1.0", f"position = {(HALF[2] * normal).tolist()}", f"quaternion = {turn}"]
-    text += [f"velocity = {(axes @ velocity).tolist()}", f"spin = {(axes @ spin).tolist()}", "[[contact]]", 'link = "box"']
+    text += [
+        f"velocity = {(axes @ velocity).tolist()}",
+        f"spin = {(axes @ spin).tolist()}",
+        "[[contact]]",
+        'link = "box"',
+    ]
     text += [f"at = {feet}", f"friction = {MU}", f"normal = {normal.tolist()}", "[stabiliser]", "time_constant = 0.01"]
     text += ["[time]", "duration = 0.25", "step = 0.001", f'integrator = "{integrator}"']
     return cl.simulate(parse_scenario("\n".join(text), overrides=changes), progress=False)
@@ -42,7 +47,7 @@ def test_a_box_slides_from_rest_as_gravity_less_friction_says(share: float, inte
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit_euler"])
 def test_a_box_that_slides_up_and_turns_comes_to_rest_at_once(integrator: str) -> None:
-    """Below the angle of friction slip and spin end together; half the step gives the same end to the scheme's order."""
+    """Below the angle of friction slip and spin end together; half the step changes the end by the order of the scheme."""
     angle = np.arctan(0.5 * MU)
     start = {"velocity": (0.3, 0.1, 0.0), "spin": (0.0, 0.0, 2.0)}
     runs = [let_go(angle, integrator, **start, **{"time.step": h}) for h in (1e-3, 5e-4)]

@@ -47,7 +47,7 @@ def test_a_box_slides_from_rest_as_gravity_less_friction_says(share: float, inte
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit_euler"])
 def test_a_box_that_slides_up_and_turns_comes_to_rest_at_once(integrator: str) -> None:
-    """Below the angle of friction slip and spin end together; half the step changes the end by the order of the scheme."""
+    """Below the angle of friction slip and spin end together, at the same place with half the step."""
     angle = np.arctan(0.5 * MU)
     start = {"velocity": (0.3, 0.1, 0.0), "spin": (0.0, 0.0, 2.0)}
     runs = [let_go(angle, integrator, **start, **{"time.step": h}) for h in (1e-3, 5e-4)]

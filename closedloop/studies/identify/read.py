@@ -215,10 +215,10 @@ def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: 
         reason = f"no column {missing!r}" if missing else f"{len(tried[0])} columns for {n} joints"
         raise LogError(f"{path}: --columns {what}={asked}: {reason}; it has {listed(table)}")
     for names in tried[: len(patterns)] if what != "v" else ():  # by the joints' names
-        missing = [name for name in names if name not in table and name.lower() not in plain]
-        if 0 < len(missing) < n:
+        lacking = [name for name in names if name not in table and name.lower() not in plain]
+        if 0 < len(lacking) < n:
             raise LogError(
-                f"{path}: has {what} of {n - len(missing)} of {n} joints: no column of numbers {missing[0]!r}; it has "
+                f"{path}: has {what} of {n - len(lacking)} of {n} joints: no column of numbers {lacking[0]!r}; it has "
                 f"{listed(table)}"
             )
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from closedloop.control.reference.table import TableRow
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
+from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import row_of
 from closedloop.jit.simd8 import every, select
@@ -183,7 +185,8 @@ def record(
 def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: int) -> None:
     """Write a row in the order of `Row`: the state, and the torques and forces at it, the reading of f without error.
 
-    The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H.
+    The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H. Of dual
+    numbers it and the residuals are NaN.
     """
     n = w.q.shape[0]
     row, lane = Row(row_of(rows, place), n), state.batched
@@ -215,25 +218,28 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     if state.together != 0:
         for j in range(n):
             w.scratch.column[j] += w.contacts.torque[j]
-    motion, closed = residuals(H, w.scratch.column, C, w.qdd, w.tip, first, last)
     trace = w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
     row.contact_force = w.tip.F[0]
     row.stabiliser_force = w.tip.stabiliser_force[0]
     row.closure_error = w.tip.gap
     row.closure_rate = w.tip.rate
     row.mode = mode
-    row.residual_motion = motion
-    row.residual_closure = closed
-    bordered = closed_by_row and state.loops.entry == 0
-    if n > LONG_ARM:
-        row.kkt_condition = condition_number(
-            H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
-        )
+    if has_derivatives(trace):  # they say how well Eq. 24 is solved, which is not worth a third of a step
+        row.residual_motion = row.residual_closure = row.kkt_condition = math.nan
     else:
-        add_to_batch(H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.batch, lane)
-        state.batched = lane + 1
-        if lane + 1 >= BATCH:
-            record_conditions(w.batch, rows, state, place + 1, n)
+        motion, closed = residuals(H, w.scratch.column, C, w.qdd, w.tip, first, last)
+        row.residual_motion = motion
+        row.residual_closure = closed
+        bordered = closed_by_row and state.loops.entry == 0
+        if n > LONG_ARM:
+            row.kkt_condition = condition_number(
+                H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
+            )
+        else:
+            add_to_batch(H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.batch, lane)
+            state.batched = lane + 1
+            if lane + 1 >= BATCH:
+                record_conditions(w.batch, rows, state, place + 1, n)
     row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v)
     w.sensing.measured = w.tip.F[0]

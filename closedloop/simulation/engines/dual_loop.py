@@ -26,7 +26,7 @@ from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.record.report.measured import CONTROL, Tally, Values
 from closedloop.record.report.row_sample import joint_limits
 from closedloop.record.report.step_error import resolution_of
-from closedloop.simulation.engines.at_addresses import Parts, complete_at, measure_at, run_at, run_varied_at
+from closedloop.simulation.engines.at_addresses import Parts, measure_at, run_at, run_varied_at
 from closedloop.simulation.engines.compiled import ALL, compiled_work
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import Addresses, proceed_at
@@ -117,7 +117,7 @@ class DualRun:
     Attributes
     ----------
     rows : (N, width, 8) array
-        The record, values and derivatives.
+        The record, values and derivatives; residuals and condition numbers are NaN.
     events : (M, EVENT_WIDTH, 8) array
         The table of events.
     table : (P, columns, 8) array
@@ -207,7 +207,6 @@ class DualRun:
                 return False
             with refused_as_one_line():
                 request = go_on(self._tree, parts, at, ALL)
-        dual(complete_at)(at, int(self._state.row) + 1)
         self.events = self.events[: int(self._state.event.rows)]
         return True
 
@@ -253,7 +252,7 @@ def kernels(base: Prepared, varied: bool = False) -> list[Any]:
 
     `varied` says whether the constants of the robot have derivatives.
     """
-    found = [run_varied_at if varied else run_at, proceed_at, complete_at, measure_at]
+    found = [run_varied_at if varied else run_at, proceed_at, measure_at]
     if base.loop.state.settings.unilateral or base.loop.state.contacts.at:
         found.append(collide)
     return [dual(each) for each in (*found, *base.problem.called(base.loop))]
@@ -263,7 +262,7 @@ def compile_for(base: Prepared, names: Collection[str]) -> None:
     """Compile those of the kernels that a run needs that have these names."""
     integers: dict[Any, tuple[Any, ...]] = {
         run_at: (base.problem.robot.tree, 0, 0, 0), run_varied_at: (base.problem.robot.tree, 0, 0, 0),
-        measure_at: (base.problem.robot.tree, 0, 0, (0, 0, 0, 0), 0), complete_at: (0, 0), collide: (0,),
+        measure_at: (base.problem.robot.tree, 0, 0, (0, 0, 0, 0), 0), collide: (0,),
     }  # fmt: skip
     for kernel, arguments in integers.items():
         if dual(kernel).__name__ in names:

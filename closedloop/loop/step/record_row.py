@@ -183,13 +183,34 @@ def record(
 
 @kernel_inlined
 def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: int) -> None:
-    """Write a row in the order of `Row`: the state, and the torques and forces at it, the reading of f without error.
+    """Do `write_row` with row `place`, and see to its condition number.
 
-    The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H. Of dual
-    numbers it and the residuals are NaN.
+    That is written once a batch is full, or by `complete_record`; with loops it is that of H. Of dual numbers it is NaN,
+    as are the residuals.
+    """
+    n, lane = w.q.shape[0], state.batched
+    row = Row(row_of(rows, place), n)
+    bordered = write_row(H, C, w, state, row)
+    if has_derivatives(row.contact_force):
+        row.kkt_condition = math.nan
+    elif n > LONG_ARM:
+        row.kkt_condition = condition_number(
+            H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
+        )
+    else:
+        add_to_batch(H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.batch, lane)
+        state.batched = lane + 1
+        if lane + 1 >= BATCH:
+            record_conditions(w.batch, rows, state, place + 1, n)
+
+
+@kernel_inlined
+def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
+    """Write a row but for its condition number: the state, torques and forces at it, the reading of f without error.
+
+    Returns whether Eq. 24 has the row of the contact there.
     """
     n = w.q.shape[0]
-    row, lane = Row(row_of(rows, place), n), state.batched
     for j in range(n):
         row.q[j] = w.q[j]
         row.v[j] = w.v[j]
@@ -225,26 +246,15 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     row.closure_rate = w.tip.rate
     row.mode = mode
     if has_derivatives(trace):  # they say how well Eq. 24 is solved, which is not worth a third of a step
-        row.residual_motion = row.residual_closure = row.kkt_condition = math.nan
+        row.residual_motion = row.residual_closure = math.nan
     else:
-        motion, closed = residuals(H, w.scratch.column, C, w.qdd, w.tip, first, last)
-        row.residual_motion = motion
-        row.residual_closure = closed
-        bordered = closed_by_row and state.loops.entry == 0
-        if n > LONG_ARM:
-            row.kkt_condition = condition_number(
-                H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
-            )
-        else:
-            add_to_batch(H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.batch, lane)
-            state.batched = lane + 1
-            if lane + 1 >= BATCH:
-                record_conditions(w.batch, rows, state, place + 1, n)
+        row.residual_motion, row.residual_closure = residuals(H, w.scratch.column, C, w.qdd, w.tip, first, last)
     row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v)
     w.sensing.measured = w.tip.F[0]
     row.measured_force = w.sensing.measured
     row.energy_supplied = w.supply.energy
+    return closed_by_row and state.loops.entry == 0
 
 
 @kernel

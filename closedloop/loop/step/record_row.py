@@ -185,8 +185,8 @@ def record(
 def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: int) -> None:
     """Do `write_row` with row `place`, and see to its condition number.
 
-    That is written once a batch is full, or by `complete_record`; with loops it is that of H. Of dual numbers it is NaN,
-    as are the residuals.
+    That is written once a batch is full, or by `complete_record`; with loops it is that of H. Of dual numbers it and
+    the residuals are NaN.
     """
     n, lane = w.q.shape[0], state.batched
     row = Row(row_of(rows, place), n)

@@ -229,11 +229,9 @@ def test_a_jump_in_the_last_row_has_an_error():
     assert 0.01 < off <= stated["contact_force"] < 20.0 * off
 
 
-@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
-def test_a_tip_that_breaks_away_is_off_by_more_than_it_was(integrator):
+def test_a_tip_that_breaks_away_is_off_by_more_than_it_was():
     """Its slip begins up to a step late, and friction that falls with speed multiplies what it is off by then."""
-    changes = {"tool.mass": 12.0 if integrator == "rk4" else 0.9, "time.integrator": integrator, "time.duration": 1.0,
-               "compensation.rate": 600.0}  # fmt: skip
+    changes = {"tool.mass": 0.9, "time.integrator": "semi_implicit_euler", "time.duration": 1.0}
     run = cl.halve(cl.load_scenario("wam_hybrid_friction", changes), engine="compiled")
     stated = cl.simulate(run.scenario, engine="compiled").summary()["step_error"]["position"]
     assert run.halved["position"] <= stated < 30.0 * run.halved["position"]

@@ -1,7 +1,7 @@
 """The collision shapes of a link, as its robot's file gives them: data, in the axes of the link's frame."""
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,6 +39,8 @@ class CollisionShape:
         Of a mesh, the name in the robot's file.
     colour : three floats, optional
         Red, green, blue, 0 to 1, of a geom that says it.
+    centroids : (T, 3) array
+        Of the triangles of a mesh, m; of others none.
     """
 
     kind: str
@@ -47,6 +49,7 @@ class CollisionShape:
     vertices: Array
     file: str = ""
     colour: tuple[float, float, float] | None = None
+    centroids: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def collision_shapes(model: "RobotModel", link: str, visual: bool = False) -> list[CollisionShape]:
@@ -122,7 +125,9 @@ def _mesh(name: str, scale: Array, place: Array, folder: Path | None, where: str
     if file is None:
         raise ModelError(f"{where}: the file of its collision mesh, {name!r}, is not there")
     try:
-        vertices = np.asarray(trimesh.load_scene(file).to_mesh().vertices, dtype=float)
+        mesh = trimesh.load_scene(file).to_mesh()
+        vertices = np.asarray(mesh.vertices, dtype=float) * scale
+        centroids = np.asarray(mesh.triangles_center, dtype=float) * scale
     except Exception as error:  # whatever a reader of meshes makes of a file
         raise ModelError(f"{where}: its collision mesh {name!r} cannot be read: {error}") from None
-    return CollisionShape("mesh", np.zeros(3), place, np.ascontiguousarray(vertices * scale), name)
+    return CollisionShape("mesh", np.zeros(3), place, vertices, name, centroids=centroids)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_models.coordinates import PLACES
 from robot_models.errors import ModelError
 
 if TYPE_CHECKING:
@@ -157,7 +158,11 @@ def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -
         check_tensor(body.inertia, body.mass, what)
         mass = sum(model.inertias[k].mass for k in model.subtrees[joint])
         if not mass > 0.0 and not model.armature[at] > 0.0:
-            raise ModelError(f"{where}: joint {names[joint]!r} moves no mass: give its links an <inertial>, or lock it")
+            stem = names[joint].removesuffix(PLACES[0])
+            free = all(stem + end in names for end in PLACES)
+            moved = f"free joint {stem!r} moves" if free else f"joint {names[joint]!r} moves"
+            cure = "give its links an <inertial>" + ("" if free else ", or lock it")
+            raise ModelError(f"{where}: {moved} no mass: {cure}")
     # Singular at one posture may be the posture; singular at several generic ones is the model.
     generic = np.random.default_rng(0).uniform(-1.0, 1.0, size=(3, model.nv))
     data = model.createData()

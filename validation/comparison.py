@@ -62,7 +62,7 @@ def compare(
     Raises
     ------
     ModelError
-        If the robot cannot be loaded or has no such tip.
+        If the robot cannot be loaded, has no such tip, or no joint moves the tip.
     """
     model: Any = robot_models.load(robot) if isinstance(robot, str) else robot
     name = tip_of(model, tip)
@@ -72,7 +72,11 @@ def compare(
     chosen = range(min(states, MOST_STATES.get(reference.name, states))) if isinstance(states, int) else states
     result = Comparison(label or model.name, name, reference.name, seed, len(chosen))
     drawn = [draw_state(model, reference, seed, index) for index in chosen]
-    truths = truths_of(reference, drawn)
+    try:
+        truths = truths_of(reference, drawn)
+    except np.linalg.LinAlgError:
+        message = f"{model.name}: the frame {name!r} cannot move along the normals drawn: name another tip"
+        raise robot_models.ModelError(message) from None
     for engine in found:
         if isinstance(engine, Engine):
             if engine is not reference:

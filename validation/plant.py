@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 
 import robot_models
+from robot_models.coordinates import balls
 from validation.cells import Comparison
 from validation.comparison import compare, tip_of
 from validation.engines import ENGINES, Engine, available
 from validation.engines.compiled import Compiled
-from validation.oracle import Oracle
+from validation.engines.hand_written import HandWritten
+from validation.engines.loop import ClosedLoop
 from validation.plant_faults import FAULTS, Fault
 from validation.plant_tree import TREE_FAULTS
 
@@ -68,7 +70,7 @@ def catch_of(fault: str, carrier: str, found: Iterable[Mapping[str, float]], bou
 
 
 def plant_all(
-    robot: str = "wam4", tip: str | None = None, *, seed: int = 0, states: int = STATES, faults: Sequence[Fault] = ()
+    robot: Any = "wam4", tip: str | None = None, *, seed: int = 0, states: int = STATES, faults: Sequence[Fault] = ()
 ) -> list[Catch]:
     """Plant every fault in every engine of a robot, in turn, and return what caught it.
 
@@ -77,9 +79,9 @@ def plant_all(
     ModelError
         If the robot cannot be loaded.
     """
-    model = robot_models.load(robot)
+    model: Any = robot_models.load(robot) if isinstance(robot, str) else robot
     name = tip_of(model, tip)
-    oracle = Oracle.from_model(model, name)
+    judges = [engine for engine in available(model, name, _judges(model)) if isinstance(engine, Engine)]
     catches = []
     for fault in faults or FAULTS:
         faulty_model = fault.robot(model) if fault.robot else model
@@ -89,10 +91,17 @@ def plant_all(
         for engine in available(faulty_model, name, [each for each in ENGINES if each.name != "symbolic"]):
             if not isinstance(engine, Engine):
                 continue
-            with planted(engine, fault, oracle) as touched:
+            sound = next(judge for judge in judges if judge.name != engine.name)
+            with planted(engine, fault, judges[0]) as touched:
                 if touched:
-                    catches.append(_caught(fault, engine, model, name, seed, states))
+                    report = compare(model, name, states=states, seed=seed, built=[sound, engine])
+                    catches.append(_verdict(fault, engine, report))
     return catches
+
+
+def _judges(model: Any) -> tuple[type[Engine], type[Engine]]:
+    """Return the engine that a faulty one is compared with, and the one that the former itself is compared with."""
+    return (ClosedLoop, Compiled) if balls(getattr(model, "joint_types", ())) else (HandWritten, ClosedLoop)
 
 
 def plant_runs() -> list[Catch]:
@@ -110,7 +119,7 @@ def plant_runs() -> list[Catch]:
 
 
 @contextmanager
-def planted(engine: Engine, fault: Fault, oracle: Oracle) -> Iterator[bool]:
+def planted(engine: Engine, fault: Fault, sound_engine: Engine) -> Iterator[bool]:
     """Give the engine the fault's methods or tree for a while; yields whether the engine has the fault."""
     if fault.tree:
         sound = engine.tree if isinstance(engine, Compiled) else None
@@ -126,7 +135,7 @@ def planted(engine: Engine, fault: Fault, oracle: Oracle) -> Iterator[bool]:
         finally:
             engine.tree = sound
         return
-    methods = fault.methods(engine, oracle) if fault.methods else {}
+    methods = fault.methods(engine, sound_engine) if fault.methods else {}
     if fault.methods and not methods:
         yield False
         return
@@ -137,15 +146,6 @@ def planted(engine: Engine, fault: Fault, oracle: Oracle) -> Iterator[bool]:
         yield True
     finally:
         engine.__class__ = kind
-
-
-def _caught(fault: Fault, engine: Engine, model: Any, tip: str, seed: int, states: int) -> Catch:
-    """Compare the faulty engine with a sound one: the oracle, or our own loop if the oracle is the faulty one."""
-    sound = "closedloop" if engine.name == "oracle" else "oracle"
-    kinds = [kind for kind in ENGINES if kind.name == sound]
-    (other,) = (built for built in available(model, tip, kinds) if isinstance(built, Engine))
-    report = compare(model, tip, states=states, seed=seed, built=[other, engine])
-    return _verdict(fault, engine, report)
 
 
 def _verdict(fault: Fault, engine: Engine, report: Comparison) -> Catch:

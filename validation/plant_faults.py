@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from closedloop.mechanics.robot.tree import Tree
 from validation.engines import Engine
-from validation.oracle import Oracle
+from validation.engines.hand_written import HandWritten
 from validation.oracle.spatial import Array
 from validation.plant_tree import TREE_FAULTS
 
@@ -27,7 +28,7 @@ class Fault:
     robot : callable or None
         RobotModel -> the faulty one, or None if this robot cannot carry the fault.
     methods : callable or None
-        Engine, and an oracle of the sound robot to borrow from -> methods to put in place of the engine's own; empty if
+        Engine, and a sound one of another kind to borrow from -> methods to put in place of the engine's own; empty if
         it does not compute what the fault touches.
     tree : callable or None
         `closedloop.mechanics.robot.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine
@@ -36,26 +37,37 @@ class Fault:
 
     name: str
     robot: Callable[[Any], Any | None] | None = None
-    methods: Callable[[Engine, Oracle], dict[str, Callable[..., Any]]] | None = None
+    methods: Callable[[Engine, Engine], dict[str, Callable[..., Any]]] | None = None
     tree: Callable[[Tree], Tree | None] | None = None
 
 
 def _edited(model: Any, edit: Callable[[ET.Element], bool]) -> Any | None:
-    """Return the robot with its URDF edited; None if it is no URDF or the edit found nothing to change."""
-    if model.format != "urdf":
-        return None
+    """Return the robot with its text edited; None if the edit found nothing to change."""
     root = ET.fromstring(model.text)
     return replace(model, text=ET.tostring(root, encoding="unicode")) if edit(root) else None
 
 
 def _moving_links(root: ET.Element, model: Any) -> list[ET.Element]:
-    """Return the links with inertia that a moving joint carries directly."""
+    """Return the links of a URDF with inertia that a moving joint carries directly."""
     carried = {j.find("child").get("link") for j in root.findall("joint") if j.get("name") in model.joint_names}  # type: ignore[union-attr]
     return [k for k in root.findall("link") if k.get("name") in carried and k.find("inertial") is not None]
 
 
+def _scaled(elements: list[ET.Element], attribute: str, at: int, factor: float) -> bool:
+    """Scale one number of the last element of an MJCF that has it; tell whether there is one."""
+    for element in reversed(elements):
+        numbers = element.get(attribute, "").split()
+        if len(numbers) > at and float(numbers[at]) != 0.0:
+            numbers[at] = repr(float(numbers[at]) * factor)
+            element.set(attribute, " ".join(numbers))
+            return True
+    return False
+
+
 def _heavier(model: Any) -> Any | None:
     def edit(root: ET.Element) -> bool:
+        if model.format == "mjcf":
+            return _scaled(root.findall(".//body/inertial"), "mass", 0, 1.0 + 1e-6)
         masses = [link.find("inertial/mass") for link in _moving_links(root, model)]
         last = [m for m in masses if m is not None and float(m.get("value", "0")) > 0.0]
         if last:
@@ -67,6 +79,8 @@ def _heavier(model: Any) -> Any | None:
 
 def _product_sign(model: Any) -> Any | None:
     def edit(root: ET.Element) -> bool:
+        if model.format == "mjcf":
+            return _scaled(root.findall(".//inertial[@fullinertia]"), "fullinertia", 3, -1.0)
         tensors = [t for link in _moving_links(root, model)[1:] if (t := link.find("inertial/inertia")) is not None]
         entries = [(abs(float(t.get(k, "0"))), t, k) for t in tensors for k in ("ixy", "ixz", "iyz")]
         size, tensor, key = max(entries, key=lambda entry: entry[0], default=(0.0, None, ""))
@@ -80,6 +94,8 @@ def _product_sign(model: Any) -> Any | None:
 
 def _moved_tip(model: Any) -> Any | None:
     def edit(root: ET.Element) -> bool:
+        if model.format == "mjcf":
+            return _scaled(root.findall(f".//*[@name='{model.tip}'][@pos]"), "pos", 0, 1.0 + 1e-5)
         for joint in root.findall("joint"):
             child, origin = joint.find("child"), joint.find("origin")
             if joint.get("type") == "fixed" and child is not None and child.get("link") == model.tip:
@@ -101,54 +117,106 @@ def _no_armature(model: Any) -> Any | None:
     return replace(model, armature=np.zeros(len(model.joint_names))) if np.any(model.armature) else None
 
 
-def _no_drift(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
+def _no_drift(engine: Engine, sound: Engine) -> dict[str, Callable[..., Any]]:
     if "drift" not in engine.covers:
         return {}
     return {"drift": lambda self, q, v: np.zeros(3)}
 
 
-def _drift_without_cross(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
+def _drift_without_cross(engine: Engine, sound: Engine) -> dict[str, Callable[..., Any]]:
     """Leave out ω × ṙ, the term by which a point's acceleration differs from its body's spatial one."""
-    if "drift" not in engine.covers:
+    if "drift" not in engine.covers or not isinstance(sound, HandWritten):
         return {}
-    sound = type(engine).drift
+    own = type(engine).drift
 
     def drift(self: Engine, q: Array, v: Array) -> Array:
-        omega = oracle.spatial_jacobian(q)[:3] @ v
-        return np.asarray(sound(self, q, v) - np.cross(omega, self.jacobian(q) @ v))
+        omega = sound.oracle.spatial_jacobian(q)[:3] @ v
+        return np.asarray(own(self, q, v) - np.cross(omega, self.jacobian(q) @ v))
 
     return {"drift": drift}
 
 
-def _silent_constraint(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
+def _silent_constraint(engine: Engine, sound: Engine) -> dict[str, Callable[..., Any]]:
     if not {"constrained", "free_acceleration"} <= engine.covers:
         return {}
     return {"constrained": lambda self, q, v, torque, normal, b: (self.free_acceleration(q, v, torque), 0.0)}
 
 
-def _wrong_sign_of_force(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
+def _wrong_sign_of_force(engine: Engine, sound: Engine) -> dict[str, Callable[..., Any]]:
     if "constrained" not in engine.covers:
         return {}
-    sound = type(engine).constrained
+    own = type(engine).constrained
 
     def constrained(self: Engine, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
-        qdd, f = sound(self, q, v, torque, normal, b)
+        qdd, f = own(self, q, v, torque, normal, b)
         return qdd, -f
 
     return {"constrained": constrained}
 
 
-def _baumgarte_sign(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
+def _baumgarte_sign(engine: Engine, sound: Engine) -> dict[str, Callable[..., Any]]:
     if "stabilised" not in engine.covers:
         return {}
-    sound = type(engine).stabilised
+    own = type(engine).stabilised
 
     def stabilised(self: Engine, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
-        b: float = sound(self, q, v, normal, offset, -np.asarray(gains))
+        b: float = own(self, q, v, normal, offset, -np.asarray(gains))
         return b
 
     return {"stabilised": stabilised}
 
+
+def _no_gyroscopic_term(engine: Engine, sound: Engine) -> dict[str, Callable[..., Any]]:
+    """Leave out ω × (H q̇) of each joint that turns freely."""
+    if not engine.balls or "bias" not in engine.covers:
+        return {}
+    own = type(engine).bias
+
+    def bias(self: Engine, q: Array, v: Array) -> Array:
+        C, momentum = own(self, q, v).copy(), sound.mass_matrix(q) @ v
+        for at in self.balls:
+            C[at : at + 3] -= np.cross(v[at : at + 3], momentum[at : at + 3])
+        return C
+
+    return {"bias": bias}
+
+
+def _turned_back(engine: Engine, sound: Engine) -> dict[str, Callable[..., Any]]:
+    """Read each rotation vector θ as −θ: what is taken for the body's orientation is its inverse."""
+    if not engine.balls:
+        return {}
+    own = type(engine).position
+
+    def position(self: Engine, q: Array) -> Array:
+        back = q.copy()
+        for at in self.balls:
+            back[at : at + 3] *= -1.0
+        return own(self, back)
+
+    return {"position": position}
+
+
+def _rates_in_parent_axes(engine: Engine, sound: Engine) -> dict[str, Callable[..., Any]]:
+    """Take the angular velocity of each joint that turns freely in the parent's axes: θ̇ of another orientation."""
+    if not engine.balls:
+        return {}
+    own = type(engine).jacobian
+
+    def jacobian(self: Engine, q: Array) -> Array:
+        J = own(self, q).copy()
+        for at in self.balls:
+            J[:, at : at + 3] = J[:, at : at + 3] @ Rotation.from_rotvec(q[at : at + 3]).as_matrix().T
+        return J
+
+    return {"jacobian": jacobian}
+
+
+#: Those of joints that turn freely.
+TURNING_FAULTS: tuple[Fault, ...] = (
+    Fault("gyroscopic term ω × (H q̇) dropped", methods=_no_gyroscopic_term),
+    Fault("orientation the wrong way round", methods=_turned_back),
+    Fault("angular velocity in the parent's axes", methods=_rates_in_parent_axes),
+)
 
 FAULTS: tuple[Fault, ...] = (
     Fault("last link's mass +1 ppm", robot=_heavier),
@@ -161,5 +229,6 @@ FAULTS: tuple[Fault, ...] = (
     Fault("sign of Baumgarte's terms", methods=_baumgarte_sign),
     Fault("constraint silently off", methods=_silent_constraint),
     Fault("sign of f", methods=_wrong_sign_of_force),
+    *TURNING_FAULTS,
     *(Fault(f"compiled tree: {name}", tree=fault) for name, fault in TREE_FAULTS.items()),
 )

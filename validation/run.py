@@ -109,18 +109,19 @@ def _plant(options: argparse.Namespace) -> Any:
     from validation.loops.faults import plant_on_loops
     from validation.plant import plant_all, plant_runs
     from validation.report import Report
-    from validation.suite import faults_section
+    from validation.suite import faults_section, load_robot
     from validation.surfaces.faults import plant_on_surfaces
 
     say("planting faults")
-    catches = plant_all(options.robot or "wam4", options.tip, seed=options.seed)
+    catches = plant_all(load_robot(options.robot or "wam4"), options.tip, seed=options.seed)
     sections = [faults_section(options.robot or "wam4", catches)]
     if options.robot is None:
+        sections.append(faults_section("free bodies", plant_all(load_robot("free bodies"), seed=options.seed)))
         sections.append(faults_section("wam_slide, run by the compiled engine", plant_runs()))
         sections.append(faults_section("panda on curved, moving and soft surfaces", plant_on_surfaces()))
         sections.append(faults_section("mechanisms with loops", plant_on_loops()))
         sections.append(faults_section("several contacts", plant_on_contacts()))
-        sections.append(faults_section("free bodies, and what rolls", plant_on_bodies()))
+        sections.append(faults_section("runs of free bodies, and of what rolls", plant_on_bodies()))
     return Report(sections=sections)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ ROBOTS: dict[str, tuple[str, bool]] = {
     "panda": ("panda", True),
     "ur5": ("ur5", True),
     "kinova": ("kinova", True),
+    "free bodies": (str(Path(__file__).with_name("free_bodies.xml")), True),
 }
 RANDOM = "random:"
 
@@ -175,9 +177,9 @@ def run_suite(
         Gets a word on what is being done.
     """
     report = Report()
-    for label, (name, drives) in ROBOTS.items():
+    for label in ROBOTS:
         say(f"comparing the engines on {label}")
-        model = robot_models.load(name, drive_inertia=drives)
+        model = load_robot(label)
         report.comparisons += compare_with_truth(model, None, states, seed, engines, label)
     trees = 6 if quick else 30
     say("comparing the engines on random trees")

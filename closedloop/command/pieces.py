@@ -62,6 +62,7 @@ def pieces() -> tuple[Piece, ...]:
         Piece("ball_tip", "the round end of a tool", _ball_tip),
         Piece("step_members", "simulations side by side", _together, "run_compiled"),
         Piece("strike", "impacts in them", _strike),
+        Piece("step_in_lanes", "eight of them in SIMD lanes", _together_in_lanes),
         *_laws(),
     )
 
@@ -100,6 +101,14 @@ def _strike() -> None:
     from closedloop.simulation.together.member import strike
 
     entry_address(strike)
+
+
+def _together_in_lanes() -> None:
+    """Compile eight such steps at a time."""
+    from closedloop.jit.calls import entry_address
+    from closedloop.simulation.together.lane_steps import step_in_lanes
+
+    entry_address(step_in_lanes)
 
 
 def _loops(kernel: str) -> None:

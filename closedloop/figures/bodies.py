@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# What moves across, or turns, by no more than this, m or rad, does not: it has no panel.
+AT_REST = 1e-9
+
 
 def has_bodies(run: Run) -> bool:
     """Tell whether a body of the run is free."""
@@ -44,7 +47,8 @@ def body_motions(run: Run) -> dict[str, tuple[Array, Array]]:
 def bodies(run: Run) -> Figure:
     """Draw the height of each free body, its distance from the start across, and the angle from its start.
 
-    Of more bodies than can be told apart those that move most are drawn.
+    Of more bodies than can be told apart those that move most are drawn. A distance or an angle that is zero to
+    rounding has no panel.
 
     Raises
     ------
@@ -56,29 +60,25 @@ def bodies(run: Run) -> Figure:
         raise ValueError("the run has no free body")
     size = {name: float(np.max(np.abs(r - r[0]))) for name, (r, _) in motions.items()}
     shown = sorted(sorted(motions, key=lambda name: -size[name])[:MOST_CURVES], key=list(motions).index)
-    figure = new_figure(height=6.4)
-    panels = figure.subplots(3, 1, sharex=True)
     across = {name: np.hypot(*(motions[name][0] - motions[name][0][0])[:, :2].T) for name in shown}
-    factor, unit = length_unit(max(float(np.max(each)) for each in across.values()))
-    for k, name in enumerate(shown):
-        r, quaternions = motions[name]
-        style = {"color": MANY[k % len(MANY)], "label": name}
-        panels[0].plot(run.time, 1e3 * r[:, 2], **style)
-        panels[1].plot(run.time, factor * across[name], **style)
-        panels[2].plot(run.time, np.degrees(turned(quaternions)), **style)
+    angles = {name: turned(motions[name][1]) for name in shown}
+    furthest, most = (max(float(np.max(each)) for each in values.values()) for values in (across, angles))
+    factor, unit = length_unit(furthest)
+    drawn = [({name: 1e3 * motions[name][0][:, 2] for name in shown}, "Height", "z [mm]")]
+    if furthest > AT_REST:
+        label = f"√(Δx² + Δy²) [{unit}]"
+        drawn.append(({name: factor * each for name, each in across.items()}, "Distance from the start, across", label))
+    if most > AT_REST:
+        drawn.append(({name: np.degrees(each) for name, each in angles.items()}, "Turn from the start", "angle [°]"))
+    figure = new_figure(height=1.6 + 1.6 * len(drawn))
+    panels = np.atleast_1d(figure.subplots(len(drawn), 1, sharex=True))
     those = f"the {len(shown)} of {len(motions)} bodies that move most" if len(shown) < len(motions) else ""
-    for axes, (title, label) in zip(
-        panels,
-        (
-            (f"Height{': ' if those else ''}{those}", "z [mm]"),
-            ("Distance from the start, across", f"√(Δx² + Δy²) [{unit}]"),
-            ("Turn from the start", "angle [°]"),
-        ),
-        strict=True,
-    ):
+    for axes, (curves, title, label) in zip(panels, drawn, strict=True):
+        for k, name in enumerate(shown):
+            axes.plot(run.time, curves[name], color=MANY[k % len(MANY)], label=name)
         axes.margins(y=0.12)
-        last = axes is panels[-1]
-        dress(axes, run, title, label, label_marks=axes is panels[0], show_events=last)
+        first, last = axes is panels[0], axes is panels[-1]
+        dress(axes, run, f"{title}: {those}" if first and those else title, label, label_marks=first, show_events=last)
         if not last:
             axes.set_xlabel("")
     handles, names = panels[0].get_legend_handles_labels()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.parameters import parameter_block
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.together.member import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
+from closedloop.simulation.together.records import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -72,8 +72,8 @@ class Actions:
         self.plan: IntArray = np.array(plan, dtype=np.int64)
 
     def physical(self, action: Array) -> Array:
-        """Return actions (N, k) from −1 to 1, cut to that, in SI units."""
-        share = 0.5 * (np.minimum(np.maximum(action, -1.0), 1.0) + 1.0)
+        """Return actions (N, k) from −1 to 1 in SI units."""
+        share = 0.5 * (action + 1.0)
         both: Array = (1.0 - share) * self.low + share * self.high  # exact at either end
         return both
 

@@ -224,15 +224,16 @@ class Core:
     def step(self, action: Array, some: Numbers) -> tuple[Array, Flags, Flags]:
         """Step these environments with the actions (N, k), and return rewards, terminated and truncated (N,)."""
         now, together = self.now, self.together
-        outside = (np.abs(action) > 1.0).sum(axis=1)
-        self.cut[some] = outside[some]
-        now.action_before[some] = now.action[some]
-        now.action[some] = np.clip(action[some], -1.0, 1.0)
-        together.actions[:] = self.actions.physical(action)
+        which: Any = some if some.size < self.count else slice(None)
+        cut = np.minimum(np.maximum(action, -1.0), 1.0)
+        self.cut[which] = (cut != action).sum(axis=1)[which]
+        now.action_before[which] = now.action[which]
+        now.action[which] = cut[which]
+        together.actions[:] = self.actions.physical(cut)
         together.step(some)
         now.changed()
         active = np.zeros(self.count, dtype=np.bool_)
-        active[some] = True
+        active[which] = True
         stopped = together.failed & active
         for i in np.flatnonzero(stopped):
             self.reasons[i] = str(together.failures[i])
@@ -256,19 +257,19 @@ class Core:
     def _advance(self, went: Flags) -> None:
         """Bring up to date what is counted from instant to instant, of those that went on."""
         now, period = self.now, self.period
-        now.left[went] -= 1.0
+        now.left -= went
         done = self.instants - now.left
-        now.time[went] = done[went] * period
-        now.phase[went] = done[went] / self.instants
-        touching = now.contact | (now.free_share < 1.0)
-        now.touched |= went & touching
+        np.multiply(done, period, out=now.time)
+        np.divide(done, self.instants, out=now.phase)
+        touching = now.contact
+        now.touched |= went & (touching | (now.free_share < 1.0))
         error = now.force_error
-        near = (np.abs(error) <= self.task.tolerance) & now.contact
-        now.on_target[:] = np.where(went, np.where(near, now.on_target + period, 0.0), now.on_target)
+        near = (np.abs(error) <= self.task.tolerance) & touching & went
+        now.on_target += period
+        now.on_target *= near
         if now.link_forces.shape[1]:
             now.jammed[:] = np.where(went & now.held, now.jammed + period, 0.0)
-        seen = np.where(now.contact & went, now.wanted_force - now.measured, 0.0)
-        now.force_sum += period * seen
+        now.force_sum += period * np.where(touching & went, now.wanted_force - now.measured, 0.0)
         now.force_square += np.where(went, period * error * error, 0.0)
 
     def _judge(self, going: Flags, at_end: Flags) -> None:
@@ -278,6 +279,8 @@ class Core:
             won = going & np.asarray(goal(now), dtype=np.bool_)
         elif hold is not None:
             won = going & (now.on_target >= hold * (1.0 - 1e-9))
+        elif not at_end.any():
+            return
         else:
             mean = now.force_square / np.maximum(now.time, self.period)
             won = at_end & (mean <= self.task.tolerance**2) & (now.path_error <= NEAR)

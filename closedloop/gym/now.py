@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from closedloop.control.reference.table import Reference
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
-from closedloop.simulation.together.member import Between
+from closedloop.simulation.together.records import Between
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -39,6 +39,8 @@ class Now:
         Those of the reference, as the action has displaced it.
     wanted_force : (N,) array
         The force of the task, N, whatever the action sets.
+    path_error : (N,) array
+        Distance of the tip from the reference along the surface, m.
     contact, sticks : (N,) arrays of bool
     largest_force, smallest_force, largest_link_force, impulse : (N,) arrays
         Since the control instant before: of the contact force at any row, N; of the largest force of a `[[contact]]`,
@@ -92,7 +94,7 @@ class Now:
             between[:, Between.place(x)]
             for x in ("largest_force", "smallest_force", "largest_link_force", "free_rows", "events", "impulse")
         )
-        self.measured = between[:, Between.place("measured")]
+        self.measured, self.path_error = between[:, Between.place("measured")], between[:, Between.place("path_error")]
         self.wanted_force: Array = np.zeros(count)
         self.time: Array = np.zeros(count)
         self.phase: Array = np.zeros(count)
@@ -108,7 +110,7 @@ class Now:
         self._known: dict[str, Any] = {}
 
     def changed(self) -> None:
-        """Forget what has been computed from the arrays: they have been written."""
+        """Discard what was computed from the arrays: they have been written."""
         self._known.clear()
 
     def _once(self, name: str, compute: Callable[[], Any]) -> Any:
@@ -144,15 +146,3 @@ class Now:
         touching = (self.link_forces > 0.0).any(axis=1)
         found: Flags = slow & touching & ((off * off).sum(axis=1) > AWAY * AWAY)
         return found
-
-    @property
-    def path_error(self) -> Array:
-        """Distance of the tip from the reference along the surface, m."""
-        return cast(Array, self._once("path_error", self._off_path))
-
-    def _off_path(self) -> Array:
-        off = self.tip - self.wanted_tip
-        out = off[:, 0] * self.normal[:, 0] + off[:, 1] * self.normal[:, 1] + off[:, 2] * self.normal[:, 2]
-        along = off - self.normal * out[:, None]
-        length: Array = np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2 + along[:, 2] ** 2)
-        return length

@@ -89,5 +89,7 @@ class Observations:
 
     def read(self, now: Now) -> Array:
         """Return the observations (N, k), a new array."""
-        values = np.concatenate([part.read(now) for part in self._parts], axis=1)
-        return np.clip(values, self.low, self.high, out=values)
+        values: Array = np.concatenate([part.read(now) for part in self._parts], axis=1)
+        np.maximum(values, self.low, out=values)
+        np.minimum(values, self.high, out=values)
+        return values

@@ -186,7 +186,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         told |= {f"reward/{name}": value for name, value in core.terms.items()}
         everyone = np.ones(self.num_envs, dtype=np.bool_)
         stepped = everyone if went.size == self.num_envs else np.isin(self._everyone, went)
-        masks = {f"_{name}": (stepped if name.startswith("reward/") else everyone).copy() for name in told}
+        masks = {f"_{name}": stepped if name.startswith("reward/") else everyone for name in told}
         return told | masks
 
     def _observations(self) -> Any:

@@ -10,6 +10,7 @@ import io
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,10 @@ FRAMES_PER_SECOND = 25
 FORMATS = (".gif", ".mp4")
 MOST_FRAMES = 5000
 # Parts of the time of which a curve shows the extremes, and colours of a .gif.
-CELLS, COLOURS = 400, 256
+CELLS, COLOURS = 400, 255
+UNCHANGED = 255  # the number, in the palette of a .gif, of a pixel that is as in the frame before
+# matplotlib's settings: the user's would change what the film looks like.
+OWN: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}
 NEEDS_FFMPEG = 'a .mp4 needs ffmpeg, which is not installed: pip install "closedloop[mp4]", or write a .gif'
 
 
@@ -103,16 +107,17 @@ def write_film(
 
     from closedloop.lab.film_picture import Picture
 
-    # The user's settings would change what the film looks like.
-    own: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}
-    with mpl.rc_context(own):
+    with mpl.rc_context(OWN):
         picture = Picture(scene, panel)
         film = _mp4(picture, rows, frames_per_second, ffmpeg) if ffmpeg else _gif(picture, rows, frames_per_second)
     return write_whole(path, film)
 
 
 def _gif(picture: Picture, rows: NDArray[np.int64], frames_per_second: int) -> bytes:
-    """Return a GIF: all frames share one palette, and no colour is mixed from dots of others."""
+    """Return a GIF: all frames share one palette, and no colour is mixed from dots of others.
+
+    A pixel that stays as it was is transparent: long runs of one value are written in few bytes.
+    """
     from PIL import Image
 
     def image(row: int) -> Any:
@@ -121,10 +126,24 @@ def _gif(picture: Picture, rows: NDArray[np.int64], frames_per_second: int) -> b
 
     some = np.vstack([np.asarray(image(int(row))) for row in (rows[0], rows[len(rows) // 2], rows[-1])])
     palette = Image.fromarray(some).quantize(COLOURS)
-    frames = (image(int(row)).quantize(palette=palette, dither=Image.Dither.NONE) for row in rows)
-    film = io.BytesIO()
-    duration = 1000.0 / frames_per_second
-    next(frames).save(film, "GIF", save_all=True, append_images=frames, duration=duration, loop=0)
+    listed = (palette.getpalette() or [])[: 3 * COLOURS]
+    listed += listed[:3] * (256 - len(listed) // 3)  # the rest are the first colour again
+    palette.putpalette(listed)
+
+    def changes() -> Iterator[Any]:
+        before: NDArray[np.uint8] | None = None
+        for row in rows:
+            frame = image(int(row)).quantize(palette=palette, dither=Image.Dither.NONE)
+            now = np.asarray(frame)
+            now = np.where(now == UNCHANGED, np.uint8(0), now)
+            frame = Image.fromarray(now if before is None else np.where(now == before, np.uint8(UNCHANGED), now))
+            frame.putpalette(listed)
+            before = now
+            yield frame
+
+    frames, film = changes(), io.BytesIO()
+    more = {"duration": 1000.0 / frames_per_second, "loop": 0, "transparency": UNCHANGED, "disposal": 1}
+    next(frames).save(film, "GIF", save_all=True, append_images=frames, optimize=False, **more)
     return film.getvalue()
 
 

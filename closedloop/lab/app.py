@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import sys
 import threading
 import time as clock
 from collections.abc import Callable
@@ -60,6 +61,8 @@ FIRST = (
 )
 SLIDERS = ("linear", "log", "whole")
 UNSAVED = "This scenario was made in Python: press save, and run the command in the folder that it names."
+# How soon a thread leaves the interpreter to the one that computes a run, s; Python's own is 5 ms.
+SWITCH = 5e-4
 STOPPED = "The lab was closed. What is shown stays; open the lab again to go on."
 
 
@@ -109,6 +112,8 @@ class Lab:
         self.clients: list[Client] = []
         self._last: dict[str, bytes] = {}
         self._lock, self._count, self._dark = threading.RLock(), 0, dark
+        self._switch = sys.getswitchinterval()
+        sys.setswitchinterval(min(SWITCH, self._switch))
         self._begin(history, law, model)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
         self.details, self.map = Details(self), MapWork(self)
@@ -220,6 +225,8 @@ class Lab:
 
     def ask(self, key: str = "") -> None:
         """Run the scenario as it is now, `key` being what was changed last."""
+        if key or self.answer is not None:
+            self.map.changed()
         self._newest.ask((self.answers, self.history.changes, key))
 
     def wait(self, seconds: float = 60.0) -> bool:
@@ -252,7 +259,8 @@ class Lab:
     def _show_run(self, run: Run, answer: Answer) -> None:
         steps = max(0, len(run) - 1)
         line = answer.stopped or f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({run.engine})"
-        self._send_run(run, line=line, loud=bool(answer.stopped), partial=False, point=self.map.point(run.scenario))
+        self._send_run(run, line=line, loud=bool(answer.stopped), partial=False,
+                       point=self.map.point(run.scenario), stale=self.map.stale(run.scenario))  # fmt: skip
 
     def _show_part(self, run: Run) -> None:
         """Show what is done of a run that takes long."""
@@ -285,7 +293,7 @@ class Lab:
         if answer is not None and answer.run is not None:
             found = run_message(
                 answer.run, curves(answer.run, client.window, client.columns), n=self._count, partial=False,
-                point=self.map.point(answer.run.scenario),
+                point=self.map.point(answer.run.scenario), stale=self.map.stale(answer.run.scenario),
             )  # fmt: skip
             client.put(RUN, pack(found))
 
@@ -327,6 +335,8 @@ class Lab:
         self.clients.append(client)
         if self.front:
             self.show_gallery(client, front=True)
+        elif self.answer is not None:
+            self.map.begin_by_itself(self.answer)
 
     def _closed(self, client: Client) -> None:
         if client in self.clients:
@@ -353,3 +363,4 @@ class Lab:
         for client in list(self.clients):
             client.close()
         self.server.close()
+        sys.setswitchinterval(self._switch)

@@ -80,9 +80,13 @@ def panels(run: Run) -> list[Panel]:
     """Return the panels of a run of at least one row, with every row: of what it has of loops, contacts and surface."""
     links = [_links(run)] if run.scenario.contact else []
     loops = [_loops(run)] if run.model.loops else []
-    closure, friction = ([_closure(run)], [_friction(run)]) if Ground(run).there else ([], [])
-    force = [_force(run)] if run.scenario.has_surface or not links else []
-    return [*force, *links, *_torques(run), _tip(run), *friction, *closure, *loops]
+    there = Ground(run).there
+    closure = [_closure(run)] if there else []
+    friction = [_friction(run)] if there and run.scenario.friction.kind != "none" else []
+    tip = [_tip(run)] if run.scenario.has_surface or run.scenario.law.kind != "none" else []
+    found = [*_torques(run), *tip, *friction, *closure, *loops]
+    force = [_force(run)] if run.scenario.has_surface or not (links or found) else []
+    return [*force, *links, *found]
 
 
 def main_panel(run: Run) -> Panel:

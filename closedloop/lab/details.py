@@ -24,7 +24,9 @@ from closedloop.simulation.cache import Cache
 from closedloop.studies.analysis.overview import Overview, overview
 
 # The strip follows when no other run has come for so long, s, and while a slider moves so often; then the rest.
-REST, OFTEN = 0.12, 0.7
+REST, OFTEN = 0.2, 0.7
+# Between two parts it waits until no run is being computed, but no longer than this, s.
+GIVE_WAY = 0.3
 LATER = 0.3
 # Poles that are listed, and points of a curve over the frequency.
 POLES, POINTS = 12, 400
@@ -90,9 +92,11 @@ class Details:
             return
         summary = run.summary()
         self._send_strip(run, summary)
+        lab.wait_for_plots(GIVE_WAY)
         lab.tell_controls()
         held = list(lab.pins.held)
         lab.tell("compare", compare_message(held, run, answer.changes))
+        lab.wait_for_plots(GIVE_WAY)
         scene = scene_of(run)
         if scene.shapes is not self._shapes:
             self._shapes = scene.shapes
@@ -117,6 +121,7 @@ class Details:
 
     def _analyse(self, answer: Answer) -> None:
         run, lab = answer.run, self._lab
+        lab.wait_for_plots(GIVE_WAY)
         if run is None or answer is not lab.answer:
             return
         if lab.answers.law is not None:
@@ -138,6 +143,8 @@ class Details:
             if self._began is not None and self._began[2] is None and not answer.changes:
                 self._began = (*self._began[:2], self._margins)
             self._send_strip(run, run.summary())
+            if lab.clients and not lab.front:
+                lab.map.begin_by_itself(answer)
 
 
 def analysis_message(found: Overview) -> Message:

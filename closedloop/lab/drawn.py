@@ -18,6 +18,7 @@ from closedloop.lab.curves import CELLS, Panel, column_names, column_panel, pane
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.clearance import passing_note
 from closedloop.record.run import Run
+from closedloop.scenario.robot_sections import NO_ROBOT
 
 Message = dict[str, Any]
 Rows = Sequence[int] | NDArray[np.int64]
@@ -105,7 +106,10 @@ def space_message(scene: Scene, rows: Rows, passing: Message | None = None) -> M
     """Return a run in space: replay at `rows`, surface, paths, and what passes through what, as `passing` says."""
     (vertices, faces), (middle, radius), (near, close) = scene.surface, scene.ball, focus(scene)
     first = scene.arrows([0])[0]
-    lines = (("actual path", PATH, scene.run.position), ("desired path", WANTED, scene.run.reference_tip))
+    scenario = scene.run.scenario
+    lines = [("actual path", PATH, scene.run.position)] if scenario.robot.model != NO_ROBOT else []
+    if scenario.has_law or scenario.has_surface:
+        lines.append(("desired path", WANTED, scene.run.reference_tip))
     return {
         "kind": "space", "size": scene.size, "usual": scene.usual_force,
         "whole": {"centre": middle, "radius": radius}, "near": {"centre": near, "radius": close},

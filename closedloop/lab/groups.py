@@ -47,7 +47,12 @@ def all_controls(scenario: Scenario, model: RobotModel) -> dict[tuple[str, int |
     """Return every control of a scenario, by its key and the number of its entry."""
     sections = (section for tab in TABS.values() for section in tab)
     found = (control for section in sections for control in controls(scenario, section, model))
-    return {(control.key, control.index): control for control in found}
+    absent = () if scenario.has_law else ("law.", "force_profile.")  # nothing is commanded
+    return {
+        (control.key, control.index): control
+        for control in found
+        if control.key == "law.kind" or not control.key.startswith(absent)
+    }
 
 
 def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None], Any], changes: Changes) -> list[Row]:

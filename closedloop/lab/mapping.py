@@ -32,20 +32,22 @@ FIRST = 25
 class Axis:
     """An axis of a map: a key's control, and the values (cells,) of its number in each cell, from low to high.
 
-    Where the key is a list with a number for each joint, the number is that of the control's own entry.
+    Where the key is a list with a number for each joint, the number is that of the control's own entry; `together`: the
+    other entries change by the same factor.
     """
 
     control: Control
     values: Array
+    together: bool = False
 
     @classmethod
-    def of(cls, control: Control, cells: int = CELLS) -> Axis:
+    def of(cls, control: Control, cells: int = CELLS, together: bool = False) -> Axis:
         """Return the axis over the span of a slider: so many of its values, or all if they are fewer."""
         whole = np.round(np.linspace(0.0, control.high - control.low, cells) / control.step)
         shown = np.minimum(control.low + control.step * whole, control.high)
         own = (control.read(float(each)) for each in shown)
         values = [x if control.index is None else x[control.index] for x in own]
-        return cls(control, np.unique(np.array(values, dtype=float)))
+        return cls(control, np.unique(np.array(values, dtype=float)), together)
 
     @property
     def shown(self) -> Array:
@@ -60,6 +62,8 @@ class Axis:
     @property
     def name(self) -> str:
         """The key, with the entry's name where it is a list."""
+        if self.together:
+            return f"{self.control.key}, all"
         entry = "" if self.control.index is None else f" {self.control.label.rpartition(' ')[2]}"
         return f"{self.control.key}{entry}"
 
@@ -68,13 +72,17 @@ class Axis:
         place = min(max(share, 0.0), 1.0) * self.values.size - 0.5
         scale = np.log10 if self.control.form == "log" else np.asarray
         shown = np.interp(place, np.arange(self.values.size), scale(self.values))
-        return self.control.read(float(shown))
+        value = self.control.read(float(shown))
+        return self.control.together(value) if self.together else value
 
     def value(self, cell: int) -> Any:
         """Return the key's value in a cell."""
         number = float(self.values[cell])
         held, index = self.control.value, self.control.index
-        return number if index is None else [*held[:index], number, *held[index + 1 :]]
+        if index is None:
+            return number
+        value = [*held[:index], number, *held[index + 1 :]]
+        return self.control.together(value) if self.together else value
 
 
 @dataclass

@@ -9,19 +9,27 @@ from typing import Any
 import numpy as np
 
 from closedloop.base.errors import ClosedLoopError, one_line
+from closedloop.base.sections import Section
+from closedloop.jit.kernel import needs_compiling
+from closedloop.lab.answers import Answer
 from closedloop.lab.controls import Control
 from closedloop.lab.drawn import Message
-from closedloop.lab.history import Changes
-from closedloop.lab.mapping import Axis, Map
+from closedloop.lab.groups import DAMPING, STIFFNESS, group_of
+from closedloop.lab.mapping import BATCH, Axis, Map
 from closedloop.lab.newest import Newest
 from closedloop.lab.protocol import Lab
 from closedloop.record.report.measures import MEASURES
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.engines.lane_loop import run_in_lanes
+from closedloop.simulation.engines.lanes import can_use_lanes
 from closedloop.studies.analysis.stability import Range, Stability
 
 USUAL = "rms_force_error"
 # The map is sent again after so long at the earliest while it fills in, s.
 OFTEN = 0.25
+# A page that opens begins with a map where a run takes no longer than this, s; it has so many runs at a time, and ends
+# after so long, s, or when a slider is moved.
+QUICK, FEW_RUNS, AT_MOST = 0.15, 24, 8.0
 # Values along the map at which the boundary of stability is solved for.
 POINTS = 24
 
@@ -37,10 +45,10 @@ class MapWork:
     def __init__(self, lab: Lab) -> None:
         self._lab, self._stop = lab, threading.Event()
         self.map: Map | None = None
-        self._before: Changes = {}
-        self._controls: dict[str, Control] = {}
+        self._axes: dict[str, tuple[Control, bool]] = {}
+        self._by_itself = False
         self._told: Message | None = None
-        self._work: Newest[tuple[Map, Changes], None] = Newest(self._fill, lambda nothing: None)
+        self._work: Newest[tuple[Map, bool], None] = Newest(self._fill, lambda nothing: None)
 
     def begin(self) -> None:
         """Forget the map: another scenario is shown."""
@@ -49,16 +57,23 @@ class MapWork:
 
     def show_keys(self) -> None:
         """Offer the keys of the scenario as it is now."""
-        found = (c for c in self._lab.controls.values() if c.form in ("linear", "log"))
-        self._controls = {Axis.of(c, 2).name: c for c in found if not c.key.startswith("start.")}
-        names = list(self._controls)
+        found = [c for c in self._lab.controls.values() if c.form in ("linear", "log")]
+        self._axes = {}
+        for control in (c for c in found if not c.key.startswith("start.")):
+            entries = [] if control.index is None else [c for c in found if c.key == control.key]
+            if len(entries) > 1 and control is entries[0] and control.own != 0.0:
+                self._axes[Axis.of(control, 2, True).name] = control, True
+            self._axes[Axis.of(control, 2).name] = control, False
+        names = list(self._axes)
         # A gain, say, rather than an instant or a period, of which most values do not fit the step.
-        log = next(
-            (n for n, c in self._controls.items() if c.form == "log" and c.unit != "s"), names[-1] if names else ""
-        )
+        logs = [n for n, (c, _) in self._axes.items() if c.form == "log" and c.unit != "s"] or names[-1:] or [""]
+        of = {
+            group: [n for n in logs if n and group_of(self._axes[n][0].key) == group] for group in (STIFFNESS, DAMPING)
+        }
+        first = next((name for name in names if name == "law.force"), names[0] if names else "")
+        x, y = (of[STIFFNESS][0], of[DAMPING][0]) if all(of.values()) else (first, logs[0])
         message = {
-            "kind": "map_keys", "names": names, "quantities": list(MEASURES), "quantity": USUAL, "y": log,
-            "x": next((name for name in names if name == "law.force"), names[0] if names else ""),
+            "kind": "map_keys", "names": names, "quantities": list(MEASURES), "quantity": USUAL, "x": x, "y": y,
         }  # fmt: skip
         if message != self._told:
             self._told = message
@@ -67,25 +82,43 @@ class MapWork:
     @property
     def names(self) -> list[str]:
         """The keys that a map may have, by their names."""
-        return list(self._controls)
+        return list(self._axes)
 
-    def start(self, x: str, y: str, quantity: str) -> None:
-        """Compute the map of two keys, by their names."""
+    def start(self, x: str, y: str, quantity: str, by_itself: bool = False) -> None:
+        """Compute the map of two keys, by their names; `by_itself`: nobody asked for it, and any change stops it."""
         self._stop.set()
-        across, up, lab = self._controls.get(x), self._controls.get(y), self._lab
+        across, up, lab = self._axes.get(x), self._axes.get(y), self._lab
         if across is None or up is None or x == y or quantity not in MEASURES:
-            self._say("choose two different keys")
+            self._refuse("choose two different keys")
+            return
+        if across[0].key == up[0].key and (across[1] or up[1]):
+            self._refuse("choose two keys of which one does not change the other")
             return
         if lab.answers.law is not None:
-            self._say("a map needs a law that is a class: batches take no function")
+            self._refuse("a map needs a law that is a class: batches take no function")
             return
         try:
             scenario = lab.history.scenario()
             model = lab.answers.model(scenario)
         except ClosedLoopError as error:
-            self._say(one_line(str(error)))
+            self._refuse(one_line(str(error)))
             return
-        self._work.ask((Map(scenario, Axis.of(across), Axis.of(up), quantity, model), dict(lab.history.changes)))
+        over, along = (Axis.of(control, together=together) for control, together in (across, up))
+        self._work.ask((Map(scenario, over, along, quantity, model), by_itself))
+
+    def begin_by_itself(self, answer: Answer) -> None:
+        """Compute a first map for a page that is open, of a run that is quick and has nothing left to be compiled."""
+        run, told = answer.run, self._told
+        if run is None or told is None or self.map is not None or answer.stopped or answer.seconds > QUICK:
+            return
+        if not run.scenario.has_surface or (can_use_lanes(run.scenario) and needs_compiling(run_in_lanes)):
+            return
+        self.start(told["x"], told["y"], told["quantity"], by_itself=True)
+
+    def changed(self) -> None:
+        """A value of the scenario has changed: a map that nobody asked for leaves the processor to the run."""
+        if self._by_itself:
+            self._stop.set()
 
     def stop(self) -> None:
         """Stop computing."""
@@ -137,25 +170,58 @@ class MapWork:
             found.append(float(value))
         return found
 
-    def _fill(self, request: tuple[Map, Changes]) -> None:
-        wanted, self._before = request
+    def stale(self, scenario: Scenario) -> str:
+        """Return the key by which a scenario differs from those of the map, beside its two; "" if none does."""
+        if self.map is None:
+            return ""
+        axes = self.map.x, self.map.y
+        for section in Scenario.model_fields:
+            now, then = getattr(scenario, section), getattr(self.map.scenario, section)
+            if now == then:
+                continue
+            if type(now) is not type(then) or not isinstance(now, Section):
+                if not any(axis.control.key.startswith(f"{section}.") for axis in axes):
+                    return section
+                continue
+            for name in type(now).model_fields:
+                here = [axis for axis in axes if axis.control.key == f"{section}.{name}"]
+                values = getattr(now, name), getattr(then, name)
+                if values[0] == values[1] or any(axis.together or axis.control.index is None for axis in here):
+                    continue
+                moved = {axis.control.index for axis in here}
+                lists = zip(*values, strict=True) if here and len(values[0]) == len(values[1]) else ()
+                if not here or any(a != b for k, (a, b) in enumerate(lists) if k not in moved):
+                    return f"{section}.{name}"
+        return ""
+
+    def _fill(self, request: tuple[Map, bool]) -> None:
+        wanted, self._by_itself = request
+        by_itself = self._by_itself
         self._stop.clear()
         self._lab.forget("boundary")
         self.map, sent, began = wanted, 0.0, clock.perf_counter()
         total = wanted.grid.size
+
+        def stopped() -> bool:
+            late = by_itself and clock.perf_counter() - began > AT_MOST
+            return late or self._stop.is_set() or self._work.overtaken
+
         try:
-            for done in wanted.fill(lambda: self._stop.is_set() or self._work.overtaken):
+            for done in wanted.fill(stopped, FEW_RUNS if by_itself else BATCH):
                 now = clock.perf_counter()
                 if done == total or now - sent > OFTEN:
                     sent = now
                     failed = f", {len(wanted.reasons)} refused or stopped (grey)" if wanted.reasons else ""
                     self._send(wanted, f"{done} of {total} runs in {now - began:.1f} s{failed}", done == total)
+            known = int(np.isfinite(wanted.state).sum())
+            if known < total:
+                self._send(wanted, f"{known} of {total} runs; press compute for all", True)
             if not self._stop.is_set():
                 self._boundary(wanted)
-            else:
-                self._send(wanted, "stopped", True)
         except ClosedLoopError as error:
             self._send(wanted, one_line(str(error)), True)
+        finally:
+            self._by_itself = False
 
     def _send(self, found: Map, line: str, complete: bool) -> None:
         measure = MEASURES[found.quantity]
@@ -165,11 +231,13 @@ class MapWork:
             "line": f"{line}. Dashed: where the verdicts turn from good." if complete else line,
         }  # fmt: skip
         self._lab.tell("map", message)
-        self._lab.tell("point", {"kind": "point", "at": self.point(self._lab.history.scenario())}, keep=False)
+        scenario = self._lab.history.scenario()
+        point = {"kind": "point", "at": self.point(scenario), "stale": self.stale(scenario)}
+        self._lab.tell("point", point, keep=False)
 
     def _boundary(self, found: Map) -> None:
-        """Send the boundary of stability, where the loop can be analysed and both keys are numbers."""
-        if found.x.control.index is not None or found.y.control.index is not None:
+        """Send the boundary of stability, where the loop can be analysed and the keys are not entries of one list."""
+        if found.x.control.key == found.y.control.key:
             return
         try:
             study = Stability(found.scenario, model=found.model)
@@ -177,13 +245,20 @@ class MapWork:
             limits = study.boundary(over, along, POINTS)
         except (ClosedLoopError, ArithmeticError, ValueError):
             return
-        if limits and self.map is found:
+        if not limits:
+            self._say(
+                "The force loop is stable, or unstable, in the whole map. Dashed: where a verdict turns from good."
+            )
+        elif self.map is found:
             line = "Red: where the force loop becomes unstable. Dashed: where a verdict turns from good."
             xs, ys = zip(*sorted((value, limit.value) for value, limit in limits), strict=True)
             self._lab.tell("boundary", {"kind": "boundary", "x": np.array(xs), "y": np.array(ys), "line": line})
 
-    def _say(self, line: str) -> None:
-        self._lab.tell("map_said", {"kind": "map_said", "line": line}, keep=False)
+    def _say(self, line: str, refused: bool = False) -> None:
+        self._lab.tell("map_said", {"kind": "map_said", "line": line, "refused": refused}, keep=False)
+
+    def _refuse(self, line: str) -> None:
+        self._say(line, refused=True)
 
 
 def _axis(axis: Axis) -> Message:
@@ -191,4 +266,7 @@ def _axis(axis: Axis) -> Message:
 
 
 def _range(axis: Axis) -> Range:
-    return Range(axis.control.key, float(axis.values[0]), float(axis.values[-1]), axis.control.form == "log")
+    control = axis.control
+    held = () if control.index is None else tuple(control.value)
+    ends = float(axis.values[0]), float(axis.values[-1])
+    return Range(control.key, *ends, control.form == "log", held, None if axis.together else control.index)

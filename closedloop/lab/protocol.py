@@ -21,6 +21,8 @@ class Lab(Protocol):
     answer: Answer | None
     pins: Pins
     folder: Path | None
+    clients: list[Client]
+    front: bool
     controls: dict[tuple[str, int | None], Control]
     details: Any
     map: Any
@@ -48,6 +50,9 @@ class Lab(Protocol):
 
     def forget(self, *slots: str) -> None:
         """Send these to pages that open later no more."""
+
+    def wait_for_plots(self, seconds: float = 60.0) -> bool:
+        """Wait until the curves of the newest change have been sent; return whether they have."""
 
     def tell_controls(self, forced: bool = False) -> None:
         """Send the controls as they are."""

@@ -29,8 +29,8 @@ NUMBERS: dict[str, tuple[str, str, str, bool, float]] = {
     "path RMS": ("rms_path_error", "mm", "RMS distance of the tip from its path, along the surface", True, 1e3),
     "in contact": ("time_in_contact", "s", "time in contact", False, 1.0),
     "torque": ("torque_share", "%", "largest torque as a share of that joint's own limit", True, 100.0),
-    "energy off": ("max_energy_residual", "J", "largest energy unaccounted for", True, 1.0),
-    "friction took": ("energy_lost_to_friction", "J", "energy that friction took, tip and joints", True, 1.0),
+    "energy error": ("max_energy_residual", "J", "largest energy unaccounted for", True, 1.0),
+    "friction loss": ("energy_lost_to_friction", "J", "energy lost to friction, of the tip and the joints", True, 1.0),
     "step error": ("step_error_force", "N", "how far the step leaves the contact force uncertain", True, 1.0),
 }  # fmt: skip
 MARGINS: dict[str, tuple[str, str, str]] = {

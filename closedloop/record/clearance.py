@@ -2,8 +2,10 @@
 
 The shapes are the collision shapes of the robot's file, or those that are drawn where a URDF has none; of a mesh its
 convex hull. Links joined by a joint, or that touch by a [[contact]], are not compared, nor those that overlap at the
-start: their shapes are made so. Distances of two links are those of coal, negative where they overlap; those from a
-plane are exact. Looked at is a number of rows, and all rows about the nearest of them.
+start: their shapes are made so. The surface of the tip has no edge in the file: shapes that are through its plane at
+the start are taken to be beside it, and the shape that holds the tip touches it. Distances of two links are those of
+coal, negative where they overlap; those from a plane are exact. Looked at is a number of rows, and all rows about the
+nearest of them.
 """
 
 from __future__ import annotations
@@ -217,6 +219,8 @@ def _from_plane(
         n = np.einsum("rji,j->ri", frames[:, :3, :3], plane.normal)  # in the shape's axes
         height = frames[:, :3, 3] @ plane.normal - plane.offset
         gaps = height + _lowest(solid.shape, n)
+        if plane.name == SURFACE and (gaps[0] < -TOUCHING or _holds(solid, poses[0], run.position[rows[0]])):
+            continue
         if np.max(gaps) < 0.0 and np.ptp(gaps) < TOUCHING:  # it stands through the plane, as a base does
             continue
         at = int(np.argmin(gaps))
@@ -224,6 +228,17 @@ def _from_plane(
         if best is None or distance < best.distance:
             best = Clearance(distance, float(run.time[rows[at]]), (solid.link, plane.name))
     return best
+
+
+def _holds(solid: Solid, pose: Array, point: Array) -> bool:
+    """Whether a point (3,), m, base frame, is in a shape or on it."""
+    import coal
+
+    place = pose[solid.joint] @ solid.place
+    there, at = coal.Transform3s(place[:3, :3], place[:3, 3]), coal.Transform3s(np.eye(3), point)
+    ball, ask = coal.Sphere(TOUCHING), coal.DistanceRequest()
+    found = coal.distance(_made(solid.shape)[0], there, ball, at, ask, coal.DistanceResult())
+    return float(found) < TOUCHING
 
 
 def _lowest(shape: CollisionShape, n: Array) -> Array:

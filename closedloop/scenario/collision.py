@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 FEET = 3
 # Shapes of two links that may touch each other.
 PAIRED = ("box", "sphere", "capsule")
-# A corner of a mesh that is inside its convex hull by more than this share of its size makes it not convex.
+# A mesh whose surface is inside its convex hull by more than this share of its size is not convex.
 INSIDE = 1e-6
 # As many corners as one hull may have.
 MOST_CORNERS = 64
@@ -97,13 +97,8 @@ def hulls_taken(scenario: Scenario, model: RobotModel) -> list[str]:
     sections = scenario.contact or ()
     for name, section in zip(names_of(sections), sections, strict=True):
         for shape in _shapes(section, model, name) if section.at == COLLISION else ():
-            if shape.kind == "mesh":
-                depth, size = _hollow(shape.vertices), float(np.max(np.ptp(shape.vertices, axis=0)))
-                if depth > INSIDE * size:
-                    lines.append(
-                        f"contact {name!r}: the mesh {shape.file!r} is not convex: its convex hull touches, up to "
-                        f"{depth:.3g} m outside of it"
-                    )
+            if shape.kind == "mesh" and _hollow(shape) > INSIDE * float(np.max(np.ptp(shape.vertices, axis=0))):
+                lines.append(f"contact {name!r}: the mesh {shape.file!r} is not convex: its convex hull touches")
     return lines
 
 
@@ -161,10 +156,13 @@ def hull_corners(vertices: Array) -> Array:
     return corners
 
 
-def _hollow(vertices: Array) -> float:
-    """Return how far the point deepest within the convex hull of points (V, 3) is from its faces, m."""
+def _hollow(shape: CollisionShape) -> float:
+    """Return how far a mesh's surface is inside the convex hull at most, at its corners and triangles' centroids, m.
+
+    The centroids tell a flat part with a notch, whose corners are all on its two faces.
+    """
     from scipy.spatial import ConvexHull
 
-    faces = ConvexHull(vertices).equations
-    inside: Array = -(vertices @ faces[:, :3].T + faces[:, 3])
-    return float(np.max(np.min(inside, axis=1)))
+    faces = ConvexHull(shape.vertices).equations
+    points = np.concatenate([shape.vertices, shape.centroids])
+    return float(np.max(np.min(-(points @ faces[:, :3].T + faces[:, 3]), axis=1)))

@@ -57,3 +57,37 @@ def test_a_plane_that_another_link_touches(tmp_path):
     _, found = passed(tmp_path, [1.0, -14.0], floor)
     assert tuple(found.between) == ("ball", "the plane of 'floor'")
     assert found.distance == pytest.approx(1.0 - 1.4 - 0.2 + 0.1, abs=1e-12)
+
+
+PEN = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="x" type="slide" axis="1 0 0"/>
+<geom type="box" size="0.1 0.1 0.1" mass="1" pos="0 0 0.3"/><body name="pen"><joint name="z" type="slide" axis="0 0 1"/>
+<geom size="0.02" mass="1"/><site name="tip"/></body></body>
+<body name="tool" pos="0 0 HEIGHT"><joint name="down" type="slide" axis="0 0 1"/><geom size="0.05" mass="1"/></body>
+</worldbody></mujoco>"""
+
+
+def above_a_surface(tmp_path, height):
+    """Return the least distance from the tip's plane z = 0 of a ball at a height, m, that falls with 2 m/s."""
+    (tmp_path / "pen.xml").write_text(PEN.replace("HEIGHT", str(height)))
+    text = (
+        '[robot]\nmodel = "pen.xml"\ntip = "tip"\n[surface]\nkind = "plane"\n[law]\nkind = "paper"\nkp = 0.0\n'
+        "kd = 0.0\nforce = 1.0\n[start]\nv = [0.0, 0.0, -2.0]\n[time]\nduration = 0.1\nstep = 0.001\n"
+    )
+    (tmp_path / "run.toml").write_text(text)
+    run = cl.simulate(cl.load_scenario(tmp_path / "run.toml"), progress=False)
+    return [each for rows in passing(run, [0, 100]) for each in rows if "the surface" in each.between]
+
+
+def test_a_link_that_comes_through_the_plane_of_the_surface_is_named(tmp_path):
+    """From 0.1 m above it falls to 0.1 m below, its ball 0.05 m deeper; the ball that holds the tip touches it."""
+    (found,) = above_a_surface(tmp_path, 0.1)
+    assert found.between == ("tool", "the surface")
+    assert found.distance == pytest.approx(-0.15, abs=1e-9)
+
+
+def test_a_link_that_begins_below_the_plane_of_the_surface_is_beside_it(tmp_path):
+    """The plane has no edge in the file: wam4 reaches its surface from below, and nothing passes through anything."""
+    assert above_a_surface(tmp_path, -0.01) == []
+    for name in ("wam_slide", "wam_bounce", "panda_slide", "planar2_slide"):
+        short = cl.simulate(cl.load_scenario(name, {"time.duration": 0.2}), progress=False)
+        assert passing_note(short.summary()["clearance"]) == ""

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import closedloop as cl
 import robot_models
@@ -89,9 +90,18 @@ def test_a_mesh_touches_with_the_corners_of_its_hull_and_a_hollow_one_is_told(tm
     found = {section.at for section in with_collision_shapes(asked, model).contact}
     assert found == {(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0)}
     (line,) = hulls_taken(asked, model)
-    assert (
-        line == "contact 'part': the mesh 'dent.obj' is not convex: its convex hull touches, up to 0.2 m outside of it"
-    )
+    assert line == "contact 'part': the mesh 'dent.obj' is not convex: its convex hull touches"
+
+
+def test_a_flat_part_with_a_notch_is_told_too(tmp_path):
+    """An L, all of whose corners are on its two faces; one of its parts is convex."""
+    boxes = [trimesh.creation.box(bounds=[[0, 0, 0], top]) for top in ([2, 1, 0.5], [1, 2, 0.5])]
+    boxes[0].export(tmp_path / "plate.obj")
+    trimesh.util.concatenate(boxes).export(tmp_path / "L.obj")
+    told = {
+        name: hulls_taken(*scenario(tmp_path, URDF.format(file=f"{name}.obj"), "body.urdf")) for name in ("L", "plate")
+    }
+    assert (len(told["L"]), told["plate"]) == (1, [])
 
 
 WRONG = [

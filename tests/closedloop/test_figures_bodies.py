@@ -43,6 +43,14 @@ def test_what_is_drawn_is_the_run(toss):
     assert 0 < len([line for line in forces.lines if line.get_label().startswith("corner")]) <= 8
 
 
+def test_bodies_at_rest_have_no_panel_of_rounding():
+    """Of boxes that stand the height alone is drawn: they go nowhere and do not turn, but for 1e-16."""
+    run = cl.simulate(cl.load_scenario("tower", {"time.duration": 0.02}), progress=False)
+    (height,) = bodies(run).axes
+    assert height.get_title(loc="left") or height.get_title()
+    assert len([line for line in height.lines if not line.get_label().startswith("_")]) == 5
+
+
 def test_angles_of_turns_to_rounding():
     """From nothing to half a turn, and of either sign of a quaternion."""
     angles = np.array([0.0, 1e-9, 0.3, 2.0, np.pi - 1e-6])

@@ -14,6 +14,7 @@ from closedloop.__main__ import main
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab import in_browser
 from closedloop.lab.share import MOST_FRAMES
+from closedloop.studies.analysis.stability import Stability
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
 
@@ -270,6 +271,31 @@ def test_a_drag_in_the_map_loads_the_runs_below_the_pointer(page, lab):
     page.keyboard.press("Control+z")
     settled(page, lab)
     assert (lab.run.scenario.law.force, lab.run.scenario.law.kp[1]) == (10.0, 900.0)
+
+
+def test_the_map_shows_where_the_loop_becomes_unstable(page, lab):
+    """It begins by itself, stops for a slider, and says what it lacks; whole, its red line is where a pole leaves."""
+    page.wait_for_function("map.m")
+    lab.changed("time.duration", 1.2)
+    page.wait_for_function("map.m.complete && map.canvas.classList.contains('late')")
+    assert "another time.duration" in page.locator("#pane").inner_text()
+    settled(page, lab)
+    assert page.locator("#tabs select").nth(0).input_value() == "law.kp, all"
+    assert page.locator("#tabs select").nth(1).input_value() == "law.kd, all"
+    page.locator("#compute").click()
+    page.wait_for_function("map.line?.x", timeout=300_000)
+    kps, kds = (page.evaluate(f"[...map.line.{axis}]") for axis in "xy")
+    for k in (0, -1):
+        for share, stable in ((0.98, True), (1.02, False)):
+            values = {"law.kp": [kps[k] * each / 900.0 for each in (900.0, 900.0, 400.0, 300.0)],
+                      "law.kd": [share * kds[k] * each / 60.0 for each in (60.0, 60.0, 30.0, 20.0)]}  # fmt: skip
+            scenario = cl.load_scenario("wam_slide", {"time.duration": 1.2})
+            assert (Stability(scenario).growth(values) < 0.0) == stable
+    red = """() => { const c = map.canvas, g = c.getContext('2d'); let n = 0, d;
+        d = g.getImageData(0, 0, c.width, c.height).data;
+        for (let k = 0; k < d.length; k += 4) n += d[k] === 255 && d[k + 1] === 90 && d[k + 2] === 54; return n }"""
+    assert page.evaluate(red) > 50
+    assert page.evaluate("map.point") == [900.0, 60.0]
 
 
 def test_two_tabs_and_a_reload_show_the_same_run(page, browser, lab):

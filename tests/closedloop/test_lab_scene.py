@@ -4,6 +4,7 @@ import re
 import sys
 from dataclasses import replace
 
+import matplotlib as mpl
 import numpy as np
 import pinocchio
 import pytest
@@ -11,7 +12,9 @@ import pytest
 import closedloop as cl
 from closedloop.figures.scene.joined import Joined
 from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
-from closedloop.lab.curves import panels, reduced
+from closedloop.lab.animate import CELLS, OWN
+from closedloop.lab.curves import main_panel, panels, reduced
+from closedloop.lab.film_picture import Picture
 from closedloop.lab.messages import from_text
 from closedloop.lab.share import page_of
 from closedloop.loop.events.table import EVENT_COLUMNS
@@ -227,6 +230,16 @@ def test_a_film_has_a_frame_for_each_instant(tmp_path):
     run = short_run("planar2_drop")
     with Image.open(run.animate(tmp_path / "drop.gif", frames_per_second=8)) as film:
         assert film.n_frames == 5
+        frames = []
+        for k in range(film.n_frames):
+            film.seek(k)
+            frames.append(np.asarray(film.convert("RGB")).astype(int))
+    with mpl.rc_context(OWN):
+        picture = Picture(scene_of(run), reduced(main_panel(run), 0.0, float(run.time[-1]), CELLS))
+        pictures = [picture.pixels(row)[..., :3].astype(int) for row in (0, 125, 250, 375, 500)]
+    for wanted, frame in zip(pictures, frames, strict=True):  # each is whole, but for the palette
+        off = np.abs(wanted - frame).max(axis=2)
+        assert np.mean(off > 60) < 2e-3
     with pytest.raises(cl.ScenarioError, match=r"a film is \.gif or \.mp4"):
         run.animate(tmp_path / "drop.avi")
     with pytest.raises(cl.ScenarioError, match="speed = 0"):

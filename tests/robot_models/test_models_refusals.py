@@ -30,6 +30,13 @@ URDF = {
     "negative mass on the base": (arm(base=link("base", weighing("-1"))), ["'base'", "-1 kg"]),
     "zero mass on a link that moves": (arm(fore=link("fore", weighing("0"))), ["'fore'", "0 kg", "positive"]),
     "nothing moves with the last joint": (arm(fore=link("fore", "")), ["'elbow'", "moves no mass"]),
+    "a free body without inertia": (
+        arm(
+            fore=link("fore", ""),
+            elbow='<joint name="free" type="floating"><parent link="upper"/><child link="fore"/></joint>',
+        ),
+        ["free joint 'free' moves no mass", "give its links an <inertial>"],
+    ),
     "point mass on the axis": (
         arm(fore=link("fore", tensor(0, 0, 0))),
         ["'elbow'", "no inertia along its own axis"],

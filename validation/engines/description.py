@@ -1,10 +1,13 @@
-"""A URDF without everything that engines read differently and that is no part of the mechanism."""
+"""A description without everything that engines read differently and that is no part of the mechanism."""
 
 from __future__ import annotations
 
 from xml.etree import ElementTree
 
+import numpy as np
+
 from validation.engines.interface import CannotBuild
+from validation.oracle.spatial import Array
 
 _LEFT_OUT = {
     "link": ("visual", "collision"),  # meshes may be absent; MuJoCo and Drake would look for them
@@ -30,6 +33,23 @@ def bare_urdf(text: str) -> str:
             if child.tag in _LEFT_OUT[element.tag]:
                 element.remove(child)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def bare_mjcf(text: str) -> tuple[str, dict[str, tuple[str, Array]]]:
+    """Return the bodies and what their inertias follow from, and each site's body and place in it (3,) [m]."""
+    root, sites = ElementTree.fromstring(text.encode()), {}
+    for element in list(root):
+        if element.tag not in ("compiler", "default", "asset", "worldbody"):
+            root.remove(element)
+    for body in root.iter("body"):
+        for site in body.findall("site"):
+            place = np.array([float(value) for value in site.get("pos", "0 0 0").split()])
+            sites[site.get("name", "")] = (body.get("name", ""), place)
+            body.remove(site)
+        for geom in body.findall("geom") if body.find("inertial") is not None else []:
+            body.remove(geom)
+    root.set("model", root.get("model", "robot"))  # Drake asks for a name
+    return ElementTree.tostring(root, encoding="unicode"), sites
 
 
 def root_link(text: str) -> str:

@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from validation.engines.description import bare_urdf, root_link
-from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, columns_of
+from robot_models.coordinates import BALL, PLACES, RATES
+from validation.engines.description import bare_mjcf, bare_urdf, root_link
+from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, columns_of, refuse_balls
 from validation.oracle.spatial import Array
 
 
@@ -17,11 +22,16 @@ class Drake(Engine):
     """Drake's MultibodyPlant, continuous, so that no time step enters any number.
 
     Joint order: depth first as Drake numbers its mobilizers; mapped by name through `velocity_start`. Frames: world
-    axes; Jacobians with respect to v. Armature: the reflected inertia of a `JointActuator` with gear ratio 1 and the
-    armature as rotor inertia, which Drake adds to H; the actuators are never driven. Gravity: the vector of the
-    plant's gravity field; `CalcBiasTerm` leaves it out and `CalcGravityGeneralizedForces` has the opposite sign, so
-    C = bias term − gravity forces. Torques enter at the port for applied generalized forces. Locked joints are
-    removed and their frames welded. A root link called "world" *is* Drake's world and is not welded to it.
+    axes; Jacobians with respect to v. A joint that turns freely has its angular velocity in the parent's axes, the
+    simulator's in the body's own; v_Drake = T v with an orthogonal T (a permutation beside rotations R), and Ṫ v = 0
+    as Ṙ ω = R (ω × ω). A free body's velocities are those of its origin, angular ones first.
+
+    Armature: the reflected inertia of a `JointActuator` with gear ratio 1 and the armature as rotor inertia, which
+    Drake adds to H; the actuators are never driven. Gravity: the vector of the plant's gravity field; `CalcBiasTerm`
+    leaves it out and `CalcGravityGeneralizedForces` has the opposite sign, so C = bias term − gravity forces. Torques
+    enter at the port for applied generalized forces. Locked joints are removed and their frames welded. A root link
+    called "world" *is* Drake's world and is not welded to it. Sites of MJCF are unknown to it: the tip's is added as
+    a frame.
 
     Free acceleration is `EvalTimeDerivatives`: the articulated body algorithm, which never forms H.
 
@@ -34,6 +44,7 @@ class Drake(Engine):
     """
 
     name = "drake"
+    turns_freely = True
     package = "pydrake"
     install = 'pip install "drake>=1.50"'
     covers = frozenset(METHODS) - {"stabilised", "constrained", "impulse"}
@@ -51,46 +62,57 @@ class Drake(Engine):
 
         self.plant = build_plant(robot, 0.0)
         self.plant.Finalize()
-        self.columns = columns(self.plant, robot)
+        self.types = tuple(getattr(robot, "joint_types", ("",) * self.n))
+        self.parts = _parts(self.plant, robot, self.types)
         self.context = self.plant.CreateDefaultContext()
-        if not self.plant.HasBodyNamed(tip):
+        if not self.plant.HasFrameNamed(tip):
             raise CannotBuild(f"Drake has no body {tip!r}")
         self.tip: Any = self.plant.GetFrameByName(tip)
         self.world: Any = self.plant.world_frame()
         self.wrt: Any = JacobianWrtVariable.kV
 
-    def _set(self, q: Array, v: Array | None = None) -> None:
+    def _set(self, q: Array, v: Array | None = None) -> Array:
+        """Put the state in and return T (n, n) of v_Drake = T v."""
+        from pydrake.math import RollPitchYaw, RotationMatrix
+
         if not (np.all(np.isfinite(q)) and (v is None or np.all(np.isfinite(v)))):
             raise ValueError("q and v must be finite")
-        # One variable a joint, so positions and velocities have the same order.
-        both = np.zeros((2, self.n))
-        both[0, self.columns] = q
-        both[1, self.columns] = 0.0 if v is None else v
-        self.plant.SetPositionsAndVelocities(self.context, both.ravel())
+        positions, T = np.zeros(self.plant.num_positions()), np.zeros((self.n, self.n))
+        for part in self.parts:
+            if part.angles is None:
+                positions[part.position], T[part.velocity, part.column] = q[part.column], 1.0
+                continue
+            turn = RotationMatrix(Rotation.from_rotvec(q[part.column : part.column + 3]).as_matrix())
+            T[part.velocity : part.velocity + 3, part.column : part.column + 3] = turn.matrix()
+            angles = RollPitchYaw(turn).vector() if part.angles == 3 else turn.ToQuaternion().wxyz()
+            positions[part.position : part.position + part.angles] = angles
+        self.plant.SetPositions(self.context, positions)
+        self.plant.SetVelocities(self.context, T @ (np.zeros(self.n) if v is None else v))
+        return T
 
     def mass_matrix(self, q: Array) -> Array:
-        self._set(q)
-        return np.array(self.plant.CalcMassMatrix(self.context)[np.ix_(self.columns, self.columns)])
+        T = self._set(q)
+        return np.array(T.T @ self.plant.CalcMassMatrix(self.context) @ T)
 
     def bias(self, q: Array, v: Array) -> Array:
-        self._set(q, v)
+        T = self._set(q, v)
         gravity = self.plant.CalcGravityGeneralizedForces(self.context)
-        return np.array((self.plant.CalcBiasTerm(self.context) - gravity)[self.columns])
+        return np.array(T.T @ (self.plant.CalcBiasTerm(self.context) - gravity))
 
     def gravity_term(self, q: Array) -> Array:
-        self._set(q)
-        return np.array(-self.plant.CalcGravityGeneralizedForces(self.context)[self.columns])
+        T = self._set(q)
+        return np.array(-T.T @ self.plant.CalcGravityGeneralizedForces(self.context))
 
     def position(self, q: Array) -> Array:
         self._set(q)
         return np.array(self.tip.CalcPoseInWorld(self.context).translation())
 
     def jacobian(self, q: Array) -> Array:
-        self._set(q)
+        T = self._set(q)
         J = self.plant.CalcJacobianTranslationalVelocity(
             self.context, self.wrt, self.tip, np.zeros(3), self.world, self.world
         )
-        return np.array(J[:, self.columns])
+        return np.array(J @ T)
 
     def drift(self, q: Array, v: Array) -> Array:
         self._set(q, v)
@@ -100,12 +122,60 @@ class Drake(Engine):
         return np.array(a).reshape(3)
 
     def free_acceleration(self, q: Array, v: Array, torque: Array) -> Array:
-        self._set(q, v)
-        applied = np.zeros(self.n)
-        applied[self.columns] = torque
-        self.plant.get_applied_generalized_force_input_port().FixValue(self.context, applied)
+        T = self._set(q, v)
+        self.plant.get_applied_generalized_force_input_port().FixValue(self.context, T @ torque)
         derivatives = self.plant.EvalTimeDerivatives(self.context).CopyToVector()
-        return np.array(derivatives[self.n :][self.columns])
+        return np.array(T.T @ derivatives[self.plant.num_positions() :])
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Where a joint of one velocity, or the turning of one that turns freely, lies.
+
+    Attributes
+    ----------
+    column : its first velocity in the robot's order
+    position, velocity : its first place in Drake's q and v
+    angles : numbers of its orientation in q, 4 of a quaternion or 3 angles; None for a joint of one velocity
+    """
+
+    column: int
+    position: int
+    velocity: int
+    angles: int | None = None
+
+
+def _parts(plant: Any, robot: Robot, types: Sequence[str]) -> list[_Part]:
+    """Return the parts of the robot's q and v."""
+    joints = {joint.name(): joint for joint in map(plant.get_joint, plant.GetJointIndices())}
+    joints |= {name: joints[body] for name, body in _free_joints(robot).items() if body in joints}
+    found: list[_Part] = []
+    for column, (name, kind) in enumerate(zip(robot.joint_names, types, strict=True)):
+        end = next((end for end in (*PLACES, *RATES) if name.endswith(end) and name not in joints), "")
+        joint = joints.get(name.removesuffix(end))
+        if joint is None or joint.num_velocities() == 0:
+            raise CannotBuild(f"Drake reads no joint {name!r}")
+        position, velocity = joint.position_start(), joint.velocity_start()
+        free = joint.num_velocities() == 6
+        if kind != BALL:
+            at = PLACES.index(end) if free else 0
+            found.append(_Part(column, position + at + 4 * free, velocity + at + 3 * free))
+        elif end == RATES[0]:
+            found.append(_Part(column, position, velocity, joint.num_positions() - 3 * free))
+    if plant.num_velocities() != len(robot.joint_names):
+        raise CannotBuild(f"Drake made {plant.num_velocities()} velocities, the robot has {len(robot.joint_names)}")
+    return found
+
+
+def _free_joints(robot: Robot) -> dict[str, str]:
+    """Return the body of each named free joint of an MJCF: Drake calls the joint by its body's name."""
+    if robot.format != "mjcf":
+        return {}
+    bodies = ElementTree.fromstring(robot.text.encode()).iter("body")
+    free = [
+        (body, joint) for body in bodies for joint in body if joint.tag == "freejoint" or joint.get("type") == "free"
+    ]
+    return {joint.get("name", ""): body.get("name", "") for body, joint in free if joint.get("name")}
 
 
 def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
@@ -116,27 +186,38 @@ def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
     time_step : 0 is a continuous plant [s]
     scene_graph : where geometry is registered, for contact
     """
+    from pydrake.math import RigidTransform
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import MultibodyPlant
+    from pydrake.multibody.tree import FixedOffsetFrame
 
-    if robot.format != "urdf":
-        raise CannotBuild(f"Drake is given URDF only here, this robot is {robot.format!r}")
-    text = bare_urdf(robot.text)
+    sites: dict[str, tuple[str, Array]] = {}
+    if robot.format == "urdf":
+        refuse_balls(robot, "drake, for a URDF,")
+        text = bare_urdf(robot.text)
+    else:
+        text, sites = bare_mjcf(robot.text)
     plant: Any = MultibodyPlant(time_step)
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
     try:
-        Parser(plant).AddModelsFromString(text, "urdf")
+        Parser(plant).AddModelsFromString(text, "urdf" if robot.format == "urdf" else "xml")
     except RuntimeError as error:
         raise CannotBuild(f"Drake refuses it: {str(error).splitlines()[0]}") from error
-    root = plant.GetBodyByName(root_link(text))
-    if root.index() != plant.world_body().index():
-        plant.WeldFrames(plant.world_frame(), root.body_frame())
+    if robot.format == "urdf":
+        root = plant.GetBodyByName(root_link(text))
+        if root.index() != plant.world_body().index():
+            plant.WeldFrames(plant.world_frame(), root.body_frame())
+    place: Any  # Drake's types name an array of float64 only
+    for name, (body, place) in sites.items():
+        plant.AddFrame(FixedOffsetFrame(name, plant.GetBodyByName(body).body_frame(), RigidTransform(place)))
     for name, value in robot.locked.items():
         _weld(plant, plant.GetJointByName(name), value)
     for name, armature in zip(robot.joint_names, robot.armature, strict=True):
+        if armature == 0.0:
+            continue
         if not plant.HasJointNamed(name):
-            raise CannotBuild(f"Drake reads no joint {name!r}")
+            raise CannotBuild(f"Drake has no actuator for the armature of {name!r}")
         actuator = plant.AddJointActuator(name, plant.GetJointByName(name))
         actuator.set_default_gear_ratio(1.0)
         actuator.set_default_rotor_inertia(float(armature))

@@ -34,8 +34,9 @@ class Controls {
       box.dataset.name = group.name;
       let list = null;
       group.rows.forEach((row) => {
-        if (row.index === 0 && group.rows.filter((r) => r.key === row.key).length > 1) {
-          list = this.all(row, group.rows.filter((r) => r.key === row.key));
+        const whole = row.index === null ? [] : group.rows.filter((r) => r.key === row.key);
+        if (whole[0] === row && whole.length > 1) {
+          list = this.all(row, whole);
           box.append(list.box);
         }
         const made = this.row(row);
@@ -55,6 +56,7 @@ class Controls {
   // The row of a whole list: its slider moves all joints by the same factor.
   all(first, rows) {
     const made = this.row({ ...first, label: `${first.name}`, id: `${first.key}*` }, true);
+    made.first = first.id;
     const found = { box: made.box, key: first.key, joints: [] };
     const name = made.box.querySelector("label"), more = make("button", { className: "open", title: "all joints together; click: each by itself", textContent: `▸ ${first.name}, all` });
     more.setAttribute("aria-expanded", this.open.has(first.key));
@@ -122,7 +124,8 @@ class Controls {
   }
 
   put(row) {
-    for (const made of [this.rows.get(row.id), row.index === 0 ? this.rows.get(`${row.key}*`) : null]) {
+    const whole = row.index === null ? null : this.rows.get(`${row.key}*`);
+    for (const made of [this.rows.get(row.id), whole?.first === row.id ? whole : null]) {
       if (!made) continue;
       made.given = { ...row, label: made.given.label };
       const changed = made.of ? made.of.some((id) => this.message.groups.some((g) => g.rows.some((r) => r.id === id && r.changed))) : row.changed;

@@ -21,11 +21,12 @@ class MapTab {
     this.start = make("button", { textContent: "compute", id: "compute" });
     this.start.onclick = () => {
       const running = this.running;
+      if (!running) this.busy(true);
       this.send(running ? { do: "stop map" } : { do: "map", x: this.x.value, y: this.y.value, quantity: this.value.value });
     };
     this.said = make("p", { className: "hint", textContent: "A value of the run over two keys: choose them and press compute. A click or a drag in the map then loads its runs." });
     this.said.setAttribute("aria-live", "polite");
-    this.canvas = make("canvas", { className: "chart", id: "map", tabIndex: 0 });
+    this.canvas = make("canvas", { className: "chart", id: "map", tabIndex: 0, hidden: true });
     this.canvas.style.cursor = "crosshair";
     this.canvas.setAttribute("role", "img");
     this.canvas.setAttribute("aria-label", "map: not computed yet");
@@ -44,13 +45,22 @@ class MapTab {
   show(m) {
     this.m = m;
     this.line = null;
-    this.running = !m.complete;
-    this.start.textContent = m.complete ? "compute" : "stop";
+    this.canvas.hidden = false;
+    this.busy(!m.complete);
     this.said.textContent = m.line;
     this.shown();
   }
 
-  say(line) { this.said.textContent = line; }
+  busy(running) {
+    this.running = running;
+    this.start.textContent = running ? "stop" : "compute";
+    if (this.m) this.m.complete = !running;
+  }
+
+  say(line, refused) {
+    this.said.textContent = line;
+    if (refused) this.busy(false);
+  }
 
   boundary(m) {
     this.line = m;
@@ -58,8 +68,13 @@ class MapTab {
     this.shown();
   }
 
-  here(point) {
-    this.point = point;
+  // Where the run of now is; `stale` is the key by which it differs from the runs of the map.
+  here(point, stale) {
+    this.point = stale ? null : point;
+    this.canvas.classList.toggle("late", Boolean(this.m && stale));
+    if (stale && !this.running) this.said.textContent = `These runs have another ${stale}: press compute.`;
+    else if (this.stale && this.m) this.said.textContent = this.line?.line ?? this.m.line;
+    this.stale = stale;
     if (this.m) this.shown();
   }
 

@@ -43,8 +43,8 @@ function ticks(low, high, wanted) {
   const raw = (high - low) / wanted, power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= raw);
   const found = [];
-  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) + 1e-300 && found.length < 20; k++) found.push(k * step || 0);
-  return found;
+  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) + 1e-300 && found.length < 20; k++) found.push(Number((k * step).toPrecision(12)) || 0);
+  return found.length < 2 && wanted < 16 ? ticks(low, high, 2 * wanted) : found; // one value alone shows no scale
 }
 function logTicks(low, high) {
   const found = [];
@@ -54,9 +54,25 @@ function logTicks(low, high) {
   return found.filter((v) => v >= low * (1 - 1e-9) && v <= high * (1 + 1e-9));
 }
 
+// The sizes of canvases on the page. They are not read again at each drawing: that would have the page laid out each time.
+const sizes = new WeakMap();
+const watched = new ResizeObserver((entries) => {
+  let changed = false;
+  for (const { target } of entries) {
+    const was = sizes.get(target), now = [target.clientWidth, target.clientHeight];
+    changed ||= was?.join() !== now.join();
+    sizes.set(target, now);
+  }
+  if (changed) document.dispatchEvent(new Event("resized"));
+});
+
 // The pixels of a canvas for its place on the page; returns its context in CSS pixels, its width and height.
 function sized(canvas) {
-  const dpr = window.devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
+  if (!sizes.get(canvas)?.[0]) {
+    sizes.set(canvas, [canvas.clientWidth, canvas.clientHeight]);
+    watched.observe(canvas);
+  }
+  const dpr = window.devicePixelRatio || 1, [w, h] = sizes.get(canvas);
   const [pw, ph] = [Math.max(1, Math.round(w * dpr)), Math.max(1, Math.round(h * dpr))];
   const g = canvas.getContext("2d");
   if (canvas.width !== pw || canvas.height !== ph) [canvas.width, canvas.height] = [pw, ph];

@@ -45,7 +45,7 @@ const on = {
     words.show(m);
     for (const name of ["map", "analysis", "compare"]) tabs.tabs[name].button.hidden = !m.live;
     if (!tabs.name || (!m.live && ["map", "analysis", "compare"].includes(tabs.name))) tabs.open(m.live ? "map" : "events");
-    if (m.fresh) { plots.window = null; plots.hidden.clear(); Object.assign(state, { time: 0, playing: false }); still = frames = null; map.m = map.line = map.point = null; tabs.open(tabs.name); }
+    if (m.fresh) { plots.window = null; plots.hidden.clear(); Object.assign(state, { time: 0, playing: false }); still = frames = null; map.m = map.line = map.point = null; map.canvas.hidden = true; tabs.open(tabs.name); }
   },
   run(m) {
     run = m;
@@ -55,6 +55,7 @@ const on = {
     state.time = m.follow ? m.end : Math.min(Math.max(state.time, m.begin), Math.max(m.end, m.begin));
     panels = m.panels;
     if (!socket) m.panels = pick(m.panels);
+    plots.now = state.time;
     plots.show(m);
     show_stopped(m);
     if (m.frame && m.frame.robot && m.frame.robot === space.about?.robot) { still = m.frame; frames = null; draw_space(); }
@@ -65,7 +66,7 @@ const on = {
     offer_columns(m.columns);
     if (m.line) say(m.line, m.loud);
     show_instant(false);
-    if (m.point) map.here(m.point);
+    map.here(m.point, m.stale);
     send({ do: "shown", n: m.n });
     document.dispatchEvent(new CustomEvent("drawn", { detail: { n: m.n, partial: m.partial } }));
   },
@@ -104,9 +105,9 @@ const on = {
   },
   map_keys(m) { map.keys(m); },
   map(m) { map.show(m); },
-  map_said(m) { map.say(m.line); },
+  map_said(m) { map.say(m.line, m.refused); },
   boundary(m) { map.boundary(m); },
-  point(m) { map.here(m.at); },
+  point(m) { map.here(m.at, m.stale); },
   analysis(m) { analysis.show(m); },
   compare(m) { compare.show(m); },
   gallery(m) { gallery.list(m); if (m.front) { gallery.asked = true; gallery.parent.hidden = false; } },
@@ -187,8 +188,9 @@ function show_instant(all = true) {
   $("time").setAttribute("aria-valuetext", `${state.time.toFixed(3)} s`);
   $("now").textContent = `${state.time.toFixed(3)} s`;
   $("play").textContent = state.playing ? "pause" : "play";
+  if (!all) return;
   plots.cursor(state.time, null);
-  if (all) draw_space();
+  draw_space();
 }
 
 function seek(time) {
@@ -289,6 +291,7 @@ function redraw() {
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", theme);
 theme();
 new ResizeObserver(redraw).observe($("middle"));
+document.addEventListener("resized", redraw);
 new ResizeObserver(redraw).observe($("side"));
 
 // Of messages that come faster than they are drawn only the newest run is.

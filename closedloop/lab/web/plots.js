@@ -1,7 +1,7 @@
 "use strict";
 // Curves against time, one window and one cursor for all. A click goes to an instant, a drag enlarges.
 
-const LEFT = 52, RIGHT = 10, BELOW = 18, MODE = 7;
+const LEFT = 52, RIGHT = 10, BELOW = 18, MODE = 7, NAMES = 8;
 const MODES = ["rgb(140 150 160 / 0.35)", "rgb(0 114 178 / 0.45)", "rgb(230 159 0 / 0.75)"];
 const EVENT = {
   impact: "#E69F00", touchdown: "#0072B2", liftoff: "#56B4E9", stick: "#D55E00", slip: "#009E73", reversal: "#CC79A7",
@@ -35,9 +35,15 @@ class Plots {
     this.draw();
   }
 
-  draw() { for (const plot of this.plots.values()) plot.draw(); }
+  draw() {
+    for (const plot of this.plots.values()) plot.draw();
+    this.cursor(this.now ?? 0, null);
+  }
 
-  cursor(now, held) { for (const plot of this.plots.values()) plot.cursor(now, held); }
+  cursor(now, held) {
+    this.now = now;
+    for (const plot of this.plots.values()) plot.cursor(now, held);
+  }
 
   enlarge(from, to) {
     const run = this.run, end = run.total ?? run.end;
@@ -76,16 +82,19 @@ class Plot {
     const shared = names.length > 1 ? names[0].slice(0, names[0].lastIndexOf("_") + 1) : "";
     this.shared = shared && names.every((n) => n.startsWith(shared)) ? shared.length : 0;
     this.spans = this.panel.traces.map((t) => {
-      const span = make("button", { title: "click: hide or show it" });
+      const span = make("button", { title: `${t.label}; click: hide or show it` });
       span.onclick = () => {
         const key = `${this.name} ${t.label}`;
         if (!this.all.hidden.delete(key)) this.all.hidden.add(key);
-        this.draw();
+        this.all.draw();
       };
       return span;
     });
-    const shown = this.spans.filter((span, k) => this.panel.traces[k].label !== "-limit");
-    this.names.replaceChildren(make("b", { textContent: this.panel.title }), ...shown.slice(0, 10));
+    const dashed = this.name === "links"; // the friction of a contact has its colour, with dashes
+    const shown = this.spans.filter((span, k) => this.panel.traces[k].label !== "-limit" && !(dashed && this.panel.traces[k].limit));
+    const more = shown.length > NAMES ? [make("span", { textContent: `and ${shown.length - NAMES} more` })] : [];
+    this.modes_ = this.first && this.all.run.modes ? make("span", { className: "modes", title: "the stripe below: what the tip does" }) : null;
+    this.names.replaceChildren(make("b", { textContent: this.panel.title + (dashed ? ", friction dashed" : "") }), ...shown.slice(0, NAMES), ...more, this.modes_ ?? "");
     if (this.all.tell.extra(this.name)) {
       const close = make("button", { className: "close", textContent: "close", title: "show this column no longer" });
       close.onclick = () => this.all.tell.close(this.name);
@@ -175,7 +184,11 @@ class Plot {
     g.textAlign = "right";
     for (const v of ticks(low, high, Math.max(2, height / 34))) { line(x0, y(v), x0 + width, y(v)); g.fillText(short(v), x0 - 6, y(v) + 4); }
     g.textAlign = "center";
-    for (const t of ticks(a, b, Math.max(3, width / 90))) { line(x(t), y0, x(t), y0 + height); g.fillText(`${short(t)}${this.first ? " s" : ""}`, x(t), h - 4); }
+    for (const t of ticks(a, b, Math.max(3, width / 90))) {
+      line(x(t), y0, x(t), y0 + height);
+      g.textAlign = x(t) > x0 + width - 14 ? "right" : "center";
+      g.fillText(`${short(t)}${this.first ? " s" : ""}`, g.textAlign === "right" ? w - 1 : x(t), h - 4);
+    }
     g.save();
     g.beginPath();
     g.rect(x0, y0 - 3, width, height + 6);
@@ -192,9 +205,12 @@ class Plot {
     for (const p of pinned) this.curve(g, p.time, p.values, tint(p.colour), 1.2, [], x, y);
     for (const t of this.seen()) this.curve(g, time, t.values, tint(t.colour), this.first && t.label === "f" ? 2 : 1.4, t.limit ? [5, 4] : [], x, y);
     g.restore();
-    if (strip) this.modes(g, x, [x0, x0 + width], h - BELOW - strip + 1);
+    if (strip) {
+      this.modes(g, x, [x0, x0 + width], h - BELOW - strip + 1);
+      const seen = [...new Set(run.modes.mode)].sort();
+      this.modes_?.replaceChildren(...seen.map((m) => make("span", { textContent: run.modes.names[m], style: `border-bottom: 3px solid ${MODES[m]}` })));
+    }
     this.over.setAttribute("aria-label", `${this.panel.title}, from ${short(low)} to ${short(high)}, against time`);
-    this.cursor(this.now ?? 0, null);
   }
 
   curve(g, time, values, colour, width, dashes, x, y) {
@@ -254,7 +270,8 @@ class Plot {
     while (k < high) { const m = (k + high + 1) >> 1; if (time[m] <= at) k = m; else high = m - 1; }
     this.panel.traces.forEach((t, i) => {
       const span = this.spans[i];
-      span.textContent = this.name.startsWith("torque") && t.limit ? "limit" : `${t.limit ? t.label : t.label.slice(this.shared)} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k])}`;
+      const text = this.name.startsWith("torque") && t.limit ? "limit" : `${t.limit ? t.label : t.label.slice(this.shared)} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k])}`;
+      if (span.textContent !== text) span.textContent = text;
       span.style.color = tint(t.colour);
       span.classList.toggle("off", this.all.hidden.has(`${this.name} ${t.label}`));
     });

@@ -110,14 +110,20 @@ class Space {
     this.draw();
   }
 
-  // Without a graphics processor a picture takes a tenth of a second: the next waits until the last is done, and then
-  // as long again, so that curves are drawn meanwhile.
+  // Without a graphics processor a picture takes a tenth of a second: the next waits until the last is done.
   draw() {
     if (!this.gl || !this.frame || !this.scene || this.waits) return;
     this.waits = true;
-    const at = performance.now();
-    const wait = this.calm ? Math.max(0, this.calm + (this.cost > 40 ? 160 : 0) - at) : 0;
-    setTimeout(() => requestAnimationFrame(() => {
+    this.asked = performance.now();
+    this.wait();
+  }
+
+  // Where pictures are slow, and a slider is being moved, they wait for it, but no longer than 0.7 s.
+  wait() {
+    const now = performance.now(), slow = this.calm && this.cost > 40;
+    const left = slow ? Math.min(this.calm + 200, this.asked + 700) - now : 0;
+    if (left > 1) { setTimeout(() => this.wait(), left); return; }
+    requestAnimationFrame(() => {
       const began = performance.now();
       this.paint();
       const fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
@@ -131,7 +137,7 @@ class Space {
         if (this.again) { this.again = false; this.draw(); }
       };
       done();
-    }), wait);
+    });
   }
 
   // A slider is being moved: where pictures are slow, they wait until it rests.
@@ -144,8 +150,11 @@ class Space {
     const v = this.view(), camera = this.camera(v, w / h);
     this.cut = false;
     this.part(0, 0, w, h, camera, v, true);
+    const inset = $("inset");
+    if (inset) inset.hidden = true;
     if (!this.whole && w > 300 * dpr && h > 220 * dpr) {
       const size = Math.round(0.3 * Math.min(w, h)), other = this.views[1];
+      if (inset) Object.assign(inset, { hidden: false }).style.cssText = `width:${size / dpr}px;height:${size / dpr}px`;
       this.part(8 * dpr, h - size - 8 * dpr, size, size, this.camera(other, 1), other, false);
     }
     this.text(camera, v);
@@ -191,15 +200,20 @@ class Space {
 
   // The size of the forces at the tip beside their arrows.
   text(camera, v) {
-    const spans = [];
+    const spans = [], taken = [];
     const { clientWidth: w, clientHeight: h } = this.canvas;
     this.each_arrow(v, (i, tail, d) => {
       const a = this.scene.arrows[i], name = SHOWN[a.kind] ?? (this.scene.arrows.length < 12 ? "" : null);
       if (name === null || norm(d) < 0.04 * v.radius) return;
       const [x, y, , k] = [0, 1, 2, 3].map((r) => [...plus(tail, d), 1].reduce((sum, e, j) => sum + camera[4 * j + r] * e, 0));
       if (k <= 0) return;
-      const span = make("span", { textContent: `${name} ${short(norm(this.frame.arrows[i].force), 3)} N` });
-      span.style.cssText = `left:${(50 * (x / k + 1) * w) / 100}px;top:${(50 * (1 - y / k) * h) / 100}px;color:${tint_rgb(a.colour)}`;
+      const text = `${name} ${short(norm(this.frame.arrows[i].force), 3)} N`, wide = 7 * text.length + 7;
+      let [left, top] = [(50 * (x / k + 1) * w) / 100, (50 * (1 - y / k) * h) / 100];
+      if (left + wide > w) left -= wide + 7; // beside the arrow on its other side
+      if (taken.some(([l, t, r]) => Math.abs(t - top) < 13 && left < r && l < left + wide)) return; // one on another is unreadable
+      taken.push([left, top, left + wide]);
+      const span = make("span", { textContent: text.trim() });
+      span.style.cssText = `left:${left}px;top:${top}px;color:${tint_rgb(a.colour)}`;
       spans.push(span);
     });
     this.labels.replaceChildren(...spans);

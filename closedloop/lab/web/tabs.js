@@ -147,7 +147,12 @@ class Events {
 
   show(run) {
     this.marks = run.marks;
-    const rows = run.marks.map((m) => [`${m.time.toFixed(4)} s`, m.kind.replace("_", " "), m.of, m.place.map((x) => short(x, 4)).join("  ")]);
+    const kind = (m) => { // in the colour of its line in the curves
+      const cell = make("td", {}, make("i", { className: "swatch" }), m.kind.replace("_", " "));
+      cell.firstChild.style.background = tint(EVENT[m.kind] ?? "#8A8A8A");
+      return cell;
+    };
+    const rows = run.marks.map((m) => [`${m.time.toFixed(4)} s`, kind(m), m.of, m.place.map((x) => short(x, 4)).join("  ")]);
     const more = run.events > run.marks.length ? make("p", { className: "hint", textContent: `the first ${run.marks.length} of ${run.events} events` }) : "";
     this.element.replaceChildren(...(rows.length
       ? [table(["time", "event", "of", "where [m]"], rows, (k) => this.seek(this.marks[k].time)), more]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel
+from closedloop.jit.simd8 import select
 from closedloop.loop.events.phases import (
     CHECK_STAGE,
     INSTANT,
@@ -64,13 +67,14 @@ def cone_margin(w: Work, state: State) -> float:
 
 
 @kernel
-def slip_margin(w: Work, constants: Constants) -> float:
+def slip_margin(w: Work, constants: Any) -> float:
     """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
-    band = constants.capture_speed
+    band, before = constants.capture_speed, w.start.slip_speed
     speed = w.tip.u[1] * w.friction.direction[0] + w.tip.u[2] * w.friction.direction[1]
-    if w.start.slip_speed <= constants.stick_speed:  # at the onset of slip its velocity is of the size of rounding
-        return float(speed + constants.stick_speed)
-    return float(speed - (band if w.start.slip_speed > band else 0.0))
+    # At the onset of slip its velocity is of the size of rounding.
+    onset = before <= constants.stick_speed
+    margin: float = select(onset, speed + constants.stick_speed, speed - select(before > band, band, 0.0))
+    return margin
 
 
 @kernel

@@ -77,11 +77,7 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
     w.start.gap, w.start.rate, w.start.contact_margin = w.tip.gap, w.tip.rate, w.contacts.margin
     state.trial.purpose, state.stage, state.trial.off, state.trial.watched = NO_TRIAL, 0, 0, 0
     if state.friction.sticking != SMOOTH:
-        speed = np.hypot(w.tip.u[1], w.tip.u[2])
-        w.start.slip_speed = speed
-        w.start.slip[0], w.start.slip[1] = w.tip.u[1], w.tip.u[2]
-        if state.mode == PRESSED and speed > max(constants.stick_speed, w.friction.straight_speed):
-            w.friction.direction[0], w.friction.direction[1] = w.tip.u[1] / speed, w.tip.u[2] / speed
+        save_slip(w, constants, state)
     if state.mode == PRESSED and near_singular(w.tip.S):
         remember_approach(w, state)
     else:
@@ -90,6 +86,16 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
         ask_contacts(state, SAVE)
     w.start.value = event_function(w, constants, state)
     save_power(w, state)
+
+
+@kernel_inlined
+def save_slip(w: Work, constants: Constants, state: State) -> None:
+    """Save the slip at the beginning of a substep, and its direction."""
+    speed = np.hypot(w.tip.u[1], w.tip.u[2])
+    w.start.slip_speed = speed
+    w.start.slip[0], w.start.slip[1] = w.tip.u[1], w.tip.u[2]
+    if state.mode == PRESSED and speed > max(constants.stick_speed, w.friction.straight_speed):
+        w.friction.direction[0], w.friction.direction[1] = w.tip.u[1] / speed, w.tip.u[2] / speed
 
 
 @kernel

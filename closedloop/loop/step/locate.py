@@ -6,6 +6,8 @@ Of a plane at rest the frame is constant; any other surface is asked, by address
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @kernel_inlined
-def locate_on_plane(w: Work, constants: Constants) -> None:
+def locate_on_plane(w: Work, constants: Any) -> None:
     """Write the tip's motion in the contact frame of a plane at rest, and the gap and its rate."""
     into_contact_frame(w, w.tip)
     w.tip.gap, w.tip.rate = w.tip.p[0] - constants.offset, w.tip.u[0]

@@ -149,7 +149,7 @@ def complete_record(address: int, rows: Array, done: int) -> None:
 
 
 def rows_there(state: State, done: int, n: int) -> int:
-    """Return how many rows are recorded when `done` of them, or one more that was not counted yet, may be.
+    """Return how many rows are recorded: `done`, or one more that was not counted yet.
 
     Each row adds a lane to the batch, and a full batch is emptied.
     """
@@ -181,12 +181,31 @@ def record(
 
 @kernel_inlined
 def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: int) -> None:
-    """Write a row in the order of `Row`: the state, and the torques and forces at it, the reading of f without error.
+    """Do `write_row` with row `place`, and see to its condition number.
 
-    The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H.
+    That is written once a batch is full, or by `complete_record`; with loops it is that of H.
+    """
+    n, lane = w.q.shape[0], state.batched
+    row = Row(row_of(rows, place), n)
+    bordered = write_row(H, C, w, state, row)
+    if n > LONG_ARM:
+        row.kkt_condition = condition_number(
+            H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
+        )
+    else:
+        add_to_batch(H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.batch, lane)
+        state.batched = lane + 1
+        if lane + 1 >= BATCH:
+            record_conditions(w.batch, rows, state, place + 1, n)
+
+
+@kernel_inlined
+def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
+    """Write a row but for its condition number: the state, torques and forces at it, the reading of f without error.
+
+    Returns whether Eq. 24 has the row of the contact there.
     """
     n = w.q.shape[0]
-    row, lane = Row(row_of(rows, place), n), state.batched
     for j in range(n):
         row.q[j] = w.q[j]
         row.v[j] = w.v[j]
@@ -224,21 +243,12 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     row.mode = mode
     row.residual_motion = motion
     row.residual_closure = closed
-    bordered = closed_by_row and state.loops.entry == 0
-    if n > LONG_ARM:
-        row.kkt_condition = condition_number(
-            H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
-        )
-    else:
-        add_to_batch(H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.batch, lane)
-        state.batched = lane + 1
-        if lane + 1 >= BATCH:
-            record_conditions(w.batch, rows, state, place + 1, n)
     row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v)
     w.sensing.measured = w.tip.F[0]
     row.measured_force = w.sensing.measured
     row.energy_supplied = w.supply.energy
+    return closed_by_row and state.loops.entry == 0
 
 
 @kernel

@@ -202,29 +202,28 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, stabiliser_fo
         OK or SINGULAR.
     """
     trace = S[0, 0] + S[1, 1] + S[2, 2]
-    if not S[0, 0] > SINGULAR_MOBILITY * trace:
+    if not every(S[0, 0] > SINGULAR_MOBILITY * trace):
         return SINGULAR
     # Eliminate the normal, then the more mobile tangent, then the other; what cannot move carries no force.
     inverse = 1.0 / S[0, 0]
     s11 = S[1, 1] - S[0, 1] * S[0, 1] * inverse
     s12 = S[1, 2] - S[0, 1] * S[0, 2] * inverse
     s22 = S[2, 2] - S[0, 2] * S[0, 2] * inverse
+    first = s11 >= s22
+    most, least = select(first, s11, s22), select(first, s22, s11)
+    moves = most > IMMOBILE * trace
+    most = select(moves, most, 1.0)
+    rest = least - s12 * s12 / most
+    both_move = moves & (rest > IMMOBILE * trace)
+    rest = select(both_move, rest, 1.0)
     for side in range(2):
         b0 = (-a[0] if side == 0 else 0.0) + b_stabiliser[0]
         b1 = (-a[1] if side == 0 else 0.0) + b_stabiliser[1] - S[0, 1] * inverse * b0
         b2 = (-a[2] if side == 0 else 0.0) + b_stabiliser[2] - S[0, 2] * inverse * b0
-        f1, f2 = 0.0, 0.0
-        if s11 >= s22:
-            if s11 > IMMOBILE * trace:
-                rest = s22 - s12 * s12 / s11
-                if rest > IMMOBILE * trace:
-                    f2 = (b2 - s12 / s11 * b1) / rest
-                f1 = (b1 - s12 * f2) / s11
-        elif s22 > IMMOBILE * trace:
-            rest = s11 - s12 * s12 / s22
-            if rest > IMMOBILE * trace:
-                f1 = (b1 - s12 / s22 * b2) / rest
-            f2 = (b2 - s12 * f1) / s22
+        b_most, b_least = select(first, b1, b2), select(first, b2, b1)
+        f_least = select(both_move, (b_least - s12 / most * b_most) / rest, 0.0)
+        f_most = select(moves, (b_most - s12 * f_least) / most, 0.0)
+        f1, f2 = select(first, f_most, f_least), select(first, f_least, f_most)
         f0 = (b0 - S[0, 1] * f1 - S[0, 2] * f2) * inverse
         if side == 0:
             F[0], F[1], F[2] = f0, f1, f2

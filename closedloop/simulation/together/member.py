@@ -11,76 +11,37 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.blocks import Block
+from closedloop.control.reference.table import Reference
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, row_of, vector_at
+from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH, EventRow
 from closedloop.loop.step.memory import State, loop_at
 from closedloop.loop.step.record_row import ContactRow, Row
-from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.robot.tree import Tree, tree_terms
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
+from closedloop.simulation.together.records import (
+    AT_MARK,
+    FEWEST,
+    FORCE,
+    GROUP,
+    JOINT,
+    MEMBER,
+    SHIFT,
+    TORQUE,
+    WAITING,
+    Between,
+    Group,
+    Member,
+)
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-# What `Member.request` is at a control instant, where an action is waited for.
-WAITING = -1
-# What a number of an action sets: torque of a joint; desired force; displacement of the desired tip along an axis of
-# the contact frame; a number of the law's parameters; displacement of a desired joint position.
-TORQUE, FORCE, SHIFT, PARAMETER, JOINT = range(5)
-
-
-class Member(Block):
-    """Whole numbers, int64: where the memory of a simulation is, and where it stands."""
-
-    addresses: int  # see `closedloop.simulation.engines.proceed.Addresses`
-    links: int  # the robot, see `closedloop.mechanics.robot.tree.Tree`
-    constants: int
-    constants_size: int
-    blocks: int
-    once: int
-    carrier: int
-    serial: int
-    balls: int
-    scratch: int  # address and size of the scratch of its kernels
-    scratch_size: int
-    copied: int  # address of rows (from, to, length) of the memory that the mark is a copy of, and how many there are
-    copied_count: int
-    reading: int  # address of the reading of the force sensor in the mark
-    boundary: int  # address of the reference's row at the next control instant, before an action displaced it
-    displaced: int  # 1 if one did
-    window: int  # address of the rows that are kept, how many there is room for, and which row is the first
-    room: int
-    first: int
-    keep: int  # how many earlier rows a step may read or write
-    begins: int  # the phase that a row begins with
-    held: int  # 1 if a torque from outside acts; 0: the scenario's law
-    strike: int  # address of what computes an impact; 0: Python does
-    steps: int  # between two control instants
-    target: int  # the row of the next control instant
-    marked: int  # 1 if the mark is of the latest control instant
-    known: int  # 1 if the terms are those of the state in the loop's memory
-    request: int  # what the loop asked for last
-
-
-class Between(Block):
-    """What happened between two control instants, the later one included."""
-
-    largest_force: float  # largest contact force at a row, N
-    smallest_force: float
-    largest_link_force: float  # largest force along the normal of a [[contact]] at a row, N
-    free_rows: float  # rows at which the tip was free
-    events: float  # how many there were
-    impulse: float  # largest impulse along the normal, N s
-    measured: float  # the force sensor's reading as a law has it at the control instant, N
-
-
-MEMBER, BETWEEN = Member.count(), Between.count()
 
 
 @entry_kernel
@@ -108,12 +69,14 @@ def copy_memory(m: Member, back: bool) -> None:
 @kernel
 def go_back(m: Member, state: State) -> None:
     """Put the loop back to just before the row of the latest control instant was recorded."""
-    copy_memory(m, True)
+    if m.marked != AT_MARK:
+        copy_memory(m, True)
     if state.row > 0 and (state.mode != FREE or state.contacts.at != 0):
         state.trial.off = 1  # the step before has been searched, with what acted in it
     state.event.rows, state.batched = 0, 0
+    # With encoders other terms have been evaluated since.
+    m.known = 1 if state.settings.encoder == 0 and m.marked != AT_MARK else 0
     m.marked = 0
-    m.known = 1 if state.settings.encoder == 0 else 0  # with encoders other terms have been evaluated since
 
 
 @kernel
@@ -208,16 +171,30 @@ def to_target(m: Member, a: Addresses) -> int:
 
 
 @kernel
+def write_wanted(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> None:
+    """Write what is desired at the control instant, and the distance of the tip in `row` from it."""
+    state, _, _ = loop_at(a.loop)
+    table = matrix_at(a.table, a.instants, a.table_width)
+    for j in range(2 * a.n + 10):
+        wanted[j] = table[m.target * state.settings.nodes_per_step, j]
+    there, desired, out, square = Row(row, a.n), Reference(wanted, a.n), 0.0, 0.0
+    for k in range(3):
+        out += (there.position[k] - desired.position[k]) * there.surface_normal[k]
+    for k in range(3):
+        along = there.position[k] - desired.position[k] - out * there.surface_normal[k]
+        square += along * along
+    Between(between).path_error = np.sqrt(square)
+
+
+@kernel
 def tell(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> None:
     """Write the row of the control instant, what is desired there, and `Between`."""
     state, _, _ = loop_at(a.loop)
     n, here = a.n, m.target - m.first
     rows = matrix_at(m.window, m.room, a.row_width)
-    table = matrix_at(a.table, a.instants, a.table_width)
     for j in range(a.row_width):
         row[j] = rows[here, j]
-    for j in range(2 * n + 10):
-        wanted[j] = table[m.target * state.settings.nodes_per_step, j]
+    write_wanted(m, a, row, wanted, between)
     b = Between(between)
     b.largest_force, b.smallest_force, b.free_rows, b.largest_link_force = -np.inf, np.inf, 0.0, 0.0
     links, at = 0, 0
@@ -242,10 +219,33 @@ def tell(m: Member, a: Addresses, row: Array, wanted: Array, between: Array) -> 
         b.impulse = max(b.impulse, event.compression + event.decompression)
 
 
+@kernel
+def step_alone(m: Member, i: int, rows: Array, wanted: Array, between: Array) -> None:
+    """Step member `i` to its next control instant, or until it asks for something; see `step_members`."""
+    a = Addresses(integers_at(m.addresses, ADDRESSES))
+    state, _, _ = loop_at(a.loop)
+    make_room(m, a, state.row)
+    m.request = to_target(m, a)
+    if m.request == DONE:
+        tell(m, a, row_of(rows, i), row_of(wanted, i), row_of(between, i))
+        m.request = WAITING
+
+
+@kernel
+def step_group(group: int, rows: Array, wanted: Array, between: Array) -> None:
+    """Step the members of a group, and those alone that cannot be stepped together, or all if they are too few."""
+    g = Group(integers_at(group, GROUP))
+    done = call_at(g.entry, group, g.filled) if g.filled >= FEWEST else 0
+    for k in range(g.filled):
+        if done & (1 << k) == 0:
+            step_alone(Member(integers_at(g.members[k], MEMBER)), g.numbers[k], rows, wanted, between)
+    g.filled = 0
+
+
 @entry_kernel
 def step_members(
     members: IntArray, going: IntArray, first: int, last: int, actions: Array, plan: IntArray, rows: Array,
-    wanted: Array, between: Array,
+    wanted: Array, between: Array, groups: IntArray,
 ) -> None:  # fmt: skip
     """Step some members to their next control instant, without Python.
 
@@ -261,18 +261,27 @@ def step_members(
         (N, k) and (l, 3), see `act`; they act where a member stands at a control instant (WAITING).
     rows, wanted, between : (N, ...) arrays
         Written, see `tell`, of members that reach it. The others' `Member.request` says what they ask for.
+    groups : (2,) array
+        Addresses of groups for tips that slide and tips that stick, whose memory no other thread has; 0: there are
+        none.
     """
     for at in range(first, last):
         i = going[at]
         m = Member(row_of(members, i))
-        a = Addresses(integers_at(m.addresses, ADDRESSES))
         if m.request == WAITING:
+            a = Addresses(integers_at(m.addresses, ADDRESSES))
             state, _, _ = loop_at(a.loop)
             go_back(m, state)
             m.target += m.steps
-            make_room(m, a, state.row)
             act(m, a, row_of(actions, i), plan)
-        m.request = to_target(m, a)
-        if m.request == DONE:
-            tell(m, a, row_of(rows, i), row_of(wanted, i), row_of(between, i))
-            m.request = WAITING
+            if groups[0] != 0 and m.lanes != 0 and state.mode != FREE and state.approached == 0:
+                group = groups[0] if state.mode == PRESSED else groups[1]
+                g = Group(integers_at(group, GROUP))
+                g.members[g.filled], g.numbers[g.filled] = g.everyone + 8 * MEMBER * i, i
+                g.filled += 1
+                if g.filled == WIDE:
+                    step_group(group, rows, wanted, between)
+                continue
+        step_alone(m, i, rows, wanted, between)
+    for k in range(2 if groups[0] != 0 else 0):
+        step_group(groups[k], rows, wanted, between)

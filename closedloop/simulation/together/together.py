@@ -16,10 +16,12 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.jit.background import make_ready
 from closedloop.jit.calls import entry_address
 from closedloop.jit.pointers import address_of
+from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.phases import FAILED, MEASURED, STEP_END, TERMS
 from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.memory import Work
 from closedloop.mechanics.closure.conditioning import BATCH
+from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
@@ -27,7 +29,10 @@ from closedloop.simulation.engines.loops import COMPILED, kernels_of
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import addresses_of, set_events
 from closedloop.simulation.loop_calls import Answers
-from closedloop.simulation.together.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
+from closedloop.simulation.together.lane_steps import step_in_lanes
+from closedloop.simulation.together.lanes import Lanes, may_step_in_lanes
+from closedloop.simulation.together.member import step_members, strike
+from closedloop.simulation.together.records import BETWEEN, MEMBER, WAITING, Member
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -76,6 +81,7 @@ class _One:
         m.window, m.room, m.keep = address_of(window), len(window), keep
         m.begins = MEASURED if self.loop.state.settings.encoder else STEP_END
         m.held, m.steps, m.request = held, steps, TERMS
+        m.lanes = held and may_step_in_lanes(problem, self.loop.state, constants, self.loop.w)
         m.reading = address_of(marks[2][reading - after.start :])
         if may_strike_compiled(problem):
             problem.set_restitution(self.loop)
@@ -91,6 +97,14 @@ class _One:
         self.answers.give(request)
         set_events(self.addresses, self.answers.events)
         return None
+
+
+def _shares(count: int, threads: int) -> list[int]:
+    """Return where the share of each thread begins, and the end: whole groups of `WIDE`, as far as there are."""
+    groups = -(-count // WIDE)
+    if groups < threads:
+        return [count * k // threads for k in range(threads + 1)]
+    return [min(WIDE * (groups * k // threads), count) for k in range(threads + 1)]
 
 
 def may_strike_compiled(problem: Problem) -> bool:
@@ -125,7 +139,7 @@ class Together:
     wanted : (count, 2 n + 10) array
         What is desired there, see `closedloop.loop.step.memory.Reference`.
     between : (count, BETWEEN) array
-        What happened since the control instant before, see `closedloop.simulation.together.member.Between`.
+        What happened since the control instant before, see `closedloop.simulation.together.records.Between`.
     actions : (count, k) array
         To be written before `step`, SI units.
     failures, failed : list, (count,) array of bool
@@ -147,6 +161,8 @@ class Together:
         self._ready: set[Any] = set()  # kernels that are compiled
         self._trees: WeakKeyDictionary[Robot, Tree] = WeakKeyDictionary()
         self._pool: ThreadPoolExecutor | None = None
+        self._lanes: list[Lanes] = []
+        self._groups: IntArray = np.zeros((self.threads, 2), dtype=np.int64)  # of each thread, see `step_members`
         self.rows: Array = np.zeros((count, 0))
         self.wanted: Array = np.zeros((count, 0))
 
@@ -169,12 +185,25 @@ class Together:
                 f"{self.rows.shape[1]}: simulations that are stepped side by side must be of the same arm and contacts"
             )
         self._ones[i] = one = _One(problem, self.steps, self._held, self._members[i], self._tree(problem))
-        missing = {*kernels_of(COMPILED), step_members, strike, *problem.called(one.loop)} - self._ready
+        in_lanes = [step_in_lanes] if one.member.lanes else []
+        missing = {*kernels_of(COMPILED), step_members, strike, *in_lanes, *problem.called(one.loop)} - self._ready
         if missing:
             make_ready(*missing)
             self._ready |= missing
+        if in_lanes:
+            self._forget_trees(problem)
         self.failures[i], self.failed[i] = None, False
         self._last[i] = problem.steps - self.steps
+
+    def _forget_trees(self, like: Problem) -> None:
+        """Let the groups, which are made first if there are none, put in the constants of their arms anew."""
+        if not self._lanes:
+            arrays = {"everyone": self._members, "rows": self.rows, "wanted": self.wanted, "between": self.between}
+            kinds = [mode for _ in range(self.threads) for mode in (PRESSED, STUCK)]
+            self._lanes = [Lanes(like, mode, self.steps, arrays) for mode in kinds]
+            self._groups[:] = np.reshape([each.address for each in self._lanes], self._groups.shape)
+        for each in self._lanes:
+            each.group.trees[:] = 0
 
     def _tree(self, problem: Problem) -> Tree:
         robot = problem.robot
@@ -222,22 +251,25 @@ class Together:
 
     def _go(self, some: Iterable[int]) -> None:
         going = np.ascontiguousarray(some, dtype=np.int64)
-        given = self.actions, self._plan, self.rows, self.wanted, self.between
+        given, groups = (self.actions, self._plan, self.rows, self.wanted, self.between), self._groups
         count, members = len(going), self._members
         if self.threads > 1 and count > 1:
-            parts = np.linspace(0, count, self.threads + 1).astype(int).tolist()
+            parts = _shares(count, self.threads)
             pool = self._threads()
-            running = [pool.submit(step_members, members, going, a, b, *given) for a, b in pairwise(parts[1:])]
+            running = [
+                pool.submit(step_members, members, going, a, b, *given, own)
+                for (a, b), own in zip(pairwise(parts[1:]), groups[1:], strict=True)
+            ]
             try:
-                step_members(members, going, 0, parts[1], *given)
+                step_members(members, going, 0, parts[1], *given, groups[0])
             finally:
                 wait(running)
             for each in running:
                 each.result()
         else:
-            step_members(members, going, 0, count, *given)
+            step_members(members, going, 0, count, *given, groups[0])
         for at in np.flatnonzero(members[going, Member.place("request")] != WAITING):
-            self._answer(going[at : at + 1], given)
+            self._answer(going[at : at + 1], (*given, groups[0]))
 
     def _answer(self, one: IntArray, given: tuple[Any, ...]) -> None:
         """Let one simulation go on that asks for something, until it is at its control instant or cannot."""

@@ -32,6 +32,8 @@ from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
+# A key's value: a number, or a list with a number for each joint.
+Value = float | list[float]
 # Values at which a range is looked at, before the limits between them are solved for.
 LOOKS = 25
 # Tolerance of a limit, as a share of its range.
@@ -53,12 +55,28 @@ class Range:
         Ends, in either order: limits are found from `low` on.
     log : bool
         Whether it is looked at evenly in its logarithm.
+    held : tuple of float
+        Where the key is a list, as it is in the scenario; else empty.
+    index : int, optional
+        The entry of that list which the numbers are of, the others as they are; if left out they are of the first that
+        is not zero, and the others change by the same factor.
     """
 
     key: str
     low: float
     high: float
     log: bool = False
+    held: tuple[float, ...] = ()
+    index: int | None = None
+
+    def value(self, number: float) -> float | list[float]:
+        """Return the key's value for a number of the range."""
+        if not self.held:
+            return number
+        if self.index is not None:
+            return [*self.held[: self.index], number, *self.held[self.index + 1 :]]
+        first = next(entry for entry in self.held if entry != 0.0)
+        return [number / first * entry for entry in self.held]
 
     def at(self, share: float) -> float:
         """Return the value at `share`, 0 to 1, of the way."""
@@ -149,14 +167,14 @@ class Stability:
         self.base = loop_at(self._problem, self._instant)
         self._variants: dict[tuple[str, ...], Variants] = {}
 
-    def changed(self, values: Mapping[str, float]) -> Scenario:
+    def changed(self, values: Mapping[str, Value]) -> Scenario:
         """Return the scenario with other numbers."""
         keys = tuple(values)
         if keys not in self._variants:
             self._variants[keys] = Variants(self.scenario, keys)
         return self._variants[keys].scenario(tuple(values.values()))
 
-    def loop(self, values: Mapping[str, float]) -> LinearLoop:
+    def loop(self, values: Mapping[str, Value]) -> LinearLoop:
         """Return the loop with other numbers, about the same motion.
 
         Raises
@@ -168,7 +186,7 @@ class Stability:
             return self.base
         return loop_at(*self._at(values))
 
-    def _at(self, values: Mapping[str, float]) -> tuple[Problem, Instant]:
+    def _at(self, values: Mapping[str, Value]) -> tuple[Problem, Instant]:
         """Return the scenario with other numbers, and its state at the instant."""
         scenario = self.changed(values)
         problem = prepare(scenario, self._model, self._cache)
@@ -179,13 +197,13 @@ class Stability:
             instant = Here(problem, instant).moved(depth)
         return problem, instant
 
-    def growth(self, values: Mapping[str, float]) -> float:
+    def growth(self, values: Mapping[str, Value]) -> float:
         """Return the rate of the loop's slowest pole, 1/s: above 0 it is unstable."""
         loop = self.loop(values)
         return math.log(max(loop.radius, 1e-300)) / loop.dt
 
     def limits(
-        self, over: Range, given: Mapping[str, float] | None = None, looks: int = LOOKS
+        self, over: Range, given: Mapping[str, Value] | None = None, looks: int = LOOKS
     ) -> tuple[list[Limit], str]:
         """Return every limit in a range, and why its far end is refused, "" if it is not.
 
@@ -203,7 +221,7 @@ class Stability:
         refused = ""
         for share in shares:
             try:
-                seen.append((float(share), self.growth(given | {over.key: over.at(share)})))
+                seen.append((float(share), self.growth(given | {over.key: over.value(over.at(share))})))
             except ScenarioError as error:
                 refused = str(error)
                 if seen:
@@ -217,19 +235,19 @@ class Stability:
         return found, refused
 
     def _solved(
-        self, over: Range, given: Mapping[str, float], below: tuple[float, float], above: tuple[float, float]
+        self, over: Range, given: Mapping[str, Value], below: tuple[float, float], above: tuple[float, float]
     ) -> Limit:
         """Return the limit between two shares of a range, given with their growth, which has two signs."""
         known = dict((below, above))
 
         def growth(share: float) -> float:
             if share not in known:
-                known[share] = self.growth({**given, over.key: over.at(share)})
+                known[share] = self.growth({**given, over.key: over.value(over.at(share))})
             return known[share]
 
         share = float(brentq(growth, below[0], above[0], xtol=LIMIT_TOLERANCE, rtol=LIMIT_TOLERANCE))
         value = over.at(share)
-        loop = self.loop({**given, over.key: value})
+        loop = self.loop({**given, over.key: over.value(value)})
         moving = [pole for pole in loop.poles() if not pole.at_rest]
         upwards = (above[1] > 0.0) == (over.high > over.low)
         return Limit(over.key, value, upwards, moving[0] if moving else loop.poles()[0])
@@ -252,7 +270,7 @@ class Stability:
         width = 1.0 / LOOKS
         for share in np.linspace(0.0, 1.0, points):
             value = along.at(float(share))
-            given = {along.key: value}
+            given = {along.key: along.value(value)}
             now: list[Limit] = []
             for before in last:
                 limit = self._followed(over, given, before, width)
@@ -269,13 +287,13 @@ class Stability:
             found += [(value, limit) for limit in now]
         return found
 
-    def _followed(self, over: Range, given: Mapping[str, float], share: float, width: float) -> Limit | None:
+    def _followed(self, over: Range, given: Mapping[str, Value], share: float, width: float) -> Limit | None:
         """Return the limit near a share of a range; None if there is none."""
         width *= 0.25
         for _ in range(4):
             ends = max(0.0, share - width), min(1.0, share + width)
             try:
-                low, high = ((x, self.growth({**given, over.key: over.at(x)})) for x in ends)
+                low, high = ((x, self.growth({**given, over.key: over.value(over.at(x))})) for x in ends)
             except ScenarioError:
                 return None
             if (low[1] > 0.0) != (high[1] > 0.0):
@@ -283,7 +301,7 @@ class Stability:
             width *= 3.0
         return None
 
-    def try_beside(self, limit: Limit, given: Mapping[str, float] | None = None, beside: float = BESIDE) -> list[Trial]:
+    def try_beside(self, limit: Limit, given: Mapping[str, Value] | None = None, beside: float = BESIDE) -> list[Trial]:
         """Run the whole nonlinear loop on from the instant below and above a limit; see `Trial`."""
         trials = []
         for factor in (1.0 - beside, 1.0 + beside):

@@ -151,7 +151,7 @@ def complete_record(address: int, rows: Array, done: int) -> None:
 
 
 def rows_there(state: State, done: int, n: int) -> int:
-    """Return how many rows are recorded when `done` of them, or one more that was not counted yet, may be.
+    """Return how many rows are recorded: `done`, or one more that was not counted yet.
 
     Each row adds a lane to the batch, and a full batch is emptied.
     """

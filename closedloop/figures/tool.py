@@ -25,29 +25,32 @@ def has_tool(run: Run) -> bool:
 
 
 def tool(run: Run) -> Figure:
-    """Draw the force and the moment at the wrist, in the axes of the frame robot.tip, and the angle of the tool."""
-    figure = new_figure(height=6.4)
-    panels = figure.subplots(3, 1, sharex=True)
-    strongest = max(1.0, float(np.max(np.linalg.norm(run.wrist_wrench[:, :3], axis=1))))
-    for axes, title, unit, first in ((panels[0], "Force at the wrist", "N", 0), (panels[1], "Moment", "N m", 3)):
+    """Draw the force and the moment at the wrist, in the axes of the frame robot.tip, and the angle of the tool.
+
+    A moment that is zero to rounding has no panel.
+    """
+    force, moment = (float(np.max(np.linalg.norm(part, axis=1))) for part in np.split(run.wrist_wrench, 2, axis=1))
+    parts = [("Force at the wrist", "N", 0), ("Moment", "N m", 3)]
+    if moment < ROUNDING * max(1.0, force):
+        parts.pop()
+    figure = new_figure(height=1.6 + 1.6 * (len(parts) + 1))
+    panels = figure.subplots(len(parts) + 1, 1, sharex=True)
+    for axes, (title, unit, first) in zip(panels, parts, strict=False):
         part = run.wrist_wrench[:, first : first + 3]
         for k in range(3):
             axes.plot(run.time, part[:, k], color=MANY[k], label=WRENCH[first + k])
         axes.margins(y=0.08)
         largest = float(np.max(np.linalg.norm(part, axis=1)))
-        told = f"{title}, up to {largest:.3g} {unit}"
-        if largest < ROUNDING * strongest:  # rounding is no picture
-            axes.set_ylim(-1.0, 1.0)
-            told = f"{title}: zero, to rounding"
         label = f"{title.split()[0].lower()} [{unit}]"
-        dress(axes, run, told, label, label_marks=first == 0, show_events=False)
+        dress(axes, run, f"{title}, up to {largest:.3g} {unit}", label, label_marks=first == 0, show_events=False)
         legend_beside_title(axes)
         axes.set_xlabel("")
-    panels[2].plot(run.time, run.tool_angle, color=MANY[0], label="from the normal")
-    panels[2].plot(run.time, run.orientation_error, "--", color=MANY[1], label="from its reference")
-    panels[2].margins(y=0.08)
+    last = panels[-1]
+    last.plot(run.time, run.tool_angle, color=MANY[0], label="from the normal")
+    last.plot(run.time, run.orientation_error, "--", color=MANY[1], label="from its reference")
+    last.margins(y=0.08)
     told = f"Angle of the tool, up to {float(np.max(run.tool_angle)):.3g} deg"
-    dress(panels[2], run, told, "angle [deg]", label_marks=False)
-    legend_beside_title(panels[2])
+    dress(last, run, told, "angle [deg]", label_marks=False)
+    legend_beside_title(last)
     explain_contact(figure, run)
     return figure

@@ -75,20 +75,27 @@ def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIEN
     if not path.segments:
         return JointPath.hold(q)
     parts: list[JointPath] = []
-    most = MOST_KNOTS
+    most, who = MOST_KNOTS, Follower.of(robot, q, held)
     with np.errstate(all="ignore"):  # what overflows is refused by name
         for segment in path.segments:
-            part = _resolve(Follower(robot, held), parts[-1].q[-1] if parts else q, segment, most, path.keys)
+            part = _resolve(who, parts[-1].q[-1] if parts else q, segment, most, path.keys)
             most -= part.times.size - 1
             parts.append(part)
     return _joined(parts)
 
 
 class Follower(NamedTuple):
-    """Who follows a path: the arm, and what is held of the tool's orientation."""
+    """Who follows a path: the arm, what is held of the tool's orientation, and its axes in the tip's link (3, 3)."""
 
     robot: Robot
     held: Orientation
+    axes: Array
+
+    @classmethod
+    def of(cls, robot: Robot, q: Array, held: Orientation) -> Follower:
+        """Return who follows, of an arm that begins at joint positions q (n,)."""
+        free = held.rows == POSITION
+        return cls(robot, held, np.zeros((3, 3)) if free else np.ascontiguousarray(held.in_link(robot, q)))
 
     def tip(self, segment: Segment, times: Array) -> Array:
         """Return position, m, velocity, m/s, the tool's axis and its rate, 1/s, (N, 12) at times (N,), s."""
@@ -99,9 +106,8 @@ class Follower(NamedTuple):
         """Return what `walk` makes of knots and the places between them, from joint positions q (n,)."""
         robot, held, n = self.robot, self.held, self.robot.n
         limits = np.stack([robot.model.position_lower, robot.model.position_upper])
-        axes = np.zeros((3, 3)) if held.rows == POSITION else np.ascontiguousarray(held.in_link(robot, q))
         way = Way(
-            times, knots, midway, held.rows, axes, np.ascontiguousarray(held.frame), limits,
+            times, knots, midway, held.rows, self.axes, np.ascontiguousarray(held.frame), limits,
             np.zeros((times.size, n)), np.zeros((times.size, n)),
         )  # fmt: skip
         way.q[0] = q
@@ -129,7 +135,9 @@ def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
     r, still = robot.position(q)[None], np.zeros((1, 3))
     target = np.hstack([r, still, held.axis_along(np.zeros(1), r, still)])
     with np.errstate(all="ignore"):
-        way, _, outcome = Follower(robot, held).walk(q, np.array([0.0, 1.0]), np.repeat(target, 2, axis=0), target)
+        way, _, outcome = Follower.of(robot, q, held).walk(
+            q, np.array([0.0, 1.0]), np.repeat(target, 2, axis=0), target
+        )
     angle = held.askew(robot, q)
     if outcome[ENDED] == REACHED and angle <= ASKEW:
         return np.array(way.q[1])
@@ -207,7 +215,8 @@ def _through_knots(
     times = span[0] + (span[1] - span[0]) * (np.arange(min(intervals, most) + 1) / intervals)
     if span[1] < segment.stop:
         times[-1] = span[1]  # where the other half begins, to the last bit
-    knots, midway = who.tip(segment, times), who.tip(segment, 0.5 * times[:-1] + 0.5 * times[1:])
+    tips = who.tip(segment, np.concatenate([times, 0.5 * times[:-1] + 0.5 * times[1:]]))
+    knots, midway = np.ascontiguousarray(tips[: times.size]), np.ascontiguousarray(tips[times.size :])
     if not (np.all(np.diff(times) > SHORTEST) and np.all(np.isfinite(knots)) and np.all(np.isfinite(midway[:, 3:]))):
         raise ScenarioError(
             f"reference: the motion from t = {span[0]:g} s to {span[1]:g} s cannot be resolved: it is too "

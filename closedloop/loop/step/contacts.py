@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.jit.kernel import kernel, long_loops_entry
 from closedloop.jit.pointers import row_of
 from closedloop.loop.step.contact_rows import (
     asked,
@@ -25,8 +25,9 @@ from closedloop.loop.step.contact_rows import (
 )
 from closedloop.loop.step.locate import set_anchor
 from closedloop.loop.step.memory import Constants, State, Work, loop_at
-from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
+from closedloop.mechanics.contacts.closed import solve_closed
 from closedloop.mechanics.contacts.friction import (
     STILL,
     advance_states,
@@ -38,7 +39,6 @@ from closedloop.mechanics.contacts.friction import (
 from closedloop.mechanics.contacts.given_modes import (
     keep_in_cones,
     kinds_of_modes,
-    own_mobility,
     solve_modes,
     stopping_impulses,
     write_after,
@@ -60,7 +60,7 @@ from closedloop.mechanics.contacts.resistance import has_resistance, is_resistan
 from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
-from closedloop.mechanics.contacts.turning import turn_slips
+from closedloop.mechanics.contacts.turning import turn_and_solve
 from closedloop.mechanics.impact import energy_lost
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ FORCE, WATCH, SAVE, PLACE, IMPULSE, DECIDE = range(6)
 CLOSE_GAPS, CLOSE_RATES, FRICTION_RATES, ADVANCE_FRICTION, ANSWER = range(6, 11)
 
 
-@entry_kernel
+@long_loops_entry
 def contacts_in_step(address: int, what: int) -> int:
     """Answer for the contacts, by the address of their memory; return a status of `closedloop.mechanics.closure.solve`.
 
@@ -255,93 +255,8 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
     return status
 
 
-@kernel
-def turn_and_solve(c: Contacts, k: int, h: float) -> int:
-    """Turn the friction of slow slips to where they go in the step h, s, until it agrees with the forces.
-
-    Where it does not, friction stays against the slip as it is. So it does where a contact that only presses would
-    pull: its mode ends, and friction that is turned round with the force would drive the slip.
-    """
-    if some_pull(c, k):
-        return int(OK)
-    for i in range(k):
-        c.scratch.start[2 * i], c.scratch.start[2 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
-    for _ in range(TURNS):
-        for r in range(3 * k):
-            c.before[r] = c.F[r]
-        if not turn_slips(c, k, h):
-            return int(OK)
-        if solve_closed(c, k) != OK or some_pull(c, k):
-            break
-        size, change = 0.0, 0.0
-        for r in range(3 * k):
-            size, change = max(size, abs(c.before[r])), max(change, abs(c.F[r] - c.before[r]))
-        if change <= SETTLED * size:
-            return int(OK)
-    for i in range(k):
-        c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[2 * i], c.scratch.start[2 * i + 1]
-    return int(solve_closed(c, k))
-
-
-@kernel
-def some_pull(c: Contacts, k: int) -> bool:
-    """Whether the force of a contact that slides, and only presses, would pull."""
-    least = 0.0
-    for i in range(k):
-        least = min(least, c.F[3 * i] if c.problem.form[i] == RAY else 0.0)
-    return bool(least < 0.0)
-
-
-@kernel
-def solve_closed(c: Contacts, k: int) -> int:
-    """Write F, `rigid` and `rounding` in the present modes: of one contact by its closed form, else of all."""
-    alone = -1
-    for i in range(k):
-        if c.problem.form[i] != OFF:
-            if alone >= 0 or c.friction.pulls[i] != 0.0:
-                return int(solve_modes(c, k))
-            alone = i
-    if alone < 0 or not solve_one(c, k, alone):
-        return int(solve_modes(c, k))
-    return int(OK)
-
-
-@kernel
-def solve_one(c: Contacts, k: int, i: int) -> bool:
-    """Do `solve_modes` for contact i, the only one closed, by the closed form of the tip, where there is one."""
-    at, n, asked = 3 * i, c.X.shape[1], 0.0
-    S, a, b, F, rigid = c.scratch.slope, c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
-    own_mobility(c, i, S)
-    for j in range(3 * k):
-        c.F[j], c.rigid[j] = 0.0, 0.0
-    if c.problem.form[i] == RAY:
-        along, viscous = row_of(c.problem.along, i), c.viscous[at + 1 : at + 3]
-        status, share = pressed_force(S, a, b[0], along, viscous, F)
-        if status != OK:
-            return False
-        rigid[0] = F[0] - share
-        rigid[1], rigid[2] = -along[0] * rigid[0] - viscous[0], -along[1] * rigid[0] - viscous[1]
-    else:
-        if stuck_force(S, a, b, F, rigid) != OK:
-            return False
-        for j in range(3):
-            rigid[j] = F[j] - rigid[j]
-    size, most = 0.0, 0.0
-    for r in range(at, at + (1 if c.problem.form[i] == RAY else 3)):
-        s = abs(c.drift[r]) + abs(c.b[r])
-        for j in range(n):
-            s += abs(c.X[r, j] * c.load[j])
-        asked = max(asked, s)
-    for j in range(3):
-        size, most = max(size, abs(rigid[j])), max(most, S[j, j])
-    c.problem.rounding = 1e-10 * max(size, asked / most)
-    return True
-
-
 # An error below this is rounding, m: e = n·r − d is a sum of a few products of the order of a metre; or a rate, m/s.
 CLOSED = 2e-15
-# Solutions at most in which the friction of slow slips is turned, and the change of the forces at which it agrees.
-TURNS, SETTLED = 40, 1e-12
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
 # The speed of slip below which it is none, m/s.

@@ -73,7 +73,7 @@ class ContactIdentification:
         return found
 
     def lines(self) -> list[str]:
-        """Return what was found in words."""
+        """Return the findings in words."""
         told = [
             f"{self.source}: the tip touches in {100 * self.closed:.0f} % of the rows, and is free in "
             f"{100 * self.free:.0f} %",

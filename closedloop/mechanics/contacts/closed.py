@@ -1,0 +1,56 @@
+"""Forces in known modes: of one contact by its closed form, else of all together."""
+
+from __future__ import annotations
+
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
+from closedloop.mechanics.closure.contact_force import pressed_force, stuck_force
+from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.contacts.given_modes import own_mobility, solve_modes
+from closedloop.mechanics.contacts.memory import OFF, RAY, Contacts
+
+
+@kernel
+def solve_closed(c: Contacts, k: int) -> int:
+    """Write F, `rigid` and `rounding` in the present modes: of one contact by its closed form, else of all."""
+    alone = -1
+    for i in range(k):
+        if c.problem.form[i] != OFF:
+            if alone >= 0 or c.friction.pulls[i] != 0.0:
+                return int(solve_modes(c, k))
+            alone = i
+    if alone < 0 or not solve_one(c, k, alone):
+        return int(solve_modes(c, k))
+    return int(OK)
+
+
+@kernel
+def solve_one(c: Contacts, k: int, i: int) -> bool:
+    """Do `solve_modes` for contact i, the only one closed, by the closed form of the tip, where there is one."""
+    at, n, asked = 3 * i, c.X.shape[1], 0.0
+    S, a, b, F, rigid = c.scratch.slope, c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
+    own_mobility(c, i, S)
+    for j in range(3 * k):
+        c.F[j], c.rigid[j] = 0.0, 0.0
+    if c.problem.form[i] == RAY:
+        along, viscous = row_of(c.problem.along, i), c.viscous[at + 1 : at + 3]
+        status, share = pressed_force(S, a, b[0], along, viscous, F)
+        if status != OK:
+            return False
+        rigid[0] = F[0] - share
+        rigid[1], rigid[2] = -along[0] * rigid[0] - viscous[0], -along[1] * rigid[0] - viscous[1]
+    else:
+        if stuck_force(S, a, b, F, rigid) != OK:
+            return False
+        for j in range(3):
+            rigid[j] = F[j] - rigid[j]
+    size, most = 0.0, 0.0
+    for r in range(at, at + (1 if c.problem.form[i] == RAY else 3)):
+        s = abs(c.drift[r]) + abs(c.b[r])
+        for j in range(n):
+            s += abs(c.X[r, j] * c.load[j])
+        asked = max(asked, s)
+    for j in range(3):
+        size, most = max(size, abs(rigid[j])), max(most, S[j, j])
+    c.problem.rounding = 1e-10 * max(size, asked / most)
+    return True

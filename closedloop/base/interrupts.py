@@ -166,7 +166,7 @@ def answered_where_it_can_be() -> Iterator[None]:
 
 
 def _cannot_raise(frame: FrameType | None) -> bool:
-    """Whether what is raised in a frame goes to nobody: it was called by a library of C, or by the collector."""
+    """Whether no handler sees an exception raised in a frame, as a C library or the garbage collector called it."""
     while frame is not None:
         module = str(frame.f_globals.get("__name__", "")).partition(".")[0]
         if module in ("llvmlite", "weakref") or frame.f_code.co_name == "__del__":

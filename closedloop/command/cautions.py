@@ -1,4 +1,4 @@
-"""What is said before a run is simulated, on standard error, and refuses nothing."""
+"""Warnings on standard error before a run is simulated; none of them stops it."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def _main(words: list[str]) -> int:
     parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
     parser.add_argument("--gain", type=float, default=1.0, metavar="N", help="what the log's torques are multiplied by")
     parser.add_argument("--shift", type=float, metavar="S", help="the instant of the log at which the run begins, s")
-    parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the filters that the audit of the force uses")
+    parser.add_argument("--cutoff", type=float, metavar="HZ", help="cut-off of the filters in the audit of the force")
     parser.add_argument("--out", metavar="DIR", help="where comparison.json and comparison.svg go (default: nowhere)")
     parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
     options = parser.parse_args(rest)

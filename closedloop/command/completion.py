@@ -53,7 +53,7 @@ def _main(words: list[str]) -> int:
 
 
 def collect() -> Words:
-    """Return what can be typed."""
+    """Return the words that can be typed next."""
     from closedloop.command.robots import names
     from closedloop.scenario.describe import all_keys, choices, sections
     from closedloop.scenario.file import shipped_scenarios

@@ -103,7 +103,7 @@ def _parser() -> Parser:
         prog="closedloop identify",
         description="Identify base inertial parameters, friction and drive inertia of a robot from a log: positions "
         "and torques of all joints over time, as CSV, Parquet, NetCDF, MCAP, rosbag2, or a run.nc. Every value has "
-        "a 95 % interval; what the log does not tell is named, with a motion that would.",
+        "a 95 % interval; the report names what the log does not determine, with a motion that would.",
         cure="such as: closedloop identify log.csv --robot ur10",
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="one log, or several that are fitted together")
@@ -129,16 +129,22 @@ def _parser() -> Parser:
         help="find friction, stiffness, damping, restitution and the force sensor instead, of a tip on a plane with "
         "this normal (of a run.nc its own); the log has the force too: one column along the normal, or three",
     )  # fmt: skip
-    parser.add_argument("--delay", type=float, metavar="S", help="of the force behind the motion, if known (--contact)")
-    parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass (default: ten times the motion's)")
+    parser.add_argument(
+        "--delay", type=float, metavar="S", help="delay of the force behind the motion, if known (--contact)"
+    )
+    parser.add_argument(
+        "--cutoff", type=float, metavar="HZ", help="cut-off of the low-pass filter (default: ten times the motion's)"
+    )
     parser.add_argument(
         "--slow",
         type=float,
         default=0.01,
         metavar="SHARE",
-        help="of a joint's top speed: below it torques do not count",
+        help="share of a joint's top speed below which torques are not used",
     )
-    parser.add_argument("--held-out", type=float, default=0.25, metavar="SHARE", help="of the log that judges the rest")
+    parser.add_argument(
+        "--held-out", type=float, default=0.25, metavar="SHARE", help="share of the log that is kept to test the result"
+    )
     parser.add_argument("--method", choices=("ls", "iv"), default="ls", help="least squares, or instrumental variables")
     return parser
 

@@ -1,4 +1,4 @@
-"""What there is: ``closedloop scenarios``, and ``closedloop version``."""
+"""Lists: ``closedloop scenarios``, and ``closedloop version``."""
 
 from __future__ import annotations
 

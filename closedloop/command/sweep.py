@@ -197,7 +197,7 @@ def _sweep_parser() -> Parser:
     parser = scenario_parser(
         "closedloop sweep",
         "SCENARIO",
-        description="Run a scenario many times with some keys changed, into a table of what came of\n"
+        description="Run a scenario many times with some keys changed, into a table with a row for\n"
         "each run. A sweep that was killed goes on with the same command.\n"
         "closedloop sweep plot FILE draws maps of the table.",
         epilog=list_of_sections(names_only=True)

@@ -61,7 +61,7 @@ def _main(words: list[str]) -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="closedloop tune",
-        description="Find the gains, or other numbers of a scenario, that make a value of its runs least.",
+        description="Find the gains, or other numbers of a scenario, that minimise a value of its runs.",
         cure="such as: closedloop tune wam_slide --vary law.kd=5:200 --minimise rms_force_error",
     )
     parser.add_argument("scenario", help="a scenario that ships, or a .toml; --SECTION.KEY VALUE changes it")
@@ -81,7 +81,9 @@ def _parser() -> Parser:
         "--over", action="append", default=[], metavar="KEY=VALUES",
         help="variations under which constraints hold, such as friction.coefficient=0.2,0.4,0.6",
     )  # fmt: skip
-    parser.add_argument("--robust", choices=("worst", "mean"), default="worst", help="what is least of all variations")
+    parser.add_argument(
+        "--robust", choices=("worst", "mean"), default="worst", help="minimise the worst or the mean of all variations"
+    )
     parser.add_argument("--starts", type=int, default=4, metavar="N", help="searches from different points (4)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of these points (0)")
     parser.add_argument(

@@ -110,7 +110,7 @@ class Now:
         self._known: dict[str, Any] = {}
 
     def changed(self) -> None:
-        """Forget what has been computed from the arrays: they have been written."""
+        """Discard what was computed from the arrays: they have been written."""
         self._known.clear()
 
     def _once(self, name: str, compute: Callable[[], Any]) -> Any:

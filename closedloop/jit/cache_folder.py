@@ -30,7 +30,14 @@ import numpy as np
 from closedloop.jit.uninterrupted import compiler_at_work
 
 # What tells a file whose text the compiled code depends on, and files that say how it is compiled.
-MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entry", b"@lower_builtin")
+MARKS = (
+    b"\n@kernel",
+    b"\n@inlined_kernel",
+    b"\n@entry_kernel",
+    b"\n@brief_entry",
+    b"\n@long_loops_entry",
+    b"@lower_builtin",
+)
 COMPILERS = (
     "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py", "measures.py",
     "dual.py", "dual8.py", "numba_dual8.py",

@@ -31,7 +31,7 @@ class NotCompiledError(NotDualError):
 
 @contextmanager
 def refused_as_one_line() -> Iterator[None]:
-    """Turn what numba raises of a function that it cannot compile into one line."""
+    """Turn numba's error about a function that it cannot compile into one line."""
     from numba.core.errors import NumbaError
 
     try:

@@ -43,6 +43,8 @@ class EntryLibrary(JITCodeLibrary):
     They run over two to seven joints, or three axes: eight at a time there are none. It was two thirds of LLVM's time.
     """
 
+    vectorised = False
+
     def _optimize_final_module(self) -> None:
         codegen = self._codegen
         if not hasattr(codegen, "_pass_builder"):  # numba 0.61
@@ -53,9 +55,16 @@ class EntryLibrary(JITCodeLibrary):
         )
         first.run(self._final_module, builder)
         options = create_pipeline_tuning_options(min(int(vars(config)["OPT"]), 3))
-        options.loop_vectorization = options.slp_vectorization = options.loop_unrolling = False
+        options.loop_vectorization = self.vectorised
+        options.slp_vectorization = options.loop_unrolling = False
         builder = create_pass_builder(codegen._tm, options)
         builder.getModulePassManager().run(self._final_module, builder)
+
+
+class LongLoopsLibrary(EntryLibrary):
+    """Code that Python calls, whose loops are vectorised: they run over the rows of many contacts."""
+
+    vectorised = True
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -63,15 +72,24 @@ class MakeEntry(AnalysisPass):
     """The compiler pass that makes the function's library an `EntryLibrary`."""
 
     _name = "make_entry"
+    library = EntryLibrary
 
     def __init__(self) -> None:
         AnalysisPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
         """Make the library before numba would make an ordinary one."""
-        state["library"] = EntryLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state["library"] = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
         state["library"].enable_object_caching()
         return False
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class MakeLongLoops(MakeEntry):
+    """The compiler pass that makes the function's library a `LongLoopsLibrary`."""
+
+    _name = "make_long_loops"
+    library = LongLoopsLibrary
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -93,11 +111,19 @@ class KeepNested(AnalysisPass):
 class EntryCompiler(CompilerBase):
     """numba's compiler, which infers types and writes LLVM's code in less time."""
 
+    first: type[AnalysisPass] = MakeEntry
+
     def define_pipelines(self) -> list[Any]:
         """Return numba's passes, two of them replaced."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(MakeEntry, NopythonTypeInference)
+        passes.add_pass_after(self.first, NopythonTypeInference)
         return [_quick(passes)]
+
+
+class LongLoopsCompiler(EntryCompiler):
+    """The same, for loops that are worth vectorising."""
+
+    first = MakeLongLoops
 
 
 def _quick(passes: Any) -> Any:

@@ -112,13 +112,13 @@ def _nested(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     return NestedFunction(function, options, ordinary)
 
 
-def _njit(function: Callable[..., Any], **options: Any) -> Any:
+def _njit(function: Callable[..., Any], long_loops: bool = False, **options: Any) -> Any:
     import numba
 
-    from closedloop.jit.inline_once import EntryCompiler
+    from closedloop.jit.inline_once import EntryCompiler, LongLoopsCompiler
 
     decorate: Any = numba.njit  # its annotations do not know all that it takes
-    return decorate(pipeline_class=EntryCompiler, **options)(function)
+    return decorate(pipeline_class=LongLoopsCompiler if long_loops else EntryCompiler, **options)(function)
 
 
 def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> Any:
@@ -151,16 +151,16 @@ def kernel_inlined(function: F) -> F:
     return _made(function, lambda plain: _nested(plain, options))
 
 
-def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
+def entry_kernel(function: F, *, nogil: bool = True, identity: str = "", long_loops: bool = False) -> F:
     """Compile `function` on first use and cache it on disk, keyed by the text of every kernel of the package.
 
     It releases the interpreter's lock unless `nogil` is false: that takes 30 ns. `identity` is, of a function made
-    inside another, what it was made from.
+    inside another, what it was made from. Loops are vectorised if they are long.
     """
 
     def make(plain: Callable[..., Any]) -> Any:
         form = getattr(plain, "form", "")  # see `closedloop.jit.dual`
-        return _kept(plain, _njit(plain, error_model="numpy", nogil=nogil, _nrt=False), identity + form)
+        return _kept(plain, _njit(plain, long_loops, error_model="numpy", nogil=nogil, _nrt=False), identity + form)
 
     return _made(function, make)
 
@@ -168,6 +168,11 @@ def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
 def brief_entry(function: F) -> F:
     """Do as `entry_kernel`, without releasing the interpreter's lock, for calls of a microsecond."""
     return entry_kernel(function, nogil=False)
+
+
+def long_loops_entry(function: F) -> F:
+    """Do as `entry_kernel`, and vectorise loops: those over the rows of many contacts are long."""
+    return entry_kernel(function, long_loops=True)
 
 
 @cache

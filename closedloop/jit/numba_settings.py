@@ -1,4 +1,4 @@
-"""Settings of numba from outside, of which some would end a command with a traceback.
+"""Settings of numba in the environment; some values would end a command with a traceback.
 
 A number of threads that is none is left out: nothing here depends on it. Of other variables that it does not
 understand numba warns with a traceback, and takes its defaults. A file of settings that cannot be read is refused.

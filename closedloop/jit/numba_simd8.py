@@ -12,7 +12,7 @@ from numba import types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, overload
 
-from closedloop.jit.dual8 import sought
+from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.numba_vectors import DOUBLES, LANE, Vector, made_of, repeated, teach, vectors_at
 from closedloop.jit.simd8 import MANY_TURNS, WIDE, every, nearest, select
 
@@ -94,6 +94,7 @@ _teach(math.sqrt, (float64x8,), float64x8, _library(f"llvm.sqrt.v{WIDE}f64"))
 _teach(max, (float64x8, float64x8), float64x8, _larger)
 _teach(min, (float64x8, float64x8), float64x8, _smaller)
 _teach(sought, (float64x8,), float64x8, lambda builder, x: x)
+_teach(has_derivatives, (float64x8,), types.boolean, lambda builder, x: ir.IntType(1)(0))
 _teach(operator.and_, (answers, answers), answers, _one_instruction("and_"))
 _teach(operator.or_, (answers, answers), answers, _one_instruction("or_"))
 

@@ -21,6 +21,7 @@ from closedloop.lab.protocol import Lab
 from closedloop.lab.strip import margin_tiles, tiles, values
 from closedloop.record.run import Run
 from closedloop.simulation.cache import Cache
+from closedloop.studies.analysis.linearise import linearise
 from closedloop.studies.analysis.overview import Overview, overview
 
 # The strip follows when no other run has come for so long, s, and while a slider moves so often; then the rest.
@@ -130,7 +131,8 @@ class Details:
             line = ""
             try:
                 at = None if self.at is None else min(self.at, run.scenario.time.duration)
-                found = overview(run.scenario, at, model=lab.answers.model(run.scenario), cache=self._cache)
+                model = lab.answers.model(run.scenario)
+                found = overview(linearise(run.scenario, at, model=model, cache=self._cache))
             except ClosedLoopError as error:
                 line = one_line(str(error))
         if line:

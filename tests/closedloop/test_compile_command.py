@@ -39,7 +39,7 @@ def kept_kernels():
 def test_every_kernel_that_is_kept_is_compiled():
     """One that is added to the package and not to the command would be compiled by the user's run."""
     named = [piece.kernel for piece in pieces()]
-    of_duals = {"run_at", "run_varied_at", "measure_at", "complete_at"}  # compiled in another form, by who asks for it
+    of_duals = {"run_at", "run_varied_at", "measure_at"}  # compiled in another form, by who asks for it
     entries = [name for name in named if name.startswith("entry_of_")]  # of the plug-ins, in no module's names
     assert set(named) - set(entries) == kept_kernels() - of_duals
     assert len(kept_kernels() - of_duals) == len(named) - len(entries)

@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import closedloop as cl
+from closedloop.studies.gradient import exact
 from tests.closedloop.linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 FORCE, GAP, RESTITUTION = 10.0, 0.1, 0.6
@@ -107,6 +108,36 @@ def test_saltation_at_impacts():
     np.testing.assert_allclose(mine, product(1.0, 1.0, 1.0), rtol=1e-7)
     for planted in ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 0.0)):
         assert not np.allclose(mine, product(*planted), rtol=1e-3)
+
+
+@pytest.mark.parametrize("term", ["position", "velocity", "instant"])
+def test_a_fault_in_a_term_of_saltation_is_caught(term, monkeypatch):
+    """One of the three terms is left out of, or turned round in, a run of dual numbers: it is not believed."""
+    end, gap, lane = 0.4, 0.11, 3  # of the velocity along z
+    first, second = bounces(2, RESTITUTION, gap, ACCELERATION)
+    assert first < end < second
+    missing = {
+        "position": (2.0 * RESTITUTION * first, 0.0),
+        "velocity": (0.0, 2.0 * RESTITUTION),
+        "instant": (0.0, -(1.0 + RESTITUTION)),  # (1 + ε) a δz⁻/v⁻ with v⁻ = −a t
+    }
+    position, velocity = missing[term]
+
+    class Faulty(exact.DualRun):
+        def run(self):
+            went_on = super().run()
+            late = 0.002 * np.arange(len(self.rows)) - first
+            self.rows[late > 0.0, 2, lane] += position + velocity * late[late > 0.0]
+            self.rows[late > 0.0, 5, lane] += velocity
+            return went_on
+
+    asked = {"time.duration": end, "surface__gap": gap}
+    plain = cl.gradient(ball(**asked), ["start.v"], of=["q@end"])
+    assert plain.method["q@end"]["start.v"].startswith(exact.DUALS)
+    monkeypatch.setattr(exact, "DualRun", Faulty)
+    caught = cl.gradient(ball(**asked), ["start.v"], of=["q@end"])
+    assert not caught.method["q@end"]["start.v"].startswith(exact.DUALS)
+    np.testing.assert_allclose(caught.derivative["q@end"]["start.v"], plain.derivative["q@end"]["start.v"], atol=1e-7)
 
 
 def test_sliding_block_stops():

@@ -150,7 +150,7 @@ def test_another_stiffness_carries_the_same_force():
 def test_overview_is_the_page_without_limits(name, cut):
     """Sentence, margins and poles are those of the page, and its curves go through the margins, with a cache too."""
     scenario = cl.load_scenario(name, {"law.force_integral": 20.0} if name == "soft_table" else {})
-    page, seen = page_of(Stability(scenario, 3.0), limits=False), overview(scenario, 3.0)
+    page, seen = page_of(Stability(scenario, 3.0), limits=False), overview(cl.linearise(scenario, 3.0))
     assert seen.sentence == page.sentence()
     assert seen.margins == page.weakest
     assert seen.margins.cut.startswith(cut)
@@ -160,5 +160,5 @@ def test_overview_is_the_page_without_limits(name, cut):
     assert np.interp(seen.margins.phase_at, seen.frequency, seen.gain) == pytest.approx(0.0, abs=0.1)
     assert np.max(seen.sensitivity) == pytest.approx(seen.margins.peak_sensitivity, rel=1e-3)
     cache = Cache()
-    again = [overview(scenario, 3.0, cache=cache) for _ in range(2)]
+    again = [overview(cl.linearise(scenario, 3.0, cache=cache)) for _ in range(2)]
     assert all(np.array_equal(each.transfer, seen.transfer) for each in again)

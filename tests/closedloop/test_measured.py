@@ -31,7 +31,7 @@ from closedloop.record.report.row_assumptions import (
 )
 from closedloop.record.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.step_error import bounces_at_the_end, resolution_of, write_beside
+from closedloop.record.report.step_error import beside_of, resolution_of, write_beside
 from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
@@ -64,8 +64,9 @@ def row_by_row(run):
         interpreted(count_swings)(row, wanted, i, held, order, sampled, Swings(tally.swings, n))
     interpreted(end_stretch)(held, order, Swings(tally.swings, n))
     interpreted(write_values)(row, n, len(run), tally, values)
-    bounces = bounces_at_the_end(run.event_kind, run.event_time, run.time[-1], run.scenario.time.step, run.mode[-1])
-    write_beside(run.scenario, Swings(tally.swings, n), values, bounces)
+    events = run.event_kind, run.event_time, run.event_rate_before, run.event_contact
+    beside = beside_of(run.scenario, events, run.mode[-1], run.v, run.reference_force)
+    write_beside(run.scenario, Swings(tally.swings, n), values, beside)
     return values
 
 
@@ -153,7 +154,8 @@ def step_error_of(x, mode, order):
             continue
         part, begin = x[begin:i].tolist(), i
         cut = cut_differences(part)
-        steepest = max(steepest, *map(abs, cut), 0.0) if cut.size else steepest
+        ending = 0.95 * abs(cut[-1]) + 0.05 * abs(part[-1] - part[-2]) if cut.size else 0.0
+        steepest = max(steepest, *map(abs, cut), ending) if cut.size else steepest
         jump = max(jump, *(np.abs(np.diff(part)) - np.abs(cut)), 0.0) if cut.size else jump
         if len(part) < 4:
             total += 0.5 * (max(part) - min(part))
@@ -214,6 +216,7 @@ def written_out(row, wanted, limits, V, order, sampled):
         kicks = sum(np.abs(cut_differences(x)) for x in r.torque.T)
         moved += max((abs(miss[i]) for i in lands), default=0.0) + 2.0 * max(kicks[:-1][touching[2:]], default=0.0)
     of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-10 * np.max(np.abs(f))
+    of_pose += 0.0 if touching[0] and abs(e[0]) > 1e-9 else np.max(np.abs(r.stabiliser_force))
     changes = [i for i in range(1, count) if r.mode[i] != r.mode[i - 1]]
     changed = max((abs(f[i] * touching[i] - f[i - 1] * touching[i - 1]) for i in changes), default=0.0)
     hidden = failed.any() or any(touching[i] and touching[i - 1] for i in changes)

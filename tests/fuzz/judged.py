@@ -92,7 +92,10 @@ def directly(case: Case, file: Path) -> tuple[str, str]:
 
 
 def judge_halved(case: Case) -> tuple[str, str]:
-    """Return `HELD` where a good run differs from the same at half the step by no more than it states, and why not."""
+    """Return `HELD` where a good run differs from the same at half the step by no more than it states, and why not.
+
+    Beside `HELD` stands the largest difference, as a share of what is stated for it.
+    """
     try:
         scenario = scenario_of(case.content, "fuzz", {})
         if scenario.time.integrator in ADAPTIVE:
@@ -111,7 +114,7 @@ def judge_halved(case: Case) -> tuple[str, str]:
         return FAULTY, f"refused at half the step: {error}"
     if found["stopped"]:
         return FAULTY, f"stops at half the step: {found['stopped']}"
-    beyond, missing, rows = [], [], len(run)
+    beyond, missing, rows, most = [], [], len(run), 0.0
     miss = np.max(np.abs(run.contact_force - run.reference_force)[run.mode != FREE], initial=0.0)
     aside = np.max(np.linalg.norm(run.position - run.reference_tip, axis=1))
     for unit, name, names in (("N", "contact_force", OF_FORCE), ("N", "extremes", EXTREMES), ("m", "position", OF_TIP)):
@@ -128,11 +131,12 @@ def judge_halved(case: Case) -> tuple[str, str]:
             # A mean over rows differs besides by where its jumps are between them: by a row's worth.
             worst = {"rms_force_error": miss, "rms_path_error": aside}.get(each, 0.0)
             row = worst * worst / (rows * summary[each]) if worst and summary[each] else 0.0
+            most = max(most, (x or 0.0) / (stated + row) if stated else 0.0)
             if x and x > stated + row:
                 beyond.append(f"{each} by {x:.3g} {unit}, {stated:.3g} stated")
     if beyond:
         return FAULTY, f"differs at half the step: {'; '.join(beyond)}; {found['modes_differ']} modes differ"
-    return (UNKNOWN, missing[0]) if missing else (HELD, "")
+    return (UNKNOWN, missing[0]) if missing else (HELD, f"{most:.3g}")
 
 
 # Lines that may stand beside the one that says what became of the command.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from bounded import MOST_SECONDS, judged
 from combinations import combinations
-from judged import FAULTY, judge, judge_halved
+from judged import FAULTY, HELD, judge, judge_halved
 from scenario_cases import SEED, Case, all_cases, tables
 from shipped_cases import shipped_cases, shipped_tables
 
@@ -64,10 +64,12 @@ def main() -> None:
     cases = [case for case in every if options.only in case.name][: options.count]
     counts: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
+    shares: list[float] = []
     how = (judge_halved, FAULTY, FIRST) if options.halved else (judge, FAULTY, FIRST)
     for case, outcome, words, spent in judged(cases, *how, most=SLOWEST if options.halved else MOST_SECONDS):
         counts[outcome] += 1
-        reasons[f"{outcome}: {reason(words)}"] += options.halved is not None and outcome != FAULTY
+        reasons[f"{outcome}: {reason(words)}"] += options.halved is not None and outcome not in (FAULTY, HELD)
+        shares += [float(words)] if outcome == HELD else []
         if outcome == FAULTY:
             print(f"{case.name[:300]}\n    {words}", flush=True)
             if options.keep:
@@ -80,6 +82,8 @@ def main() -> None:
     for words, count in (+reasons).most_common():
         print(f"{count:6} {words}")
     print(f"{len(cases)} scenarios: {dict(counts)}")
+    if shares:
+        print(f"differences at half the step, as shares of what is stated: {sorted(shares, reverse=True)[:10]}")
 
 
 def reason(words: str) -> str:

@@ -4,13 +4,10 @@ import pytest
 from gradients import VALUES, look
 
 
-@pytest.mark.xfail(strict=False, reason="open: not yet compared for all shipped scenarios")
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["wam_slide", "planar2_drop", "wam_stick_slip", "soft_table", "wam_sphere", "four_bar"]
-)
+@pytest.mark.parametrize("name", ["wam_slide", "planar2_drop", "soft_table", "wam_sphere", "four_bar", "cube_toss"])
 def test_derivatives_of_a_shipped_scenario(name):
     """They agree to 1e-6, or to what the differences say of themselves, and most are by dual numbers."""
-    count, worst, which = look(name, keys=2, values=VALUES[:1], duration=0.6)
+    count, worst, which = look(name, keys=2, values=VALUES[:1], duration=0.3)
     assert count["disagree"] == 0, f"{worst} {which}"
-    assert count["agree"] > 0.5 * count["derivatives"] > 0
+    assert count["to 1e-6"] + count["to the error"] > 0.5 * count["derivatives"] > 0

@@ -93,7 +93,7 @@ class Scene:
     @cached_property
     def joined(self) -> Joined:
         """The loop joints of the robot."""
-        return Joined(self.robot, self.size)
+        return Joined(self.robot, self.size if self.model.loops else 0.0)
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:

@@ -54,9 +54,25 @@ function logTicks(low, high) {
   return found.filter((v) => v >= low * (1 - 1e-9) && v <= high * (1 + 1e-9));
 }
 
+// The sizes of canvases on the page. They are not read again at each drawing: that would have the page laid out each time.
+const sizes = new WeakMap();
+const watched = new ResizeObserver((entries) => {
+  let changed = false;
+  for (const { target } of entries) {
+    const was = sizes.get(target), now = [target.clientWidth, target.clientHeight];
+    changed ||= was?.join() !== now.join();
+    sizes.set(target, now);
+  }
+  if (changed) document.dispatchEvent(new Event("resized"));
+});
+
 // The pixels of a canvas for its place on the page; returns its context in CSS pixels, its width and height.
 function sized(canvas) {
-  const dpr = window.devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
+  if (!sizes.get(canvas)?.[0]) {
+    sizes.set(canvas, [canvas.clientWidth, canvas.clientHeight]);
+    watched.observe(canvas);
+  }
+  const dpr = window.devicePixelRatio || 1, [w, h] = sizes.get(canvas);
   const [pw, ph] = [Math.max(1, Math.round(w * dpr)), Math.max(1, Math.round(h * dpr))];
   const g = canvas.getContext("2d");
   if (canvas.width !== pw || canvas.height !== ph) [canvas.width, canvas.height] = [pw, ph];

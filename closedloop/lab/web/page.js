@@ -55,6 +55,7 @@ const on = {
     state.time = m.follow ? m.end : Math.min(Math.max(state.time, m.begin), Math.max(m.end, m.begin));
     panels = m.panels;
     if (!socket) m.panels = pick(m.panels);
+    plots.now = state.time;
     plots.show(m);
     show_stopped(m);
     if (m.frame && m.frame.robot && m.frame.robot === space.about?.robot) { still = m.frame; frames = null; draw_space(); }
@@ -187,8 +188,9 @@ function show_instant(all = true) {
   $("time").setAttribute("aria-valuetext", `${state.time.toFixed(3)} s`);
   $("now").textContent = `${state.time.toFixed(3)} s`;
   $("play").textContent = state.playing ? "pause" : "play";
+  if (!all) return;
   plots.cursor(state.time, null);
-  if (all) draw_space();
+  draw_space();
 }
 
 function seek(time) {
@@ -289,6 +291,7 @@ function redraw() {
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", theme);
 theme();
 new ResizeObserver(redraw).observe($("middle"));
+document.addEventListener("resized", redraw);
 new ResizeObserver(redraw).observe($("side"));
 
 // Of messages that come faster than they are drawn only the newest run is.

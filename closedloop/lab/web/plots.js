@@ -35,9 +35,15 @@ class Plots {
     this.draw();
   }
 
-  draw() { for (const plot of this.plots.values()) plot.draw(); }
+  draw() {
+    for (const plot of this.plots.values()) plot.draw();
+    this.cursor(this.now ?? 0, null);
+  }
 
-  cursor(now, held) { for (const plot of this.plots.values()) plot.cursor(now, held); }
+  cursor(now, held) {
+    this.now = now;
+    for (const plot of this.plots.values()) plot.cursor(now, held);
+  }
 
   enlarge(from, to) {
     const run = this.run, end = run.total ?? run.end;
@@ -80,7 +86,7 @@ class Plot {
       span.onclick = () => {
         const key = `${this.name} ${t.label}`;
         if (!this.all.hidden.delete(key)) this.all.hidden.add(key);
-        this.draw();
+        this.all.draw();
       };
       return span;
     });
@@ -205,7 +211,6 @@ class Plot {
       this.modes_?.replaceChildren(...seen.map((m) => make("span", { textContent: run.modes.names[m], style: `border-bottom: 3px solid ${MODES[m]}` })));
     }
     this.over.setAttribute("aria-label", `${this.panel.title}, from ${short(low)} to ${short(high)}, against time`);
-    this.cursor(this.now ?? 0, null);
   }
 
   curve(g, time, values, colour, width, dashes, x, y) {
@@ -265,7 +270,8 @@ class Plot {
     while (k < high) { const m = (k + high + 1) >> 1; if (time[m] <= at) k = m; else high = m - 1; }
     this.panel.traces.forEach((t, i) => {
       const span = this.spans[i];
-      span.textContent = this.name.startsWith("torque") && t.limit ? "limit" : `${t.limit ? t.label : t.label.slice(this.shared)} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k])}`;
+      const text = this.name.startsWith("torque") && t.limit ? "limit" : `${t.limit ? t.label : t.label.slice(this.shared)} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k])}`;
+      if (span.textContent !== text) span.textContent = text;
       span.style.color = tint(t.colour);
       span.classList.toggle("off", this.all.hidden.has(`${this.name} ${t.label}`));
     });

@@ -1,4 +1,4 @@
-"""What the controller takes the arm for, where that is wrong: H and C of its own model, from those of the arm.
+"""The controller's model of the arm, where it is wrong: its H and C, from those of the arm.
 
     H' = κ (H − m JᵣᵀJᵣ − D) + D        C' = κ (C − m Jᵣᵀ(J̇ᵣq̇ − g))
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.jit.kernel import kernel, long_loops_entry
 from closedloop.jit.pointers import row_of
 from closedloop.loop.step.contact_rows import (
     asked,
@@ -70,7 +70,7 @@ FORCE, WATCH, SAVE, PLACE, IMPULSE, DECIDE = range(6)
 CLOSE_GAPS, CLOSE_RATES, FRICTION_RATES, ADVANCE_FRICTION, ANSWER = range(6, 11)
 
 
-@entry_kernel
+@long_loops_entry
 def contacts_in_step(address: int, what: int) -> int:
     """Answer for the contacts, by the address of their memory; return a status of `closedloop.mechanics.closure.solve`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from closedloop.control.reference.table import TableRow
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
+from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import row_of
 from closedloop.jit.simd8 import every, select
@@ -149,7 +151,7 @@ def complete_record(address: int, rows: Array, done: int) -> None:
 
 
 def rows_there(state: State, done: int, n: int) -> int:
-    """Return how many rows are recorded when `done` of them, or one more that was not counted yet, may be.
+    """Return how many rows are recorded: `done`, or one more that was not counted yet.
 
     Each row adds a lane to the batch, and a full batch is emptied.
     """
@@ -183,12 +185,15 @@ def record(
 def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: int) -> None:
     """Do `write_row` with row `place`, and see to its condition number.
 
-    That is written once a batch is full, or by `complete_record`; with loops it is that of H.
+    That is written once a batch is full, or by `complete_record`; with loops it is that of H. Of dual numbers it and
+    the residuals are NaN.
     """
     n, lane = w.q.shape[0], state.batched
     row = Row(row_of(rows, place), n)
     bordered = write_row(H, C, w, state, row)
-    if n > LONG_ARM:
+    if has_derivatives(row.contact_force):
+        row.kkt_condition = math.nan
+    elif n > LONG_ARM:
         row.kkt_condition = condition_number(
             H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
         )
@@ -234,15 +239,16 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
     if state.together != 0:
         for j in range(n):
             w.scratch.column[j] += w.contacts.torque[j]
-    motion, closed = residuals(H, w.scratch.column, C, w.qdd, w.tip, first, last)
     trace = w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
     row.contact_force = w.tip.F[0]
     row.stabiliser_force = w.tip.stabiliser_force[0]
     row.closure_error = w.tip.gap
     row.closure_rate = w.tip.rate
     row.mode = mode
-    row.residual_motion = motion
-    row.residual_closure = closed
+    if has_derivatives(trace):  # they say how well Eq. 24 is solved, which is not worth a third of a step
+        row.residual_motion = row.residual_closure = math.nan
+    else:
+        row.residual_motion, row.residual_closure = residuals(H, w.scratch.column, C, w.qdd, w.tip, first, last)
     row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v)
     w.sensing.measured = w.tip.F[0]

@@ -187,7 +187,7 @@ def add_four(factors: tuple[float, float, float, float], R: Array, k: int, to: A
 @kernel_inlined
 @lanewise
 def clear(to: Array, lanes: int) -> None:
-    """Write to = 0."""
+    """Write zeros into `to`."""
     for r in range(lanes):
         to[r] = 0.0
 

@@ -88,7 +88,7 @@ class Surface(Parameters):
         return self.edge_radius, 0.0
 
     def solid(self) -> tuple[float, ...]:
-        """Return of a block what says where its faces end for a point, see `edge_distance`; zeros of other surfaces."""
+        """Return the sizes of a block by which `edge_distance` finds where its faces end; zeros of other surfaces."""
         return (0.0,) * 5
 
     def list_length(self) -> int:

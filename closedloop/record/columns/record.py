@@ -1,4 +1,4 @@
-"""What a reader of a run sees of it: its columns, what made them, and what was worked out from them.
+"""The record of a run: its columns, what made them, and what was computed from them.
 
 A report, and whatever follows from the columns, is written for this interface; `closedloop.record.run.Run` has it.
 """

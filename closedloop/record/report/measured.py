@@ -60,6 +60,9 @@ ROUNDED = 1e-10
 # as newton metres at an arm a metre long. At half a metre it is twice as many, which is assumed. The share is chosen,
 # not a bound: at a shorter arm it is more.
 HELD_SHARE = 2.0
+# The stabiliser's part of f is there because steps leave the surface, and is none at short steps; not so where the tip
+# starts farther off, m.
+CLOSED = 1e-9
 _VALUES: dict[str, Any] = {
     **dict.fromkeys(MEASURES, float),
     "events": Annotated[Array, len(KINDS)],
@@ -312,6 +315,7 @@ def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
     error = min(swing.error, swing.highest - swing.lowest) + moved + HELD_SHARE * swings.kick + swings.struck
     error = error + select(first_order, swings.begun, 0.0)
     error = error + (POSE * lag * fastest + ROUNDED) * largest
+    error = error + select(abs(values.start_closure_error) > CLOSED, 0.0, values.max_stabiliser_force)
     singular = values.failed_at[_NONSINGULAR]
     values.step_error_force = select(singular == singular, math.nan, error)
     known = (singular != singular) & (swings.sticks == 0.0)

@@ -91,7 +91,7 @@ class Powers(Block):
 
 
 class Signals(Block, sizes=("n",)):
-    """Of these counts what alternates from row to row."""
+    """Signals whose changes of direction from row to row are counted."""
 
     force: float
     torque: Annotated[Array, N]

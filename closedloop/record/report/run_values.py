@@ -24,7 +24,7 @@ from closedloop.record.report.limited import count_limited
 from closedloop.record.report.link_contacts import lost_to_slips
 from closedloop.record.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.record.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
-from closedloop.record.report.step_error import bounces_at_the_end, resolution_of, write_beside, write_swings
+from closedloop.record.report.step_error import beside_of, resolution_of, write_beside, write_swings
 from closedloop.record.report.step_variation import Swings
 from robot_models.coordinates import with_rotation_vectors
 
@@ -70,8 +70,9 @@ def run_values(run: Record) -> Any:
     write_swings(run, Swings(tally.swings, n))
     last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in _LAST})
     interpreted(write_values)(last, n, count, tally, values)
-    bounces = bounces_at_the_end(run.event_kind, run.event_time, run.time[-1], h, run.mode[-1])
-    write_beside(run.scenario, Swings(tally.swings, n), values, bounces)
+    events = run.event_kind, run.event_time, run.event_rate_before, run.event_contact
+    beside = beside_of(run.scenario, events, run.mode[-1], run.v, run.reference_force)
+    write_beside(run.scenario, Swings(tally.swings, n), values, beside)
     if "torque_limited" in run.columns:
         count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)

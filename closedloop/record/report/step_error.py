@@ -15,12 +15,15 @@ one of order one.
 To this is added what variations do not show. Events, and paths that start between two rows, move by up to a step, and
 the force with them, by its steepest change from row to row; with order one the force lags by as much anyway. With a
 higher order a path or a force that jumps at a row comes up to a third of a step early (`LATE`), which f hides where
-joints are elastic. Where contact begins,
-with order one, the force asked for in that step may be that of either of its rows. A torque
-that is held lets the force drift until the next sample, where it comes back by what the torque changes; and contact
-that begins beside a sample may begin on the other side of it, so that the error of the force in that row counts. In
-steady motion a run lags by a share of a step behind: the tip by as much of its way, and the force, which depends on the
-pose, by about itself for each radian. And rounding.
+joints are elastic. Where contact begins, with order one, the force asked for in that step may be that of either of its
+rows. A torque that is held lets the force drift until the next sample, where it comes back by what the torque changes;
+and contact that begins beside a sample may begin on the other side of it, so that the error of the force in that row
+counts. In steady motion a run lags by a share of a step behind: the tip by as much of its way, and the force, which
+depends on the pose, by about itself for each radian. The stabiliser's part of f is none at short steps. A law that
+feeds the force back reads it a step late. And rounding.
+
+Where an error grows it is no sum of what the steps add. Break-away multiplies it (`AGAIN`); where bounces go on, f and
+the tip may be anywhere in their ranges (`bounces_on`); where f grows exponentially, nothing is stated (`grows`).
 
 It is an estimate, not a bound that is proved: `tests/closedloop/test_step_error.py` compares it with runs at short
 steps. It is about rows apart from those where contact begins, ends, sticks or slips: there the force jumps, at an
@@ -30,10 +33,12 @@ instant that moves with the step.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from closedloop.jit.interpreted import interpreted
@@ -41,7 +46,7 @@ from closedloop.loop.events.table import IMPACT, LIFTOFF, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
-from closedloop.record.report.step_variation import SPAN, Swing, Swings, cut_slope, local_error
+from closedloop.record.report.step_variation import ENDING, SPAN, Swing, Swings, cut_slope, local_error
 from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -63,10 +68,19 @@ IN_TURN = 2.0
 LOCATED = 0.05
 # Friction at the tip bends with the slip within a step, and rows do not show how much: so many times what they show.
 BENT = 3.0
+# A joint that comes to rest is off by the error of f there, and breaks away again earlier or later for it: where
+# friction is less in motion, the error of f grows, as does that of a tip that breaks away. So many times is assumed.
+AGAIN = 3.0
+# Where links or bodies strike, several contacts do so in a row, and which is the first moves by a step each time: the
+# tip is late by so many.
+IN_A_ROW = 3.0
 # Encoders read what is a step old, or the mean of two: the tip is off by as much in feedback.
 OLD = 2.0
 # Contact that ended within so many rows before the last may begin in it at another step.
 BOUNCED = 20
+# Bounces go on where of so many successive strikes the faster of the last two has this share of the first two's. Those
+# of a touchdown decay: with a restitution of 0.9 to 0.66. How far a flight is then, every step before says.
+STRIKES, LASTING = 6, 0.7
 # Why neither the error of f nor that of the tip is known.
 GROWS = "f grows exponentially: with it the error of each step, and of rounding"
 # Why that of its extremes is not.
@@ -93,7 +107,8 @@ def write_swings(run: Record, swings: Swings) -> None:
             total[k : k + each] += _errors(stretch, cut, order) / held
             if k == 0:
                 sizes, size = np.abs(np.diff(stretch[0])), np.abs(cut[0])
-                swings.steepest = max(swings.steepest, np.max(size, initial=0.0) / held)
+                last = np.max(size[-1:] + ENDING * (sizes[-1:] - size[-1:]), initial=0.0)
+                swings.steepest = max(swings.steepest, np.max(size, initial=last) / held)
                 swings.jump = max(swings.jump, np.max(sizes - size[: sizes.size], initial=0.0))
         if begin:
             around = run.contact_force[begin - 1 : begin + 1] * (run.mode[begin - 1 : begin + 1] != FREE)
@@ -162,16 +177,19 @@ def grows(off: Array) -> bool:
     """Whether an error (N,) grows exponentially: in each of `GROWING` successive parts of the run, by `GROWTH` in all.
 
     The sum of the errors that the steps add is none of such a motion, which multiplies them, and rounding too. It is
-    told by the changes from row to row, which a force that is off by as much in all rows does not hide.
+    told by the changes from row to row, which a force that is off by as much in all rows does not hide. Without the
+    largest of its parts' shares in it the growth must be as steep: a jump is none.
     """
     off = np.diff(off)
     size = len(off) // PARTS
     if size == 0:
         return False
     most = np.max(np.abs(off[: PARTS * size].reshape(PARTS, size)), axis=1)
-    grown = (most[1:] >= 1.25 * most[:-1]) & (most[:-1] > 0.0)
-    steadily = np.convolve(grown, np.ones(GROWING), "valid") >= GROWING
-    return bool(np.any(steadily & (most[GROWING:] >= GROWTH * most[:-GROWING])))
+    steps = np.diff(np.log(np.maximum(most, np.finfo(float).tiny))) * (most[:-1] > 0.0)
+    parts, least = sliding_window_view(steps, GROWING), math.log(GROWTH) / GROWING
+    total, largest = np.sum(parts, axis=1), np.max(parts, axis=1)
+    steep = (total >= GROWING * least) & (total - largest >= (GROWING - 1) * least)
+    return bool(np.any((np.min(parts, axis=1) >= math.log(1.25)) & steep))
 
 
 def why_not_known(scenario: Scenario, singular: bool) -> str:
@@ -212,34 +230,88 @@ def why_force_not_known(scenario: Scenario, off: Array, kinds: Array, touching: 
     return GROWS if grows(off) else ""
 
 
-def write_beside(scenario: Scenario, swings: Swings, values: Any, bounces: bool) -> None:
-    """Write what of the errors depends on what the scenario has besides, see `LATE` and the shares below it.
+class Beside(NamedTuple):
+    """What events and rows say of the errors besides the variation of f and of the tip."""
 
-    `bounces` is what `bounces_at_the_end` says.
+    off_at_the_end: bool  # whether the tip is off the surface, and was on it in the last `BOUNCED` rows before
+    bounces_on: bool  # whether its bounces go on
+    links_struck: bool  # whether other contacts struck
+    rests_between: bool  # whether a joint came to rest, and moved again
+    asked: float  # the largest change of f_des from row to row, N
+
+
+def beside_of(scenario: Scenario, events: Sequence[Array], mode: float, v: Array, wanted: Array) -> Beside:
+    """Return what events and rows say besides.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    events : four (E,) arrays
+        Kinds, instants, s, rates ė before them, m/s, and contacts, of which 0 is the tip.
+    mode : float
+        Of contact, in the last row.
+    v : (N, n) array
+        Velocities of the joints, rad/s (m/s).
+    wanted : (N,) array
+        f_des, N.
     """
+    kinds, times, rates, contacts = events
+    struck = np.isin(kinds, (IMPACT, TOUCHDOWN)) & (contacts == 0)
+    late = (struck | ((kinds == LIFTOFF) & (contacts == 0))) & (times > scenario.time.step * (len(v) - 1 - BOUNCED))
+    return Beside(
+        bool(mode == FREE and np.any(late)),
+        bounces_on(np.abs(rates[struck])),
+        bool(np.any(np.isin(kinds, (IMPACT, TOUCHDOWN)) & (contacts != 0))),
+        scenario.rubs_in_joints and rests_between(v),
+        float(np.max(np.abs(np.diff(wanted)), initial=0.0)) if scenario.law.force_feedback else 0.0,
+    )
+
+
+def bounces_on(speeds: Array) -> bool:
+    """Whether bounces with these speeds of their strikes (k,), m/s, go on anywhere: they do not decay."""
+    pairs = np.maximum(speeds[1:], speeds[:-1])
+    return bool(np.any(pairs[STRIKES - 2 :] >= LASTING * pairs[: 2 - STRIKES]))
+
+
+def rests_between(v: Array) -> bool:
+    """Whether a joint of these velocities (N, n) came to rest, and moved again."""
+    moves = np.abs(v) > AT_REST
+    begun = np.sum(moves[1:] & ~moves[:-1], axis=0) + moves[0]
+    return bool(np.any(begun > 1))
+
+
+def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside) -> None:
+    """Write what of the errors depends on what the scenario has besides, see `LATE` and the shares below it."""
     higher, moved = resolution_of(scenario)[1] > 1, min(swings.jump, swings.steepest)
     more = 0.0
     if scenario.transmission.elastic and higher and swings.stretches <= 1.0:
         more += max(0.0, LATE * swings.steepest - moved)
+    if scenario.compensation.kind == "adaptive" and higher and swings.stretches <= 1.0:
+        more += max(0.0, swings.steepest - moved)  # a coefficient that is held at zero bends f within a step
     if scenario.compliance.kind != "none" and higher and swings.stretches > 1.0:
         more -= max(0.0, (1.0 - LOCATED) * swings.steepest - moved)
     if scenario.rubs_in_joints and not higher:
         more += IN_TURN * swings.steepest
     if scenario.friction.kind != "none" and higher:
         more += BENT * Swing(swings.each[0]).error
+    if beside.rests_between and higher and not beside.bounces_on:
+        more += AGAIN * values.step_error_force
+    more += scenario.law.force_feedback * beside.asked
+    if beside.bounces_on:  # f and the tip may be anywhere in their ranges
+        more = max(more, values.peak_contact_force - min(values.min_contact_force, 0.0) - values.step_error_force)
+        ranges = [each.highest - each.lowest for each in map(Swing, swings.each[1:])]
+        values.step_error_position = max(values.step_error_position, math.hypot(*ranges))
     values.step_error_force += more
-    values.step_error_extremes += math.nan if bounces else more
+    values.step_error_extremes += math.nan if beside.off_at_the_end else more
     if scenario.reads_encoders:
         values.step_error_position *= OLD
+    if swings.sticks:
+        values.step_error_position *= 1.0 + AGAIN
+    if beside.links_struck:
+        values.step_error_position += IN_A_ROW * scenario.time.step * values.max_tip_speed
     rubs = scenario.friction.kind != "none" or scenario.rubs_in_joints
     if why_position_not_known(scenario) or (math.isnan(values.step_error_force) and rubs):
         values.step_error_position = math.nan
-
-
-def bounces_at_the_end(kinds: Array, times: Array, end: float, h: float, mode: float) -> bool:
-    """Whether the tip is off the surface at the end, and was on it in the last `BOUNCED` rows before."""
-    touched = np.isin(kinds, (IMPACT, TOUCHDOWN, LIFTOFF)) & (times > end - BOUNCED * h)
-    return bool(mode == FREE and np.any(touched))
 
 
 def unknown_because(why: str) -> tuple[str, ...]:

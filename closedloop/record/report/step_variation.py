@@ -28,6 +28,8 @@ _NO_MODE = -1.0
 # last stage is evaluated on the other side. That has a sixth of the weight in rk4, which makes a third, and a third
 # more is room for kinks that follow each other.
 KINK_SHARE = 0.45
+# Of a jump at the last row no row shows how fast f decays after it: this share of it.
+ENDING = 0.05
 
 
 class Swing(Block):
@@ -192,5 +194,6 @@ def end_stretch(held: int, order: int, swings: Swings) -> None:
         turned = turned + local_error(swing.turn, turn, 0.0, order)
         swing.error += select(swings.counted > 0.0, select(known, turned, 0.5 * (swing.high - swing.low)) / held, 0.0)
         if k == 0:
-            swings.steepest = max(swings.steepest, select(swings.counted > 2.0, abs(last) / held, 0.0))
+            steep = abs(last) + ENDING * (abs(swing.slope) - abs(last))
+            swings.steepest = max(swings.steepest, select(swings.counted > 2.0, steep / held, 0.0))
             swings.jump = max(swings.jump, select(swings.counted > 1.0, abs(swing.slope) - abs(last), 0.0))

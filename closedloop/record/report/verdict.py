@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
+from closedloop.record.report.step_error import STRIKES
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.joint_dynamics import loop_dynamics
@@ -312,6 +313,8 @@ def _step(facts: Facts) -> list[dict[str, Any]]:
         f"f is within ±{error:.3g} N only of a run at a shorter step, where at most {asked:.3g} N are asked for: take "
         f"a shorter time.step than {time.step:g} s{other}"
     )
+    if facts.events >= STRIKES:
+        text += "; where bounces go on, each depends on all steps before it, and no step is short enough"
     return [_problem("step", text)]
 
 

@@ -37,7 +37,7 @@ from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, 
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
 from closedloop.record.report.step_error import (
-    bounces_at_the_end,
+    beside_of,
     resolution_of,
     unknown_because,
     why_force_not_known,
@@ -256,14 +256,13 @@ class Worker:
                 rubbed = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
                 time = problem.h * np.arange(float(len(rows)))
                 Values(values, n).energy_lost_to_friction += lost_to_slips(time, *rubbed)
-            last, kinds = Row(rows[-1], n), events[:, EventRow.place("kind")]
-            bounces = bounces_at_the_end(
-                kinds, events[:, EventRow.place("time")], problem.h * (len(rows) - 1), problem.h, last.mode
-            )
-            write_beside(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n), bounces)
+            last = Row(rows[-1], n)
+            happened = [events[:, EventRow.place(name)] for name in ("kind", "time", "rate_before", "contact")]
+            beside = beside_of(problem.scenario, happened, last.mode, recorded(rows, n, "v"), signals[1])
+            write_beside(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n), beside)
             forget_absent(problem.scenario, values, self.law is not None)
             why = why_force_not_known(
-                problem.scenario, signals[0] - signals[1], kinds, last.mode != FREE,
+                problem.scenario, signals[0] - signals[1], happened[0], last.mode != FREE,
                 float(np.max(np.abs(last.v))),
             )  # fmt: skip
             for name in unknown_because(why):

@@ -2,8 +2,7 @@
 
 Python has no arrays of dual numbers (`closedloop.jit.dual8`), only their memory. Of these entries only the form of
 dual numbers is compiled. The arrays are those of the entries that they stand for: `closedloop.simulation.engines.
-compiled.run_compiled`, `closedloop.record.report.measured.measure_rows` and
-`closedloop.loop.step.record_row.complete_record`.
+compiled.run_compiled` and `closedloop.record.report.measured.measure_rows`.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at, matrix_at, vector_at
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.memory import loop_at
-from closedloop.loop.step.record_row import record_conditions
 from closedloop.mechanics.robot.tree import Tree, work_size
 from closedloop.record.report.measured import CONTROL, measure
 from closedloop.simulation.engines.compiled import provide_terms
@@ -75,11 +73,3 @@ def measure_at(tree: Tree, parts_at: int, address: int, wanted: tuple[int, int, 
         matrix_at(a.events, state.event.rows, EVENT_WIDTH), vector_at(parts.values, 0),
         matrix_at(parts.signals, CONTROL, done),
     )  # fmt: skip
-
-
-@entry_kernel
-def complete_at(address: int, done: int) -> None:
-    """Do as `complete_record`."""
-    a = Addresses(integers_at(address, ADDRESSES))
-    state, _, w = loop_at(a.loop)
-    record_conditions(w.batch, matrix_at(a.rows, a.row_count, a.row_width), state, done, state.n)

@@ -26,7 +26,7 @@ from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.record.report.measured import CONTROL, Tally, Values
 from closedloop.record.report.row_sample import joint_limits
 from closedloop.record.report.step_error import resolution_of
-from closedloop.simulation.engines.at_addresses import Parts, complete_at, measure_at, run_at, run_varied_at
+from closedloop.simulation.engines.at_addresses import Parts, measure_at, run_at, run_varied_at
 from closedloop.simulation.engines.compiled import ALL, compiled_work
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import Addresses, proceed_at
@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 # Directions of one run.
 DIRECTIONS = WIDE - 1
+# Differences of a coefficient of restitution take steps of this share of the speed.
+OF_SPEED = 1e-3
 # Its record and table may take so much memory, bytes.
 MOST_BYTES = 1 << 30
 
@@ -103,6 +105,9 @@ class DualRun:
         The run.
     seeds : sequence of up to seven lists of arrays
         Of each direction the derivatives of `base.floats`, None where there are none.
+    beside : sequence of (Problem, Problem, float)
+        Of each direction the problems on both sides, and how far off each is: a coefficient of restitution is found in
+        Python, so its derivatives are differences.
 
     Raises
     ------
@@ -112,20 +117,25 @@ class DualRun:
     Attributes
     ----------
     rows : (N, width, 8) array
-        The record, values and derivatives.
+        The record, values and derivatives; residuals and condition numbers are NaN.
     events : (M, EVENT_WIDTH, 8) array
         The table of events.
     table : (P, columns, 8) array
         What is desired, see `closedloop.loop.step.reference_row`.
     """
 
-    def __init__(self, base: Prepared, seeds: Sequence[Sequence[Array | None]]) -> None:
+    def __init__(
+        self,
+        base: Prepared,
+        seeds: Sequence[Sequence[Array | None]],
+        beside: Sequence[tuple[Problem, Problem, float]] = (),
+    ) -> None:
         problem, n = base.problem, base.problem.robot.n
         if (wanted := 8 * WIDE * ((problem.steps + 1) * problem.row_width + problem.table.size)) > MOST_BYTES:
             raise NotDualError(f"its record would take {wanted / 1e9:.1f} GB")
         with refused_as_one_line():
             problem.connect(base.loop, form=dual)
-        self._base, self._n = base, n
+        self._base, self._n, self._beside = base, n, beside
         self._wide = wide = [aligned(*array.shape) for array in base.floats]
         self._words = words = [array.copy() for array in base.words]
         self._moved = {
@@ -197,16 +207,26 @@ class DualRun:
                 return False
             with refused_as_one_line():
                 request = go_on(self._tree, parts, at, ALL)
-        dual(complete_at)(at, int(self._state.row) + 1)
         self.events = self.events[: int(self._state.event.rows)]
         return True
 
     def _collide(self) -> None:
-        constants = self._loop.constants
-        before = float(constants.restitution)
-        self._base.problem.set_restitution(self._loop)
-        if constants.restitution != before:  # it depends on the speed, or is that of another contact
-            raise NotDualError("the coefficient of restitution of an impact is found in Python")
+        problem, loop = self._base.problem, self._loop
+        problem.set_restitution(loop)
+        coefficient = self._constants[Constants.place("restitution", *loop.constants.sizes)]
+        of_speed = self._work[Work.place("impact.before", *loop.w.sizes)][0]
+        speed = -float(of_speed[0])
+        change = OF_SPEED * speed
+        slope = 0.0
+        if change > 0.0:
+            wide, near = (
+                (problem.restitution_at(loop, speed + h) - problem.restitution_at(loop, speed - h)) / (2.0 * h)
+                for h in (change, 0.5 * change)
+            )
+            slope = (4.0 * near - wide) / 3.0
+        coefficient[1:] = -slope * of_speed[1:]
+        for lane, (minus, plus, h) in enumerate(self._beside, 1):
+            coefficient[lane] += (plus.restitution_at(loop, speed) - minus.restitution_at(loop, speed)) / (2.0 * h)
         dual(collide)(int(self._state.address))
 
     def values(self) -> Array:
@@ -232,7 +252,7 @@ def kernels(base: Prepared, varied: bool = False) -> list[Any]:
 
     `varied` says whether the constants of the robot have derivatives.
     """
-    found = [run_varied_at if varied else run_at, proceed_at, complete_at, measure_at]
+    found = [run_varied_at if varied else run_at, proceed_at, measure_at]
     if base.loop.state.settings.unilateral or base.loop.state.contacts.at:
         found.append(collide)
     return [dual(each) for each in (*found, *base.problem.called(base.loop))]
@@ -242,7 +262,7 @@ def compile_for(base: Prepared, names: Collection[str]) -> None:
     """Compile those of the kernels that a run needs that have these names."""
     integers: dict[Any, tuple[Any, ...]] = {
         run_at: (base.problem.robot.tree, 0, 0, 0), run_varied_at: (base.problem.robot.tree, 0, 0, 0),
-        measure_at: (base.problem.robot.tree, 0, 0, (0, 0, 0, 0), 0), complete_at: (0, 0), collide: (0,),
+        measure_at: (base.problem.robot.tree, 0, 0, (0, 0, 0, 0), 0), collide: (0,),
     }  # fmt: skip
     for kernel, arguments in integers.items():
         if dual(kernel).__name__ in names:

@@ -202,18 +202,34 @@ class Problem(ScenarioNumbers):
         LawError
             If a user's law gives none.
         """
-        i, t = int(loop.state.striking), float(loop.w.time)
-        given, law, where = self.scenario.impact.restitution, self.restitution, "impact.law"
-        if loop.state.together and i > 0:
-            contact = (self.scenario.contact or ())[i - 1]
-            given = contact.restitution
-            if contact.restitution_law != AS_IMPACT:
-                law, where = RESTITUTIONS[contact.restitution_law], f"contact.{i - 1}.restitution_law"
+        law, _, _ = self._struck(loop)
         loop.state.settings.impact_law = RATIOS[law.ratio_of]
+        loop.constants.restitution = self.restitution_at(loop, -float(loop.w.impact.before[0]))
+
+    def restitution_at(self, loop: Loop, speed: float) -> float:
+        """Return the coefficient of restitution of the impact at which a loop stands, at a speed, m/s.
+
+        Raises
+        ------
+        LawError
+            If a user's law gives none.
+        """
+        law, given, where = self._struck(loop)
         try:
-            loop.constants.restitution = coefficient_at(law, given, -float(loop.w.impact.before[0]), where)
+            return coefficient_at(law, given, speed, where)
         except ScenarioError as error:
+            t = float(loop.w.time)
             raise LawError(f"stopped at t = {t:.6g} s: {error}", t) from error.__cause__
+
+    def _struck(self, loop: Loop) -> tuple[Any, float, str]:
+        """Return the law of the impact at which a loop stands, what it is given, and the key that names it."""
+        i = int(loop.state.striking)
+        if not (loop.state.together and i > 0):
+            return self.restitution, self.scenario.impact.restitution, "impact.law"
+        contact = (self.scenario.contact or ())[i - 1]
+        if contact.restitution_law == AS_IMPACT:
+            return self.restitution, contact.restitution, "impact.law"
+        return RESTITUTIONS[contact.restitution_law], contact.restitution, f"contact.{i - 1}.restitution_law"
 
 
 def _address_of(entry: Any, key: str, member: Any, compiled: bool) -> int:

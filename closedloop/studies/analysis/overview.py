@@ -7,13 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache
 from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
-from closedloop.studies.analysis.linearise import linearise
 from closedloop.studies.analysis.margins import Margins
 from closedloop.studies.analysis.page import Page
-from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -60,35 +56,13 @@ class Overview:
     loop: LinearLoop
 
 
-def overview(
-    scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None, cache: Cache | None = None
-) -> Overview:
-    """Return the sentence, margins, poles and Bode's curves of a scenario's force loop at an instant.
+def overview(loop: LinearLoop) -> Overview:
+    """Return the sentence, margins, poles and Bode's curves of a loop, from `linearise`.
 
-    With compiled kernels it takes 5 µs for each step of the run up to the instant, and some 25 ms for the loop and its
+    With compiled kernels both take 5 µs for each step of the run up to the instant, and some 25 ms for the loop and its
     margins, 40 ms for one that is cut at its torques. Interpreted, as before the kernels are compiled, it is 0.3 ms a
     step.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    at : float, optional
-        The instant, s; half of the duration if left out.
-    model : RobotModel, optional
-        The robot to use instead of loading `scenario.robot.model`.
-    cache : Cache, optional
-        For one call after another: the robot and the path that they share are prepared once.
-
-    Raises
-    ------
-    ClosedLoopError
-        As `linearise`, in one line: at an event, in flight, where the run stops before, or what is not linearised.
     """
-    return overview_of(linearise(scenario, at, model=model, cache=cache))
-
-
-def overview_of(loop: LinearLoop) -> Overview:
-    """Return the overview of a loop."""
     margins = {"sensor": loop.margins("sensor")}
     if not margins["sensor"].closed:
         torques = [each.name for each in loop.inputs if each.name.startswith("torque[")]

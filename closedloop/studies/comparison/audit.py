@@ -31,7 +31,7 @@ CONSISTENT, SMALL = 0.1, 0.2
 
 @dataclass(frozen=True)
 class Audit:
-    """What a recorded force is.
+    """The result of the audit of a recorded force.
 
     Attributes
     ----------

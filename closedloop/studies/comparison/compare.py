@@ -30,7 +30,7 @@ OF = ("rms_force_error", "peak_contact_force", "rms_path_error", "force_chatter"
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What came of a comparison.
+    """The result of a comparison.
 
     Attributes
     ----------

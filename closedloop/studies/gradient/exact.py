@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,16 +30,17 @@ from closedloop.record.columns.recorded import POSITIONS
 from closedloop.record.report.measured import Values
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.run import Run
-from closedloop.simulation.as_run import columns_of_rows
+from closedloop.simulation.as_run import columns_of_rows, positions_told
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepared, kernels, prepared
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient.differences import Along
 from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, two_sided
+from closedloop.studies.gradient.guard import NOISE, agreeing, rounded
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys
-from closedloop.studies.gradient.outputs import Output
+from closedloop.studies.gradient.outputs import Output, slices_of
 from closedloop.studies.gradient.seeds import Seeds, seeds_of
-from closedloop.studies.gradient.variants import Sample, difference, samples
+from closedloop.studies.gradient.variants import Sample
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -51,11 +51,6 @@ DUALS, PREPARED, OF_COLUMNS = "dual numbers", "differences of the preparation", 
 LATE = ("step_error_force", "step_error_position", "torque_limited_share", "torque_limited_at")
 # A value that the rows are counted to must be the summary's to this share.
 SAME = 1e-9
-# The two plain runs are off the scenario by the first of these shares of the keys' sizes at which they have its events,
-# and a derivative must be that of their difference to a share, or to what of the difference is rounding.
-BESIDE, AGREE, NOISE = (1e-5, 1e-7), 1e-4, 20.0
-# The runs on both sides differ from the scenario's by as much, but for this share: else there is a kink.
-KINKED = 1e-3
 # Differences of the columns take steps of this share of those of differences of runs.
 OF_STEP = 0.1
 
@@ -121,22 +116,22 @@ def _exact(
     for begin in range(0, len(directions), DIRECTIONS):
         some = directions[begin : begin + DIRECTIONS]
         try:
-            duals = DualRun(start, [known[d].parts for d in some])
+            duals = DualRun(start, [known[d].parts for d in some], [known[d].beside for d in some])
             went_on = duals.run()
         except NotCompiledError as fault:
             _refused[called] = str(fault)
             raise
-        if not went_on or not np.array_equal(duals.rows[..., 0][:, : run.model.n], _positions(run, duals)):
+        if not went_on or not _the_same(run, start, duals):
             raise NotDualError("the run of dual numbers is another")
         reader = _Reader(run, start, duals, outputs, known)
         for lane, d in enumerate(some, 1):
             rows[d] = reader.derivatives(lane, d)
         errors |= reader.errors
     there = [all(each[i] is not None for each in rows.values()) for i in range(len(outputs))]
-    agree = _agree(keys, run, base, outputs, rows, there, model, report, workers)
+    agree = agreeing(keys, run, base, outputs, rows, there, model, report, workers)
     kept = [i for i, good in enumerate(agree) if good]
     rounding = LOCATED if base.happened else ROUNDING
-    slices = _slices(outputs, run)
+    slices = slices_of(outputs, run)
     found = {}
     for d, parts in rows.items():
         value = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(parts[i])) for i in kept)])
@@ -174,15 +169,19 @@ def _have_compiled(called: Sequence[Any]) -> None:
     make_ready(*called)
 
 
-def _positions(run: Run, duals: DualRun) -> Array:
-    """Return the positions of a run as the loop has them, (N, n)."""
-    return duals.rows[..., 0][:, : run.model.n] if run.model.balls else run.q
+def _the_same(run: Run, start: Prepared, duals: DualRun) -> bool:
+    """Whether the values of a run of dual numbers are those of the plain run, events too, but for rounding.
 
-
-def _slices(outputs: Sequence[Output], run: Run) -> list[slice]:
-    """Return where each output is among all of them."""
-    ends = np.cumsum([0, *(each.of(run).size for each in outputs)]).tolist()
-    return [slice(begin, end) for begin, end in pairwise(ends)]
+    They are to the last bit, but where a search ends with another Newton step for the derivatives, as that which closes
+    the loops of a mechanism.
+    """
+    columns, _ = columns_of_rows(start.problem, duals.rows[..., 0], duals.table[..., 0])
+    columns |= positions_told(start.problem, columns) | event_columns(duals.events[..., 0])
+    pairs = [(run.columns[name], columns[name]) for name in ("q", "v", "event_time")]
+    return all(
+        its.shape == mine.shape and bool(np.all(np.abs(its - mine) <= SAME * np.max(np.abs(its), initial=0.0)))
+        for its, mine in pairs
+    )
 
 
 def _by_columns(output: Output, run: Run) -> bool:
@@ -225,7 +224,7 @@ class _Reader:
                 found.append(np.asarray(output.read(as_they_are)))
             else:
                 found.append(self._counted(output, lane))
-        if late and not self._run.model.balls:
+        if late:
             mine = self.errors.setdefault(direction, {})
             some = self._by_columns([self._outputs[i] for i in late], columns, direction)
             for i, both in zip(late, some, strict=True):
@@ -238,24 +237,29 @@ class _Reader:
         both = np.asarray(getattr(self._values, output.name))
         value, derivative = both[..., 0], both[..., lane]
         its = output.of(self._run)
-        same = np.abs(value - its) <= SAME * np.maximum(np.abs(its), np.abs(value))
+        rounding = NOISE * ROUNDING * rounded(self._run, output)
+        same = np.abs(value - its) <= SAME * np.maximum(np.abs(its), np.abs(value)) + rounding
         return np.array(derivative) if np.all(same) and np.all(np.isfinite(derivative)) else None
 
     def _by_columns(
         self, outputs: list[Output], columns: dict[str, NDArray[Any]], direction: Direction
     ) -> list[tuple[Array, Array] | None]:
         """Return the derivatives of what follows from the columns, by differences of them, and their errors."""
-        run, tree = self._run, self._start.problem.robot.tree
+        run, problem = self._run, self._start.problem
         if self._seeds[direction].parts[_tree_constants(self._start)] is not None:  # the energies are of another arm
             return [None] * len(outputs)
+        of_loop, _ = columns_of_rows(problem, self._duals.rows[..., 0], self._duals.table[..., 0])
 
         def beside(change: float) -> Array:
             moved = {
                 name: column + change * columns[name] if name in columns and column.dtype.kind == "f" else column
                 for name, column in run.columns.items()
+                if name not in POSITIONS
             }
-            moved["potential_energy"] = energies_of_rows(tree, moved["q"])
-            made = replace(run, columns=moved)
+            positions = {name: of_loop[name] + change * columns[name] for name in POSITIONS}
+            moved["potential_energy"] = energies_of_rows(problem.robot.tree, positions["q"])
+            moved |= positions | positions_told(problem, positions)
+            made = replace(run, columns={name: moved[name] for name in run.columns})
             return np.concatenate([each.of(made).ravel() for each in outputs])
 
         step = OF_STEP * direction.step
@@ -265,55 +269,5 @@ class _Reader:
         value = np.where(estimate.kink, np.nan, estimate.value)
         return [
             None if np.any(np.isnan(value[part])) else (value[part].reshape(each.of(run).shape), estimate.error[part])
-            for each, part in zip(outputs, _slices(outputs, run), strict=True)
+            for each, part in zip(outputs, slices_of(outputs, run), strict=True)
         ]
-
-
-def _agree(
-    keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], rows: dict[Direction, list[Array | None]],
-    there: list[bool], model: RobotModel | None, report: Callable[[int, int], None], workers: int | None,
-) -> list[bool]:  # fmt: skip
-    """Return which outputs have the derivatives that two plain runs have between them.
-
-    Raises
-    ------
-    NotDualError
-        If other events happen in them.
-    """
-    weights = np.random.default_rng(0).uniform(0.5, 1.0, len(rows))
-
-    def read(made: Run) -> Array:
-        return np.concatenate([each.of(made).ravel() for each in outputs])
-
-    for beside in BESIDE:
-        changes = {d: beside * weight * d.step / SHARE for d, weight in zip(rows, weights, strict=True)}
-        sides = [{d: sign * change for d, change in changes.items()} for sign in (-1.0, 1.0)]
-        minus, plus = samples([_changed(keys, side) for side in sides], read, model, report, workers)
-        why = difference(base, minus) or difference(base, plus)
-        if not why:
-            break
-    if why:
-        raise NotDualError(why)
-    rounding = NOISE * (LOCATED if base.happened else ROUNDING)
-    good = []
-    for i, part in enumerate(_slices(outputs, run)):
-        if not there[i]:
-            good.append(False)
-            continue
-        expected = sum((changes[d] * np.ravel(np.asarray(each[i])) for d, each in rows.items()), np.zeros(1))
-        between = 0.5 * (plus.values - minus.values)[part]
-        noise = rounding * np.maximum(base.scale[part], np.finfo(float).tiny)
-        size = max(float(np.max(np.abs(between), initial=0.0)), float(np.max(np.abs(expected), initial=0.0)))
-        sides_differ = np.abs((plus.values + minus.values)[part] - 2.0 * base.values[part])
-        good.append(
-            bool(
-                np.all(np.isfinite(expected))
-                and np.all(np.abs(between - expected) <= AGREE * size + noise)
-                and np.all(sides_differ <= KINKED * np.abs(expected) + AGREE * size + noise)
-            )
-        )
-    return good
-
-
-def _changed(keys: Keys, changes: dict[Direction, float]) -> Callable[[], Any]:
-    return lambda: keys.scenario_at(changes)

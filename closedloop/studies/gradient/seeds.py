@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from closedloop.base.errors import ClosedLoopError
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import Prepared, prepared, structure
+from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient.extrapolate import LEVELS, two_sided
 from closedloop.studies.gradient.keys import Direction, Keys
@@ -23,8 +24,9 @@ from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
-# Two differences of steps that are a factor 2 apart agree to this share of the larger where a number enters linearly.
-LINEAR = 1e-9
+# Two differences of steps that are a factor 2 apart agree to this share of themselves where a number enters linearly,
+# or to this many roundings of what they are of: entries of one array may differ by orders of magnitude.
+LINEAR, ROUNDINGS = 1e-9, 64.0
 
 
 class Seeds(NamedTuple):
@@ -36,19 +38,23 @@ class Seeds(NamedTuple):
         In the order of `Prepared.floats`; None where there is none.
     linear : bool
         Whether the number enters linearly.
+    beside : (Problem, Problem, float)
+        The problems on both sides, and how far off along the direction each is.
     """
 
     parts: list[Array | None]
     linear: bool
+    beside: tuple[Problem, Problem, float]
 
 
 def seeds_of(keys: Keys, direction: Direction, base: Prepared, model: RobotModel | None, cache: Cache) -> Seeds | None:
     """Return the derivatives along a direction; None if beside the scenario there is another sort of run, or none."""
     frame = structure(base)
     sides: list[list[list[Array]]] = [[], []]
+    nearest: list[Problem] = [base.problem, base.problem]
 
     def sample(level: int) -> bool:
-        for side, sign in zip(sides, (-1.0, 1.0), strict=True):
+        for i, (side, sign) in enumerate(zip(sides, (-1.0, 1.0), strict=True)):
             try:
                 scenario = keys.scenario_at({direction: sign * direction.step * 0.5**level})
                 beside = prepared(prepare(scenario, model, cache))
@@ -57,11 +63,12 @@ def seeds_of(keys: Keys, direction: Direction, base: Prepared, model: RobotModel
             if structure(beside) != frame:
                 return False
             side.append([array.copy() for array in beside.floats])
+            nearest[i] = beside.problem
         return True
 
     def difference(level: int, i: int) -> Array:
         minus, plus = (side[level][i] for side in sides)
-        same = minus == plus  # infinities too
+        same = (minus == plus) | np.isnan(minus) & np.isnan(plus)  # infinities too
         with np.errstate(invalid="ignore"):
             found: Array = np.where(same, 0.0, plus - minus) / (2.0 * direction.step * 0.5**level)
         return found
@@ -76,7 +83,8 @@ def seeds_of(keys: Keys, direction: Direction, base: Prepared, model: RobotModel
             parts.append(None)
             continue
         parts.append(wide)
-        if np.max(np.abs(wide - near)) > LINEAR * np.max(np.abs(wide)):
+        rounding = ROUNDINGS * np.finfo(float).eps * np.abs(np.nan_to_num(base.floats[i])) / direction.step
+        if np.any(np.abs(wide - near) > LINEAR * np.abs(wide) + rounding):
             curved.append(i)
     if curved:
         if not all(sample(level) for level in range(2, LEVELS)):
@@ -85,4 +93,4 @@ def seeds_of(keys: Keys, direction: Direction, base: Prepared, model: RobotModel
             at = np.nan_to_num(base.floats[i], posinf=0.0, neginf=0.0).ravel()
             minus, plus = (np.nan_to_num([each[i].ravel() for each in side], posinf=0.0, neginf=0.0) for side in sides)
             parts[i] = two_sided(direction.step, at, minus, plus).value.reshape(base.floats[i].shape)
-    return Seeds(parts, not curved)
+    return Seeds(parts, not curved, (nearest[0], nearest[1], direction.step * 0.5 ** (len(sides[0]) - 1)))

@@ -174,7 +174,7 @@ def print_tables(results: list[dict[str, Any]]) -> None:
 
 
 def _short(row: dict[str, Any]) -> str:
-    """Return nothing of a good control, and what is wrong otherwise."""
+    """Return "" for a good control, else what is wrong."""
     said = row.get("control_verdict", "")
     return "" if said == "good" else said
 

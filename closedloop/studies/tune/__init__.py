@@ -1,1 +1,1 @@
-"""Tuning: numbers of a scenario that make a value of its runs least, under constraints and variations."""
+"""Tuning: numbers of a scenario that minimise a value of its runs, under constraints and variations."""

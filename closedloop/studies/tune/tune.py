@@ -1,4 +1,4 @@
-"""`cl.tune`: numbers of a scenario, gains above all, that make a value of its runs least."""
+"""`cl.tune`: numbers of a scenario, gains above all, that minimise a value of its runs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def tune(
     progress: bool | Callable[[int], None] = False,
     workers: int | None = None,
 ) -> Tuning:
-    """Find the numbers of a scenario that make a value of its runs least.
+    """Find the numbers of a scenario that minimise a value of its runs.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ class ContactIdentification:
         return found
 
     def lines(self) -> list[str]:
-        """Return what was found in words."""
+        """Return the findings in words."""
         told = [
             f"{self.source}: the tip touches in {100 * self.closed:.0f} % of the rows, and is free in "
             f"{100 * self.free:.0f} %",
@@ -118,7 +118,8 @@ class ContactIdentification:
                 panel.plot(part.time, part.predicted, ".", ms=2, color=COLOURS[1], label="predicted")
                 panel.plot(part.time, part.measured - part.predicted, ".", ms=2, color=COLOURS[0], label="residual")
                 panel.set_ylabel(part.what, fontsize=7)
-            panels[0].legend(fontsize=7, ncols=3)
+            if drawn:
+                panels[0].legend(fontsize=7, ncols=3)
             panels[-1].set_xlabel("time, s")
         return figure
 

@@ -84,7 +84,7 @@ def _value_of(scenario: Any, key: str) -> Any:
 def _with_difference(number: float | None, now: float | None, differs: bool) -> str:
     if number is None:
         return "-"
-    text = f"{number:.4g}"
+    text = f"{number + 0.0:.4g}"  # no "-0"
     if not differs or now is None or abs(number - now) <= ROUNDING * max(abs(number), abs(now)):
         return text
     return f"{text} ({number - now:+.2g})"

@@ -162,3 +162,38 @@ def test_bad_input_is_one_line(run, tmp_path, capsys):
             cl.compare_log(wrong, run.scenario)
     with pytest.raises(LogError, match="in common"):
         cl.compare_log(log, run.scenario, shift=100.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t.drop(columns="effort_J2"), "has torque of 1 of 2 joints: no column of numbers 'effort_J2'"),
+        (lambda t: t.assign(effort_J1="x"), "no column of numbers 'effort_J1'"),
+        (
+            lambda t: t.assign(**{f"velocity_J{k}": np.degrees(t[f"velocity_J{k}"]) for k in (1, 2)}),
+            "look like degrees",
+        ),
+        (lambda t: t.rename(columns={"position_J1": "position_J2", "position_J2": "position_J1"}), "in another order"),
+        (lambda t: t.assign(time=1e3 * t.time), "or time, has another unit"),
+        (lambda t: t.drop(columns=["velocity_J1", "velocity_J2"]).assign(time=1e3 * t.time), "is its time in s?"),
+        (lambda t: t.iloc[:0], "0 rows"),
+    ],
+)
+def test_a_log_with_other_units_or_joints_is_one_line(change, says, run, tmp_path, capsys):
+    """What cannot be is said, for a comparison and for a contact, and a log at rest ends in no traceback."""
+    table = {"time": run.time, "force": run.contact_force}
+    for j, name in enumerate(("J1", "J2")):
+        table |= {f"position_{name}": run.q[:, j], f"velocity_{name}": run.v[:, j], f"effort_{name}": run.torque[:, j]}
+    change(pd.DataFrame(table)).to_csv(tmp_path / "log.csv", index=False)
+    assert main([str(tmp_path / "log.csv"), "--scenario", "planar2_slide", "--time.duration", "3"]) == 2
+    told = capsys.readouterr().err
+    assert says in told
+    assert told.count("\n") == 1
+
+
+def test_a_log_at_rest_is_compared(run):
+    """Nothing moves, so what its force should be is that of the torques alone."""
+    n = len(run.time)
+    log = Recording(run.time, np.tile(run.q[0], (n, 1)), np.tile(run.torque[0], (n, 1)), np.full(n, 5.0))
+    found = cl.compare_log(log, run.scenario)
+    assert found.differences["q"].rms.max() > 0.0

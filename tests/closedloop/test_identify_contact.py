@@ -275,3 +275,13 @@ def test_a_run_of_a_robot_tells_its_own_contact():
     assert found["stiffness"].value == pytest.approx(1e4, rel=2e-3)
     assert found["damping"].value == pytest.approx(100.0, rel=0.02)
     assert abs(found["delay"].value) < 5e-5
+
+
+def test_a_constant_force_tells_no_gain(tmp_path):
+    """A force without noise that never changes is one level, and its figure has no curves."""
+    time = np.arange(1000) * STEP
+    q = np.stack([0.1 * np.sin(time), np.zeros_like(time), np.zeros_like(time)], axis=1)
+    found = cl.identify_contact(cl.Recording(time, q, None, np.full(1000, 10.0)), point(), normal=(0.0, 0.0, 1.0))
+    assert found.closed == 1.0
+    assert all(each.why for each in found.estimates)
+    found.figure().savefig(tmp_path / "a.png")

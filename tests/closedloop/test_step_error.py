@@ -213,6 +213,9 @@ RAMP = {"friction.kind": "none", "force_profile.kind": "waypoints", "force_profi
         ("joint_friction", {"compliance.kind": "hunt_crossley", "time.integrator": "rk4", "time.duration": 1.0}),
         # A law that feeds the force back reads it a step late.
         ("stewart", RAMP | {"law.force_feedback": 0.044, "surface.kind": "capsule", "time.duration": 0.01}),
+        # A learned coefficient is held at zero.
+        ("stewart", {"compensation.kind": "adaptive", "reference.start": 0.02219162859778255, "time.integrator": "rk4",
+                     "time.duration": 0.3}),
     ],
 )  # fmt: skip
 def test_what_happens_between_two_rows_is_in_the_stated_error(name, changes):

@@ -23,7 +23,8 @@ import closedloop as cl
 import closedloop.studies.gradient.gradient as whole
 from closedloop.scenario.file import shipped_scenarios
 from closedloop.studies.gradient.differences import variant
-from closedloop.studies.gradient.exact import DUALS, NOTHING, rounded
+from closedloop.studies.gradient.exact import DUALS, NOTHING
+from closedloop.studies.gradient.guard import rounded
 from closedloop.studies.gradient.keys import SIZE_OF_ZERO, Keys
 from closedloop.studies.gradient.variants import difference, sample, samples
 
@@ -43,7 +44,7 @@ POINTS, DEGREE, SURE = 32, 6, 5.0
 VALUES = (1.0, 0.97, 1.05, 1.11)
 # A derivative that is 0 but for rounding is compared with this share of the quantity's size over the key's.
 AGREE, OF_SIZE = 1e-6, 1e-2
-notices = logging.getLogger("closedloop.studies.gradient.exact")
+notices = logging.getLogger("closedloop.studies.gradient")
 
 
 def keys_of(scenario: Any, count: int) -> list[str]:

@@ -55,9 +55,8 @@ function bode(canvas, m, which, unit, marks) {
   for (const v of ticks(low, high, h / 36)) { line(44, y(v), w - 10, y(v)); g.fillText(short(v), 40, y(v) + 4); }
   g.textAlign = "center";
   for (const f of logTicks(a, b)) { line(x(f), 6, x(f), h - 20); g.fillText(short(f), x(f), h - 7); }
-  g.fillText(unit, 60, 16);
   g.textAlign = "right";
-  g.fillText("Hz", w - 10, h - 22);
+  g.fillText("Hz", w - 1, h - 7);
   g.strokeStyle = ink("--faint");
   g.setLineDash([4, 4]);
   for (const v of marks.levels) if (v > low && v < high) line(44, y(v), w - 10, y(v));
@@ -74,6 +73,13 @@ function bode(canvas, m, which, unit, marks) {
   values.forEach((v, i) => g.lineTo(x(m.frequency[i]), y(v)));
   g.stroke();
   g.restore();
+  const wide = g.measureText(unit).width; // above the curve, which may pass behind it
+  g.globalAlpha = 0.8;
+  g.fillStyle = ink("--paper");
+  g.fillRect(w - 18 - wide, 6, wide + 6, 15);
+  g.globalAlpha = 1;
+  g.fillStyle = ink("--faint");
+  g.fillText(unit, w - 15, 17);
 }
 
 class Analysis {
@@ -101,7 +107,7 @@ class Analysis {
     this.poles.replaceChildren();
     if (!there) return;
     const { gain_at, phase_at, cut } = m.margins;
-    bode(this.charts[0], m, "gain", `|L| [dB], cut at the ${cut}`, { levels: [0], frequencies: [gain_at, phase_at] });
+    bode(this.charts[0], m, "gain", `|L| [dB], cut at ${cut.startsWith("torque") ? "" : "the "}${cut}`, { levels: [0], frequencies: [gain_at, phase_at] });
     bode(this.charts[1], m, "phase", "phase [deg]", { levels: [-180, 180], frequencies: [gain_at, phase_at] });
     this.poles.append(table(["pole [1/s]", "frequency [Hz]", "damping", "part"], m.poles.map((p) => [p.s, p.frequency, p.damping, p.part])));
   }

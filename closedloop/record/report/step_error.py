@@ -286,6 +286,8 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
     more = 0.0
     if scenario.transmission.elastic and higher and swings.stretches <= 1.0:
         more += max(0.0, LATE * swings.steepest - moved)
+    if scenario.compensation.kind == "adaptive" and higher and swings.stretches <= 1.0:
+        more += max(0.0, swings.steepest - moved)  # a coefficient that is held at zero bends f within a step
     if scenario.compliance.kind != "none" and higher and swings.stretches > 1.0:
         more -= max(0.0, (1.0 - LOCATED) * swings.steepest - moved)
     if scenario.rubs_in_joints and not higher:

@@ -131,7 +131,7 @@ class Trial:
         them stops.
     """
 
-    values: dict[str, float]
+    values: dict[str, Value]
     expected: float
     seen: float
 

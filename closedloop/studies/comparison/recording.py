@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arguments import fields_checked
-from closedloop.studies.identify.log import LogError, check_positions
+from closedloop.studies.identify.log import LogError, check_positions, check_velocities
 from closedloop.studies.identify.read import joints_of, listed, plain_name, run_of, table_of, time_of
 
 if TYPE_CHECKING:
@@ -45,6 +45,8 @@ class Recording:
         Contact force, N: along the surface's normal, or along the axes of the base.
     source : str
         Named in messages.
+    v : (N, n), optional
+        Joint velocities, rad/s (m/s): only compared with the rates of the positions, to find wrong units and orders.
     """
 
     time: Array
@@ -52,6 +54,7 @@ class Recording:
     torque: Array | None = None
     force: Array | None = None
     source: str = "the log"
+    v: Array | None = None
 
     @property
     def step(self) -> float:
@@ -115,14 +118,19 @@ def read_recording(
             f"{path}: no columns for q of the joints {', '.join(robot.joint_names)}: name them, as in "
             f"--columns q='q_{{}}'; it has {listed(table)}"
         )
-    torque = joints_of(table, "torque", given, robot, path)
+    torque, v = (joints_of(table, what, given, robot, path) for what in ("torque", "v"))
     if not degrees:
         check_positions(q, robot, str(path))
     turns = np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
     force = _force(table, force_names, path)
     return checked(
         Recording(
-            time, q * turns, None if torque is None else torque * np.asarray(gain, dtype=np.float64), force, str(path)
+            time,
+            q * turns,
+            None if torque is None else torque * np.asarray(gain, dtype=np.float64),
+            force,
+            str(path),
+            None if v is None else v * turns,
         ),
         robot,
     )
@@ -167,6 +175,7 @@ def checked(recording: Recording, robot: RobotModel) -> Recording:
         ("q", recording.q, [(N, robot.n)]),
         ("torque", recording.torque, [(N, robot.n)]),
         ("force", recording.force, [(N,), (N, 3)]),
+        ("v", recording.v, [(N, robot.n)]),
     ):
         if x is None:
             continue
@@ -184,4 +193,6 @@ def checked(recording: Recording, robot: RobotModel) -> Recording:
             f"{where}: time jumps by {steps[odd[0]]:.6g} s after row {odd[0]}, where rows are {usual:.6g} s apart: cut "
             "the log there, or resample it"
         )
+    if recording.v is not None:
+        check_velocities(np.asarray(recording.q), np.asarray(recording.v), usual, robot, where)
     return recording

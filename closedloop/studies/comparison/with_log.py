@@ -18,7 +18,7 @@ from closedloop.simulation.simulate import simulate
 from closedloop.studies.comparison.audit import Audit, audit, force_hypotheses, rms
 from closedloop.studies.comparison.explain import NOTHING, Reason, explain
 from closedloop.studies.comparison.reasons import of_joints, of_torques
-from closedloop.studies.comparison.recording import Recording, checked, of_run, read_recording
+from closedloop.studies.comparison.recording import FEWEST, Recording, checked, of_run, read_recording
 from closedloop.studies.comparison.shift import OVERLAP, shift_of
 from closedloop.studies.identify.log import LogError
 
@@ -199,7 +199,7 @@ def compare_log(
         notes.append("the scenario has no surface: the log's force is not compared")
     found, by = (shift, "the given shift") if shift is not None else shift_of(clock, recording, run)
     inside = (clock - found >= run.time[0]) & (clock - found <= run.time[-1])
-    _need_overlap(int(inside.sum()) * recording.step, clock, run, recording.source)
+    _need_overlap(int(inside.sum()), recording.step, clock, run, recording.source)
     time: Array = clock[inside] - found
     q, v, torque = (_at(time, run, name) for name in ("q", "v", "torque"))
     robot = Robot(run.model, run.scenario.robot.tip) if run.model.tip or run.scenario.robot.tip else None
@@ -250,12 +250,18 @@ def _at(time: Array, run: Run, name: str) -> Array:
     return np.stack([np.interp(time, run.time, x) for x in column.T], axis=1)
 
 
-def _need_overlap(common: float, clock: Array, run: Run, source: str) -> None:
+def _need_overlap(rows: int, step: float, clock: Array, run: Run, source: str) -> None:
+    common = rows * step
     shorter = min(float(clock[-1]), float(run.time[-1] - run.time[0]))
     if common < 0.9 * OVERLAP * shorter:
         raise LogError(
             f"{source}: log and run have {common:.4g} s in common, of {clock[-1]:.4g} s and {run.time[-1]:.4g} s: give "
             "another shift, or a longer scenario"
+        )
+    if rows < FEWEST:
+        raise LogError(
+            f"{source}: {rows} rows in the {run.time[-1]:.4g} s of the run, {step:.4g} s apart: a comparison needs at "
+            f"least {FEWEST}; is its time in s?"
         )
 
 

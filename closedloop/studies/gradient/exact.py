@@ -11,9 +11,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +36,11 @@ from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepare
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient.differences import Along
 from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, two_sided
+from closedloop.studies.gradient.guard import NOISE, agreeing, rounded
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys
-from closedloop.studies.gradient.outputs import Output
+from closedloop.studies.gradient.outputs import Output, slices_of
 from closedloop.studies.gradient.seeds import Seeds, seeds_of
-from closedloop.studies.gradient.variants import Sample, difference, samples
+from closedloop.studies.gradient.variants import Sample
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -51,12 +51,6 @@ DUALS, PREPARED, OF_COLUMNS = "dual numbers", "differences of the preparation", 
 LATE = ("step_error_force", "step_error_position", "torque_limited_share", "torque_limited_at")
 # A value that the rows are counted to must be the summary's to this share.
 SAME = 1e-9
-# The two plain runs are off the scenario by the first of these shares of the keys' sizes. A derivative must be that of
-# their difference to a share, or to what of the difference is rounding. Where other events happen in them, or one does
-# not agree because it bends or is all but rounding, so it may with the next two.
-BESIDE, AGREE, NOISE = (1e-5, 1e-7, 1e-4), 1e-4, 50.0
-# The runs on both sides differ from the scenario's by as much, but for this share: else there is a kink.
-KINKED = 1e-3
 # Differences of the columns take steps of this share of those of differences of runs.
 OF_STEP = 0.1
 
@@ -134,10 +128,10 @@ def _exact(
             rows[d] = reader.derivatives(lane, d)
         errors |= reader.errors
     there = [all(each[i] is not None for each in rows.values()) for i in range(len(outputs))]
-    agree = _agree(keys, run, base, outputs, rows, there, model, report, workers)
+    agree = agreeing(keys, run, base, outputs, rows, there, model, report, workers)
     kept = [i for i, good in enumerate(agree) if good]
     rounding = LOCATED if base.happened else ROUNDING
-    slices = _slices(outputs, run)
+    slices = slices_of(outputs, run)
     found = {}
     for d, parts in rows.items():
         value = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(parts[i])) for i in kept)])
@@ -188,12 +182,6 @@ def _the_same(run: Run, start: Prepared, duals: DualRun) -> bool:
         its.shape == mine.shape and bool(np.all(np.abs(its - mine) <= SAME * np.max(np.abs(its), initial=0.0)))
         for its, mine in pairs
     )
-
-
-def _slices(outputs: Sequence[Output], run: Run) -> list[slice]:
-    """Return where each output is among all of them."""
-    ends = np.cumsum([0, *(each.of(run).size for each in outputs)]).tolist()
-    return [slice(begin, end) for begin, end in pairwise(ends)]
 
 
 def _by_columns(output: Output, run: Run) -> bool:
@@ -281,82 +269,5 @@ class _Reader:
         value = np.where(estimate.kink, np.nan, estimate.value)
         return [
             None if np.any(np.isnan(value[part])) else (value[part].reshape(each.of(run).shape), estimate.error[part])
-            for each, part in zip(outputs, _slices(outputs, run), strict=True)
+            for each, part in zip(outputs, slices_of(outputs, run), strict=True)
         ]
-
-
-def _agree(
-    keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], rows: dict[Direction, list[Array | None]],
-    there: list[bool], model: RobotModel | None, report: Callable[[int, int], None], workers: int | None,
-) -> list[bool]:  # fmt: skip
-    """Return which outputs have the derivatives that two plain runs have between them.
-
-    Raises
-    ------
-    NotDualError
-        If other events happen in them.
-    """
-    weights = np.random.default_rng(0).uniform(0.5, 1.0, len(rows))
-    slices, good = _slices(outputs, run), np.zeros(len(outputs), dtype=bool)
-    noise = NOISE * (LOCATED if base.happened else ROUNDING)
-
-    def read(made: Run) -> Array:
-        return np.concatenate([each.of(made).ravel() for each in outputs])
-
-    whys = []
-    for beside in BESIDE:
-        changes = {d: beside * weight * d.step / SHARE for d, weight in zip(rows, weights, strict=True)}
-        sides = [{d: sign * change for d, change in changes.items()} for sign in (-1.0, 1.0)]
-        minus, plus = samples([_changed(keys, side) for side in sides], read, model, report, workers)
-        whys.append(difference(base, minus) or difference(base, plus))
-        if whys[-1]:
-            continue
-        for i, part in enumerate(slices):
-            if there[i] and not good[i]:
-                expected = sum((changes[d] * np.ravel(np.asarray(each[i])) for d, each in rows.items()), np.zeros(1))
-                own = _Beside(
-                    expected, minus.values[part], base.values[part], plus.values[part], noise * rounded(run, outputs[i])
-                )
-                good[i] = own.agrees
-                if not good[i]:
-                    notices.debug("no dual numbers: %s, %g beside: %s", outputs[i].name, beside, own)
-        if np.all(good | ~np.array(there)):
-            break
-    if all(whys):
-        raise NotDualError(whys[-1])
-    return [bool(each) for each in good]
-
-
-class _Beside(NamedTuple):
-    """What a quantity is expected to change by, its values in the two runs and between them, and what is rounding."""
-
-    expected: Array
-    minus: Array
-    at: Array
-    plus: Array
-    noise: float
-
-    @property
-    def agrees(self) -> bool:
-        """Whether it changes by that, and by as much on both sides."""
-        change = 0.5 * (self.plus - self.minus)
-        both_differ = np.abs(self.plus + self.minus - 2.0 * self.at)
-        size = max(float(np.max(np.abs(each), initial=0.0)) for each in (change, self.expected))
-        return bool(
-            np.all(np.isfinite(self.expected))
-            and np.all(np.abs(change - self.expected) <= AGREE * size + self.noise)
-            and np.all(both_differ <= KINKED * np.abs(self.expected) + AGREE * size + self.noise)
-        )
-
-
-def rounded(run: Run, output: Output) -> float:
-    """Return how large what a quantity is made of is, the columns with its unit: their rounding is the quantity's."""
-    sizes = [float(np.max(np.abs(output.of(run)), initial=np.finfo(float).tiny))]
-    for name, column in run.columns.items():
-        if column.dtype.kind == "f" and run.units(name) == output.units:
-            sizes.append(float(np.max(np.abs(column[np.isfinite(column)]), initial=0.0)))
-    return max(sizes)
-
-
-def _changed(keys: Keys, changes: dict[Direction, float]) -> Callable[[], Any]:
-    return lambda: keys.scenario_at(changes)

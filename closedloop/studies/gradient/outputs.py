@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -152,3 +153,9 @@ def _column(name: str, column: str, instant: str | None, run: Run, whole: bool) 
             raise ScenarioError(f"of: {name}: must be an instant of the run, {column}@0 to {column}@{end:g}, or @{END}")
         row = int(np.argmin(np.abs(run.time - t)))
     return Output(name, lambda made: getattr(made, column)[row], units, column)
+
+
+def slices_of(outputs: Sequence[Output], run: Run) -> list[slice]:
+    """Return where each output is among all of them."""
+    ends = np.cumsum([0, *(each.of(run).size for each in outputs)]).tolist()
+    return [slice(begin, end) for begin, end in pairwise(ends)]

@@ -107,7 +107,7 @@ def checked(log: Log, robot: RobotModel) -> Log:
             f"{where}: the robot rests: no joint moves by more than {np.ptp(q, axis=0).max():.2g}, nothing can be found"
         )
     if v is not None:
-        _check_velocities(q, v, (time[-1] - time[0]) / (N - 1), robot, where)
+        check_velocities(q, v, (time[-1] - time[0]) / (N - 1), robot, where)
     return Log(time, q, torque, robot.joint_names, v, where)
 
 
@@ -129,6 +129,8 @@ def _check_time(time: Array, where: str) -> None:
 
 def check_positions(q: Array, robot: RobotModel, where: str) -> None:
     """Raise LogError if positions (N, n) cannot be those of the robot in rad."""
+    if not len(q):
+        return
     turns = np.array([kind != "prismatic" for kind in robot.joint_types])
     largest = np.abs(q).max(axis=0)
     for joint in map(int, np.flatnonzero(turns & (largest > LARGEST_TURN))):
@@ -144,7 +146,7 @@ def check_positions(q: Array, robot: RobotModel, where: str) -> None:
         )
 
 
-def _check_velocities(q: Array, v: Array, step: float, robot: RobotModel, where: str) -> None:
+def check_velocities(q: Array, v: Array, step: float, robot: RobotModel, where: str) -> None:
     """Raise LogError if velocities (N, n) are not the rates of the positions, or of another joint's."""
     rate = np.gradient(q, step, axis=0)
     for joint, name in enumerate(robot.joint_names):

@@ -99,7 +99,8 @@ def usual_cutoff(log: Log) -> float:
     power = np.where(power > stats.chi2.isf(NOISE_ONLY, degrees) / degrees * noise, power - noise, 0.0)
     share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
     moves = rate.std(axis=0) > 0.02 * rate.std(axis=0).max()
-    highest = max(float(f[np.searchsorted(share[:, j], 0.99)]) for j in np.flatnonzero(moves))
+    at = [min(int(np.searchsorted(share[:, j], 0.99)), len(f) - 1) for j in np.flatnonzero(moves)]
+    highest = float(f[max(at, default=0)])
     return float(min(ABOVE_MOTION * max(highest, f[1]), 0.2 / step))
 
 

@@ -125,7 +125,8 @@ def physical(found: Identification) -> Physical:
     def residual(x: Array) -> Array:
         return np.concatenate([root @ (grouping @ parameters(x) - value), np.sqrt(PULL) * (x - x0)])
 
-    best = optimize.least_squares(residual, x0, method="lm", xtol=1e-6, ftol=1e-6, gtol=1e-6, max_nfev=ROUNDS)
+    with np.errstate(over="ignore", invalid="ignore"):  # a step that is far too long is taken back
+        best = optimize.least_squares(residual, x0, method="lm", xtol=1e-6, ftol=1e-6, gtol=1e-6, max_nfev=ROUNDS)
     chi = parameters(best.x)
     distance = float(np.sqrt(np.mean((root @ (grouping @ chi - value)) ** 2)))
     change = base.grouping @ chi - solution.value

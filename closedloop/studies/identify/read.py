@@ -200,6 +200,7 @@ def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: 
     n = robot.n
     labels = [list(robot.joint_names), [str(k + 1) for k in range(n)], [str(k) for k in range(n)]]
     asked = given.get(what)
+    patterns: list[str] = []
     if asked and "{}" not in asked:
         tried = [[name.strip() for name in asked.split(",")]]
     else:
@@ -213,6 +214,13 @@ def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: 
         missing = next((name for name in tried[0] if name not in table and name.lower() not in plain), None)
         reason = f"no column {missing!r}" if missing else f"{len(tried[0])} columns for {n} joints"
         raise LogError(f"{path}: --columns {what}={asked}: {reason}; it has {listed(table)}")
+    for names in tried[: len(patterns)] if what != "v" else ():  # by the joints' names
+        lacking = [name for name in names if name not in table and name.lower() not in plain]
+        if 0 < len(lacking) < n:
+            raise LogError(
+                f"{path}: has {what} of {n - len(lacking)} of {n} joints: no column of numbers {lacking[0]!r}; it has "
+                f"{listed(table)}"
+            )
     return None
 
 

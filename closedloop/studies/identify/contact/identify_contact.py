@@ -118,7 +118,8 @@ class ContactIdentification:
                 panel.plot(part.time, part.predicted, ".", ms=2, color=COLOURS[1], label="predicted")
                 panel.plot(part.time, part.measured - part.predicted, ".", ms=2, color=COLOURS[0], label="residual")
                 panel.set_ylabel(part.what, fontsize=7)
-            panels[0].legend(fontsize=7, ncols=3)
+            if drawn:
+                panels[0].legend(fontsize=7, ncols=3)
             panels[-1].set_xlabel("time, s")
         return figure
 

@@ -101,7 +101,7 @@ def _told(touch: Touch) -> Touch:
     f, height = touch.along, touch.height
     noise = float(white_noise(f[:, None])[0])
     low, high = np.percentile(f, [0.5, 99.5])
-    if high - low < 2.0 * NOISES * noise:  # one level throughout
+    if high - low <= 2.0 * NOISES * noise:  # one level throughout
         return replace(touch, closed=np.full(len(f), bool(abs(f.mean()) > NOISES * noise)))
     sure = height[f > low + SURELY * (high - low)]
     bottom, top = np.percentile(sure, [1.0, 99.0])

@@ -6,11 +6,13 @@ The curves go first: they are what a slider is moved for. A run in space is its 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.figures.scene.ghost import COLOUR, OPACITY
 from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
 from closedloop.figures.scene.shapes import Shape
@@ -92,12 +94,13 @@ def _marks(run: Run) -> list[Message]:
 def robot_message(scene: Scene) -> Message:
     """Return what of a scene is the robot's: shapes, marks of loop joints, and what the arrows and colours mean."""
     ground = len(scene.joint_places(0)[0])
+    joints = ground + 1 + len(scene.joined.loops) + len(scene.ghosts)
     return {
-        "kind": "robot", "joints": ground + 1 + len(scene.joined.loops), "ground": ground, "meanings": MEANINGS,
+        "kind": "robot", "joints": joints, "ground": ground, "meanings": MEANINGS,
         "clear": sorted(scene.hiding) if scene.arm_hides_force else [],
         "shapes": [
             {"joint": joint, "kind": kind, "colour": s.colour, "vertices": s.vertices,
-             "faces": np.asarray(s.faces, np.uint32)} for joint, kind, s in _shapes(scene)
+             "faces": np.asarray(s.faces, np.uint32), **more} for joint, kind, s, more in _shapes(scene)
         ],
     }  # fmt: skip
 
@@ -161,11 +164,12 @@ def frames(scene: Scene, rows: Rows) -> Message:
     for row in rows:
         there = scene.joint_places(int(row))
         (turn, shift), marks = scene.ground.place(int(row)), scene.joined.places(*there)
-        turns = quaternions(np.vstack([there[0], turn[None], marks[0]]))
+        ghosts = [ghost.place(float(run.time[row])) for ghost in scene.ghosts]
+        turns = quaternions(np.vstack([there[0], turn[None], marks[0], *(axes[None] for axes, _ in ghosts)]))
         if last is not None:  # of the two quaternions of a rotation that which is near the one before
             turns *= np.where(np.sum(turns * last, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
         last = turns
-        places.append(np.hstack([turns, np.vstack([there[1], shift, marks[1]])]))
+        places.append(np.hstack([turns, np.vstack([there[1], shift, marks[1], *(origin for _, origin in ghosts)])]))
     arrows = scene.arrows(rows)
     tails, forces = (np.array([[arrow[part] for arrow in each] for each in arrows]) for part in (0, 1))
     return {"time": run.time[np.asarray(rows)], "places": np.array(places), "tails": tails, "forces": forces}
@@ -176,9 +180,16 @@ def spread(run: Run, most: int = FRAMES) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, len(run) - 1, min(most, len(run))).round().astype(np.int64))
 
 
-def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape]]:
-    """Yield the robot's shapes and the marks of its loop joints, each with the number of its place and what it is."""
+def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape, Message]]:
+    """Yield the robot's shapes, the marks of its loop joints and the ghosts, each with the number of its place.
+
+    Then what it is, and for a ghost how much it hides.
+    """
     for shape in scene.shapes:
-        yield shape.joint, "", shape
+        yield shape.joint, "", shape, {}
+    after = len(scene.joint_places(0)[0]) + 1
     for k, loop in enumerate(scene.joined.loops):
-        yield len(scene.joint_places(0)[0]) + 1 + k, JOINTS, loop.shape
+        yield after + k, JOINTS, loop.shape, {}
+    for k, ghost in enumerate(scene.ghosts):
+        for shape in ghost.shapes:
+            yield after + len(scene.joined.loops) + k, ghost.name, replace(shape, colour=COLOUR), {"opacity": OPACITY}

@@ -10,6 +10,7 @@ from typing import Any
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
+from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.drawn import curves, robot_message, run_message, space_message, spread
 from closedloop.lab.messages import in_text
@@ -24,8 +25,8 @@ SCRIPTS = (
 )  # fmt: skip
 
 
-def page_of(run: Run, command: str = "") -> str:
-    """Return the page of a run; `command` is the command line that repeats it.
+def page_of(run: Run, command: str = "", ghosts: Sequence[Ghost] = ()) -> str:
+    """Return the page of a run; `command` is the command line that repeats it, `ghosts` are shown beside its bodies.
 
     Raises
     ------
@@ -34,7 +35,7 @@ def page_of(run: Run, command: str = "") -> str:
     """
     if not len(run):
         raise ScenarioError(f"{run.scenario.name}: the run has no rows: there is nothing to show")
-    scene, summary = scene_of(run), run.summary()
+    scene, summary = scene_of(run, ghosts), run.summary()
     drawn = curves(run, None, COLUMNS, CELLS)
     messages = [
         hello(run, live=False, command=command),
@@ -74,7 +75,7 @@ def page(title: str, messages: Sequence[Any] = (), theme: str = "") -> str:
     return found
 
 
-def share(run: Run, path: str | Path, command: str = "") -> Path:
+def share(run: Run, path: str | Path, command: str = "", ghosts: Sequence[Ghost] = ()) -> Path:
     """Write the page of a run, see `page_of`, and return its path.
 
     Raises
@@ -84,4 +85,4 @@ def share(run: Run, path: str | Path, command: str = "") -> Path:
     OutputError
         If the file cannot be written.
     """
-    return write_whole(path, page_of(run, command).encode())
+    return write_whole(path, page_of(run, command, ghosts).encode())

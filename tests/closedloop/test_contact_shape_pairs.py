@@ -152,6 +152,16 @@ def test_boxes_stacked_crosswise_rest_on_their_edges(tmp_path):
     assert run.summary()["verdict"]["good"]
 
 
+def test_boxes_flush_with_each_other_touch_once(tmp_path):
+    """Dropped with two sides in one plane: edges that cross at their ends hold it, and rounding ends no contact."""
+    cube = '<geom type="box" size="0.05 0.05 0.05" mass="1"/>'
+    start = [([0, 0, 0.05], [1, 0, 0, 0]), ([0.02, 0, 0.16], [1, 0, 0, 0])]
+    run = cl.simulate(bodies(tmp_path, (cube, cube), start, floor=(0,), duration=0.3), progress=False)
+    assert [event.kind for event in run.events] == ["touchdown"] * 4
+    assert np.max(np.abs(run.v[-1])) < 1e-12
+    np.testing.assert_allclose(run.q[-1, 9], 0.15, rtol=1e-12)
+
+
 def test_a_box_dropped_on_anothers_edge_comes_to_rest(tmp_path):
     """Turned both ways, on a box on the floor: nothing passes through, energy falls, and it rests."""
     start = [([0, 0, 0.03], [1, 0, 0, 0]), ([0.05, 0.03, 0.2], turn(0.5, 0.2, 1.2))]

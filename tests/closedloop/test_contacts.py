@@ -329,6 +329,29 @@ def filled(rng, planar):
     return memory, v
 
 
+def test_contacts_that_are_open_change_nothing_of_the_others():
+    """Solved among open ones the contacts have the same forces to the bit, and all memory is as it was."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        memory, v = filled(rng, False)
+        alone, k, n = memory.contacts, memory.links.k, len(v)
+        more = make_contact_memory(n, 2 * k)
+        at, c = np.sort(rng.permutation(2 * k)[:k]), more.contacts
+        rows = (3 * at[:, None] + np.arange(3)).ravel()
+        X = rng.normal(size=(6 * k, n))
+        X[rows] = alone.X
+        c.X[:], c.W[:], c.problem.q[:], c.F[:] = X, X @ X.T, X @ v, 1.0
+        c.W[np.ix_(rows, rows)], c.problem.q[rows], c.F[rows] = alone.W, alone.problem.q, alone.F
+        c.mu[at], c.problem.form[at] = alone.mu, alone.problem.form
+        kept = [np.array(x) for x in (c.W, c.problem.q, c.mu, c.problem.form, c.problem.along)]
+        assert solve_at(memory.address) == solve_at(more.address)
+        np.testing.assert_array_equal(c.F[rows], alone.F)
+        assert not np.any(np.delete(c.F, rows))
+        np.testing.assert_allclose(c.problem.after, c.problem.q + c.W @ c.F, atol=1e-12 * np.abs(c.W).max())
+        for before, now in zip(kept, (c.W, c.problem.q, c.mu, c.problem.form, c.problem.along), strict=True):
+            np.testing.assert_array_equal(before, now)
+
+
 def faults(c, k):
     """What complementarity and cone are off, relative to the largest force and velocity."""
     F, u = c.F.reshape(k, 3), (c.problem.q + c.W @ c.F).reshape(k, 3)

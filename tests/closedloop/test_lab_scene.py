@@ -10,10 +10,13 @@ import pinocchio
 import pytest
 
 import closedloop as cl
+from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.joined import Joined
 from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
+from closedloop.figures.scene.shapes import Shape
 from closedloop.lab.animate import CELLS, OWN
 from closedloop.lab.curves import main_panel, panels, reduced
+from closedloop.lab.drawn import frames, robot_message
 from closedloop.lab.film_picture import Picture
 from closedloop.lab.messages import from_text
 from closedloop.lab.share import page_of
@@ -269,3 +272,25 @@ def test_a_mp4_without_ffmpeg_is_one_line(tmp_path, monkeypatch):
     assert 'pip install "closedloop[mp4]", or write a .gif' in str(refused.value)
     assert len(str(refused.value).splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_ghost_is_beside_the_bodies_of_a_run():
+    """The page has its shape, seen through, and its place at each instant: between two of its rows by half a turn."""
+    run = short_run("planar2_slide")
+    box = Shape(0, np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32), (0.0, 0.0, 0.0))
+    end = run.time[-1]
+    turned = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])  # by half a turn about z
+    ghost = Ghost("measured", (box,), np.array([0.0, end]), turned, np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]))
+    scene = scene_of(run, [ghost])
+    about, there = robot_message(scene), frames(scene, [0, len(run) // 2, len(run) - 1])
+    (shape,) = [each for each in about["shapes"] if each["kind"] == "measured"]
+    assert 0.0 < shape["opacity"] < 1.0
+    assert shape["joint"] == about["joints"] - 1
+    places = there["places"][:, shape["joint"]]
+    assert places.shape == (3, 7)
+    middle = run.time[len(run) // 2] / end
+    np.testing.assert_allclose(places[:, 4:], np.outer([0.0, middle, 1.0], [1.0, 2.0, 3.0]), atol=1e-12)
+    np.testing.assert_allclose(
+        np.abs(places[1, :4]), [np.cos(middle * np.pi / 2), 0, 0, np.sin(middle * np.pi / 2)], atol=1e-9
+    )
+    assert frames(scene_of(run), [0])["places"].shape[1] == about["joints"] - 1

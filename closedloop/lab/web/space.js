@@ -167,13 +167,13 @@ class Space {
     const through = [];
     for (const s of this.shapes.filter((s) => !this.hidden.has(s.kind))) {
       const colour = this.red.has(s.joint) ? RED : s.colour;
-      if (this.clear && arrows && this.about.clear.includes(s.joint)) through.push([s, colour]);
+      if (s.opacity || (this.clear && arrows && this.about.clear.includes(s.joint))) through.push([s, colour]);
       else d.put(s.mesh, f.places[s.joint], [...colour, 1], 1);
     }
     for (const p of this.paths.filter((p) => !this.hidden.has(p.name))) d.put(p.mesh, still, [...p.colour, 1], 0);
     if (arrows) this.arrows(v, 1);
     d.blend(true);
-    for (const [s, colour] of through) d.put(s.mesh, f.places[s.joint], [...colour, SEEN_THROUGH], 1);
+    for (const [s, colour] of through) d.put(s.mesh, f.places[s.joint], [...colour, s.opacity ?? SEEN_THROUGH], 1);
     const ground = this.scene.passing?.surface ? [0.8, 0.45, 0.4, 0.5] : dark ? [0.45, 0.5, 0.55, 0.5] : [0.6, 0.66, 0.72, 0.5];
     if (this.surface) d.put(this.surface, f.places[this.about.ground], ground, 1);
     d.blend(true, true);

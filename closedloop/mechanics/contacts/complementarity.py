@@ -32,6 +32,7 @@ from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.continuation import follow_path, force_size
 from closedloop.mechanics.contacts.linear import DEPENDENT, solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
+from closedloop.mechanics.contacts.packed import pack, unpack
 
 Array = NDArray[np.float64]
 
@@ -275,9 +276,11 @@ def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
     `residual` is what the equations are off, of forces. Starts from F; W, q, kind, mu and along are read. `starts` is
     from how many points paths are followed, where the quick method does not find them.
     """
-    if solve_from_here(c, k, SWEEPS, ROUNDS):
-        return True
-    found = False
-    for i in range(starts):
-        found = found or (follow_path(c, k, STARTS[i]) and solve_from_here(c, k, 0, LAST_ROUNDS))
+    a = pack(c, k)
+    found = solve_from_here(c, a, SWEEPS, ROUNDS)
+    for i in range(0 if found else starts):
+        found = found or (follow_path(c, a, STARTS[i]) and solve_from_here(c, a, 0, LAST_ROUNDS))
+    unpack(c, k, a)
+    if a < k:
+        velocities(c, k, c.F, c.problem.after)
     return found

@@ -43,6 +43,9 @@ P2, E2, L2, SIDES2 = 0, 3, 6, 7
 PARALLEL, LEAN = 0.02, 0.05
 # How far from its end an edge is for one that n leans, m.
 LEVER = 0.1
+# How far beyond its ends an edge still crosses, m: where boxes lie flush on each other edges cross at their ends, and
+# rounding would end the contact again and again.
+PAST_END = 1e-8
 # The gap of edges none of which crosses, m.
 APART = 1.0
 
@@ -80,7 +83,7 @@ def cross_edges(edge: Array, k: int, x: Array, e1: Array, N: Array, at: Array) -
     along1, along2 = e1[0] * x0 + e1[1] * x1 + e1[2] * x2, e2[0] * x0 + e2[1] * x1 + e2[2] * x2
     c = e1[0] * e2[0] + e1[1] * e2[1] + e1[2] * e2[2]
     s1, s2 = (c * along2 - along1) / (size * size), (along2 - c * along1) / (size * size)
-    inside = min(edge[L1] - abs(s1), edge[b + L2] - abs(s2))
+    inside = min(edge[L1] - abs(s1), edge[b + L2] - abs(s2)) + PAST_END
     if sharp:
         inside = min(inside, LEVER * (out1 + LEAN), LEVER * (out2 + LEAN))
     N[0, 0], N[0, 1], N[0, 2] = n0, n1, n2

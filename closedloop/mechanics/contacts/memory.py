@@ -134,6 +134,17 @@ class ContactScratch(Block, sizes=("n", "k")):
     vector: Annotated[Array, 3]
 
 
+class Packed(Block, sizes=("k",)):
+    """What `closedloop.mechanics.contacts.packed` has overwritten, and which contacts it has put in front."""
+
+    contact: Annotated[Array, K]
+    mu: Annotated[Array, K]
+    form: Annotated[Array, K]
+    along: Annotated[Array, K, 2]
+    q: Annotated[Array, 3 * K]
+    W: Annotated[Array, 3 * K, 3 * K]
+
+
 class Resistance(Block, sizes=("k",)):
     """Resistance to rolling and to pivoting, contacts of their own; see `closedloop.mechanics.contacts.resistance`."""
 
@@ -206,6 +217,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     step: TimeStep
     path: Path
     scratch: ContactScratch
+    packed: Packed
 
 
 CONTACT_LINKS = ContactLinks.count()

@@ -46,7 +46,7 @@ def _main(words: list[str]) -> int:
     parser.add_argument("--figures", metavar="DIR", help="draw errors over time, best and worst tosses, as PNG")
     parser.add_argument(
         "--film", nargs=2, metavar=("TOSS", "FILE"),
-        help="write a film of toss number TOSS, simulated and measured, a .gif or a .mp4",
+        help="write a film of toss number TOSS, simulated and measured, a .gif or a .mp4, or the lab's page, a .html",
     )  # fmt: skip
     options = parser.parse_args(words)
     told = options.laws or options.impacts or options.geometry

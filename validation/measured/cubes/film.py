@@ -16,6 +16,7 @@ from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.scene.shapes import Shape
 from closedloop.lab.animate import write_film
 from closedloop.lab.curves import COLOURS, Panel, Trace
+from closedloop.lab.share import share
 from closedloop.record.run import Run
 from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.comparing import fitted
@@ -63,7 +64,7 @@ def measured(toss: Toss, side: float = SIDE) -> Ghost:
 
 
 def film(toss: Toss, path: Path) -> Path:
-    """Write a film of a toss, simulated and measured, beside its errors; a .gif or a .mp4.
+    """Write a film of a toss, simulated and measured, beside its errors: a .gif or a .mp4, or the lab's page, a .html.
 
     Raises
     ------
@@ -74,6 +75,8 @@ def film(toss: Toss, path: Path) -> Path:
     """
     run = simulated(toss)
     ghosts = [measured(toss, fitted(ClosedLoopCube())[-1])]
+    if path.suffix.lower() == ".html":
+        return share(run, path, ghosts=ghosts)
     position, rotation = errors(toss, run.q[::STEPS])
     time = np.arange(len(position)) / RATE
     traces = (Trace("position, % of the side", COLOURS[0], position), Trace("rotation, °", COLOURS[1], rotation))

@@ -14,10 +14,9 @@ CASES = [
     (2.0, 0.7, 0.5),
     (4.0, 0.05, 0.0),
     (4.0, 0.05, 0.5),
-]
+]  # e = 0.9 is open: a foot strikes while the other is closed, and e is lessened by another factor
 
 
-@pytest.mark.xfail(strict=False, reason="open: with restitution later strikes differ by up to 1e-3 of the instant")
 @pytest.mark.parametrize(
     ("aspect", "mu", "e"), [pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow) for case in CASES]
 )
@@ -29,7 +28,8 @@ def test_a_rocking_block_rests_at_the_instant_of_a_planar_reference(tmp_path, as
     rest, strikes = Block(half[0], half[2], mu, e).comes_to_rest(*start)
     feet = [(x, 0.0, -half[2]) for x in (half[0], -half[0])]
     duration = round(1.1 * rest + 0.05, 3)
-    run = simulate(tmp_path, half, feet, start, mu, e, **{"time.duration": duration})
+    # A foot that strikes alone rebounds by Newton's law, as there: by Stronge's, the usual one, less where slip turns.
+    run = simulate(tmp_path, half, feet, start, mu, e, **{"time.duration": duration, "impact.law": "newton"})
     struck = [event.time for event in run.events if event.kind in ("impact", "touchdown")]
     first = min(4, len(strikes))
     np.testing.assert_allclose(struck[:first], strikes[:first], atol=1e-6)

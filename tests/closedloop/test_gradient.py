@@ -5,7 +5,12 @@ import pytest
 from scipy.linalg import expm
 
 import closedloop as cl
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.dual_loop import prepared
+from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient import exact
+from closedloop.studies.gradient.keys import SHARE, Keys
+from closedloop.studies.gradient.seeds import seeds_of
 from tests.closedloop.linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 FORCE, GAP, RESTITUTION = 10.0, 0.1, 0.6
@@ -138,6 +143,26 @@ def test_a_fault_in_a_term_of_saltation_is_caught(term, monkeypatch):
     caught = cl.gradient(ball(**asked), ["start.v"], of=["q@end"])
     assert not caught.method["q@end"]["start.v"].startswith(exact.DUALS)
     np.testing.assert_allclose(caught.derivative["q@end"]["start.v"], plain.derivative["q@end"]["start.v"], atol=1e-7)
+
+
+def test_what_a_posture_does_to_the_preparation():
+    """A sphere is placed below the tip, a curved function of the posture, beside numbers that are infinite or NaN."""
+    keys = Keys(cl.load_scenario("wam_sphere", {"time.duration": 0.1}), ["start.q"])
+    direction, cache = keys.directions[1], Cache()
+    base = prepared(prepare(keys.scenario))
+    found = seeds_of(keys, direction, base, None, cache)
+    near = 1e-4 * direction.step / SHARE
+    beside = [
+        [array.copy() for array in prepared(prepare(keys.scenario_at({direction: change}), None, cache)).floats]
+        for change in (-near, near)
+    ]
+    assert not found.linear
+    for part, minus, plus in zip(found.parts, *beside, strict=True):
+        with np.errstate(invalid="ignore"):
+            expected = np.where(minus == plus, 0.0, plus - minus) / (2.0 * near)
+        known = np.isfinite(expected)
+        mine = np.zeros_like(expected) if part is None else part
+        np.testing.assert_allclose(mine[known], expected[known], rtol=1e-6, atol=1e-6)
 
 
 def test_sliding_block_stops():

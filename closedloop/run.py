@@ -234,7 +234,7 @@ def _parser() -> Parser:
     add("--halve", action="store_true", help="also run it at half the step, and compare")
     add("--strict", action="store_true", help="exit with status 4 or 5 if a verdict is bad")
     engines = ("pinocchio", "compiled")
-    add("--engine", choices=engines, metavar="ENGINE", help="what computes H, C, r, J: pinocchio (default) or compiled")
+    add("--engine", choices=engines, metavar="ENGINE", help="source of H, C, r, J: pinocchio (default), compiled")
     add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own as the law")
     add("--record", action="append", default=[], metavar="MODULE:NAME", help="a function(run) of your own as a column")
     return parser

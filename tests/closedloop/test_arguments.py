@@ -51,7 +51,7 @@ GOOD = {
     "lab": {"scenario": "no such", "overrides": {}, "law": None, "model": None, "host": "127.0.0.1", "port": 8080,
             "dark": False, "show": False},
     "Log": {"time": TIME, "q": ROWS, "torque": ROWS, "joint_names": (), "v": None, "source": "the log"},
-    "Recording": {"time": TIME, "q": ROWS, "torque": None, "force": None, "source": "the log"},
+    "Recording": {"time": TIME, "q": ROWS, "torque": None, "v": None, "force": None, "source": "the log"},
     "Plane": {"normal": np.array([0.0, 0.0, 1.0]), "offset": 0.0},
     "Robot": {"model": robot_models.load("planar2"), "tip": None},
     "Run": {"scenario": SCENARIO, "model": RUN.model, "columns": RUN.columns},

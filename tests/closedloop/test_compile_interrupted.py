@@ -205,7 +205,7 @@ def test_a_second_ctrl_c_does_not_wait(monkeypatch):
         raise AssertionError("it went on")
 
     monkeypatch.setattr(compiled, "compile", compile_and_signal)
-    monkeypatch.setattr("closedloop.jit.kernel._njit", lambda function, **options: compiled)
+    monkeypatch.setattr("closedloop.jit.kernel._njit", lambda function, *_, **options: compiled)
     with pytest.raises(KeyboardInterrupt):
         made(entry_kernel)(NUMBERS, np.zeros(3))
 
@@ -233,7 +233,7 @@ def test_a_signal_while_the_compiler_calls_back_is_not_lost(monkeypatch, capfd, 
         raise AssertionError("it went on")
 
     monkeypatch.setattr(compiled, "compile", compile_and_call_back)
-    monkeypatch.setattr("closedloop.jit.kernel._njit", lambda function, **options: compiled)
+    monkeypatch.setattr("closedloop.jit.kernel._njit", lambda function, *_, **options: compiled)
     with terminable(), pytest.raises(KeyboardInterrupt) as stopped:
         made(entry_kernel)(NUMBERS, np.zeros(3))
     assert isinstance(stopped.value, Terminated) == (number == signal.SIGTERM)

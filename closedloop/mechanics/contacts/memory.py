@@ -107,6 +107,17 @@ class Path(Block, sizes=("k",)):
     gap_rate: Annotated[Array, 3 * K]
 
 
+class Packed(Block, sizes=("k",)):
+    """What `closedloop.mechanics.contacts.packed` has overwritten, and which contacts it has put in front."""
+
+    contact: Annotated[Array, K]
+    mu: Annotated[Array, K]
+    form: Annotated[Array, K]
+    along: Annotated[Array, K, 2]
+    q: Annotated[Array, 3 * K]
+    W: Annotated[Array, 3 * K, 3 * K]
+
+
 class ContactScratch(Block, sizes=("n", "k")):
     """What one kernel uses, and nothing outlives."""
 
@@ -132,17 +143,7 @@ class ContactScratch(Block, sizes=("n", "k")):
     sought: Annotated[Array, 3 * K]
     slope: Annotated[Array, 3, 3]
     vector: Annotated[Array, 3]
-
-
-class Packed(Block, sizes=("k",)):
-    """What `closedloop.mechanics.contacts.packed` has overwritten, and which contacts it has put in front."""
-
-    contact: Annotated[Array, K]
-    mu: Annotated[Array, K]
-    form: Annotated[Array, K]
-    along: Annotated[Array, K, 2]
-    q: Annotated[Array, 3 * K]
-    W: Annotated[Array, 3 * K, 3 * K]
+    packed: Packed
 
 
 class Resistance(Block, sizes=("k",)):
@@ -217,7 +218,6 @@ class Contacts(Block, sizes=("n", "k", "past")):
     step: TimeStep
     path: Path
     scratch: ContactScratch
-    packed: Packed
 
 
 CONTACT_LINKS = ContactLinks.count()

@@ -20,7 +20,7 @@ def pack(c: Contacts, k: int) -> int:
 
     `unpack` restores what they were.
     """
-    a, p = 0, c.packed
+    a, p = 0, c.scratch.packed
     for i in range(k):
         if c.problem.form[i] != OFF:
             p.contact[a] = i
@@ -51,7 +51,7 @@ def pack(c: Contacts, k: int) -> int:
 @kernel
 def unpack(c: Contacts, k: int, a: int) -> None:
     """Put the a contacts of `pack` back to where they were: F is that of each, zero of the others."""
-    p = c.packed
+    p = c.scratch.packed
     if a == k:
         return
     for i in range(3 * a, 3 * k):

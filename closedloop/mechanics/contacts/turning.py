@@ -34,7 +34,7 @@ TURNS, SETTLED = 20, 1e-12
 HELD = 1e9
 # Rounds of the method that solves the problem, one in the search for τ, which begins near, and rounds of that search;
 # how near to its edge friction is found then.
-ROUNDS, SEARCHES, ON_EDGE = 1, 60, 1e-10
+ROUNDS, SEARCHES, ON_EDGE = 3, 60, 1e-10
 
 
 @kernel

@@ -82,7 +82,9 @@ def test_wrong_arguments_are_answered_in_one_line(name, tmp_path, monkeypatch):
                 if name == "lab" and key != "scenario" and fits(wrong, inspect.signature(cl.Robot).return_annotation):
                     continue
                 try:
-                    function(**{**good, key: wrong})
+                    made = function(**{**good, key: wrong})
+                    if name == "lab":
+                        made.close()
                 except cl.ClosedLoopError as error:
                     faults = error.faults if isinstance(error, cl.ScenarioError) else [str(error)]
                     assert faults

@@ -17,7 +17,8 @@ T = TypeVar("T")
 # Threads have so long to end when one of them has failed or the main thread is interrupted, s: a run that takes longer
 # is left behind, and what it comes to is dropped.
 GRACE = 5.0
-NAME = "closedloop"
+# Threads with other names, as those of a lab, end with the interpreter.
+NAME = "closedloop-runs"
 
 
 class Ended(BaseException):

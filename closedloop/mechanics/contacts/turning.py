@@ -21,19 +21,16 @@ from closedloop.mechanics.contacts.complementarity import (
     largest_mobility,
     newton_step,
     solve_from_here,
-    velocities,
     write_residuals,
 )
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
-from closedloop.mechanics.contacts.packed import pack, unpack
 
 # Solutions at most in which the friction of slow slips is turned, and the change of its direction at which it agrees.
 TURNS, SETTLED = 20, 1e-12
 # The coefficient of friction of contacts that stick here, whatever force that takes.
 HELD = 1e9
-# Rounds of the method that solves the problem, one in the search for τ, which begins near, and rounds of that search;
-# how near to its edge friction is found then.
+# Rounds of the method that solves the problem, and of the search for τ; how near to its edge friction is found then.
 ROUNDS, SEARCHES, ON_EDGE = 3, 60, 1e-10
 
 
@@ -105,7 +102,7 @@ def turn_slips(c: Contacts, k: int, h: float) -> float:
     for i in range(k):
         mu[i], c.scratch.start[3 * i + 2] = c.mu[i], c.problem.form[i]
     set_problem(c, k, h)
-    found = solve_within(c, k, 1.0 / h, ROUNDS)
+    found = solve_within(c, k, 1.0 / h)
     if found:
         found = shorten(c, k, h)
     if found:
@@ -140,8 +137,8 @@ def set_problem(c: Contacts, k: int, h: float) -> None:
 
 
 @kernel
-def solve_within(c: Contacts, k: int, rate: float, rounds: int) -> bool:
-    """Solve the problem for τ = 1/`rate` in so many rounds; return whether it was. A slip of none has no direction."""
+def solve_within(c: Contacts, k: int, rate: float) -> bool:
+    """Solve the problem for τ = 1/`rate`; return whether that was possible. A slip that is none has no direction."""
     for i in range(k):
         n = 3 * i
         slow = c.problem.form[i] == DOUBLE and c.mu[i] < HELD
@@ -149,19 +146,16 @@ def solve_within(c: Contacts, k: int, rate: float, rounds: int) -> bool:
         c.problem.q[n] = c.scratch.sought[n]
         for r in (n + 1, n + 2):
             c.problem.q[r] = c.scratch.sought[r] + share * c.u[r]
-    a = pack(c, k)
-    found = solve_from_here(c, a, 0, rounds)
-    if found and has_derivatives(c.F[0]):  # those of the solution follow by one step from its value
-        largest = largest_mobility(c, a)
-        write_residuals(c, a, c.F, largest)
-        newton_step(c, a, c.F, largest)
-        for r in range(3 * a):
+    if not solve_from_here(c, k, 0, ROUNDS):
+        return False
+    if has_derivatives(c.F[0]):  # those of the solution follow by one step from its value
+        largest = largest_mobility(c, k)
+        write_residuals(c, k, c.F, largest)
+        newton_step(c, k, c.F, largest)
+        for r in range(3 * k):
             c.F[r] += c.scratch.solution[0, r]
-        write_residuals(c, a, c.F, largest)
-    unpack(c, k, a)
-    if a < k:
-        velocities(c, k, c.F, c.problem.after)
-    return found
+        write_residuals(c, k, c.F, largest)
+    return True
 
 
 @kernel
@@ -192,7 +186,7 @@ def shorten(c: Contacts, k: int, h: float) -> bool:
     high, at_high = low, at_low
     for _ in range(SEARCHES):
         high *= 2.0
-        if not solve_within(c, k, high, 1):
+        if not solve_within(c, k, high):
             return False
         at_high = left_of_slips(c, k)
         if at_high >= 0.0:
@@ -201,7 +195,7 @@ def shorten(c: Contacts, k: int, h: float) -> bool:
     side = 0
     for _ in range(SEARCHES if at_high > ON_EDGE else 0):  # the method of Illinois
         rate = (low * at_high - high * at_low) / (at_high - at_low)
-        if not solve_within(c, k, rate, 1):
+        if not solve_within(c, k, rate):
             return False
         now = left_of_slips(c, k)
         if abs(now) <= ON_EDGE or high - low <= ON_EDGE * high:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -14,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from robot_models.coordinates import BALL, PLACES, RATES
 from validation.engines.description import bare_mjcf, bare_urdf, root_link
-from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, columns_of, refuse_balls
+from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, refuse_balls
 from validation.oracle.spatial import Array
 
 
@@ -62,8 +61,7 @@ class Drake(Engine):
 
         self.plant = build_plant(robot, 0.0)
         self.plant.Finalize()
-        self.types = tuple(getattr(robot, "joint_types", ("",) * self.n))
-        self.parts = _parts(self.plant, robot, self.types)
+        self.parts = parts_of(self.plant, robot)
         self.context = self.plant.CreateDefaultContext()
         if not self.plant.HasFrameNamed(tip):
             raise CannotBuild(f"Drake has no body {tip!r}")
@@ -129,7 +127,7 @@ class Drake(Engine):
 
 
 @dataclass(frozen=True)
-class _Part:
+class Part:
     """Where a joint of one velocity, or the turning of one that turns freely, lies.
 
     Attributes
@@ -145,11 +143,12 @@ class _Part:
     angles: int | None = None
 
 
-def _parts(plant: Any, robot: Robot, types: Sequence[str]) -> list[_Part]:
+def parts_of(plant: Any, robot: Robot) -> list[Part]:
     """Return the parts of the robot's q and v."""
+    types = getattr(robot, "joint_types", ("",) * len(robot.joint_names))
     joints = {joint.name(): joint for joint in map(plant.get_joint, plant.GetJointIndices())}
     joints |= {name: joints[body] for name, body in _free_joints(robot).items() if body in joints}
-    found: list[_Part] = []
+    found: list[Part] = []
     for column, (name, kind) in enumerate(zip(robot.joint_names, types, strict=True)):
         end = next((end for end in (*PLACES, *RATES) if name.endswith(end) and name not in joints), "")
         joint = joints.get(name.removesuffix(end))
@@ -159,9 +158,9 @@ def _parts(plant: Any, robot: Robot, types: Sequence[str]) -> list[_Part]:
         free = joint.num_velocities() == 6
         if kind != BALL:
             at = PLACES.index(end) if free else 0
-            found.append(_Part(column, position + at + 4 * free, velocity + at + 3 * free))
+            found.append(Part(column, position + at + 4 * free, velocity + at + 3 * free))
         elif end == RATES[0]:
-            found.append(_Part(column, position, velocity, joint.num_positions() - 3 * free))
+            found.append(Part(column, position, velocity, joint.num_positions() - 3 * free))
     if plant.num_velocities() != len(robot.joint_names):
         raise CannotBuild(f"Drake made {plant.num_velocities()} velocities, the robot has {len(robot.joint_names)}")
     return found
@@ -223,15 +222,6 @@ def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
         actuator.set_default_rotor_inertia(float(armature))
     plant.mutable_gravity_field().set_gravity_vector(np.array(robot.gravity))
     return plant
-
-
-def columns(plant: Any, robot: Robot) -> Array:
-    """Return the place of each joint of the robot in v."""
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    names = {joint.name(): joint.velocity_start() for joint in joints if joint.num_velocities() == 1}
-    if plant.num_velocities() != len(names) or plant.num_positions() != len(names):
-        raise CannotBuild(f"Drake made {plant.num_velocities()} velocities of {len(names)} joints of one each")
-    return columns_of(names, robot, "drake")
 
 
 def _weld(plant: Any, joint: Any, value: float) -> None:

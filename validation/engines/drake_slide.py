@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from closedloop import Problem
-from validation.engines.drake import build_plant, columns
+from validation.engines.drake import build_plant, parts_of
 from validation.engines.trajectories import Trajectory, law
 from validation.oracle.spatial import Array
 
@@ -85,7 +85,7 @@ def _run(of: Problem, plant: Any, diagram: Any) -> Trajectory:
 
     simulator = Simulator(diagram)
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    order, n, normal = columns(plant, of.robot.model), len(of.q), of.plane.normal
+    order, n, normal = [part.velocity for part in parts_of(plant, of.robot.model)], len(of.q), of.plane.normal
     tip, world, origin = plant.GetFrameByName(of.robot.tip), plant.world_frame(), np.zeros(3)
     both = np.zeros((2, n))
     both[:, order] = of.q, of.v

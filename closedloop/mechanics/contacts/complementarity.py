@@ -48,17 +48,13 @@ STARTS = (2.0, 5.0, 1.0, 40.0)
 
 
 @kernel
-def velocities(c: Contacts, k: int, F: Array, u: Array, of_all: bool = False) -> None:
-    """Write u = q + W F of the contacts that take part, or of all."""
-    for i in range(k):
-        if c.problem.form[i] == OFF and not of_all:
-            continue
-        for r in range(3 * i, 3 * i + 3):
-            s, row = c.problem.q[r], row_of(c.W, r)
-            for j in range(3 * k):
-                if F[j] != 0.0:
-                    s += row[j] * F[j]
-            u[r] = s
+def velocities(c: Contacts, k: int, F: Array, u: Array) -> None:
+    """Write u = q + W F."""
+    for i in range(3 * k):
+        s, row = c.problem.q[i], row_of(c.W, i)
+        for j in range(3 * k):
+            s += row[j] * F[j]
+        u[i] = s
 
 
 @kernel
@@ -132,8 +128,7 @@ def sweep(c: Contacts, k: int, F: Array, largest: float) -> None:
             for j in range(3):
                 s, row = c.problem.q[n + j], row_of(c.W, n + j)
                 for m in range(3 * k):
-                    if F[m] != 0.0:
-                        s += row[m] * F[m]
+                    s += row[m] * F[m]
                 u[j] = s
             if kind == CONE:
                 rho, mu = 1.0 / (c.W[n, n] + c.W[n + 1, n + 1] + c.W[n + 2, n + 2] + 1e-12 * largest), c.mu[i]
@@ -162,26 +157,19 @@ def sweep(c: Contacts, k: int, F: Array, largest: float) -> None:
 @kernel
 def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
     """Write the step of Newton's method at F, whose residuals are written, as the first row of `solution`."""
-    m, S, u, rows = 0, c.scratch.system, c.problem.after, c.scratch.unknown
+    m, S, u = 3 * k, c.scratch.system, c.problem.after
     for i in range(k):
-        for j in range(3 * i, 3 * i + 3):
-            c.scratch.multiples[j] = -c.scratch.residuals[j]  # of a contact without force
-            if c.problem.form[i] != OFF:
-                rows[m] = j
-                m += 1
-    for x in range(0, m, 3):
-        n = int(rows[x])
-        i, t, s, y, z = n // 3, n + 1, n + 2, x + 1, x + 2
+        n, t, s = 3 * i, 3 * i + 1, 3 * i + 2
         kind, rho = c.problem.form[i], scale_of(c, i, largest)
-        for row in range(3):
+        for row in range(n, n + 3):
             for j in range(m):
-                S[x + row, j] = 0.0
-            S[x + row, m] = -c.scratch.residuals[n + row]
-        if kind >= LINE or F[n] - rho * u[n] > 0.0:
+                S[row, j] = 0.0
+            S[row, m] = -c.scratch.residuals[row]
+        if kind >= LINE or (kind != OFF and F[n] - rho * u[n] > 0.0):
             for j in range(m):
-                S[x, j] = rho * c.W[n, int(rows[j])]
+                S[n, j] = rho * c.W[n, j]
         else:
-            S[x, x] = 1.0
+            S[n, n] = 1.0
         if kind in (CONE, DOUBLE):
             level = abs(F[n]) if kind == DOUBLE else max(0.0, F[n] - rho * u[n])
             sense, own = (math.copysign(1.0, F[n]), 0.0) if kind == DOUBLE else (1.0, rho)
@@ -189,27 +177,23 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
             size = math.hypot(x1, x2)
             if size <= g and g > 0.0:
                 for j in range(m):
-                    S[y, j], S[z, j] = rho * c.W[t, int(rows[j])], rho * c.W[s, int(rows[j])]
+                    S[t, j], S[s, j] = rho * c.W[t, j], rho * c.W[s, j]
             else:
-                S[y, y], S[z, z] = 1.0, 1.0
+                S[t, t], S[s, s] = 1.0, 1.0
                 if g > 0.0:
                     d1, d2, turn = x1 / size, x2 / size, g / size
                     for j in range(m):
-                        q = int(rows[j])
-                        y1 = (1.0 if j == y else 0.0) - rho * c.W[t, q]
-                        y2 = (1.0 if j == z else 0.0) - rho * c.W[s, q]
-                        y0 = c.mu[i] * ((sense if j == x else 0.0) - own * c.W[n, q])
+                        y1 = (1.0 if j == t else 0.0) - rho * c.W[t, j]
+                        y2 = (1.0 if j == s else 0.0) - rho * c.W[s, j]
+                        y0 = c.mu[i] * ((sense if j == n else 0.0) - own * c.W[n, j])
                         across = turn * (d1 * y2 - d2 * y1)
-                        S[y, j] -= d1 * y0 - d2 * across
-                        S[z, j] -= d2 * y0 + d1 * across
+                        S[t, j] -= d1 * y0 - d2 * across
+                        S[s, j] -= d2 * y0 + d1 * across
         else:
-            S[y, y], S[z, z] = 1.0, 1.0
-            S[y, x], S[z, x] = c.problem.along[i, 0], c.problem.along[i, 1]
+            S[t, t], S[s, s] = 1.0, 1.0
+            if kind != OFF:
+                S[t, n], S[s, n] = c.problem.along[i, 0], c.problem.along[i, 1]
     solve_any_rank(S, m, 1, c.scratch.column_order, c.scratch.solution, DEPENDENT)
-    for x in range(m):
-        c.scratch.multiples[int(rows[x])] = c.scratch.solution[0, x]
-    for j in range(3 * k):
-        c.scratch.solution[0, j] = c.scratch.multiples[j]
 
 
 @kernel
@@ -282,5 +266,5 @@ def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
         found = found or (follow_path(c, a, STARTS[i]) and solve_from_here(c, a, 0, LAST_ROUNDS))
     unpack(c, k, a)
     if a < k:
-        velocities(c, k, c.F, c.problem.after, True)
+        velocities(c, k, c.F, c.problem.after)
     return found

@@ -7,7 +7,8 @@ import closedloop as cl
 import robot_models
 from closedloop.command.cautions import warn_of_gains
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.record.report.step_error import beside_of, bounces_on, grows, rests_between, step_rows, variation
+from closedloop.record.report.growth import bounces_on, grows, starts_again
+from closedloop.record.report.step_error import beside_of, step_rows, variation
 from closedloop.scenario.modes import unresolved, unresolved_feedback, wrong_by, wrong_decay
 
 ELASTIC = {"transmission.stiffness": 7e4, "transmission.damping": 3.8, "transmission.motor_inertia": 0.05}
@@ -213,6 +214,15 @@ RAMP = {"friction.kind": "none", "force_profile.kind": "waypoints", "force_profi
         ("joint_friction", {"compliance.kind": "hunt_crossley", "time.integrator": "rk4", "time.duration": 1.0}),
         # A law that feeds the force back reads it a step late.
         ("stewart", RAMP | {"law.force_feedback": 0.044, "surface.kind": "capsule", "time.duration": 0.01}),
+        # A joint sticks and slips ever farther: each time it rests, it is off by more.
+        ("joint_friction", {"surface_motion.kind": "breathing", "drives.torque_limit": 10.834099421433354,
+                            "compliance.kind": "hunt_crossley", "time.integrator": "rk4", "time.duration": 0.3}),
+        # The observer takes what the stages leave the surface by for a disturbance.
+        ("wam_liftoff", {"surface_motion.kind": "breathing", "compensation.kind": "observer",
+                         "stabiliser.kind": "both", "time.duration": 0.1}),
+        # A stabiliser answers rounding.
+        ("stewart", {"model_error.masses": 1.3004132773938586, "model_error.payload": 0.8402064578624012,
+                     "time.integrator": "rk4", "time.duration": 0.3}),
         # A learned coefficient is held at zero.
         ("stewart", {"compensation.kind": "adaptive", "reference.start": 0.02219162859778255, "time.integrator": "rk4",
                      "time.duration": 0.3}),
@@ -276,6 +286,8 @@ def test_exponential_growth_is_no_sum_of_the_steps_errors():
     assert grows(1e-15 * np.exp(35.0 * t))
     assert grows(1e-15 * np.exp(35.0 * t) * np.sin(200.0 * t))
     assert grows(300.0 + 1e-10 * np.exp(28.0 * t))  # off by as much in all rows
+    assert grows(1e-12 * np.exp(9.0 * t) * np.sin(300.0 * t))  # from rounding: less is enough
+    assert not grows(1e-9 * np.exp(9.0 * t) * np.sin(300.0 * t))
     assert not grows(1e-9 * np.exp(5.0 * t) + 1.0 * (t > 0.7))  # slow growth, and then a jump
     for other in (t**3, t**5, np.maximum(0.0, t - 0.5) ** 5, rng.normal(size=601), 1.0 * (t > 0.7), 0.0 * t, t[:5]):
         assert not grows(other)
@@ -350,10 +362,10 @@ def test_bounces_that_go_on_leave_f_anywhere_in_its_range():
 def test_a_joint_that_rests_and_moves_again():
     """Not one that rests before or after."""
     moves = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
-    assert not rests_between(moves[:, None])
-    assert rests_between(np.concatenate([moves, moves])[:, None])
-    assert rests_between(np.concatenate([moves[2:], moves])[:, None])
-    assert not rests_between(np.zeros((1, 3)))
+    assert starts_again(moves[:, None]) == 0
+    assert starts_again(np.concatenate([moves, moves])[:, None]) == 1
+    assert starts_again(np.concatenate([moves[2:], moves, moves])[:, None]) == 2
+    assert starts_again(np.zeros((1, 3))) == 0
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(5.2e4, 9.1), (2.5e4, 31.0)])

@@ -38,24 +38,20 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import IMPACT, LIFTOFF, TOUCHDOWN
+from closedloop.mechanics.closure.baumgarte import STEPS
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
+from closedloop.record.report.growth import AT_REST, bounces_on, grows, starts_again
 from closedloop.record.report.step_variation import ENDING, SPAN, Swing, Swings, cut_slope, local_error
 from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 
-# A path that starts smoothly leaves an error as t⁵ at most. Its changes grow by 9⁴ from the first to the ninth equal
-# part.
-PARTS, GROWING, GROWTH = 20, 8, 1e4
-# Joints slower than this, rad/s (m/s), rest: in motion friction has its direction.
-AT_REST = 1e-6
 # The last stage of a step already has the path, force or law that jumps at its end. It has a sixth of the weight in
 # rk4, so that all after the jump comes a sixth of a step early, of a jump within a step up to a third. Where joints are
 # elastic the motors take the jump, and the rows of f do not show it.
@@ -69,8 +65,14 @@ LOCATED = 0.05
 # Friction at the tip bends with the slip within a step, and rows do not show how much: so many times what they show.
 BENT = 3.0
 # A joint that comes to rest is off by the error of f there, and breaks away again earlier or later for it: where
-# friction is less in motion, the error of f grows, as does that of a tip that breaks away. So many times is assumed.
-AGAIN = 3.0
+# friction is less in motion, the error of f grows, as does that of a tip that breaks away. So many times more is
+# assumed each time, up to the range of f. (4.4 times in all was seen, of a joint that sticks and slips ever farther.)
+AGAIN = 4.0
+# A stabiliser answers rounding of so many metres, 1/τ²-fold, with a mass that is at most as many kilograms as f is
+# newtons.
+ROUNDED_WAY = 1e-15
+# Starts of a joint from rest of which each multiplies the error of f; more, and it is beyond the range of f.
+LASTS = 20
 # Where links or bodies strike, several contacts do so in a row, and which is the first moves by a step each time: the
 # tip is late by so many.
 IN_A_ROW = 3.0
@@ -78,9 +80,6 @@ IN_A_ROW = 3.0
 OLD = 2.0
 # Contact that ended within so many rows before the last may begin in it at another step.
 BOUNCED = 20
-# Bounces go on where of so many successive strikes the faster of the last two has this share of the first two's. Those
-# of a touchdown decay: with a restitution of 0.9 to 0.66. How far a flight is then, every step before says.
-STRIKES, LASTING = 6, 0.7
 # Why neither the error of f nor that of the tip is known.
 GROWS = "f grows exponentially: with it the error of each step, and of rounding"
 # Why that of its extremes is not.
@@ -173,25 +172,6 @@ def _errors(signals: Array, cut: Array, order: int) -> Array:
     return np.array([np.sum(interpreted(local_error)(x[:-2], x[1:-1], x[2:], order)) for x in turns])
 
 
-def grows(off: Array) -> bool:
-    """Whether an error (N,) grows exponentially: in each of `GROWING` successive parts of the run, by `GROWTH` in all.
-
-    The sum of the errors that the steps add is none of such a motion, which multiplies them, and rounding too. It is
-    told by the changes from row to row, which a force that is off by as much in all rows does not hide. Without the
-    largest of its parts' shares in it the growth must be as steep: a jump is none.
-    """
-    off = np.diff(off)
-    size = len(off) // PARTS
-    if size == 0:
-        return False
-    most = np.max(np.abs(off[: PARTS * size].reshape(PARTS, size)), axis=1)
-    steps = np.diff(np.log(np.maximum(most, np.finfo(float).tiny))) * (most[:-1] > 0.0)
-    parts, least = sliding_window_view(steps, GROWING), math.log(GROWTH) / GROWING
-    total, largest = np.sum(parts, axis=1), np.max(parts, axis=1)
-    steep = (total >= GROWING * least) & (total - largest >= (GROWING - 1) * least)
-    return bool(np.any((np.min(parts, axis=1) >= math.log(1.25)) & steep))
-
-
 def why_not_known(scenario: Scenario, singular: bool) -> str:
     """Return why the error of the step in f is not estimated, "" where it is; `singular`: near such a pose."""
     name = scenario.time.integrator
@@ -236,7 +216,7 @@ class Beside(NamedTuple):
     off_at_the_end: bool  # whether the tip is off the surface, and was on it in the last `BOUNCED` rows before
     bounces_on: bool  # whether its bounces go on
     links_struck: bool  # whether other contacts struck
-    rests_between: bool  # whether a joint came to rest, and moved again
+    starts_again: int  # how often the joint that did so most came to rest, and moved again
     asked: float  # the largest change of f_des from row to row, N
 
 
@@ -262,22 +242,9 @@ def beside_of(scenario: Scenario, events: Sequence[Array], mode: float, v: Array
         bool(mode == FREE and np.any(late)),
         bounces_on(np.abs(rates[struck])),
         bool(np.any(np.isin(kinds, (IMPACT, TOUCHDOWN)) & (contacts != 0))),
-        scenario.rubs_in_joints and rests_between(v),
+        starts_again(v) if scenario.rubs_in_joints else 0,
         float(np.max(np.abs(np.diff(wanted)), initial=0.0)) if scenario.law.force_feedback else 0.0,
     )
-
-
-def bounces_on(speeds: Array) -> bool:
-    """Whether bounces with these speeds of their strikes (k,), m/s, go on anywhere: they do not decay."""
-    pairs = np.maximum(speeds[1:], speeds[:-1])
-    return bool(np.any(pairs[STRIKES - 2 :] >= LASTING * pairs[: 2 - STRIKES]))
-
-
-def rests_between(v: Array) -> bool:
-    """Whether a joint of these velocities (N, n) came to rest, and moved again."""
-    moves = np.abs(v) > AT_REST
-    begun = np.sum(moves[1:] & ~moves[:-1], axis=0) + moves[0]
-    return bool(np.any(begun > 1))
 
 
 def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside) -> None:
@@ -294,8 +261,17 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
         more += IN_TURN * swings.steepest
     if scenario.friction.kind != "none" and higher:
         more += BENT * Swing(swings.each[0]).error
-    if beside.rests_between and higher and not beside.bounces_on:
-        more += AGAIN * values.step_error_force
+    if higher and not beside.bounces_on:
+        # So often is more than any range of f.
+        multiplied = ((1.0 + AGAIN) ** min(beside.starts_again, LASTS) - 1.0) * values.step_error_force
+        more += min(multiplied, values.peak_contact_force - values.min_contact_force)
+    if scenario.compensation.kind == "observer" and higher and scenario.stabiliser.kind == "both":
+        # What stages leave the surface by, the observer takes for a disturbance, and comes back from at its rate.
+        more += swings.steepest / min(1.0, scenario.compensation.rate * scenario.time.step)
+    if scenario.stabiliser.kind in ("baumgarte", "both"):
+        constant = scenario.stabiliser.time_constant
+        shortest = STEPS * scenario.time.step if constant == "auto" else constant
+        more += ROUNDED_WAY / shortest**2 * max(abs(values.peak_contact_force), abs(values.min_contact_force))
     more += scenario.law.force_feedback * beside.asked
     if beside.bounces_on:  # f and the tip may be anywhere in their ranges
         more = max(more, values.peak_contact_force - min(values.min_contact_force, 0.0) - values.step_error_force)

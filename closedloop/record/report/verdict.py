@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
-from closedloop.record.report.step_error import STRIKES
+from closedloop.record.report.growth import STRIKES
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.joint_dynamics import loop_dynamics

@@ -1,0 +1,65 @@
+"""What multiplies the error of a step: exponential growth, bounces that go on, joints that rest and move again.
+
+The error of such a run is no sum of what its steps add, see `closedloop.record.report.step_error`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# A path that starts smoothly leaves an error as t⁵ at most. Its changes grow by 9⁴ from the first to the ninth equal
+# part.
+PARTS, GROWING, GROWTH = 20, 8, 1e4
+# What is no more than rounding at first, N from row to row, and a growth from it, of which each quarter of the run has
+# a share within these.
+FROM_ROUNDING, GROWN, EVEN = 1e-11, 300.0, (0.1, 0.45)
+# Joints slower than this, rad/s (m/s), rest: in motion friction has its direction.
+AT_REST = 1e-6
+# Bounces go on where of so many successive strikes the faster of the last two has this share of the first two's. Those
+# of a touchdown decay: with a restitution of 0.9 to 0.66. How far a flight is then, every step before says.
+STRIKES, LASTING = 6, 0.7
+
+
+def grows(off: Array) -> bool:
+    """Whether an error (N,) grows exponentially: in each of `GROWING` successive parts of the run, by `GROWTH` in all.
+
+    The sum of the errors that the steps add is none of such a motion, which multiplies them, and rounding too. It is
+    told by the changes from row to row, which a force that is off by as much in all rows does not hide. Without the
+    largest of its parts' shares in it the growth must be as steep: a jump is none. From rounding on less is enough, if
+    it is even over the run.
+    """
+    off = np.diff(off)
+    size = len(off) // PARTS
+    if size == 0:
+        return False
+    most = np.max(np.abs(off[: PARTS * size].reshape(PARTS, size)), axis=1)
+    steps = np.diff(np.log(np.maximum(most, np.finfo(float).tiny))) * (most[:-1] > 0.0)
+    if most[0] <= FROM_ROUNDING and bool(np.all(most > 0.0)):
+        # Evenly over the whole run: of a path that starts smoothly most of it is in the first quarter.
+        quarters = np.sum(steps[: 4 * (len(steps) // 4)].reshape(4, -1), axis=1)
+        total = float(np.sum(quarters))
+        if total >= math.log(GROWN) and np.all((quarters > EVEN[0] * total) & (quarters < EVEN[1] * total)):
+            return True
+    parts, least = sliding_window_view(steps, GROWING), math.log(GROWTH) / GROWING
+    total, largest = np.sum(parts, axis=1), np.max(parts, axis=1)
+    steep = (total >= GROWING * least) & (total - largest >= (GROWING - 1) * least)
+    return bool(np.any((np.min(parts, axis=1) >= math.log(1.25)) & steep))
+
+
+def bounces_on(speeds: Array) -> bool:
+    """Whether bounces with these speeds of their strikes (k,), m/s, go on anywhere: they do not decay."""
+    pairs = np.maximum(speeds[1:], speeds[:-1])
+    return bool(np.any(pairs[STRIKES - 2 :] >= LASTING * pairs[: 2 - STRIKES]))
+
+
+def starts_again(v: Array) -> int:
+    """Return how often the joint of these velocities (N, n) that did so most came to rest, and moved again."""
+    moves = np.abs(v) > AT_REST
+    begun = np.sum(moves[1:] & ~moves[:-1], axis=0) + moves[0]
+    return max(int(np.max(begun, initial=0)) - 1, 0)

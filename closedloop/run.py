@@ -22,6 +22,7 @@ from closedloop.base.errors import (
     OutputError,
     ScenarioError,
     lines_of,
+    printable,
 )
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
@@ -94,13 +95,14 @@ def _run_into(results: Results, job: Job, options: Namespace) -> int:
     if options.json:
         print(json.dumps(run.summary(), indent=2, allow_nan=False))
         if results.not_first:  # standard output is for the summary
-            print(f"closedloop: wrote {job.folder}{os.sep}; {results.not_first}", file=sys.stderr)
+            print(printable(f"closedloop: wrote {job.folder}{os.sep}; {results.not_first}"), file=sys.stderr)
     else:
         from closedloop.record.report import print_report
 
         print_report(run)
         names = ", ".join(path.name for path in paths) + (results.not_first and f"; {results.not_first}")
-        print(f"{max(0, len(run) - 1)} steps in {run.wall_seconds:.2g} s; wrote {job.folder}{os.sep}: {names}")
+        wrote = printable(f"{job.folder}{os.sep}: {names}")
+        print(f"{max(0, len(run) - 1)} steps in {run.wall_seconds:.2g} s; wrote {wrote}")
     if failure:
         raise failure
     facts = run.summary()

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from closedloop.base.errors import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -72,7 +74,7 @@ def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
             progress.update(task, completed=done, state=state)
             if not _is_terminal(console) and done < total and now - said[0] >= BETWEEN_LINES:
                 said[0] = now
-                print(f"{name}: {state}", file=sys.stderr, flush=True)
+                print(printable(f"{name}: {state}"), file=sys.stderr, flush=True)
 
         yield show
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ScenarioError, printable
 from closedloop.base.files import made_folder
 from closedloop.command.border import DONE, Parser, run_command
 
@@ -78,7 +78,7 @@ def _main(words: list[str]) -> int:
         paths += draw_page(page, folder)
         paths += [written(figure, folder / name) for name, figure in drawn]
         if not options.json:
-            print(f"wrote {', '.join(map(str, paths))}")
+            print(printable(f"wrote {', '.join(map(str, paths))}"))
     return DONE
 
 

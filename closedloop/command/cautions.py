@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from closedloop.base.errors import ClosedLoopError, ScenarioError, one_line
+from closedloop.base.errors import ClosedLoopError, ScenarioError, one_line, printable
 from closedloop.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -17,7 +17,8 @@ def warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:
     before = {earlier.law: earlier.law_digest, **earlier.member_digests}
     for name, digest in now.items():
         if digest != before.get(name, "") != "":
-            print(f"closedloop: the text of {name} is not the one that {file} was made with", file=sys.stderr)
+            said = f"closedloop: the text of {name} is not the one that {file} was made with"
+            print(printable(said), file=sys.stderr)
 
 
 def warn_of_no_surface(scenario: Scenario) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
+from closedloop.base.errors import printable
 from closedloop.base.files import made_folder, write_whole
 from closedloop.command.border import DONE, Parser, run_command
 
@@ -58,7 +59,7 @@ def _main(words: list[str]) -> int:
     )
     found = compare_log(recording, scenario, shift=options.shift, cutoff=options.cutoff)
     report = json.dumps(found.as_dict(), indent=2, allow_nan=False)
-    print(report if options.json else "\n".join(found.lines()))
+    print(report if options.json else "\n".join(map(printable, found.lines())))
     if folder is not None:
         import io
 
@@ -67,5 +68,5 @@ def _main(words: list[str]) -> int:
         write_whole(folder / "comparison.json", f"{report}\n".encode())
         write_whole(folder / "comparison.svg", image.getvalue())
         if not options.json:
-            print(f"wrote {folder}/: comparison.json, comparison.svg")
+            print(printable(f"wrote {folder}/: comparison.json, comparison.svg"))
     return DONE

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from closedloop.base.errors import ModelError, OutputError
+from closedloop.base.errors import ModelError, OutputError, printable
 from closedloop.command.border import DONE, Parser, run_command
 
 
@@ -33,11 +33,11 @@ def _main(words: list[str]) -> int:
         noise=_numbers(options.noise, "--noise"), acceleration=_numbers(options.acceleration, "--acceleration"),
         share=options.share, seed=options.seed,
     )  # fmt: skip
-    print("\n".join(found.lines()))
+    print("\n".join(map(printable, found.lines())))
     table = found.to_pandas()
     write_whole(folder / "excitation.csv", table.to_csv(index=False).encode())
     write_whole(folder / "report.txt", ("\n".join(found.lines()) + "\n").encode())
-    print(f"\nwrote {folder}/: excitation.csv, report.txt")
+    print("\n" + printable(f"wrote {folder}/: excitation.csv, report.txt"))
     return DONE
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from closedloop.base.errors import ModelError, OutputError
+from closedloop.base.errors import ModelError, OutputError, printable
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
@@ -57,9 +57,9 @@ def _main(words: list[str]) -> int:
         coupled=options.coupled, cutoff=options.cutoff, slow=options.slow, held_out=options.held_out,
         method=options.method,
     )  # fmt: skip
-    print("\n".join(report(found)))
+    print("\n".join(map(printable, report(found))))
     paths = write(found, folder, f"closedloop identify {' '.join(options.logs)}")
-    print(f"\nwrote {folder}/: {', '.join(path.name for path in paths)}")
+    print("\n" + printable(f"wrote {folder}/: {', '.join(path.name for path in paths)}"))
     return DONE
 
 
@@ -88,13 +88,13 @@ def _contact(
     else:
         recording = read_recording(path, robot, columns=mapped, degrees=options.degrees, gain=gain)
     found = identify_contact(recording, robot, normal=normal, delay=options.delay, cutoff=options.cutoff)
-    print("\n".join(found.lines()))
+    print("\n".join(map(printable, found.lines())))
     image = io.BytesIO()
     found.figure().savefig(image)
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / "contact.json", f"{json.dumps(found.summary(), indent=2, allow_nan=False)}\n".encode())
     write_whole(folder / "contact.png", image.getvalue())
-    print(f"\nwrote {folder}/: contact.json, contact.png")
+    print("\n" + printable(f"wrote {folder}/: contact.json, contact.png"))
     return DONE
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from closedloop.base.errors import OutputError, ScenarioError, one_line
+from closedloop.base.errors import OutputError, ScenarioError, one_line, printable
 from closedloop.base.files import write_whole
 from closedloop.command.border import DONE, Parser, run_command
 
@@ -37,7 +37,8 @@ def _main(words: list[str]) -> int:
     text = scenario_text(scenario, robot, _named_from(file, options.robot))
     parse_scenario(text, file.stem, str(file))  # refuses a name that is none
     write_whole(file, text.encode(), replace=False)
-    print(f"wrote {file}: {_what(scenario, robot)}\nrun it with: closedloop run {file}")
+    print(printable(f"wrote {file}: {_what(scenario, robot)}"))
+    print(printable(f"run it with: closedloop run {file}"))
     return DONE
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from closedloop.base.errors import printable
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def _print_one(model: RobotModel, console: Console) -> None:
 
     console.print(f"{model.name}: {model.description or 'no description'}", markup=False)
     if model.source:
-        console.print(f"from {model.source}", markup=False)
+        console.print(printable(f"from {model.source}"), markup=False)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("joint")
     table.add_column("kind")

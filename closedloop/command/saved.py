@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from closedloop.base.errors import OutputError, RunFileError
+from closedloop.base.errors import OutputError, RunFileError, printable
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def _plot(words: list[str]) -> int:
     from closedloop.figures import draw_figures
 
     paths = draw_figures(run, folder)
-    print(f"wrote {folder}{os.sep}: {', '.join(path.name for path in paths)}")
+    print(printable(f"wrote {folder}{os.sep}: {', '.join(path.name for path in paths)}"))
     return DONE
 
 

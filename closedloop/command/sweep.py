@@ -19,6 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from closedloop.base.errors import printable
 from closedloop.base.interrupts import Terminated, exit_status, word_for
 
 # What takes time to import is imported below, once signals are answered.
@@ -134,7 +135,7 @@ def _sweep(arguments: list[str]) -> int:
         made = f"{runs} in {seconds:.1f} s, {runs / seconds:.3g} runs/s{earlier}; wrote {result.table}{columns}"
     else:
         made = f"all were there before, in {result.table}{columns}"
-    print(f"{len(design)} runs: {_counted(result)}; {made}")
+    print(printable(f"{len(design)} runs: {_counted(result)}; {made}"))
     from closedloop.simulation.batch.worker import FAILED
     from closedloop.simulation.batch.worker import STOPPED as HALTED
 
@@ -258,7 +259,7 @@ def _plot(arguments: list[str]) -> int:
 
     of = [name for word in options.of for name in word.split(",") if name]
     path = sweep_plot(options.table, of or None, x=options.x, y=options.y, out=options.out)
-    print(f"wrote {path}")
+    print(printable(f"wrote {path}"))
     return DONE
 
 

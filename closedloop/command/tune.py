@@ -9,7 +9,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ScenarioError, printable
 from closedloop.base.files import made_folder
 from closedloop.command.border import DONE, STOPPED, Parser, run_command
 
@@ -43,7 +43,7 @@ def _main(words: list[str]) -> int:
         starts=options.starts, seed=options.seed, kept=folder / "runs.jsonl" if folder else None, progress=True,
     )  # fmt: skip
     report = json.dumps(tuning.as_dict(), indent=2, allow_nan=False)
-    print(report if options.json else "\n".join(tuning.lines()))
+    print(report if options.json else "\n".join(map(printable, tuning.lines())))
     if folder is not None:
         from closedloop.studies.analysis.figures import written
 
@@ -54,7 +54,7 @@ def _main(words: list[str]) -> int:
             written(tuning.figure(), folder / "tune"),
         ]
         if not options.json:
-            print(f"wrote {', '.join(map(str, paths))}")
+            print(printable(f"wrote {', '.join(map(str, paths))}"))
     return DONE if tuning.feasible else STOPPED
 
 

@@ -4,6 +4,7 @@ import csv
 import io
 import subprocess
 import tomllib
+from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.__main__ import main
 from closedloop.base.errors import printable
 from closedloop.figures.export.csv_table import _table
 from closedloop.figures.export.mjcf import explained
@@ -85,3 +87,24 @@ def test_what_can_be_printed_is_left_alone():
     """Letters of any alphabet; the rest as Python spells it."""
     assert printable("µ é 漢 \\ ' \"") == "µ é 漢 \\ ' \""
     assert printable("a\nb\u2028c\x1b") == "a\\nb\\u2028c\\x1b"
+
+
+def test_a_folder_of_two_lines_is_said_in_one(capsys, tmp_path):
+    """By a run that is made, and one that is exported."""
+    folder = tmp_path / "a\nb"
+    commands = (
+        ("run", "wam_slide", "--time.duration", "0.002", "--no-figures", "--out", folder),
+        ("export", folder / "run.nc", "--to", "csv"),
+    )
+    for words in commands:
+        assert main(list(map(str, words))) == 0
+        assert "a\\nb" in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_every_line_that_says_what_was_written_is_made_printable():
+    """In the text of the package: a path may have any character."""
+    package = Path(cl.__file__).parent
+    lines = [line for file in package.rglob("*.py") for line in file.read_text(encoding="utf-8").splitlines()]
+    said = [line for line in lines if "print(" in line and ("wrote {" in line or "{folder}" in line)]
+    assert len(said) > 10
+    assert [line for line in said if "printable(" not in line and "wrote {wrote}" not in line] == []

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# A path that starts smoothly leaves an error as t⁵ at most. Its changes grow by 9⁴ from the first to the ninth equal
-# part.
-PARTS, GROWING, GROWTH = 20, 8, 1e4
+# A path that starts smoothly leaves an error as t⁵ at most. Its changes grow by (k + 1)⁴ from the first to the part
+# k after it; of growth it is so many times that, in so many successive parts.
+PARTS, GROWING, GROWTH = 20, (8, 11, 15), 1.5
 # What is no more than rounding at first, N from row to row, and a growth from it, of which each quarter of the run has
 # a share within these.
 FROM_ROUNDING, GROWN, EVEN = 1e-11, 300.0, (0.1, 0.45)
@@ -27,7 +27,7 @@ STRIKES, LASTING = 6, 0.7
 
 
 def grows(off: Array) -> bool:
-    """Whether an error (N,) grows exponentially: in each of `GROWING` successive parts of the run, by `GROWTH` in all.
+    """Whether an error (N,) grows exponentially: in each of some successive parts of the run, more than a path does.
 
     The sum of the errors that the steps add is none of such a motion, which multiplies them, and rounding too. It is
     told by the changes from row to row, which a force that is off by as much in all rows does not hide. Without the
@@ -46,10 +46,13 @@ def grows(off: Array) -> bool:
         total = float(np.sum(quarters))
         if total >= math.log(GROWN) and np.all((quarters > EVEN[0] * total) & (quarters < EVEN[1] * total)):
             return True
-    parts, least = sliding_window_view(steps, GROWING), math.log(GROWTH) / GROWING
-    total, largest = np.sum(parts, axis=1), np.max(parts, axis=1)
-    steep = (total >= GROWING * least) & (total - largest >= (GROWING - 1) * least)
-    return bool(np.any((np.min(parts, axis=1) >= math.log(1.25)) & steep))
+    for count in GROWING:
+        parts, least = sliding_window_view(steps, count), math.log(GROWTH * (count + 1) ** 4) / count
+        total, largest = np.sum(parts, axis=1), np.max(parts, axis=1)
+        steep = (total >= count * least) & (total - largest >= (count - 1) * least)
+        if np.any((np.min(parts, axis=1) >= math.log(1.25)) & steep):
+            return True
+    return False
 
 
 def bounces_on(speeds: Array) -> bool:

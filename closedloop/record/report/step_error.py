@@ -59,15 +59,23 @@ LATE = 1.0 / 3.0
 # Where friction is in joints, f comes in as many steps to what it is as joints come to rest or begin to move: each in a
 # step of its own with a scheme of order one.
 IN_TURN = 2.0
+# At rest joints creep, and friction takes this share of f from one to another.
+AT_REST_SHARE = 1e-8
 # A touchdown on a soft surface is found within its step, and f begins at nothing there. What is left of its steepest
 # change, after a jump that a damper makes, is the tip's own error.
 LOCATED = 0.05
+# A soft surface that moves takes the tip along late with order one, and a law's damper along n answers what it is late
+# by in each row: so many rows of f's steepest change are assumed, up to its range.
+TAKEN_ALONG = 20.0
 # Friction at the tip bends with the slip within a step, and rows do not show how much: so many times what they show.
 BENT = 3.0
 # A joint that comes to rest is off by the error of f there, and breaks away again earlier or later for it: where
 # friction is less in motion, the error of f grows, as does that of a tip that breaks away. So many times more is
 # assumed each time, up to the range of f. (4.4 times in all was seen, of a joint that sticks and slips ever farther.)
 AGAIN = 4.0
+# What stages leave the surface by, a stabiliser takes back, and a law with a memory of f keeps: up to so many times the
+# stabiliser's part of f. (49 times was seen, of an admittance near a singular pose.)
+FED_BACK = 60.0
 # A stabiliser answers rounding of so many metres, 1/τ²-fold, with a mass that is at most as many kilograms as f is
 # newtons.
 ROUNDED_WAY = 1e-15
@@ -82,6 +90,8 @@ OLD = 2.0
 BOUNCED = 20
 # Why neither the error of f nor that of the tip is known.
 GROWS = "f grows exponentially: with it the error of each step, and of rounding"
+# Why that of f is not.
+STRIKES_ONLY = "the tip strikes, and no row is in contact: at another step one may be"
 # Why that of its extremes is not.
 BESIDE_CHANGES = "where the tip sticks, slips or still bounces, f changes for a moment, and a row may fall there or not"
 # Rows in one mode of contact of which the signals are taken one by one.
@@ -191,7 +201,9 @@ def why_position_not_known(scenario: Scenario) -> str:
     return ""
 
 
-def why_force_not_known(scenario: Scenario, off: Array, kinds: Array, touching: bool, speed: float) -> str:
+def why_force_not_known(
+    scenario: Scenario, off: Array, events: tuple[Array, Array], touching: Array, speed: float
+) -> str:
     """Return why the rows do not say what the error of f is, "" where they do.
 
     Parameters
@@ -199,13 +211,18 @@ def why_force_not_known(scenario: Scenario, off: Array, kinds: Array, touching: 
     scenario : Scenario
     off : (N,) array
         f − f_des, N.
-    kinds : (E,) array
-        The kinds of the run's events.
-    touching, speed : bool, float
-        Whether the tip is in contact in the last row, and the fastest joint's speed there, rad/s (m/s).
+    events : two (E,) arrays
+        The kinds of the run's events, and their contacts, of which 0 is the tip.
+    touching : (N,) array of bool
+        Whether the tip is in contact.
+    speed : float
+        The fastest joint's in the last row, rad/s (m/s).
     """
-    struck = bool(np.any((kinds == IMPACT) | (kinds == TOUCHDOWN)))
-    if struck and touching and speed < AT_REST and scenario.rubs_in_joints:
+    kinds, contacts = events
+    strikes = np.isin(kinds, (IMPACT, TOUCHDOWN))
+    if np.any(strikes & (contacts == 0)) and not np.any(touching):
+        return STRIKES_ONLY
+    if np.any(strikes) and touching[-1] and speed < AT_REST and scenario.rubs_in_joints:
         return "joint_friction: what friction bears at rest depends on the last of the motion after an impact"
     return GROWS if grows(off) else ""
 
@@ -215,6 +232,7 @@ class Beside(NamedTuple):
 
     off_at_the_end: bool  # whether the tip is off the surface, and was on it in the last `BOUNCED` rows before
     bounces_on: bool  # whether its bounces go on
+    struck: bool  # whether it struck
     links_struck: bool  # whether other contacts struck
     starts_again: int  # how often the joint that did so most came to rest, and moved again
     asked: float  # the largest change of f_des from row to row, N
@@ -241,26 +259,49 @@ def beside_of(scenario: Scenario, events: Sequence[Array], mode: float, v: Array
     return Beside(
         bool(mode == FREE and np.any(late)),
         bounces_on(np.abs(rates[struck])),
+        bool(np.any(struck)),
         bool(np.any(np.isin(kinds, (IMPACT, TOUCHDOWN)) & (contacts != 0))),
         starts_again(v) if scenario.rubs_in_joints else 0,
-        float(np.max(np.abs(np.diff(wanted)), initial=0.0)) if scenario.law.force_feedback else 0.0,
+        float(np.max(np.abs(np.diff(wanted)), initial=0.0)) if fed_back(scenario) else 0.0,
     )
+
+
+def fed_back(scenario: Scenario) -> float:
+    """Return by how much of a change of f_des the law's torque changes a step late, by feedback and by the integral."""
+    return float(scenario.law.force_feedback + scenario.law.force_integral * scenario.time.step)
+
+
+def add_rounding(scenario: Scenario, values: Any) -> None:
+    """Add what a stabiliser answers to rounding, see `ROUNDED_WAY`."""
+    if scenario.stabiliser.kind not in ("baumgarte", "both"):
+        return
+    constant = scenario.stabiliser.time_constant
+    shortest = STEPS * scenario.time.step if constant == "auto" else constant
+    largest = max(abs(values.peak_contact_force), abs(values.min_contact_force))
+    values.step_error_force += ROUNDED_WAY / shortest**2 * largest
+    values.step_error_extremes += ROUNDED_WAY / shortest**2 * largest
 
 
 def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside) -> None:
     """Write what of the errors depends on what the scenario has besides, see `LATE` and the shares below it."""
+    add_rounding(scenario, values)
     higher, moved = resolution_of(scenario)[1] > 1, min(swings.jump, swings.steepest)
+    force = Swing(swings.each[0])
     more = 0.0
     if scenario.transmission.elastic and higher and swings.stretches <= 1.0:
         more += max(0.0, LATE * swings.steepest - moved)
     if scenario.compensation.kind == "adaptive" and higher and swings.stretches <= 1.0:
         more += max(0.0, swings.steepest - moved)  # a coefficient that is held at zero bends f within a step
+    if scenario.compliance.kind != "none" and swings.stretches <= 1.0:
+        more += max(0.0, swings.jump - (moved if higher else swings.steepest))  # f of a soft surface does not jump
+        if scenario.surface_motion.kind != "none" and not higher:
+            more += min(TAKEN_ALONG * swings.steepest, force.highest - force.lowest)
     if scenario.compliance.kind != "none" and higher and swings.stretches > 1.0:
         more -= max(0.0, (1.0 - LOCATED) * swings.steepest - moved)
-    if scenario.rubs_in_joints and not higher:
-        more += IN_TURN * swings.steepest
+    if scenario.rubs_in_joints:
+        more += AT_REST_SHARE * values.peak_contact_force + (0.0 if higher else IN_TURN * swings.steepest)
     if scenario.friction.kind != "none" and higher:
-        more += BENT * Swing(swings.each[0]).error
+        more += BENT * force.error
     if higher and not beside.bounces_on:
         # So often is more than any range of f.
         multiplied = ((1.0 + AGAIN) ** min(beside.starts_again, LASTS) - 1.0) * values.step_error_force
@@ -268,11 +309,11 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
     if scenario.compensation.kind == "observer" and higher and scenario.stabiliser.kind == "both":
         # What stages leave the surface by, the observer takes for a disturbance, and comes back from at its rate.
         more += swings.steepest / min(1.0, scenario.compensation.rate * scenario.time.step)
-    if scenario.stabiliser.kind in ("baumgarte", "both"):
-        constant = scenario.stabiliser.time_constant
-        shortest = STEPS * scenario.time.step if constant == "auto" else constant
-        more += ROUNDED_WAY / shortest**2 * max(abs(values.peak_contact_force), abs(values.min_contact_force))
-    more += scenario.law.force_feedback * beside.asked
+    if higher and (scenario.law.kind == "admittance" or scenario.law.force_integral):
+        more += min(
+            FED_BACK * values.max_stabiliser_force, Swing(swings.each[0]).highest - Swing(swings.each[0]).lowest
+        )
+    more += fed_back(scenario) * beside.asked
     if beside.bounces_on:  # f and the tip may be anywhere in their ranges
         more = max(more, values.peak_contact_force - min(values.min_contact_force, 0.0) - values.step_error_force)
         ranges = [each.highest - each.lowest for each in map(Swing, swings.each[1:])]
@@ -281,7 +322,7 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
     values.step_error_extremes += math.nan if beside.off_at_the_end else more
     if scenario.reads_encoders:
         values.step_error_position *= OLD
-    if swings.sticks:
+    if swings.sticks or (beside.struck and scenario.transmission.elastic):
         values.step_error_position *= 1.0 + AGAIN
     if beside.links_struck:
         values.step_error_position += IN_A_ROW * scenario.time.step * values.max_tip_speed
@@ -300,8 +341,8 @@ def unknown_because(why: str) -> tuple[str, ...]:
 
 def run_force_not_known(run: Record) -> str:
     """Return `why_force_not_known` of a run that has rows."""
-    off, touching = run.contact_force - run.reference_force, bool(run.mode[-1] != FREE)
-    return why_force_not_known(run.scenario, off, run.event_kind, touching, float(np.max(np.abs(run.v[-1]))))
+    off, events = run.contact_force - run.reference_force, (run.event_kind, run.event_contact)
+    return why_force_not_known(run.scenario, off, events, run.mode != FREE, float(np.max(np.abs(run.v[-1]))))
 
 
 def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:

@@ -27,7 +27,6 @@ from closedloop.jit.background import make_ready
 from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.table import EventRow
 from closedloop.loop.step.record_row import Row, recorded
-from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.columns.recorded import SURFACE_COLUMNS
@@ -37,6 +36,7 @@ from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, 
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
 from closedloop.record.report.step_error import (
+    add_rounding,
     beside_of,
     resolution_of,
     unknown_because,
@@ -229,6 +229,7 @@ class Worker:
         rows = lane_runs.rows(lane)
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
+        add_rounding(scenario, Values(values, lane_runs.n))
         forget_absent(scenario, values)
         verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
         control = control_in_lanes(lane_runs, lane, scenario)
@@ -262,7 +263,7 @@ class Worker:
             write_beside(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n), beside)
             forget_absent(problem.scenario, values, self.law is not None)
             why = why_force_not_known(
-                problem.scenario, signals[0] - signals[1], happened[0], last.mode != FREE,
+                problem.scenario, signals[0] - signals[1], (happened[0], happened[3]), signals[2] != 0.0,
                 float(np.max(np.abs(last.v))),
             )  # fmt: skip
             for name in unknown_because(why):

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
+from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line, printable
 from closedloop.base.progress import bar
 from closedloop.record.report.control_verdict import told
 from closedloop.record.run import Run
@@ -160,7 +160,7 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[s
         print(said)
     else:
         print_table(results)
-        print(f"wrote {folder}/: controllers.json, controllers.csv, {figure.name}")
+        print(printable(f"wrote {folder}/: controllers.json, controllers.csv, {figure.name}"))
     return results
 
 

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
+from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line, printable
 from closedloop.base.files import write_whole
 from closedloop.loop.step.record_row import recorded
 from closedloop.mechanics.closure.baumgarte import (
@@ -216,7 +216,7 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> dict[str, A
     else:
         print_tables(results)
         names = ", ".join(["drift.json", "drift.csv", *(path.name for path in figures)])
-        print(f"wrote {folder}/: {names}")
+        print(printable(f"wrote {folder}/: {names}"))
     return results
 
 

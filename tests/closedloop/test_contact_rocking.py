@@ -14,7 +14,8 @@ CASES = [
     (2.0, 0.7, 0.5),
     (4.0, 0.05, 0.0),
     (4.0, 0.05, 0.5),
-]  # e = 0.9 is open: a foot strikes while the other is closed, and e is lessened by another factor
+    (1.0, 0.3, 0.9),
+]
 
 
 @pytest.mark.parametrize(

@@ -207,7 +207,7 @@ class Core:
             If its shape is another, or it has an entry that is no finite number.
         """
         try:
-            given = np.asarray(action, dtype=np.float64)
+            given = np.asarray(action).astype(np.float64, casting="same_kind")
         except (TypeError, ValueError):
             given = np.empty(0)
         if given.shape != shape:

@@ -73,12 +73,12 @@ class Picture:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        self._core = core
+        self._core, self._most = core, 0.0
         self._arm: _Arm | None = None
         self._figure: Any = Figure(figsize=SIZE, dpi=DOTS)
         self._canvas: Any = FigureCanvasAgg(self._figure)
-        self._axes: Any = self._figure.add_axes((0.0, 0.0, 0.74, 1.0), projection="3d")
-        self._bar: Any = self._figure.add_axes((0.86, 0.12, 0.1, 0.76))
+        self._axes: Any = self._figure.add_axes((0.0, 0.0, 0.72, 1.0), projection="3d")
+        self._bar: Any = self._figure.add_axes((0.85, 0.3, 0.14, 0.62))
 
     def show(self, i: int) -> NDArray[np.uint8]:
         """Return the picture of environment `i`."""
@@ -116,11 +116,14 @@ class Picture:
         axes.set_box_aspect((1, 1, 1))
         axes.view_init(20.0, -60.0)
         axes.text2D(0.03, 0.95, f"t = {now.time[i]:.2f} s", transform=axes.transAxes)
-        wanted, bar = float(now.wanted_force[i]), self._bar
+        (names, forces), bar = shown_forces(core, i), self._bar
+        wanted, places = float(now.wanted_force[i]), np.arange(len(names))
+        self._most = max(self._most, 2.0 * abs(wanted), 1.0, *forces.tolist())
         bar.clear()
-        bar.bar([0.0], [now.force[i]], color=ARROWS["contact force"], width=0.8)
+        bar.bar(places, forces, color=ARROWS["contact force"], width=0.8)
         bar.axhline(wanted, color=WANTED, linewidth=2.0)
-        bar.set(xlim=(-0.6, 0.6), ylim=(0.0, max(2.0 * abs(wanted), 1.0)), xticks=[], title="force in N")
+        bar.set(xlim=(-0.6, len(names) - 0.4), ylim=(0.0, self._most), title="force in N")
+        bar.set_xticks(places if len(names) > 1 else [], names if len(names) > 1 else [], rotation=90, fontsize=7)
 
     def close(self) -> None:
         """Let the figure go."""
@@ -140,7 +143,7 @@ class Browser:
         self._last: dict[str, bytes] = {}
         self._arm: _Arm | None = None
         self._problem: Problem | None = None
-        self._past: list[tuple[float, float, float]] = []
+        self._past: list[tuple[float, ...]] = []
         self._steps = 0
         self._server = Server(
             "127.0.0.1", 8080, token, lambda: page("closedloop.gym"), self._opened,
@@ -164,19 +167,24 @@ class Browser:
 
     def show(self, i: int) -> None:
         """Bring the page up to date with environment `i`."""
+        from closedloop.lab.curves import COLOURS
+
         problem, now = self._core.together.problem(i), self._core.now
         if problem is not self._problem:
             self._begin(problem, i)
         time = float(now.time[i])
         if self._past and time < self._past[-1][0]:  # an episode begins
             self._past.clear()
-        self._past = [*self._past[-TRAIL:], (time, float(now.force[i]), float(now.wanted_force[i]))]
-        times, force, wanted = np.array(self._past).T
+        names, forces = shown_forces(self._core, i)
+        self._past = [*self._past[-TRAIL:], (time, *forces.tolist(), float(now.wanted_force[i]))]
+        times, *found, wanted = np.array(self._past).T
         self._steps += 1
         traces = [
-            {"label": "f", "colour": "#0072B2", "limit": False, "values": force},
-            {"label": "commanded", "colour": "#009E73", "limit": True, "values": wanted},
+            {"label": name, "colour": COLOURS[k % len(COLOURS)], "limit": False, "values": values}
+            for k, (name, values) in enumerate(zip(names, found, strict=True))
         ]
+        if problem.scenario.has_surface:
+            traces.append({"label": "commanded", "colour": "#009E73", "limit": True, "values": wanted})
         panel = {"name": "force", "title": "contact force [N]", "time": times, "band": 0.0, "traces": traces}
         self._tell("run", {
             "begin": times[0], "end": time, "step": problem.h, "stopped": "", "panels": [panel], "modes": None,
@@ -237,6 +245,14 @@ def _surface(problem: Problem) -> tuple[Array, NDArray[np.uint32]]:
         np.column_stack([corner + 1, corner + side, corner + side + 1]),
     ]).astype(np.uint32)  # fmt: skip
     return np.nan_to_num(points), faces[np.isfinite(points[faces]).all(axis=(1, 2))]
+
+
+def shown_forces(core: Core, i: int) -> tuple[list[str], Array]:
+    """Return the names and forces (k,), N, that environment `i` shows: on the tip; without a surface on links."""
+    scenario, now = core.together.problem(i).scenario, core.now
+    if scenario.has_surface or not scenario.contact:
+        return ["f"], np.array([now.force[i]])
+    return [contact.name or f"contact {k + 1}" for k, contact in enumerate(scenario.contact)], now.link_forces[i].copy()
 
 
 def view_of(render_mode: str, core: Core) -> Any:

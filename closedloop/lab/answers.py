@@ -57,6 +57,8 @@ class Answer:
         Why the run stopped before its end, "" if it did not.
     seconds : float
         Time that it took, s, without compiling.
+    effort : float
+        Time of a processor that it took, s: not longer while other programs are at work.
     """
 
     changes: Changes
@@ -65,6 +67,7 @@ class Answer:
     fault: str = ""
     stopped: str = ""
     seconds: float = 0.0
+    effort: float = 0.0
 
 
 class Answers:
@@ -93,14 +96,15 @@ class Answers:
         self._history, self.law, self._given, self._say = history, law, model, say
         self._models: dict[Hashable, RobotModel] = {}
         self._ready: set[tuple[Any, ...]] = set()
-        self._began = 0.0
+        self._began = self._worked = 0.0
 
     def answer(self, changes: Changes, key: str = "") -> Answer:
         """Run the scenario with these changes; `key` is the one changed last."""
-        self._began = clock.perf_counter()
+        self._begin_clocks()
 
         def took(run: Run | None, **more: str) -> Answer:
-            return Answer(changes, key, run, seconds=clock.perf_counter() - self._began, **more)
+            seconds, effort = clock.perf_counter() - self._began, clock.thread_time() - self._worked
+            return Answer(changes, key, run, seconds=seconds, effort=effort, **more)
 
         try:
             scenario = self._history.scenario(changes)
@@ -113,10 +117,13 @@ class Answers:
         except MemoryError:
             return took(None, fault="out of memory: ask for fewer steps")
 
+    def _begin_clocks(self) -> None:
+        self._began, self._worked = clock.perf_counter(), clock.thread_time()
+
     def _run(self, scenario: Scenario) -> Run:
         model, engine = self.model(scenario), self.engine(scenario)
         if self._compile(scenario, model, engine):
-            self._began = clock.perf_counter()  # what is compiled once is no part of what a run takes
+            self._begin_clocks()  # what is compiled once is no part of what a run takes
         law = fresh(self.law)
         with held_back():
             problem = prepare(scenario, model, self._cache)

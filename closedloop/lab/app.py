@@ -283,9 +283,12 @@ class Lab:
                 made[key] = pack(found)
             return made[key]
 
-        for client in list(self.clients):
+        kept = message(None)
+        with self._lock:
+            self._last[RUN] = kept
+            open_now = list(self.clients)
+        for client in open_now:
             client.put(RUN, message(client))
-        self._last[RUN] = message(None)
 
     def show_again(self, client: Client) -> None:
         """Send the run to one page again, whose window or columns are others now."""
@@ -305,10 +308,11 @@ class Lab:
     def tell(self, slot: str, message: Message, keep: bool = True) -> None:
         """Send a message to every page, and to those that open later if it is to be kept."""
         data = pack(message)
-        if keep:
-            self._last[slot] = data
-        for client in list(self.clients):
-            client.put(slot, data)
+        with self._lock:  # a page that opens now has it among what is kept, or is sent it
+            if keep:
+                self._last[slot] = data
+            for client in list(self.clients):
+                client.put(slot, data)
 
     def forget(self, *slots: str) -> None:
         """Send these to pages that open later no more."""
@@ -329,10 +333,11 @@ class Lab:
     def _opened(self, client: Client) -> None:
         if "hello" not in self._last:
             self._hello()
-        for slot in FIRST:
-            if slot in self._last:
-                client.put(slot, self._last[slot])
-        self.clients.append(client)
+        with self._lock:
+            for slot in FIRST:
+                if slot in self._last:
+                    client.put(slot, self._last[slot])
+            self.clients.append(client)
         if self.front:
             self.show_gallery(client, front=True)
         elif self.answer is not None:

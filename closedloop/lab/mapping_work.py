@@ -15,7 +15,7 @@ from closedloop.lab.answers import Answer
 from closedloop.lab.controls import Control
 from closedloop.lab.drawn import Message
 from closedloop.lab.groups import DAMPING, STIFFNESS, group_of
-from closedloop.lab.mapping import BATCH, Axis, Map
+from closedloop.lab.mapping import BATCH, CELLS, Axis, Map
 from closedloop.lab.newest import Newest
 from closedloop.lab.protocol import Lab
 from closedloop.record.report.measures import MEASURES
@@ -27,11 +27,11 @@ from closedloop.studies.analysis.stability import Range, Stability
 USUAL = "rms_force_error"
 # The map is sent again after so long at the earliest while it fills in, s.
 OFTEN = 0.25
-# A page that opens begins with a map where a run takes no longer than this, s; it has so many runs at a time, and ends
-# after so long, s, or when a slider is moved.
+# A page that opens begins with a map where a run takes no longer than this of a processor, s; it has so many runs at a
+# time, and ends after so long, s, or when a slider is moved.
 QUICK, FEW_RUNS, AT_MOST = 0.15, 24, 8.0
-# Values along the map at which the boundary of stability is solved for.
-POINTS = 24
+# Values along the map at which the boundary of stability is solved for, and its tolerance: less than a pixel.
+POINTS, FINE = 24, 2e-4
 
 
 class MapWork:
@@ -103,13 +103,13 @@ class MapWork:
         except ClosedLoopError as error:
             self._refuse(one_line(str(error)))
             return
-        over, along = (Axis.of(control, together=together) for control, together in (across, up))
+        over, along = (Axis.of(control, CELLS, together) for control, together in (across, up))
         self._work.ask((Map(scenario, over, along, quantity, model), by_itself))
 
     def begin_by_itself(self, answer: Answer) -> None:
         """Compute a first map for a page that is open, of a run that is quick and has nothing left to be compiled."""
         run, told = answer.run, self._told
-        if run is None or told is None or self.map is not None or answer.stopped or answer.seconds > QUICK:
+        if run is None or told is None or self.map is not None or answer.stopped or answer.effort > QUICK:
             return
         if not run.scenario.has_surface or (can_use_lanes(run.scenario) and needs_compiling(run_in_lanes)):
             return
@@ -216,8 +216,7 @@ class MapWork:
             known = int(np.isfinite(wanted.state).sum())
             if known < total:
                 self._send(wanted, f"{known} of {total} runs; press compute for all", True)
-            if not self._stop.is_set():
-                self._boundary(wanted)
+            self._boundary(wanted)
         except ClosedLoopError as error:
             self._send(wanted, one_line(str(error)), True)
         finally:
@@ -239,11 +238,19 @@ class MapWork:
         """Send the boundary of stability, where the loop can be analysed and the keys are not entries of one list."""
         if found.x.control.key == found.y.control.key:
             return
+
+        def stopped() -> bool:
+            return self._stop.is_set() or self._work.overtaken
+
         try:
+            if stopped():
+                return
             study = Stability(found.scenario, model=found.model)
             over, along = (_range(axis) for axis in (found.y, found.x))
-            limits = study.boundary(over, along, POINTS)
+            limits = study.boundary(over, along, POINTS, FINE, stopped)
         except (ClosedLoopError, ArithmeticError, ValueError):
+            return
+        if stopped():
             return
         if not limits:
             self._say(

@@ -29,6 +29,7 @@ FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
 # The slot of runs; a page that has not said for so long, s, that it has drawn the last is sent another anyway.
 RUN, FORGOTTEN = "run", 5.0
 LONGEST = 1_000_000  # bytes of what a page says
+PING = 20.0  # s, after so long a page without news is asked whether it is still there
 
 
 def new_token() -> str:
@@ -130,7 +131,7 @@ class Server:
         gate = partial(self._answer, is_loopback(host), token)
         self._server = serve(
             self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, close_timeout=1.0,
-            logger=_quiet(), server_header=None,
+            ping_interval=PING, logger=_quiet(), server_header=None,
         )  # fmt: skip
         threading.Thread(target=self._server.serve_forever, name="closedloop-server", daemon=True).start()
 

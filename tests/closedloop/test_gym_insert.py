@@ -10,6 +10,7 @@ import closedloop as cl
 import closedloop.gym as clgym
 from closedloop.gym.ranges import Range, as_ranges, drawn
 from closedloop.gym.vector import ContactVectorEnv
+from closedloop.gym.view import shown_forces
 
 SCENARIO = clgym.TASKS["insert"].scenario
 
@@ -114,3 +115,18 @@ def test_joints_are_displaced_by_an_action():
     assert env.core.actions.names == ("joint.X", "joint.Z", "joint.tilt")
     with pytest.raises(cl.ScenarioError, match="no such joint; there are X, Z, tilt"):
         gymnasium.make("closedloop/Insert-v0", actions={"joint.Y": (0.0, 1.0)})
+
+
+def test_what_is_shown_has_the_forces_of_the_contacts():
+    """A task without a surface shows the force at each contact by its name; on a surface it is the force on the tip."""
+    env = gymnasium.make("closedloop/Insert-v0", render_mode="rgb_array").unwrapped
+    env.reset(seed=4)
+    for _ in range(60):
+        env.step(np.zeros(3))
+    names, forces = shown_forces(env.core, 0)
+    assert names == ["left corner", "right corner", "edge 1", "edge 2"]
+    assert forces.max() == env.core.now.link_forces[0].max() > 0.1
+    press = gymnasium.make("closedloop/Press-v0").unwrapped
+    press.reset(seed=0)
+    press.step(np.zeros(1))
+    assert shown_forces(press.core, 0) == (["f"], press.core.now.force[:1])

@@ -3,6 +3,8 @@
 import shlex
 import threading
 import time
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,13 +12,14 @@ from budget import every
 
 import closedloop as cl
 import robot_models
-from closedloop.lab import groups, strip
+from closedloop.lab import groups, mapping_work, strip
 from closedloop.lab.answers import Answers
 from closedloop.lab.controls import TABS, controls
 from closedloop.lab.history import History, in_words
 from closedloop.lab.keeping import save
 from closedloop.lab.kinds import begin_values
 from closedloop.lab.mapping import Axis, Map, coarse_first
+from closedloop.lab.mapping_work import MapWork
 from closedloop.lab.messages import from_text, in_text, pack, unpack
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import Pins, compared
@@ -367,6 +370,23 @@ def test_messages_hold_trees_and_arrays():
         assert np.array_equal(found["time"], np.array([0.0, np.nan, 1e-3], np.float32), equal_nan=True)
         assert found["faces"].tolist() == [1, 2, 3, 4]
         assert found["rows"] == [{"x": 2.0, "none": None}, ["µ", None]]
+
+
+def test_a_first_map_begins_however_loaded_the_computer_is(monkeypatch):
+    """A run is quick by its time of a processor: on the clock it takes longer while other programs are at work."""
+    base = cl.load_scenario("wam_slide", {"time.duration": 0.05})
+    answers, begun = Answers(History(base, "wam_slide")), []
+    lab = SimpleNamespace(controls=groups.all_controls(base, robot_models.load("wam4")), tell=lambda *message: None)
+    work = MapWork(lab)
+    work.show_keys()
+    monkeypatch.setattr(mapping_work, "needs_compiling", lambda function: False)
+    monkeypatch.setattr(work, "start", lambda x, y, quantity, by_itself: begun.append((x, y)))
+    answer = answers.answer({})
+    assert 0.0 < answer.effort < mapping_work.QUICK
+    for effort in (answer.effort, 2.0 * mapping_work.QUICK):
+        work.begin_by_itself(replace(answer, seconds=5.0, effort=effort))
+        assert begun == [("law.kp, all", "law.kd, all")]
+    work.close()
 
 
 def test_a_place_of_the_map_is_a_value_that_its_slider_can_show():

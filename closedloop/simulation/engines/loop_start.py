@@ -1,4 +1,4 @@
-"""What the loops of a mechanism determine before the first step: the first reading of encoders."""
+"""The first reading of encoders, before a run begins or where it goes on."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.interpreted import interpreted
+from closedloop.loop.events.phases import MEASURED
+from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.memory import Work
+from closedloop.loop.step.seen import read_joints
 from closedloop.mechanics.loops.close import close_state, factor_rows
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.rows import locate_rows
@@ -14,7 +17,17 @@ from closedloop.mechanics.loops.rows import locate_rows
 Array = NDArray[np.float64]
 
 
-def close_reading(w: Work, memory: LoopMemory) -> None:
+def read_encoders(loop: Loop, table: Array) -> None:
+    """Read the joints in the state of a loop, as the law sees them: the loops of the mechanism are closed there too."""
+    state, entry = loop.state, loop.state.loops.entry
+    state.loops.entry = 0  # compiled code, which interpreted code cannot call
+    interpreted(read_joints)(loop.w, loop.constants, state, table)
+    state.loops.entry, state.phase = entry, MEASURED
+    if state.loops.seen_at != 0:
+        _close_reading(loop.w, loop.w.kept["seen_loops"])
+
+
+def _close_reading(w: Work, memory: LoopMemory) -> None:
     """Move the first reading of encoders, in place of q and q̇, to the nearest state that the loops allow.
 
     Their rank is that at the true state, before it is found in the course of a run.

@@ -13,9 +13,9 @@ from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law_input import LawInput
 from closedloop.jit.calls import entry_address
-from closedloop.jit.interpreted import interpreted, twin_address
+from closedloop.jit.interpreted import twin_address
 from closedloop.jit.user_code import why_member_not_compiled
-from closedloop.loop.events.phases import MEASURED, STEP_END
+from closedloop.loop.events.phases import STEP_END
 from closedloop.loop.step.ball_tip import ball_tip
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
@@ -23,7 +23,6 @@ from closedloop.loop.step.entries import friction_entry, joint_friction_entry, l
 from closedloop.loop.step.make_loop import Loop, make_loop
 from closedloop.loop.step.memory import Constants
 from closedloop.loop.step.record_row import ContactRow
-from closedloop.loop.step.seen import read_joints
 from closedloop.loop.step.soft_contact import compliance_entry
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.sections import AS_IMPACT
@@ -36,7 +35,7 @@ from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.simulation.engines.bind_ball import ball_memory
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, starts_closed
-from closedloop.simulation.engines.loop_start import close_reading
+from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
 from closedloop.simulation.engines.start_memory import write_constants, write_start, write_state
@@ -107,10 +106,7 @@ class Problem(ScenarioNumbers):
             contacts.links.undecided = contacts.links.fresh = state.together
             loop.w.keep_alive(contacts=contacts)
         if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:
-            interpreted(read_joints)(loop.w, loop.constants, state, self.table)
-            state.phase = MEASURED
-            if state.loops.seen_at != 0:
-                close_reading(loop.w, seen)
+            read_encoders(loop, self.table)
         return loop
 
     def constants(self) -> Constants:

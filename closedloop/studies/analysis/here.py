@@ -18,11 +18,13 @@ from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.phases import MEASURED
 from closedloop.loop.step.record_row import complete_record
-from closedloop.loop.step.seen import read_joints
 from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.loops.close import closed_to
+from closedloop.mechanics.loops.memory import LoopMemory
+from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import Answers, single_calls
@@ -33,6 +35,8 @@ Array = NDArray[np.float64]
 # Two steps whose differences are further apart than this share, at the best, show a function that has no derivative: of
 # those that have one they are nearer than a millionth. A first step whose differences are so near is short enough.
 KINK, NEAR = 1e-2, 1e-6
+# Loop rows whose singular value is below this share of the largest depend on others.
+DEPENDENT = 1e-9
 
 
 class EventHere(Exception):
@@ -64,7 +68,9 @@ class Here:
         self.problem = problem = replace(problem, robot=Robot(model, problem.robot.tip))
         self.row = round(self.instant.time / problem.h)
         self.loop = loop = problem.loop()
-        make_ready(*kernels_of(PINOCCHIO), *problem.called(loop), complete_record)
+        self._loops: LoopMemory | None = loop.w.kept.get("loops")
+        closing = [] if self._loops is None else [closed_to]
+        make_ready(*kernels_of(PINOCCHIO), *problem.called(loop), complete_record, *closing)
         problem.connect(loop)
         self._rows = np.empty((self.row + 2, problem.row_width))
         self._answers = Answers(problem, loop)
@@ -102,6 +108,7 @@ class Here:
         self._encoder = int(state.settings.encoder)
         self._saved = state.memory.copy(), w.memory.copy(), constants.memory.copy()
         self._node = self.row * problem.nodes
+        self.loop_basis = self._loop_basis()
 
     @property
     def n(self) -> int:
@@ -150,11 +157,12 @@ class Here:
         if self._encoder != NO_ENCODER:
             w.q[:] = w.encoders.true_q + changes.get("q", 0.0)
             w.v[:] = w.encoders.true_v + changes.get("v", 0.0)
-            interpreted(read_joints)(w, constants, state, problem.table)
-            state.phase = MEASURED
+            self._close(w.q, w.v)
+            read_encoders(loop, problem.table)
         else:
             w.q += changes.get("q", 0.0)
             w.v += changes.get("v", 0.0)
+            self._close(w.q, w.v)
         try:
             for _ in range(2 if self._encoder != NO_ENCODER else 1):
                 crba(pinocchio, data, w.q, convention)
@@ -180,6 +188,33 @@ class Here:
             "last": np.concatenate([w.encoders.last_q, w.encoders.last_v]),
         }  # fmt: skip
 
+    def _close(self, q: Array, v: Array) -> None:
+        """Move q and q̇ to the nearest state that the loops allow."""
+        if self._loops is not None:
+            closed_to(self._loops.address, q, v)
+
+    def _loop_rows(self, q: Array) -> tuple[Array, Array]:
+        """Return the rows G (m, n) of the loops at q, and their rate (m,) with q̇ of the instant."""
+        if self._loops is None:
+            return np.zeros((0, self.n)), np.zeros(0)
+        rows = self._loops.rows
+        rows.q[:], rows.v[:] = q, self.instant.values["v"]
+        interpreted(locate_rows)(self._loops.links, rows)
+        return np.array(rows.G), np.array(rows.rate)
+
+    def _loop_basis(self) -> Array:
+        """Return combinations (k, m) of the loops' rows that are independent and span all."""
+        G, _ = self._loop_rows(self.instant.values["q"])
+        if G.size == 0:
+            return np.zeros((0, G.shape[0]))
+        left, sizes, _ = np.linalg.svd(G, full_matrices=False)
+        return np.asarray(left[:, sizes > DEPENDENT * sizes[0]].T)
+
+    def loop_rows(self, q: Array) -> tuple[Array, Array]:
+        """Return independent rows (k, n) of the loops at q, and their rate (k,) with q̇ of the instant."""
+        G, rate = self._loop_rows(q)
+        return self.loop_basis @ G, self.loop_basis @ rate
+
     def geometry(self) -> tuple[Array, Array, Array, Array]:
         """Return H (n, n), the contact frame's Jacobian A (3, n), the frame (3, 3) and S (3, 3) at the instant."""
         self()
@@ -192,15 +227,18 @@ class Here:
         """Return the instant with the tip moved along the normal until it is so deep, m, in a soft surface."""
         instant = self.instant
         H, A, _, _ = self.geometry()
-        along = np.linalg.solve(H, A[0])
-        along /= A[0] @ along
+        bound = np.vstack([A[:1], self.loop_rows(instant.values["q"])[0]])
+        answer = np.linalg.solve(H, bound.T)
+        along = answer @ np.linalg.inv(bound @ answer)[:, 0]
         q = np.zeros(self.n)
         for _ in range(20):
             gap = float(self(q=q)["gap"][0])
             if abs(gap + depth) <= 1e-13 + 1e-12 * depth:
                 break
             q = q - along * (gap + depth)
-        return replace(instant, values=instant.values | {"q": instant.values["q"] + q})
+        deep = instant.values | {"q": instant.values["q"] + q, "v": instant.values["v"].copy()}
+        self._close(deep["q"], deep["v"])
+        return replace(instant, values=deep)
 
 
 def derivative(function: Any, step: float, value: dict[str, Array], most: int = 7) -> dict[str, Array]:

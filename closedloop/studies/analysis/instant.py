@@ -12,15 +12,14 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
-from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.record_row import Row, complete_record
-from closedloop.loop.step.seen import read_joints
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import Answers, single_calls
@@ -99,19 +98,6 @@ def row_at(problem: Problem, at: float) -> int:
     return min(round(at / (problem.h * hold)) * hold, problem.steps // hold * hold)
 
 
-def refuse_unknown(problem: Problem) -> None:
-    """Refuse what is not linearised.
-
-    Raises
-    ------
-    ScenarioError
-        Names it.
-    """
-    if problem.robot.model.loops or problem.bound:
-        what = "a mechanism with loop joints" if problem.robot.model.loops else "robot.stops"
-        raise ScenarioError(f"linearise: {what} is not linearised; take a tree whose joints have no stops")
-
-
 def run_to(problem: Problem, row: int) -> Instant:
     """Simulate to a row and return the state there.
 
@@ -151,6 +137,13 @@ def run_to(problem: Problem, row: int) -> Instant:
             f"linearise: a contact of a link is closed at t = {row * h:g} s; only the tip's contact is linearised",
             row * h,
         )
+    if problem.stopped and np.any(w.stops.side):
+        joint = problem.robot.joint_names[int(np.flatnonzero(w.stops.side)[0])]
+        raise SimulationError(
+            f"linearise: joint {joint} is at its stop at t = {row * h:g} s, which is not linearised; take another "
+            "instant",
+            row * h,
+        )
     values = {name: np.array(attrgetter(name)(w)) for name in KEPT}
     if state.settings.encoder != NO_ENCODER and state.phase == MEASURED:
         values |= {"q": np.array(w.encoders.true_q), "v": np.array(w.encoders.true_v)}
@@ -180,8 +173,7 @@ def put(instant: Instant, problem: Problem, loop: Loop) -> None:
     state.mode, state.started, state.sampled, state.trial.off, state.cleared = instant.mode, 1, 1, 1, 1
     state.phase = STEP_END
     if state.settings.encoder != NO_ENCODER:
-        interpreted(read_joints)(w, loop.constants, state, problem.table)
-        state.phase = MEASURED
+        read_encoders(loop, problem.table)
 
 
 def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> Array:

@@ -5,7 +5,8 @@ the closure they are reduced to what it leaves free, then carried over a step as
 (`discretise`), and put together with what happens to samples: the sensor's delay, the hold of a sampled torque, the
 encoders. The result is x⁺ = A x + B u, y = C x + D u from one sample of the law to the next.
 
-Coordinates: with G the rows that bind (n, and with a tip that sticks t1, t2) and P = H⁻¹Gᵀ(G H⁻¹Gᵀ)⁻¹
+Coordinates: with G the rows that bind (n, with a tip that sticks t1 and t2, and those of loop joints) and
+P = H⁻¹Gᵀ(G H⁻¹Gᵀ)⁻¹
 
     δq = N y + P e,    δq̇ = N w + P ė        G N = 0, NᵀH N = 1
 
@@ -33,7 +34,7 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.discretise import step_of
 from closedloop.studies.analysis.here import EventHere, Here, columns
-from closedloop.studies.analysis.instant import Instant, parts_of, refuse_outside, refuse_unknown, row_at, run_to
+from closedloop.studies.analysis.instant import Instant, parts_of, refuse_outside, row_at, run_to
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from robot_models import RobotModel
 
@@ -77,9 +78,9 @@ def linearise(
     Raises
     ------
     ScenarioError, ModelError
-        If the scenario is at fault, `at` is outside the run, or it has what is not linearised (loop joints, stops).
+        If the scenario is at fault, or `at` is outside the run.
     SimulationError
-        At an event, in flight, if a drive is at its limit, or if the run stops before.
+        At an event, in flight, if a drive is at its limit or a joint at its stop, or if the run stops before.
     """
     at = 0.5 * scenario.time.duration if at is None else at
     refuse_outside(scenario, at)  # before the path is made, which takes a while
@@ -90,7 +91,6 @@ def linearise(
 
 def instant_of(scenario: Scenario, problem: Problem, at: float, model: RobotModel | None = None) -> Instant:
     """Return the state of a scenario's run at an instant; with an integrator that chooses its steps, by rk4."""
-    refuse_unknown(problem)
     row = row_at(problem, at)
     if scenario.time.integrator in ADAPTIVE:
         fixed = Variants(scenario, ("time.integrator", "time.tolerance")).scenario(("rk4", None))
@@ -147,13 +147,15 @@ class _Assembly:
         n, k = self.n, self.parts["transmission"].stop
         H, A, self.frame, _ = self.here.geometry()
         sticks = self.instant.mode == STUCK and self.state.friction.sticking == RIGID_STICK
-        self.H, self.G = H, A if sticks else A[:1]
+        contact = A if sticks else A[:1]
+        self.rows = contact.shape[0]
+        self.H, self.G = H, np.vstack([contact, self.here.loop_rows(self.instant.values["q"])[0]])
         m = self.G.shape[0]
         answer = np.linalg.solve(H, self.G.T)
         self.P = answer @ np.linalg.inv(self.G @ answer)
         basis = null_space(self.G)
         self.N = basis @ np.linalg.inv(np.linalg.cholesky(basis.T @ H @ basis)).T if basis.size else basis
-        self.bound = slice(1 if self.soft else m if self.instant.mode == FREE else 0, m)  # rows that do not give way
+        self.bound = slice(1 if self.soft else self.rows if self.instant.mode == FREE else 0, m)  # do not give way
         self.free, self.kept = n - m, self.bound.start
         self.half = self.free + self.kept
         self.z0, self.s0 = 2 * self.half, 2 * self.half + k
@@ -189,13 +191,19 @@ class _Assembly:
         self.disturbance = self._unseen(self.held) if elastic else self.link
         if self.bound.stop > self.bound.start:
             # On the closure δq̇ along P makes up for how G turns with q.
-            turn = self.law["q"]["u"][: self.G.shape[0]][self.bound]
+            turn = np.vstack([self.law["q"]["u"][: self.rows], self._turn_of_loops()])[self.bound]
             self.by_v -= self.P[:, self.bound] @ (turn @ self.by_q)
         if self.soft:
             self.by_force = self._by_contact_force()
             along = self.P[:, :1]  # moves the tip along n alone
             self.stiffness = -float((self.plant["q"]["f"] @ along)[0, 0])
             self.damping = -float((self.plant["v"]["f"] @ along)[0, 0])
+
+    def _turn_of_loops(self) -> Array:
+        """Return the derivatives (k, n) by q of the rates of the loops' rows, q̇ being what it is."""
+        q, apart = self.instant.values["q"], STEP_Q * np.eye(self.n)
+        above, below = (np.array([self.here.loop_rows(q + sign * x)[1] for x in apart]) for sign in (1.0, -1.0))
+        return np.asarray((above - below).T / (2.0 * STEP_Q))
 
     def _unseen(self, found: dict[str, Array]) -> dict[str, Array]:
         """Return the derivatives by a torque that the law does not know of: it sees the change of f alone."""
@@ -389,7 +397,7 @@ class _Assembly:
         step, _ = step_of(
             _scheme(self.problem), A, np.zeros((2, 0)), self.problem.h, np.array([1, -1]), np.zeros(2, dtype=bool)
         )
-        return np.repeat(np.linalg.eigvals(step).astype(complex), self.G.shape[0])
+        return np.repeat(np.linalg.eigvals(step).astype(complex), self.rows)
 
 
 def _scheme(problem: Problem) -> type[Scheme]:

@@ -8,7 +8,7 @@ the tip is put as deep as carries the same force.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -203,8 +203,9 @@ class Stability:
         return math.log(max(loop.radius, 1e-300)) / loop.dt
 
     def limits(
-        self, over: Range, given: Mapping[str, Value] | None = None, looks: int = LOOKS
-    ) -> tuple[list[Limit], str]:
+        self, over: Range, given: Mapping[str, Value] | None = None, looks: int = LOOKS,
+        tolerance: float = LIMIT_TOLERANCE,
+    ) -> tuple[list[Limit], str]:  # fmt: skip
         """Return every limit in a range, and why its far end is refused, "" if it is not.
 
         Parameters
@@ -214,6 +215,8 @@ class Stability:
             Other numbers of the scenario.
         looks : int
             At how many values the range is looked at: two limits between neighbours are not seen.
+        tolerance : float
+            Of a limit, as a share of the range.
         """
         given = dict(given or {})
         shares = np.linspace(0.0, 1.0, looks)
@@ -231,12 +234,13 @@ class Stability:
         found = []
         for below, above in pairwise(seen):
             if (below[1] > 0.0) != (above[1] > 0.0):
-                found.append(self._solved(over, given, below, above))
+                found.append(self._solved(over, given, below, above, tolerance))
         return found, refused
 
     def _solved(
-        self, over: Range, given: Mapping[str, Value], below: tuple[float, float], above: tuple[float, float]
-    ) -> Limit:
+        self, over: Range, given: Mapping[str, Value], below: tuple[float, float], above: tuple[float, float],
+        tolerance: float,
+    ) -> Limit:  # fmt: skip
         """Return the limit between two shares of a range, given with their growth, which has two signs."""
         known = dict((below, above))
 
@@ -245,14 +249,17 @@ class Stability:
                 known[share] = self.growth({**given, over.key: over.value(over.at(share))})
             return known[share]
 
-        share = float(brentq(growth, below[0], above[0], xtol=LIMIT_TOLERANCE, rtol=LIMIT_TOLERANCE))
+        share = float(brentq(growth, below[0], above[0], xtol=tolerance, rtol=tolerance))
         value = over.at(share)
         loop = self.loop({**given, over.key: over.value(value)})
         moving = [pole for pole in loop.poles() if not pole.at_rest]
         upwards = (above[1] > 0.0) == (over.high > over.low)
         return Limit(over.key, value, upwards, moving[0] if moving else loop.poles()[0])
 
-    def boundary(self, over: Range, along: Range, points: int = 60) -> list[tuple[float, Limit]]:
+    def boundary(
+        self, over: Range, along: Range, points: int = 60, tolerance: float = LIMIT_TOLERANCE,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> list[tuple[float, Limit]]:  # fmt: skip
         """Return the boundary over two keys: for values of `along`, the limits of `over`.
 
         At the first value the whole range is looked at; then each limit is followed from value to value, and the
@@ -264,30 +271,38 @@ class Stability:
             The key that is solved for, and the one that is stepped along.
         points : int
             How many values of `along`.
+        tolerance : float
+            Of a limit, as a share of its range.
+        stop : callable
+            Asked at each value of `along`: if it is true, what is found until then is returned.
         """
         found: list[tuple[float, Limit]] = []
         last: list[float] = []
         width = 1.0 / LOOKS
         for share in np.linspace(0.0, 1.0, points):
+            if stop():
+                break
             value = along.at(float(share))
             given = {along.key: along.value(value)}
             now: list[Limit] = []
             for before in last:
-                limit = self._followed(over, given, before, width)
+                limit = self._followed(over, given, before, width, tolerance)
                 if limit is None:
                     now = []
                     break
                 now.append(limit)
             if not now:
                 try:
-                    now, _ = self.limits(over, given)
+                    now, _ = self.limits(over, given, tolerance=tolerance)
                 except ScenarioError:
                     now = []
             last = [over.share(limit.value) for limit in now]
             found += [(value, limit) for limit in now]
         return found
 
-    def _followed(self, over: Range, given: Mapping[str, Value], share: float, width: float) -> Limit | None:
+    def _followed(
+        self, over: Range, given: Mapping[str, Value], share: float, width: float, tolerance: float
+    ) -> Limit | None:
         """Return the limit near a share of a range; None if there is none."""
         width *= 0.25
         for _ in range(4):
@@ -297,7 +312,7 @@ class Stability:
             except ScenarioError:
                 return None
             if (low[1] > 0.0) != (high[1] > 0.0):
-                return self._solved(over, given, low, high)
+                return self._solved(over, given, low, high, tolerance)
             width *= 3.0
         return None
 

@@ -197,7 +197,7 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
 
 
 @kernel
-def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
+def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, enough: float = ACCEPTED) -> bool:
     """Do `solve_contacts` by the two methods in turns, from F, with so many sweeps of the first at first."""
     largest, m = largest_mobility(c, k), 3 * k
     if not largest > 0.0:
@@ -250,20 +250,21 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
         count = min(max(2 * count, SWEEPS), MOST_SWEEPS)
     c.problem.residual = best
     most = force_size(F, m)
-    return bool(c.problem.residual <= max(ACCEPTED * size, SOLVED * most) and most <= WEDGED * size)
+    return bool(c.problem.residual <= max(enough * size, SOLVED * most) and most <= WEDGED * size)
 
 
 @kernel
-def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
+def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS), enough: float = ACCEPTED) -> bool:
     """Write F and `after`, u = q + W F, of the contacts whose `kind` is not OFF; return whether they were found.
 
     `residual` is what the equations are off, of forces. Starts from F; W, q, kind, mu and along are read. `starts` is
-    from how many points paths are followed, where the quick method does not find them.
+    from how many points paths are followed, where the quick method does not find them. `enough` is the residual, of the
+    force that is asked for, at which they are found if rounding does not allow less.
     """
     a = pack(c, k)
-    found = solve_from_here(c, a, SWEEPS, ROUNDS)
+    found = solve_from_here(c, a, SWEEPS, ROUNDS, enough)
     for i in range(0 if found else starts):
-        found = found or (follow_path(c, a, STARTS[i]) and solve_from_here(c, a, 0, LAST_ROUNDS))
+        found = found or (follow_path(c, a, STARTS[i]) and solve_from_here(c, a, 0, LAST_ROUNDS, enough))
     unpack(c, k, a)
     if a < k:
         velocities(c, k, c.F, c.problem.after)

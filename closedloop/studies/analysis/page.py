@@ -166,7 +166,8 @@ def page_of(study: Stability, limits: bool = True) -> Page:
     """
     loop = study.base
     cuts = ["sensor", *(each.name for each in loop.inputs if each.name.startswith("torque["))]
-    page = Page(loop, {cut: loop.margins(cut) for cut in cuts})
+    margins = {cut: loop.margins(cut) for cut in cuts}  # of joints without a drive nothing is fed back
+    page = Page(loop, {cut: each for cut, each in margins.items() if each.closed or cut == "sensor"})
     if limits:
         page.limits = _limits_of(study)
         if page.margins["sensor"].closed and loop.stable:

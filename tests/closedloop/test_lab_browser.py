@@ -280,6 +280,8 @@ def test_a_drag_in_the_map_loads_the_runs_below_the_pointer(page, lab, monkeypat
 def test_the_map_shows_where_the_loop_becomes_unstable(page, lab, monkeypatch):
     """It begins by itself, stops for a slider, and says what it lacks; whole, its red line is where a pole leaves."""
     short = {"reference.start": 0.05, "reference.stop": 0.55, "time.duration": 0.6}
+    cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.1}), {"law.force": [10.0] * 8})
+    lab.ask()  # no map begins by itself until what it needs is compiled, as it is now
     page.wait_for_function("map.m")
     monkeypatch.setattr(mapping_work, "AT_MOST", 600.0)
     monkeypatch.setattr(mapping_work, "POINTS", 8)

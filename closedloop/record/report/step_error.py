@@ -40,6 +40,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.compensation.observer import ObserverCompensation
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import IMPACT, LIFTOFF, TOUCHDOWN
 from closedloop.mechanics.closure.baumgarte import STEPS
@@ -306,7 +307,7 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
         # So often is more than any range of f.
         multiplied = ((1.0 + AGAIN) ** min(beside.starts_again, LASTS) - 1.0) * values.step_error_force
         more += min(multiplied, values.peak_contact_force - values.min_contact_force)
-    if scenario.compensation.kind == "observer" and higher and scenario.stabiliser.kind == "both":
+    if isinstance(scenario.compensation, ObserverCompensation) and higher and scenario.stabiliser.kind == "both":
         # What stages leave the surface by, the observer takes for a disturbance, and comes back from at its rate.
         more += swings.steepest / min(1.0, scenario.compensation.rate * scenario.time.step)
     if higher and (scenario.law.kind == "admittance" or scenario.law.force_integral):

@@ -8,9 +8,10 @@ import closedloop as cl
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.gradient import exact
+from closedloop.studies.gradient import differences, exact
 from closedloop.studies.gradient.keys import SHARE, Keys
 from closedloop.studies.gradient.seeds import seeds_of
+from closedloop.studies.gradient.variants import Happening, Sample
 from tests.closedloop.linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 FORCE, GAP, RESTITUTION = 10.0, 0.1, 0.6
@@ -223,6 +224,18 @@ def test_another_order_of_events_is_named():
         beside = cl.gradient(ball(impact__restitution=share * turn), [key], of=[of])
         assert not beside.problems
         assert beside.derivative[of][key] == pytest.approx(power * speed * (share * turn) ** (power - 1), rel=1e-6)
+
+
+def test_an_event_that_no_longer_happens_is_named_though_another_run_has_it_past_a_row(monkeypatch):
+    """Of the runs on one side one has the event between other rows, and the next has none: there are no differences."""
+
+    def made(*rows):
+        return Sample(np.ones(len(rows)), tuple(Happening("release", 0, row) for row in rows), (0.1,) * len(rows))
+
+    monkeypatch.setattr(differences, "samples", lambda changed, *_: [made(4), made(), made(3)] * 2)
+    keys = Keys(cl.load_scenario("planar2_drop"), ["law.force"])
+    found = differences.along(keys, keys.directions, made(3), lambda run: run, None, lambda *_: None)
+    assert all(known.best is None and "release at 0.1 s, no longer happens" in known.why for known in found.values())
 
 
 def test_a_kink_is_named():

@@ -183,7 +183,8 @@ def _take(known: Along, h: float, size: float, base: Sample, minus: list[Sample]
 
 
 def _first_difference(base: Sample, side: list[Sample]) -> str:
-    return next((why for each in side if (why := difference(base, each))), "")
+    whys = [why for each in side if (why := difference(base, each))]
+    return next((why for why in whys if why != PAST_A_ROW), PAST_A_ROW if whys else "")
 
 
 def better(one: Estimate, other: Estimate) -> Estimate:

@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.interrupts import Terminated
@@ -14,6 +15,9 @@ from closedloop.lab.server import is_loopback
 from closedloop.lab.start import NEEDS, lab, open_in_browser
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.user_module import import_law, name_members
+
+if TYPE_CHECKING:
+    from closedloop.lab.app import Lab
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,9 +48,15 @@ def lab_command(arguments: list[str]) -> int:
     opened = lab(
         options.scenario, overrides, law=law, host=options.host, port=options.port, dark=options.dark, show=False
     )
+    serve(opened, browser=not options.no_browser)
+    return DONE
+
+
+def serve(opened: Lab, browser: bool) -> None:
+    """Say where a lab is, open it in a browser if asked for, and close it at Ctrl-C."""
     try:
         print(f"the lab is at {opened.url} (Ctrl-C closes it)", flush=True)
-        if not options.no_browser:
+        if browser:
             open_in_browser(opened.url)
         threading.Event().wait()
     except Terminated:
@@ -55,7 +65,6 @@ def lab_command(arguments: list[str]) -> int:
         print("closedloop: the lab is closed", file=sys.stderr)
     finally:
         opened.close()
-    return DONE
 
 
 def _parser() -> Parser:

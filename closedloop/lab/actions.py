@@ -97,9 +97,10 @@ def _write(lab: Lab, client: Client, said: Said) -> None:
         _say(lab, "there is no run yet")
         return
     command = lab.command(answer)
-    written = (
-        save(answer.run, command, lab.folder) if said["do"] == "save" else [save_page(answer.run, command, lab.folder)]
-    )
+    if said["do"] == "save":
+        written = save(answer.run, command, lab.folder)
+    else:
+        written = [save_page(answer.run, command, lab.folder, lab.ghosts)]
     _say(lab, f"wrote {', '.join(map(str, written))}")
 
 

@@ -12,12 +12,13 @@ import logging
 import sys
 import threading
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from closedloop.base.errors import ClosedLoopError
+from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.actions import act
 from closedloop.lab.answers import Answer, Answers
@@ -85,6 +86,8 @@ class Lab:
         Whether the page is dark, whatever the system prefers.
     front : bool
         Whether the page begins with the scenarios that ship, to choose one.
+    ghosts : sequence of Ghost
+        Bodies that are shown beside those of each run, until another scenario is chosen.
 
     Attributes
     ----------
@@ -103,7 +106,7 @@ class Lab:
 
     def __init__(
         self, history: History, *, law: Any = None, model: RobotModel | None = None, host: str = "127.0.0.1",
-        port: int = FIRST_PORT, dark: bool = False, front: bool = False,
+        port: int = FIRST_PORT, dark: bool = False, front: bool = False, ghosts: Sequence[Ghost] = (),
     ) -> None:  # fmt: skip
         self.answer: Answer | None = None
         self.after_show: list[Callable[[Answer], None]] = []
@@ -115,6 +118,7 @@ class Lab:
         self._switch = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH, self._switch))
         self._begin(history, law, model)
+        self.ghosts = tuple(ghosts)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
         self.details, self.map = Details(self), MapWork(self)
         self._newest: Newest[Asked, tuple[Answers, Answer]] = Newest(self._compute, self._show)
@@ -129,6 +133,7 @@ class Lab:
 
     def _begin(self, history: History, law: Any = None, model: RobotModel | None = None) -> None:
         self.history = history
+        self.ghosts: tuple[Ghost, ...] = ()
         self.answers = Answers(history, law, model, self.say, self._show_part)
         self.controls: dict[tuple[str, int | None], Control] = {}
         self._first = {
@@ -270,7 +275,7 @@ class Lab:
     def _send_run(self, run: Run, **more: Any) -> None:
         self._count += 1
         made: dict[Any, bytes] = {}
-        scene = scene_of(run)
+        scene = scene_of(run, self.ghosts)
 
         def message(client: Client | None) -> bytes:
             window, columns, time = (None, (), 0.0) if client is None else (client.window, client.columns, client.time)

@@ -98,7 +98,7 @@ class Details:
         held = list(lab.pins.held)
         lab.tell("compare", compare_message(held, run, answer.changes))
         lab.wait_for_plots(GIVE_WAY)
-        scene = scene_of(run)
+        scene = scene_of(run, lab.ghosts)
         if scene.shapes is not self._shapes:
             self._shapes = scene.shapes
             self._robot += 1

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from closedloop.base.errors import OutputError, printable
 from closedloop.base.files import reason_of, write_whole
+from closedloop.figures.scene.ghost import Ghost
 from closedloop.lab.share import share
 from closedloop.record.run import Run
 
@@ -50,7 +52,7 @@ def save(run: Run, command: str, parent: Path | None = None) -> list[Path]:
     return [write_whole(folder / "scenario.toml", text.encode()), run.save(folder / "run.nc")]
 
 
-def save_page(run: Run, command: str, parent: Path | None = None) -> Path:
+def save_page(run: Run, command: str, parent: Path | None = None, ghosts: Sequence[Ghost] = ()) -> Path:
     """Write the page of a run into a new folder, and return it; see `closedloop.lab.share`.
 
     Raises
@@ -58,4 +60,4 @@ def save_page(run: Run, command: str, parent: Path | None = None) -> Path:
     OutputError
         If it cannot be written.
     """
-    return share(run, new_folder(run.scenario.name, parent) / "page.html", command)
+    return share(run, new_folder(run.scenario.name, parent) / "page.html", command, ghosts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Protocol
 
+from closedloop.figures.scene.ghost import Ghost
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.controls import Control
 from closedloop.lab.drawn import Message
@@ -23,6 +24,7 @@ class Lab(Protocol):
     folder: Path | None
     clients: list[Client]
     front: bool
+    ghosts: tuple[Ghost, ...]
     controls: dict[tuple[str, int | None], Control]
     details: Any
     map: Any

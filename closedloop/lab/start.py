@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import html
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
 from closedloop.control.law import ControlLaw
+from closedloop.figures.scene.ghost import Ghost
 from closedloop.lab.history import History, in_words
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
@@ -40,6 +41,7 @@ def lab(
     port: int = 8080,
     dark: bool = False,
     show: bool = True,
+    ghosts: Sequence[Ghost] = (),
 ) -> Lab:
     """Open the lab and return it when its first run is there; `close()` ends it.
 
@@ -62,6 +64,9 @@ def lab(
         Whether the page is dark, whatever the system prefers.
     show : bool
         Whether to show the page at all.
+    ghosts : sequence of Ghost
+        Bodies with motions of their own, as measured ones, that are shown beside those of each run until another
+        scenario is chosen; see `closedloop.figures.scene.ghost`.
 
     Raises
     ------
@@ -83,7 +88,7 @@ def lab(
         name, changes = in_words(base)
     words = "" if law is None else f"--law {getattr(law, '__module__', '?')}:{getattr(law, '__qualname__', '?')}"
     lab = Lab(History(base, name, _in_words(changes), words), law=law, model=model, host=host, port=port, dark=dark,
-              front=front)  # fmt: skip
+              front=front, ghosts=ghosts)  # fmt: skip
     if show:
         _show(lab)
     lab.wait_for_plots(LONGEST)

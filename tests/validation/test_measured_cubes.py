@@ -1,12 +1,16 @@
 """Tosses of a cube: what is read, flights, errors, the engines on some tosses, and the command."""
 
 import json
+import threading
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from closedloop.base.errors import ModelError
+from closedloop.figures.scene.ghost import OPACITY
+from closedloop.figures.scene.scene import scene_of
+from closedloop.lab.drawn import robot_message
 from validation.measured.__main__ import main
 from validation.measured.cubes import film
 from validation.measured.cubes.__main__ import main as command
@@ -247,3 +251,27 @@ def test_a_film_shows_a_toss_beside_the_measured_one(tosses, tmp_path, monkeypat
     for words in (["--film", "4000", "a.gif"], ["--film", "x", "a.gif"], ["--film", "3", "a.avi"]):
         assert command(words) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_the_lab_shows_a_toss_beside_the_measured_one(tosses, capsys):
+    """Whatever friction is set; another scenario has no measured cube. A number that is none is one line."""
+    lab, shown = film.opened(tosses[3]), threading.Event()
+    try:
+        lab.after_show.append(lambda answer: shown.set())
+        lab.changed("contact.0.friction", 0.05)
+        assert shown.wait(60.0)
+        assert lab.run.scenario.contact[0].friction == 0.05
+        assert [ghost.name for ghost in lab.ghosts] == ["measured"]
+        lab.open("planar2_drop")
+        assert lab.ghosts == ()
+    finally:
+        lab.close()
+    assert command(["--lab", "4000"]) == command(["--lab", "x"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def test_the_page_of_the_lab_has_the_ghosts_of_a_run(tosses):
+    """The shape of each has a place of its own, which is where the log has the cube at that instant."""
+    scene = scene_of(film.simulated(tosses[3]), [film.as_fitted(tosses[3])])
+    ghost = [shape for shape in robot_message(scene)["shapes"] if shape["kind"] == "measured"]
+    assert [shape["opacity"] for shape in ghost] == [OPACITY]

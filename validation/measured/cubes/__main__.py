@@ -1,4 +1,4 @@
-"""The command line: ``python -m validation.measured.cubes``, with what to do: fit, compare laws, draw, write a film.
+"""The command line: ``python -m validation.measured.cubes``: fit, compare laws, draw, film, open the lab.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error).
 """
@@ -16,13 +16,14 @@ import numpy as np
 from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
 from closedloop.command.border import Parser, run_command
+from closedloop.command.lab import serve
 from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.comparing import FITTED, engines, fits, fitted, held_out, tried
-from validation.measured.cubes.film import film, toss_of
+from validation.measured.cubes.film import film, opened, toss_of
 from validation.measured.cubes.fitting import fit, training
 from validation.measured.cubes.geometry import geometry_lines
 from validation.measured.cubes.impacts import impact_lines
-from validation.measured.cubes.tosses import first_row, mean_errors, read
+from validation.measured.cubes.tosses import Toss, first_row, mean_errors, read
 
 LAWS = ("newton", "poisson", "stronge")
 
@@ -48,10 +49,13 @@ def _main(words: list[str]) -> int:
         "--film", nargs=2, metavar=("TOSS", "FILE"),
         help="write a film of toss number TOSS, simulated and measured, a .gif or a .mp4, or the lab's page, a .html",
     )  # fmt: skip
+    parser.add_argument(
+        "--lab", metavar="TOSS", help="open the lab: toss number TOSS, with sliders, beside the measured one"
+    )
     options = parser.parse_args(words)
     told = options.laws or options.impacts or options.geometry
-    if not told and options.fit is options.figures is options.film is None:
-        parser.error("say what to do: --fit, --laws, --impacts, --geometry, --figures DIR or --film TOSS FILE")
+    if not told and options.fit is options.figures is options.film is options.lab is None:
+        parser.error("say what to do, such as --fit, --figures DIR, --film TOSS FILE or --lab TOSS; see --help")
     if options.fit is not None:
         _fit(options.fit or names)
     if options.laws:
@@ -64,10 +68,17 @@ def _main(words: list[str]) -> int:
         _figures(Path(options.figures))
     if options.film is not None:
         number, path = options.film
-        if not number.isdigit():
-            parser.error(f"--film {number}: must be the number of a toss")
-        print(f"written: {film(toss_of(read(), int(number)), Path(path))}")
+        print(f"written: {film(_toss(parser, '--film', number), Path(path))}")
+    if options.lab is not None:
+        serve(opened(_toss(parser, "--lab", options.lab)), browser=True)
     return 0
+
+
+def _toss(parser: Parser, option: str, number: str) -> Toss:
+    """Return the toss of a number from the command line."""
+    if not number.isdigit():
+        parser.error(f"{option} {number}: must be the number of a toss")
+    return toss_of(read(), int(number))
 
 
 def _fit(names: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""A film of a measured toss beside the simulated one."""
+"""A measured toss beside the simulated one: a film, and the lab."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from closedloop.figures.scene.ghost import COLOUR, Ghost
 from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.scene.shapes import Shape
 from closedloop.lab.animate import write_film
+from closedloop.lab.app import Lab
 from closedloop.lab.curves import COLOURS, Panel, Trace
 from closedloop.lab.share import share
 from closedloop.record.run import Run
@@ -63,6 +64,16 @@ def measured(toss: Toss, side: float = SIDE) -> Ghost:
     return Ghost("measured", (shape,), time, toss.states[:, :4], toss.states[:, 4:7])
 
 
+def as_fitted(toss: Toss) -> Ghost:
+    """Return the measured cube with the side that was fitted, that of the simulated one."""
+    return measured(toss, fitted(ClosedLoopCube())[-1])
+
+
+def opened(toss: Toss) -> Lab:
+    """Open the lab with a toss, and the measured cube beside that of each run."""
+    return cl.lab(simulated(toss), show=False, ghosts=[as_fitted(toss)])
+
+
 def film(toss: Toss, path: Path) -> Path:
     """Write a film of a toss, simulated and measured, beside its errors: a .gif or a .mp4, or the lab's page, a .html.
 
@@ -73,8 +84,7 @@ def film(toss: Toss, path: Path) -> Path:
     OutputError
         If the file cannot be written.
     """
-    run = simulated(toss)
-    ghosts = [measured(toss, fitted(ClosedLoopCube())[-1])]
+    run, ghosts = simulated(toss), [as_fitted(toss)]
     if path.suffix.lower() == ".html":
         return share(run, path, ghosts=ghosts)
     position, rotation = errors(toss, run.q[::STEPS])

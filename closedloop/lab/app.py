@@ -118,7 +118,7 @@ class Lab:
         self._switch = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH, self._switch))
         self._begin(history, law, model)
-        self.ghosts = tuple(ghosts)
+        self.ghosts: tuple[Ghost, ...] = tuple(ghosts)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
         self.details, self.map = Details(self), MapWork(self)
         self._newest: Newest[Asked, tuple[Answers, Answer]] = Newest(self._compute, self._show)
@@ -133,7 +133,7 @@ class Lab:
 
     def _begin(self, history: History, law: Any = None, model: RobotModel | None = None) -> None:
         self.history = history
-        self.ghosts: tuple[Ghost, ...] = ()
+        self.ghosts = ()
         self.answers = Answers(history, law, model, self.say, self._show_part)
         self.controls: dict[tuple[str, int | None], Control] = {}
         self._first = {

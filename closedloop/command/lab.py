@@ -19,6 +19,9 @@ from closedloop.scenario.user_module import import_law, name_members
 if TYPE_CHECKING:
     from closedloop.lab.app import Lab
 
+# How long a signal waits for its answer at the most, s.
+ANSWERED = 0.5
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
@@ -58,7 +61,11 @@ def serve(opened: Lab, browser: bool) -> None:
         print(f"the lab is at {opened.url} (Ctrl-C closes it)", flush=True)
         if browser:
             open_in_browser(opened.url)
-        threading.Event().wait()
+        forever = threading.Event()
+        while not forever.wait(
+            ANSWERED
+        ):  # a signal between two instructions of Python, before it blocks, wakes nothing
+            pass
     except Terminated:
         raise
     except KeyboardInterrupt:

@@ -150,14 +150,17 @@ def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
     sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
     words = [sys.executable, "-m", "closedloop", "lab", "planar2_slide", "--port", "8431", "--no-browser"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
-        line = process.stdout.readline()
-        assert "http://127.0.0.1:84" in line
-        assert "/?token=" in line
-        url = re.search(r"http\S+", line)[0]
-        page = sockets.connect(url.replace("http", "ws", 1), compression=None)  # a page that is open keeps nothing
-        os.kill(process.pid, signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-        page.close()
+        try:
+            line = process.stdout.readline()
+            assert "http://127.0.0.1:84" in line
+            assert "/?token=" in line
+            url = re.search(r"http\S+", line)[0]
+            page = sockets.connect(url.replace("http", "ws", 1), compression=None)  # a page that is open keeps nothing
+            os.kill(process.pid, signal.SIGINT)
+            _, err = process.communicate(timeout=60)
+            page.close()
+        finally:
+            process.kill()  # which has no effect on one that has ended
     assert process.returncode == 0
     assert "Traceback" not in err
     assert "the lab is closed" in err

@@ -106,6 +106,7 @@ class Here:
                 self.instant.time,
             )
         self._encoder = int(state.settings.encoder)
+        self._motors = parts_of(problem)["transmission"]
         self._saved = state.memory.copy(), w.memory.copy(), constants.memory.copy()
         self._node = self.row * problem.nodes
         self.loop_basis = self._loop_basis()
@@ -176,7 +177,7 @@ class Here:
         if state.row != self.row + 1 and not (state.row == problem.steps and self.row == state.row):
             raise EventHere
         dz = np.array(w.dz) if state.settings.general != 0 else np.zeros(w.z.size)
-        motors = parts_of(problem)["transmission"]
+        motors = self._motors
         if motors.stop > motors.start:  # what the semi-implicit scheme writes there is its own
             place = type(w).place("z", *w.sizes)
             dz[motors][:n] = (self._saved[1][place] + changes.get("z", 0.0))[motors][n:]

@@ -19,7 +19,7 @@ from closedloop.scenario.user_module import import_law, name_members
 if TYPE_CHECKING:
     from closedloop.lab.app import Lab
 
-# How long a signal waits for its answer at the most, s.
+# How long a signal that comes just before the main thread waits stays unanswered at the most, s.
 ANSWERED = 0.5
 
 
@@ -62,9 +62,7 @@ def serve(opened: Lab, browser: bool) -> None:
         if browser:
             open_in_browser(opened.url)
         forever = threading.Event()
-        while not forever.wait(
-            ANSWERED
-        ):  # a signal between two instructions of Python, before it blocks, wakes nothing
+        while not forever.wait(ANSWERED):
             pass
     except Terminated:
         raise

@@ -311,9 +311,7 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
         # What stages leave the surface by, the observer takes for a disturbance, and comes back from at its rate.
         more += swings.steepest / min(1.0, scenario.compensation.rate * scenario.time.step)
     if higher and (scenario.law.kind == "admittance" or scenario.law.force_integral):
-        more += min(
-            FED_BACK * values.max_stabiliser_force, Swing(swings.each[0]).highest - Swing(swings.each[0]).lowest
-        )
+        more += min(FED_BACK * values.max_stabiliser_force, force.highest - force.lowest)
     more += fed_back(scenario) * beside.asked
     if beside.bounces_on:  # f and the tip may be anywhere in their ranges
         more = max(more, values.peak_contact_force - min(values.min_contact_force, 0.0) - values.step_error_force)

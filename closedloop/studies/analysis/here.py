@@ -17,12 +17,11 @@ from closedloop.control.encoder import DIFFERENCE, NO_ENCODER, EncoderParameters
 from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.background import make_ready
-from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.close import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
-from closedloop.mechanics.loops.rows import locate_rows
+from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
@@ -109,7 +108,7 @@ class Here:
         self._motors = parts_of(problem)["transmission"]
         self._saved = state.memory.copy(), w.memory.copy(), constants.memory.copy()
         self._node = self.row * problem.nodes
-        self.loop_basis = self._loop_basis()
+        self._basis = self._loop_basis()
 
     @property
     def n(self) -> int:
@@ -196,12 +195,14 @@ class Here:
 
     def _loop_rows(self, q: Array) -> tuple[Array, Array]:
         """Return the rows G (m, n) of the loops at q, and their rate (m,) with q̇ of the instant."""
-        if self._loops is None:
+        if not self.problem.robot.model.loops:
             return np.zeros((0, self.n)), np.zeros(0)
-        rows = self._loops.rows
-        rows.q[:], rows.v[:] = q, self.instant.values["v"]
-        interpreted(locate_rows)(self._loops.links, rows)
-        return np.array(rows.G), np.array(rows.rate)
+        v = self.instant.values["v"]
+        at = q[None].copy(), v[None].copy()
+        for each in at:
+            each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
+        G = loop_rows(self.problem.robot, *at)[0][0]
+        return G, G @ v
 
     def _loop_basis(self) -> Array:
         """Return combinations (k, m) of the loops' rows that are independent and span all."""
@@ -214,7 +215,7 @@ class Here:
     def loop_rows(self, q: Array) -> tuple[Array, Array]:
         """Return independent rows (k, n) of the loops at q, and their rate (k,) with q̇ of the instant."""
         G, rate = self._loop_rows(q)
-        return self.loop_basis @ G, self.loop_basis @ rate
+        return self._basis @ G, self._basis @ rate
 
     def geometry(self) -> tuple[Array, Array, Array, Array]:
         """Return H (n, n), the contact frame's Jacobian A (3, n), the frame (3, 3) and S (3, 3) at the instant."""

@@ -49,7 +49,7 @@ GOOD = {
     "prepare": {"scenario": SCENARIO, "model": None, "cache": None},
     "solve_closure": {"H": np.eye(2), "rhs": np.zeros(2), "A": np.array([1.0, 0.0]), "b": 0.0},
     "lab": {"scenario": "no such", "overrides": {}, "law": None, "model": None, "host": "127.0.0.1", "port": 8080,
-            "dark": False, "show": False},
+            "dark": False, "show": False, "ghosts": ()},
     "Log": {"time": TIME, "q": ROWS, "torque": ROWS, "joint_names": (), "v": None, "source": "the log"},
     "Recording": {"time": TIME, "q": ROWS, "torque": None, "v": None, "force": None, "source": "the log"},
     "Plane": {"normal": np.array([0.0, 0.0, 1.0]), "offset": 0.0},

@@ -8,7 +8,6 @@ from closedloop.scenario.load import parse_scenario
 
 G, MU, HALF = 9.81, 0.4, (0.1, 0.075, 0.05)
 
-pytestmark = pytest.mark.xfail(reason="open: slow slips of several contacts are turned one by one, and slide too far")
 
 
 def let_go(angle: float, integrator: str, velocity=(0.0, 0.0, 0.0), spin=(0.0, 0.0, 0.0), **changes: object) -> cl.Run:

@@ -135,6 +135,7 @@ def proceed(
         return TERMS
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
     free = state.mode == FREE and state.settings.stops == 0 and state.together == 0
+    state.begins = 1 if phase in (STEP_END, PART_END, AFTER_EVENT) else 0
     if phase in (STEP_END, PART_END, STAGE, AFTER_EVENT, ASKED) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:

@@ -144,6 +144,9 @@ def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) ->
 def restore_state(w: Work, state: State) -> None:
     """Restore the saved state, for a step of another length, w.search.tau, from it."""
     n, extra = w.q.shape[0], w.z.shape[0]
+    if state.together != 0:
+        links, c = contacts_at(state.contacts.at)
+        links.stepped = int(c.step.begun)
     for j in range(n):
         w.q[j] = w.start.state[j]
         w.v[j] = w.start.state[n + j]

@@ -60,7 +60,7 @@ from closedloop.mechanics.contacts.resistance import has_resistance, is_resistan
 from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
-from closedloop.mechanics.contacts.turning import turn_and_solve
+from closedloop.mechanics.contacts.turning import stop_slips, turn_and_solve
 from closedloop.mechanics.impact import energy_lost
 
 Array = NDArray[np.float64]
@@ -100,6 +100,7 @@ def contacts_in_step(address: int, what: int) -> int:
         w.contacts.margin = c.margin
     elif what == SAVE:
         save_contacts(links, c)
+        c.step.begun = 1.0 * links.stepped
         w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
         if state.together != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])
@@ -228,6 +229,12 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
         if k > links.joints:
             rest = max(rest, STILL)  # dry friction of the joints stops a slip within a step, which then does not turn
         c.margin = margin_of(c, k, STICK_SPEED, rest)
+        begins = state.begins != 0 and state.settings.adaptive == 0 and w.time > 0.0
+        if status == OK and begins and c.margin >= 0.0:
+            if stop_slips(c, k, constants.h, w.time):
+                links.stepped, c.margin = 1, c.step.end - w.time
+                for i in range(3 * k):
+                    c.rigid[i] = c.F[i]
         if status != OK and w.time > 0.0:  # these modes end here: others, or a time step, go on
             status, c.margin = OK, NO_FORCES
     w.contacts.margin, w.contacts.power, w.contacts.power_rate = c.margin, 0.0, 0.0

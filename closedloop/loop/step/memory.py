@@ -156,6 +156,7 @@ class State(Block):
     proceed: int  # address of the entry of `closedloop.loop.events.proceed`, for the compiled engine
     # State of the loop; constants in `closedloop.loop.events.phases`.
     phase: int  # what the terms requested last are for
+    begins: int  # 1 if a substep may begin at the state that is evaluated
     asked: int  # what for, in the phase ASKED, see `closedloop.loop.events.asked`
     row: int  # the next to be recorded
     stage: int

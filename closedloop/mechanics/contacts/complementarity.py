@@ -224,6 +224,7 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, enough: float
                     c.scratch.best[j] = F[j]
             if worst <= SOLVED * scale or not worst < math.inf:
                 break
+            c.problem.steps += 1.0
             newton_step(c, k, F, largest)
             share, before = 1.0, worst
             for _ in range(HALVINGS):

@@ -71,6 +71,8 @@ class Problem(Block, sizes=("k",)):
     rounding: float  # force below which there is none, N
     penalty: float  # see `closedloop.mechanics.contacts.complementarity`
     residual: float  # of the last problem, N or N s
+    steps: float  # of the methods that solve it, counted where there is a limit to their number
+    ends: float  # 1 if a slow slip ends within the step, see `closedloop.mechanics.contacts.turning`
 
 
 class ContactEvent(Block, sizes=("k",)):
@@ -90,6 +92,7 @@ class TimeStep(Block, sizes=("k",)):
     """A time step of its own, see `closedloop.mechanics.contacts.time_step`."""
 
     end: float  # s
+    begun: float  # 1 if the substep began within it
     force: Annotated[Array, 3 * K]  # N
 
 
@@ -133,6 +136,7 @@ class ContactScratch(Block, sizes=("n", "k")):
     columns: Annotated[Array, 3 * K, 3 * K]
     multiples: Annotated[Array, 3 * K]
     mu: Annotated[Array, K]
+    turned: Annotated[Array, K]  # 1 of a contact whose friction is turned
     ends: Annotated[Array, N]  # of each joint's tree, see `closedloop.loop.step.contact_rows.write_ends`
     residuals: Annotated[Array, 3 * K]
     trial: Annotated[Array, 3 * K]

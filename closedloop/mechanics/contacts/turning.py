@@ -1,47 +1,103 @@
-"""The friction of contacts that slip slowly, solved with the forces, see `closedloop.mechanics.friction.turning`."""
+"""The friction of contacts that slip slowly, solved with the forces: it points to where their slips go within the step.
+
+See `closedloop.mechanics.friction.turning`, which does it for one contact. The friction of each moves the slips of the
+others, so that all directions are those of one problem, with u⁺ what is left of each slip after the time τ:
+
+    u_t⁺ = u_t + τ u̇_t,    F_t = −μ|f| u_t⁺/|u_t⁺|,    u̇_n = b_n where contacts are closed, u̇ = b where they stick
+
+τ is the step, or the time after which the first of these contacts comes to rest, if that is less.
+
+The work is bounded: so many turns, so many steps of Newton's method in all. What is not found by then is left: friction
+is then against the slip as it is.
+"""
 
 from __future__ import annotations
 
+import math
+
+from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
-from closedloop.mechanics.closure.contact_force import PRESSED
+from closedloop.mechanics.closure.contact_force import IMMOBILE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.closed import solve_closed
-from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.contacts.given_modes import own_mobility
-from closedloop.mechanics.contacts.memory import LINE, RAY, Contacts
-from closedloop.mechanics.friction.turning import turn_friction
+from closedloop.mechanics.contacts.complementarity import (
+    largest_mobility,
+    newton_step,
+    solve_from_here,
+    write_residuals,
+)
+from closedloop.mechanics.contacts.friction import STILL, stops_slipping
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
+from closedloop.mechanics.contacts.packed import pack, unpack
 
-# Solutions at most in which the friction of slow slips is turned, and the change of the forces at which it agrees.
-TURNS, SETTLED = 40, 1e-12
+# Solutions at most in which the friction of slow slips is turned, and the change of its direction at which it agrees.
+TURNS, SETTLED = 20, 1e-11
+# The coefficient of friction of contacts that stick here, whatever force that takes.
+HELD = 1e9
+# Rounds of the method that solves the problem, and its steps in all turns, evaluations for one τ counted as steps.
+ROUNDS, MOST_STEPS = 3, 400
+# Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then.
+SEARCHES, WIDER, ON_EDGE = 30, 4.0, 1e-12
 
 
 @kernel
 def turn_and_solve(c: Contacts, k: int, h: float) -> int:
     """Turn the friction of slow slips to where they go in the step h, s, until it agrees with the forces.
 
-    Where it does not, friction stays against the slip as it is. So it does where a contact that only presses would
-    pull: its mode ends, and friction that is turned round with the force would drive the slip.
+    Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
+    Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
+    that is turned round with the force would drive the slip. `ends` says whether a slip ends within the step.
     """
-    if some_pull(c, k):
+    c.problem.ends = 0.0
+    if some_pull(c, k) or not some_slip_slowly(c, k, h):
         return int(OK)
     for i in range(k):
-        c.scratch.start[2 * i], c.scratch.start[2 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
+        c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
+    c.problem.steps = 0.0
     for _ in range(TURNS):
-        for r in range(3 * k):
-            c.before[r] = c.F[r]
-        if not turn_slips(c, k, h):
-            return int(OK)
-        if solve_closed(c, k) != OK or some_pull(c, k):
+        change = turn_slips(c, k, h)
+        if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k):
             break
-        size, change = 0.0, 0.0
-        for r in range(3 * k):
-            size, change = max(size, abs(c.before[r])), max(change, abs(c.F[r] - c.before[r]))
-        if change <= SETTLED * size:
+        if change <= SETTLED or not some_slip_slowly(c, k, h):
             return int(OK)
+    else:
+        return int(OK)
     for i in range(k):
-        c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[2 * i], c.scratch.start[2 * i + 1]
+        c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[3 * i], c.scratch.start[3 * i + 1]
     return int(solve_closed(c, k))
+
+
+@kernel
+def stop_slips(c: Contacts, k: int, h: float, time: float) -> bool:
+    """Write the forces, as a step of their own, with which the first of the slow slips comes to rest, if in this step.
+
+    The forces are constant until then, as in a time step (`closedloop.mechanics.contacts.time_step`): every contact is
+    in its cone with what is left of its slip. So all that stops together does so, and no contact stops another.
+    """
+    if c.problem.ends == 0.0:
+        return False
+    for i in range(k):
+        c.scratch.start[3 * i], c.scratch.mu[i] = c.problem.form[i], c.mu[i]
+    for r in range(3 * k):
+        c.before[r] = c.F[r]
+    set_problem(c, k, h, True)
+    count = pack(c, k)
+    for r in range(3 * count):
+        c.scratch.sought[r] = c.problem.q[r]
+    c.problem.steps = 0.0
+    rate = shorten(c, count, h) if solve_within(c, count, 1.0 / h) else 0.0
+    unpack(c, k, count)
+    for i in range(k):
+        c.mu[i], c.problem.form[i] = c.scratch.mu[i], int(c.scratch.start[3 * i])
+    if not rate > 0.0:
+        for r in range(3 * k):
+            c.F[r] = c.before[r]
+        return False
+    for r in range(3 * k):
+        c.F[r] -= c.viscous[r]
+        c.step.force[r] = c.F[r]
+    c.step.end = time + 1.0 / rate
+    return True
 
 
 @kernel
@@ -54,29 +110,191 @@ def some_pull(c: Contacts, k: int) -> bool:
 
 
 @kernel
-def turn_slips(c: Contacts, k: int, h: float) -> bool:
-    """Turn the friction of slow slips, with the forces F that are known, as `along`; return whether there are any."""
-    turned = False
+def some_slip_slowly(c: Contacts, k: int, h: float) -> bool:
+    """Whether `slips_slowly` is true of a contact."""
+    slow = False
     for i in range(k):
-        n = 3 * i
-        rubs = c.problem.along[i, 0] != 0.0 or c.problem.along[i, 1] != 0.0
-        if not (rubs and c.problem.form[i] in (RAY, LINE) and c.mode[i] == PRESSED and stops_slipping(c, i)):
+        slow = slow or slips_slowly(c, i, h)
+    return slow
+
+
+@kernel
+def slips_slowly(c: Contacts, i: int, h: float) -> bool:
+    """Whether friction can turn the slip of contact i, or end it, within the step h, s."""
+    n, W = 3 * i, c.W
+    if not (c.problem.form[i] in (RAY, LINE) and c.mode[i] == PRESSED and stops_slipping(c, i)):
+        return False
+    u1, u2, trace = c.u[n + 1], c.u[n + 2], W[n + 1, n + 1] + W[n + 2, n + 2]
+    speed, level = math.hypot(u1, u2), math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
+    if not h * level * abs(c.F[n]) * trace > speed:
+        return False
+    if speed > STILL and not u1 * c.direction[i, 0] + u2 * c.direction[i, 1] > 0.0:
+        return False  # past the end of slip
+    # What moves along a line does not turn.
+    return bool(W[n + 1, n + 1] * W[n + 2, n + 2] - W[n + 1, n + 2] * W[n + 2, n + 1] > IMMOBILE * trace * trace)
+
+
+@kernel
+def turn_slips(c: Contacts, k: int, h: float) -> float:
+    """Write `along` of the contacts that slip slowly; return its largest change, of μ, negative if none was found."""
+    mu, change = c.scratch.mu, -1.0
+    for i in range(k):
+        mu[i], c.scratch.start[3 * i + 2] = c.mu[i], c.problem.form[i]
+    set_problem(c, k, h, False)
+    count = pack(c, k)
+    for r in range(3 * count):
+        c.scratch.sought[r] = c.problem.q[r]
+    found = solve_within(c, count, 1.0 / h)
+    if found and left_of_slips(c, count) < 0.0:
+        c.problem.ends = 1.0
+    for i in range(count if found else 0):
+        c.scratch.best[3 * i], c.scratch.best[3 * i + 1] = rub(c, i)
+    unpack(c, k, count)
+    if found:
+        change = 0.0
+    for j in range(count):
+        i = int(c.scratch.packed.contact[j])
+        if found and c.scratch.turned[i] != 0.0:
+            change = max(change, turn(c, i, c.mu[i], c.scratch.best[3 * j], c.scratch.best[3 * j + 1]))
+    for i in range(k):
+        c.mu[i], c.problem.form[i] = mu[i], int(c.scratch.start[3 * i + 2])
+    return change
+
+
+@kernel
+def set_problem(c: Contacts, k: int, h: float, ends: bool) -> None:
+    """Write the forms of the problem, its coefficients of friction, and q but for the slips divided by τ.
+
+    Contacts whose slips end may part, or begin to slip: none is held.
+    """
+    for i in range(k):
+        form = int(c.problem.form[i])
+        if slips_slowly(c, i, h):
+            c.mu[i] = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
+            c.scratch.turned[i], c.problem.form[i] = 1.0, CONE if ends and form == RAY else DOUBLE
             continue
-        for t in (1, 2):  # the acceleration without this friction
-            c.scratch.vector[t] = c.a[n + t]
-            for j in range(3 * k):
-                F = -c.viscous[j] if j == n + 1 or j == n + 2 else c.F[j]
-                c.scratch.vector[t] += c.W[n + t, j] * F
-        own_mobility(c, i, c.scratch.slope)
-        if turn_friction(
-            c.scratch.slope,
-            c.scratch.vector[1],
-            c.scratch.vector[2],
-            c.u[n : n + 3],
-            row_of(c.direction, i),
-            c.F[n],
-            h,
-            row_of(c.problem.along, i),
-        ):
-            turned = True
-    return turned
+        c.scratch.turned[i] = 0.0
+        if form in (CONE, DOUBLE) and not ends:
+            c.problem.form[i], c.mu[i] = DOUBLE, HELD
+        elif form == RAY and not ends:
+            c.problem.form[i] = LINE
+    for r in range(3 * k):
+        i = r // 3
+        if c.problem.form[i] == OFF:
+            continue
+        s = c.a[r] - (c.b[r] if r == 3 * i or c.scratch.turned[i] == 0.0 else 0.0)
+        for j in range(3 * k):
+            if c.viscous[j] != 0.0:
+                s -= c.W[r, j] * c.viscous[j]
+        c.problem.q[r] = s
+        c.F[r] += c.viscous[r]
+
+
+@kernel
+def is_turned(c: Contacts, i: int) -> bool:
+    """Whether packed contact i slips slowly."""
+    return bool(c.scratch.turned[int(c.scratch.packed.contact[i])] != 0.0)
+
+
+@kernel
+def slip_of(c: Contacts, i: int) -> tuple[float, float]:
+    """Return the slip of packed contact i, m/s: zero of one that is rounding, and has no direction."""
+    n = 3 * int(c.scratch.packed.contact[i])
+    u1, u2 = c.u[n + 1], c.u[n + 2]
+    return (u1, u2) if math.hypot(u1, u2) > STILL else (0.0 * u1, 0.0 * u2)
+
+
+@kernel
+def solve_within(c: Contacts, k: int, rate: float) -> bool:
+    """Solve the packed problem for τ = 1/`rate`; return whether that was possible."""
+    c.problem.steps += 1.0
+    if c.problem.steps > MOST_STEPS:
+        return False
+    for r in range(3 * k):
+        c.problem.q[r] = c.scratch.sought[r]
+    for i in range(k):
+        if is_turned(c, i):
+            u1, u2 = slip_of(c, i)
+            c.problem.q[3 * i + 1] += rate * u1
+            c.problem.q[3 * i + 2] += rate * u2
+    if not solve_from_here(c, k, 0, ROUNDS):
+        return False
+    if has_derivatives(c.F[0]):  # those of the solution follow by one step from its value
+        largest = largest_mobility(c, k)
+        write_residuals(c, k, c.F, largest)
+        newton_step(c, k, c.F, largest)
+        for r in range(3 * k):
+            c.F[r] += c.scratch.solution[0, r]
+        write_residuals(c, k, c.F, largest)
+    return True
+
+
+@kernel
+def rub(c: Contacts, i: int) -> tuple[float, float]:
+    """Return F_t − ρ u_t of packed contact i, N: longer than μ|f|, and along its friction, while it slips."""
+    n = 3 * i
+    rho = 1.0 / (c.W[n + 1, n + 1] + c.W[n + 2, n + 2])
+    return c.F[n + 1] - rho * c.problem.after[n + 1], c.F[n + 2] - rho * c.problem.after[n + 2]
+
+
+@kernel
+def left_of_slips(c: Contacts, k: int) -> float:
+    """Return by which share |F_t − ρ u_t| is above μ|f| where that is least: negative once a slip has ended."""
+    least = math.inf
+    for i in range(k):
+        u1, u2 = slip_of(c, i)
+        if is_turned(c, i) and math.hypot(u1, u2) > 0.0:
+            x1, x2 = rub(c, i)
+            least = min(least, math.hypot(x1, x2) / (c.mu[i] * abs(c.F[3 * i]) + 1e-300) - 1.0)
+    return float(least)
+
+
+@kernel
+def shorten(c: Contacts, k: int, h: float) -> float:
+    """Return 1/τ of the τ at which the first slip ends just then, s⁻¹, within the step; zero if that was not found."""
+    low, at_low = 1.0 / h, left_of_slips(c, k)
+    if not at_low < 0.0:
+        return 0.0 * low
+    high, at_high = low, at_low
+    for _ in range(SEARCHES):
+        high *= WIDER
+        if not solve_within(c, k, high):
+            return 0.0 * low
+        at_high = left_of_slips(c, k)
+        if at_high >= 0.0:
+            break
+        low, at_low = high, at_high
+    if not at_high >= 0.0:
+        return 0.0 * low
+    rate, side = high, 0
+    for _ in range(SEARCHES if at_high > ON_EDGE else 0):  # the method of Illinois
+        rate = (low * at_high - high * at_low) / (at_high - at_low)
+        if not solve_within(c, k, rate):
+            return 0.0 * low
+        now = left_of_slips(c, k)
+        if abs(now) <= ON_EDGE or high - low <= ON_EDGE * high:
+            break
+        if now < 0.0:
+            low, at_low, at_high, side = rate, now, at_high * (0.5 if side < 0 else 1.0), -1
+        else:
+            high, at_high, at_low, side = rate, now, at_low * (0.5 if side > 0 else 1.0), 1
+    return rate
+
+
+@kernel
+def turn(c: Contacts, i: int, level: float, x1: float, x2: float) -> float:
+    """Write `along` of contact i, with its `rub` x, and return its change, of μ; it stays where slip turns round.
+
+    So it does where a slip that has only begun does not go on: friction is against what pulls.
+    """
+    n = 3 * i
+    size, speed = math.hypot(x1, x2), math.hypot(c.u[n + 1], c.u[n + 2])
+    d1, d2 = (c.u[n + 1], c.u[n + 2]) if speed > STILL else (c.direction[i, 0], c.direction[i, 1])
+    if not size > 0.0 or -x1 * d1 - x2 * d2 < 0.0:
+        return 0.0
+    if speed <= STILL and size <= level * abs(c.F[n]):
+        return 0.0
+    share = -math.copysign(level / size, c.F[n])
+    change = math.hypot(share * x1 - c.problem.along[i, 0], share * x2 - c.problem.along[i, 1])
+    c.problem.along[i, 0], c.problem.along[i, 1] = share * x1, share * x2
+    return float(change / level)

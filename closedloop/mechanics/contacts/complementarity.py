@@ -37,8 +37,9 @@ from closedloop.mechanics.contacts.packed import pack, unpack
 Array = NDArray[np.float64]
 
 # The residual, of the largest force, at which a problem is solved; what it must have been in the end, of the force that
-# is asked for; and so many times that force is none: contacts that are wedged have a residual of rounding with any.
-SOLVED, ACCEPTED, WEDGED = 1e-14, 1e-11, 1e6
+# is asked for: feet of one body contradict each other by as much as they are off their surface, so that there may be no
+# better one; and so many times that force is none: contacts that are wedged have a residual of rounding with any.
+SOLVED, ACCEPTED, WEDGED = 1e-14, 1e-9, 1e6
 # Sweeps of Gauss and Seidel's method before Newton's, at first; it doubles from round to round.
 SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
 # Rounds at the end of a path, where the solution is near.
@@ -197,7 +198,7 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
 
 
 @kernel
-def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, enough: float = ACCEPTED) -> bool:
+def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
     """Do `solve_contacts` by the two methods in turns, from F, with so many sweeps of the first at first."""
     largest, m = largest_mobility(c, k), 3 * k
     if not largest > 0.0:
@@ -251,21 +252,20 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, enough: float
         count = min(max(2 * count, SWEEPS), MOST_SWEEPS)
     c.problem.residual = best
     most = force_size(F, m)
-    return bool(c.problem.residual <= max(enough * size, SOLVED * most) and most <= WEDGED * size)
+    return bool(c.problem.residual <= max(ACCEPTED * size, SOLVED * most) and most <= WEDGED * size)
 
 
 @kernel
-def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS), enough: float = ACCEPTED) -> bool:
+def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
     """Write F and `after`, u = q + W F, of the contacts whose `kind` is not OFF; return whether they were found.
 
     `residual` is what the equations are off, of forces. Starts from F; W, q, kind, mu and along are read. `starts` is
-    from how many points paths are followed, where the quick method does not find them. `enough` is the residual, of the
-    force that is asked for, at which they are found if rounding does not allow less.
+    from how many points paths are followed, where the quick method does not find them.
     """
     a = pack(c, k)
-    found = solve_from_here(c, a, SWEEPS, ROUNDS, enough)
+    found = solve_from_here(c, a, SWEEPS, ROUNDS)
     for i in range(0 if found else starts):
-        found = found or (follow_path(c, a, STARTS[i]) and solve_from_here(c, a, 0, LAST_ROUNDS, enough))
+        found = found or (follow_path(c, a, STARTS[i]) and solve_from_here(c, a, 0, LAST_ROUNDS))
     unpack(c, k, a)
     if a < k:
         velocities(c, k, c.F, c.problem.after)

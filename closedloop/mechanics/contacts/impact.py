@@ -37,9 +37,6 @@ RESTING = 1e-11
 LEAST_SHARE, MOST_MISSING = 1e-3, 10
 # Restitution with impulses so many times those that are asked for is none: contacts are wedged, but for rounding.
 MOST_IMPULSE = 1e3
-# The residual, of the impulses asked for, at which they are found: feet of one body that come to rest contradict each
-# other by as much as they are off their surface, so that there may be no better one.
-NEARLY = 1e-9
 # A rebound from a stop that is slower than this, rad/s (m/s), is none: the joint stays at its stop.
 SLOWEST_REBOUND = 1e-4
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
@@ -169,7 +166,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
         bounce = -share * c.restitution[i] * c.before[3 * i]
         if c.event.struck[i] != 0.0 and links.chattering == 0 and bounce >= slowest_rebound(links, c, i, rest_speed):
             c.problem.q[3 * i] -= bounce
-    if not solve_contacts(c, k, starts, NEARLY):
+    if not solve_contacts(c, k, starts):
         return False
     asked = force_size(c.problem.q, 3 * k) / largest_mobility(c, k)
     if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:

@@ -100,7 +100,7 @@ def save_slip(w: Work, constants: Constants, state: State) -> None:
 
 @kernel
 def divide_step(w: Work, state: State) -> None:
-    """Shorten a substep in which a fast joint would turn, or change its speed, by more than it may; note whether."""
+    """Shorten a substep in which fast joints would turn, or change their speed, by too much, or slips end; note it."""
     fastest, change, left = 0.0, 0.0, w.length
     fast, most = (
         (FAST, LARGEST_TURN) if state.together == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
@@ -116,6 +116,8 @@ def divide_step(w: Work, state: State) -> None:
     if parts > 1.0:
         w.length = left / np.ceil(parts)
         state.divided = 1
+    if state.together != 0 and contacts_at(state.contacts.at)[1].step.longest < w.length:
+        w.length, state.divided = contacts_at(state.contacts.at)[1].step.longest, 1
 
 
 @kernel

@@ -198,6 +198,8 @@ def answer_torque(links: ContactLinks, c: Contacts, w: Work) -> None:
 def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> int:
     """Write the forces in the present modes, none while these are not decided, and q̈."""
     n, k, status = links.n, links.k, OK
+    if state.begins != 0:
+        c.step.span = c.step.longest = constants.h
     if links.undecided != 0:
         for i in range(3 * k):
             c.F[i], c.rigid[i] = 0.0, 0.0
@@ -222,19 +224,24 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 -c.problem.along[0, 1],
             )  # what pulls rubs with |f|
             status = solve_modes(c, k)
-        if state.settings.adaptive == 0 and status == OK:
-            status = turn_and_solve(c, k, constants.h)
+        begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
+        if fixed and status == OK:
+            status = turn_and_solve(c, k, c.step.span)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if k > links.joints:
             rest = max(rest, STILL)  # dry friction of the joints stops a slip within a step, which then does not turn
         c.margin = margin_of(c, k, STICK_SPEED, rest)
-        begins = state.begins != 0 and state.settings.adaptive == 0 and w.time > 0.0
-        if status == OK and begins and c.margin >= 0.0:
-            if stop_slips(c, k, constants.h, w.time):
-                links.stepped, c.margin = 1, c.step.end - w.time
+        if begins and fixed and status == OK and c.margin >= 0.0:
+            left = stop_slips(c, k, constants.h)
+            if left <= (LAST * constants.h if state.settings.stages > 1 else constants.h):
+                links.stepped, c.step.end, c.margin = 1, w.time + left, left
                 for i in range(3 * k):
-                    c.rigid[i] = c.F[i]
+                    c.F[i] = c.rigid[i] = c.step.force[i]
+            elif left < math.inf:
+                c.step.span = c.step.longest = MOST_OF * left
+                status = turn_and_solve(c, k, c.step.span)
+                keep_in_cones(c, k)
         if status != OK and w.time > 0.0:  # these modes end here: others, or a time step, go on
             status, c.margin = OK, NO_FORCES
     w.contacts.margin, w.contacts.power, w.contacts.power_rate = c.margin, 0.0, 0.0
@@ -264,6 +271,9 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
 
 # An error below this is rounding, m: e = n·r − d is a sum of a few products of the order of a metre; or a rate, m/s.
 CLOSED = 2e-15
+# The last step before slips end has constant forces. Of an integrator of several stages it is no longer than the first,
+# of the step; until then its steps are no longer than the second, of what is left.
+LAST, MOST_OF = 1.0 / 16.0, 0.9
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
 # The speed of slip below which it is none, m/s.

@@ -241,13 +241,15 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
                 for j in range(m):  # a residual may have to grow before it shrinks
                     c.scratch.trial[j] = F[j] + c.scratch.solution[0, j]
                 worst = write_residuals(c, k, c.scratch.trial, largest)
+            if before <= ACCEPTED * size and worst > 0.5 * before:
+                break  # what is left is rounding
             for j in range(m):
                 F[j] = c.scratch.trial[j]
         for j in range(m):
             F[j] = c.scratch.best[j]
         c.problem.penalty = 1.0
         best = write_residuals(c, k, F, largest)
-        if best <= 1e-13 * size or best <= SOLVED * force_size(F, m):
+        if best <= ACCEPTED * size or best <= SOLVED * force_size(F, m):
             break
         count = min(max(2 * count, SWEEPS), MOST_SWEEPS)
     c.problem.residual = best

@@ -89,10 +89,12 @@ class ContactEvent(Block, sizes=("k",)):
 
 
 class TimeStep(Block, sizes=("k",)):
-    """A time step of its own, see `closedloop.mechanics.contacts.time_step`."""
+    """A time step of its own, see `closedloop.mechanics.contacts.time_step`, and what comes before one."""
 
     end: float  # s
     begun: float  # 1 if the substep began within it
+    span: float  # after which friction points along what is left of slow slips, s
+    longest: float  # that the next substep may be, s
     force: Annotated[Array, 3 * K]  # N
 
 

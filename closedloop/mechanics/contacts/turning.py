@@ -1,11 +1,11 @@
 """The friction of contacts that slip slowly, solved with the forces: it points to where their slips go within the step.
 
 See `closedloop.mechanics.friction.turning`, which does it for one contact. The friction of each moves the slips of the
-others, so that all directions are those of one problem, with u⁺ what is left of each slip after the time τ:
+others, so that all directions are those of one problem, with u⁺ what is left of each slip after the step h:
 
-    u_t⁺ = u_t + τ u̇_t,    F_t = −μ|f| u_t⁺/|u_t⁺|,    u̇_n = b_n where contacts are closed, u̇ = b where they stick
+    u_t⁺ = u_t + h u̇_t,    F_t = −μ|f| u_t⁺/|u_t⁺|,    u̇_n = b_n where contacts are closed, u̇ = b where they stick
 
-τ is the step, or the time after which the first of these contacts comes to rest, if that is less.
+Where a slip ends within the step, the step ends there, with constant forces, see `stop_slips`.
 
 The work is bounded: so many turns, so many steps of Newton's method in all. What is not found by then is left: friction
 is then against the slip as it is.
@@ -30,11 +30,12 @@ from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.packed import pack, unpack
 
-# Solutions at most in which the friction of slow slips is turned, and the change of its direction at which it agrees.
-TURNS, SETTLED = 20, 1e-11
+# Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
+# how often it may be no less than before: where forces are not unique it need not become less.
+TURNS, SETTLED, STALLED = 20, 1e-11, 2
 # The coefficient of friction of contacts that stick here, whatever force that takes.
 HELD = 1e9
-# Rounds of the method that solves the problem, and its steps in all turns, evaluations for one τ counted as steps.
+# Rounds of the method that solves the problem, and its steps in all turns, solutions for one τ counted as steps.
 ROUNDS, MOST_STEPS = 3, 400
 # Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then.
 SEARCHES, WIDER, ON_EDGE = 30, 4.0, 1e-12
@@ -53,13 +54,15 @@ def turn_and_solve(c: Contacts, k: int, h: float) -> int:
         return int(OK)
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
-    c.problem.steps = 0.0
+    c.problem.steps, last, stalled = 0.0, math.inf, 0
     for _ in range(TURNS):
         change = turn_slips(c, k, h)
         if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k):
             break
-        if change <= SETTLED or not some_slip_slowly(c, k, h):
+        stalled += 1 if change >= last else 0
+        if change <= SETTLED or stalled == STALLED or not some_slip_slowly(c, k, h):
             return int(OK)
+        last = float(change)
     else:
         return int(OK)
     for i in range(k):
@@ -68,36 +71,33 @@ def turn_and_solve(c: Contacts, k: int, h: float) -> int:
 
 
 @kernel
-def stop_slips(c: Contacts, k: int, h: float, time: float) -> bool:
-    """Write the forces, as a step of their own, with which the first of the slow slips comes to rest, if in this step.
+def stop_slips(c: Contacts, k: int, h: float) -> float:
+    """Return the time after which the first of several slow slips ends, s, if in this step; else infinity.
 
-    The forces are constant until then, as in a time step (`closedloop.mechanics.contacts.time_step`): every contact is
-    in its cone with what is left of its slip. So all that stops together does so, and no contact stops another.
+    Until then constant forces, `TimeStep.force`, act as in a time step (`closedloop.mechanics.contacts.time_step`):
+    every contact is in its cone with what is left of its slip. So all that stops together does so, and no contact stops
+    another. The slip of one contact alone ends where its own friction stops it.
     """
     if c.problem.ends == 0.0:
-        return False
+        return math.inf
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.mu[i] = c.problem.form[i], c.mu[i]
     for r in range(3 * k):
         c.before[r] = c.F[r]
     set_problem(c, k, h, True)
-    count = pack(c, k)
+    count, rate = pack(c, k), 0.0 * h
     for r in range(3 * count):
         c.scratch.sought[r] = c.problem.q[r]
     c.problem.steps = 0.0
-    rate = shorten(c, count, h) if solve_within(c, count, 1.0 / h) else 0.0
+    if count > 1 and solve_within(c, count, 1.0 / h):
+        rate = shorten(c, count, h)
     unpack(c, k, count)
     for i in range(k):
         c.mu[i], c.problem.form[i] = c.scratch.mu[i], int(c.scratch.start[3 * i])
-    if not rate > 0.0:
-        for r in range(3 * k):
-            c.F[r] = c.before[r]
-        return False
     for r in range(3 * k):
-        c.F[r] -= c.viscous[r]
-        c.step.force[r] = c.F[r]
-    c.step.end = time + 1.0 / rate
-    return True
+        c.step.force[r] = c.F[r] - c.viscous[r]
+        c.F[r] = c.before[r]
+    return float(1.0 / rate) if rate > 0.0 else math.inf
 
 
 @kernel

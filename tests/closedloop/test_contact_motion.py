@@ -64,12 +64,15 @@ def test_a_box_slides_and_turns_on_four_feet(tmp_path, mu):
 
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", pytest.param("dop853", marks=pytest.mark.slow)])
 def test_every_integrator_slides_and_turns_alike(tmp_path, integrator):
-    """The box ends where rk4 has it: to 1e-7 by another of high order, to a step's way, 0.5 mm, by that of first."""
+    """The box ends where rk4 has it: to 5e-7 by another of high order, to a step's way, 0.5 mm, by that of first.
+
+    rk4 turns friction to where slow slips are at the end of the step, which is 3.5e-7 rad at 1 ms.
+    """
     start, changes = ([0, 0, 0.05, 0, 0, 0], [0.3, 0, 0, 0, 0, 0.5]), {"time.duration": 0.3}
     other = simulate(tmp_path, HALF, FOUR, start, 0.3, **changes, **{"time.integrator": integrator})
     exact = simulate(tmp_path, HALF, FOUR, start, 0.3, **changes)
     assert np.all(other.link_modes[-1] == 2)
-    np.testing.assert_allclose(other.q[-1], exact.q[-1], atol=1e-7 if integrator == "dop853" else 5e-4)
+    np.testing.assert_allclose(other.q[-1], exact.q[-1], atol=5e-7 if integrator == "dop853" else 5e-4)
 
 
 def draw(rng, feet):

@@ -273,7 +273,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
 CLOSED = 2e-15
 # The last step before slips end has constant forces. Of an integrator of several stages it is no longer than the first,
 # of the step; until then its steps are no longer than the second, of what is left.
-LAST, MOST_OF = 1.0 / 16.0, 0.9
+LAST, MOST_OF = 1.0 / 4.0, 0.9
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
 # The speed of slip below which it is none, m/s.

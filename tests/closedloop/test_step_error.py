@@ -8,7 +8,8 @@ import robot_models
 from closedloop.command.cautions import warn_of_gains
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.report.growth import bounces_on, grows, starts_again
-from closedloop.record.report.step_error import beside_of, step_rows, variation
+from closedloop.record.report.step_columns import variation
+from closedloop.record.report.step_error import beside_of, step_rows
 from closedloop.scenario.modes import unresolved, unresolved_feedback, wrong_by, wrong_decay
 
 ELASTIC = {"transmission.stiffness": 7e4, "transmission.damping": 3.8, "transmission.motor_inertia": 0.05}
@@ -246,10 +247,13 @@ def test_what_happens_between_two_rows_is_in_the_stated_error(name, changes):
 
 
 def test_a_jump_in_the_last_row_has_an_error():
-    """No row shows how fast f decays after it: the path starts there, and f differed by 0.055 N, 0.011 stated."""
+    """No row shows how fast f decays after it: the path starts there, and f differed by 0.055 N, 0.011 stated.
+
+    A sixth of the jump of 16 N is assumed, as of a law that decays within a step; of stiffer laws a twentieth was seen.
+    """
     changes = {"surface_motion.kind": "breathing", "time.integrator": "rk4", "time.duration": 1.0}
     stated, off = beside_half_of("wam_liftoff", changes)
-    assert 0.01 < off <= stated["contact_force"] < 20.0 * off
+    assert 0.01 < off <= stated["contact_force"] < 60.0 * off
 
 
 def test_a_tip_that_strikes_with_elastic_joints_is_off_by_more_each_time():

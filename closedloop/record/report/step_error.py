@@ -5,7 +5,8 @@ row to row is. What earlier steps left decays as the motion does, so the error o
 steps before it added: half of the total variation of the first difference. It is taken of the force less that asked for
 and of the tip's distance from its reference, so that what the path itself does is no error, and anew in each mode of
 contact. Where a path, a force or a law jumps at a row, the difference is an isolated one, and exact: it counts with no
-more than the nearer of its neighbours, and with order one the change to it and from it does not count. Of a torque that is held for k steps every k-th row counts.
+more than the nearer of its neighbours, and with order one the change to it and from it does not count. Of a torque
+that is held for k steps every k-th row counts.
 
 A scheme of order p adds (hλ)ᵖ⁻¹ of that where the signal is smooth. Where it has a kink, as after a jump of the path,
 in friction or at a sample of a sensor, the order is lost, and how smooth it is the rows themselves say
@@ -181,7 +182,8 @@ def fed_back(scenario: Scenario) -> float:
 def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside) -> None:
     """Write what of the errors depends on what the scenario has besides, see `LATE` and the shares below it."""
     if why_position_not_known(scenario) and swings.ended > 2.0 * swings.steepest:
-        values.step_error_force = values.step_error_extremes = math.nan  # noise enters in the last row: no other shows how much
+        # Noise enters in the last row: no other shows how much.
+        values.step_error_force = values.step_error_extremes = math.nan
     higher, moved = resolution_of(scenario)[1] > 1, min(swings.jump, swings.steepest)
     force = Swing(swings.each[0])
     more = 0.0

@@ -44,7 +44,7 @@ def test_limit_below_which_it_is_unstable(study):
 
 
 def test_boundary_over_two_keys(study, monkeypatch):
-    """Over three decades of stiffness the limit of the gain is the closed form, in order, though two processes do it."""
+    """Over three decades of stiffness the limit of the gain is the closed form, in order, by two processes."""
     begun = []
 
     class Counted(stability.Beside):

@@ -381,6 +381,18 @@ def test_at_an_impact_and_beyond_the_end_of_a_run():
         cl.linearise(stops, at=7.0)
 
 
+def test_at_a_stop_that_holds_a_joint():
+    """A joint at its stop is refused by its name; before it comes there it is not."""
+    scenario = mass_on_a_spring(
+        robot__stops=True, start__q=[9.99, 0.0, 0.0], start__v=[0.5, 0.0, 0.0], law__kp=[0.0] * 3, law__kd=[0.0] * 3
+    )
+    with pytest.raises(
+        cl.SimulationError, match=r"^linearise: joint X is at its stop at t = 0\.09 s, which is not lin"
+    ):
+        cl.linearise(scenario, at=0.09)
+    assert len(cl.linearise(scenario, at=0.01).states) > 0
+
+
 def test_names_are_refused_with_those_that_there_are(spring):
     """Of inputs and outputs."""
     with pytest.raises(cl.ScenarioError, match="input 'f': there is none; there are force command, surface accel"):

@@ -19,6 +19,7 @@ from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.background import make_ready
 from closedloop.loop.step.record_row import complete_record
+from closedloop.loop.step.turn import turn
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.close import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
@@ -28,6 +29,7 @@ from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import Answers, single_calls
+from closedloop.studies.analysis.closed_contacts import ClosedContacts
 from closedloop.studies.analysis.instant import Instant, parts_of, put
 
 Array = NDArray[np.float64]
@@ -37,7 +39,7 @@ Array = NDArray[np.float64]
 KINK, NEAR = 1e-2, 1e-6
 # The most steps that are tried.
 MOST = 7
-# Loop rows whose singular value is below this share of the largest depend on others.
+# Rows that bind whose singular value is below this share of the largest depend on others.
 DEPENDENT = 1e-9
 
 
@@ -79,6 +81,8 @@ class Here:
         arrays = problem.table, problem.integrator.tableau(), self._rows
         _, self._call = single_calls(problem, loop_for(PINOCCHIO), loop, arrays, PINOCCHIO)
         self._passes = problem.robot.passes
+        self._posture, self._turned = problem.robot.configuration(loop.w.q)
+        self._balls = problem.robot.model.balls
         state, w, constants = loop.state, loop.w, loop.constants
         n = problem.robot.n
         put(self.instant, problem, loop)
@@ -97,11 +101,14 @@ class Here:
                     f"linearise: {key}.kind = {kind!r} answers to the slip of {lag:g} s ago; take another"
                 )
         constants.s_v = constants.s_p = 0.0
-        if not problem.scenario.has_surface and not self.free:
+        self.contacts = ClosedContacts(problem, loop) if self.instant.contacts else None
+        touches = self.free or self.contacts is not None
+        if not problem.scenario.has_surface and not touches:
             raise ScenarioError(
-                "linearise: the scenario has no [surface]: without a tip's contact there is no force loop"
+                "linearise: the scenario has no [surface], and no contact of a link is closed at "
+                f"t = {self.instant.time:g} s: without a contact there is no force loop"
             )
-        if self.instant.mode == FREE and not self.free:
+        if self.instant.mode == FREE and not touches:
             raise SimulationError(
                 f"linearise: the tip is in flight at t = {self.instant.time:g} s, where there is no force loop; take "
                 "an instant at which it presses",
@@ -116,12 +123,12 @@ class Here:
         self._asked = self._force_nodes.copy()
         sizes = {
             "qdd": n, "dz": w.z.size, "f": 1, "reading": 1, "torque": n, "r": 3, "u": w.tip.u.size, "gap": 1,
-            "last": 2 * n,
+            "last": 2 * n, **({} if self.contacts is None else self.contacts.sizes),
         }  # fmt: skip
         ends = np.cumsum(list(sizes.values())).tolist()
         self.places = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
         self._width = ends[-1]
-        self._basis = self._loop_basis()
+        self._basis = independent(self._loop_rows(self.instant.values["q"])[0])
 
     @property
     def n(self) -> int:
@@ -157,6 +164,8 @@ class Here:
         loop, problem, n = self.loop, self.problem, self.n
         state, w, constants = loop.state, loop.w, loop.constants
         state.memory[:], w.memory[:], constants.memory[:] = self._saved
+        if self.contacts is not None:
+            self.contacts.put_back()
         if "z" in changes:
             w.z += changes["z"]
         if "torque" in changes:
@@ -177,7 +186,7 @@ class Here:
         if encoders:
             w.q[:], w.v[:] = w.encoders.true_q, w.encoders.true_v
         if "q" in changes:
-            w.q += changes["q"]
+            self.move(w.q, changes["q"])
         if "v" in changes:
             w.v += changes["v"]
         self._close(w.q, w.v)
@@ -186,8 +195,10 @@ class Here:
         crba, bias, convention, pinocchio, data = self._passes
         try:
             for _ in range(2 if encoders else 1):
-                crba(pinocchio, data, w.q, convention)
-                bias(pinocchio, data, w.q, w.v)
+                if self._turned is not None:
+                    self._turned()
+                crba(pinocchio, data, self._posture, convention)
+                bias(pinocchio, data, self._posture, w.v)
                 if "link" in changes:
                     problem.robot.views[1][:] -= changes["link"]
                 state.sampled = 0 if held else 1
@@ -208,7 +219,19 @@ class Here:
         found[places["u"]], found[places["gap"]] = w.tip.u, w.tip.gap
         last = found[places["last"]]
         last[:n], last[n:] = w.encoders.last_q, w.encoders.last_v
+        if self.contacts is not None:
+            seen = self.contacts.read()
+            if seen is None:
+                raise EventHere
+            found[places["rates"]], found[places["presses"]] = seen
         return found
+
+    def move(self, q: Array, by: Array) -> None:
+        """Move q (n,) by so much; a joint that turns freely turns by it in the axes of its link."""
+        before = q.copy()
+        q += by
+        for j in self._balls:
+            turn(q, j, before, j, *by[j : j + 3])
 
     def _close(self, q: Array, v: Array) -> None:
         """Move q and q̇ to the nearest state that the loops allow."""
@@ -225,14 +248,6 @@ class Here:
             each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
         G = loop_rows(self.problem.robot, *at)[0][0]
         return G, G @ v
-
-    def _loop_basis(self) -> Array:
-        """Return combinations (k, m) of the loops' rows that are independent and span all."""
-        G, _ = self._loop_rows(self.instant.values["q"])
-        if G.size == 0:
-            return np.zeros((0, G.shape[0]))
-        left, sizes, _ = np.linalg.svd(G, full_matrices=False)
-        return np.asarray(left[:, sizes > DEPENDENT * sizes[0]].T)
 
     def loop_rows(self, q: Array) -> tuple[Array, Array]:
         """Return independent rows (k, n) of the loops at q, and their rate (k,) with q̇ of the instant."""
@@ -260,9 +275,18 @@ class Here:
             if abs(gap + depth) <= 1e-13 + 1e-12 * depth:
                 break
             q = q - along * (gap + depth)
-        deep = instant.values | {"q": instant.values["q"] + q, "v": instant.values["v"].copy()}
+        deep = instant.values | {"q": instant.values["q"].copy(), "v": instant.values["v"].copy()}
+        self.move(deep["q"], q)
         self._close(deep["q"], deep["v"])
         return replace(instant, values=deep)
+
+
+def independent(rows: Array) -> Array:
+    """Return combinations (k, m) of rows (m, n) that are independent and span all of them."""
+    if rows.size == 0:
+        return np.zeros((0, rows.shape[0]))
+    left, sizes, _ = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(left[:, sizes > DEPENDENT * sizes[0]].T)
 
 
 def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]:

@@ -59,8 +59,8 @@ class Overview:
 def overview(loop: LinearLoop) -> Overview:
     """Return the sentence, margins, poles and Bode's curves of a loop, from `linearise`.
 
-    With compiled kernels both take 5 µs for each step of the run up to the instant, and some 15 ms for the loop and its
-    margins, 30 ms for one that is cut at its torques. Interpreted, as before the kernels are compiled, it is 0.3 ms a
+    With compiled kernels both take 5 µs for each step of the run up to the instant, and some 25 ms for the loop and its
+    margins, 40 ms for one that is cut at its torques. Interpreted, as before the kernels are compiled, it is 0.3 ms a
     step.
     """
     margins = {"sensor": loop.margins("sensor")}

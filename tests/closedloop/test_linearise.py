@@ -328,6 +328,18 @@ def test_small_steps_with_closed_contacts_of_links(case):
     assert np.max(np.abs(seen)) > 0.01
 
 
+def test_poles_of_a_block_that_a_gripper_holds():
+    """Fingers that stick to a block leave one motion, m s² + kd s + kp of hand and block together, in closed form."""
+    scenario = cl.load_scenario("gripper_gear", {"time.integrator": "dop853"})
+    problem = prepare(scenario)
+    names = problem.robot.joint_names
+    H = problem.robot.terms(problem.q, problem.v).mass_matrix
+    lift, block = names.index("lift"), names.index("block_z_joint")
+    roots = np.roots([H[lift, lift] + H[block, block], scenario.law.kd[lift], scenario.law.kp[lift]])
+    poles = [pole.s for pole in cl.linearise(scenario, at=0.3).poles()]
+    np.testing.assert_allclose(sorted_by(poles), sorted_by(roots), rtol=1e-9)
+
+
 def test_a_free_body_beside_the_arm():
     """What a cube that spins in flight is turned by turns about ω, at |ω| in rad/s; the arm's loop is as without it."""
     changes = {"time.duration": 0.5, "time.integrator": "rk4"}

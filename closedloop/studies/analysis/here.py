@@ -321,7 +321,7 @@ def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]
 
     for _ in range(MOST):
         ends, tried = [], []
-        for j in left:
+        for j in left.tolist():
             with suppress(EventHere):
                 ends.append([at(j, share * step[j]) for share in (1.0, -1.0, 0.5, -0.5)])
                 tried.append(j)

@@ -59,6 +59,7 @@ FIRST = (
     "analysis",
     "map",
     "boundary",
+    "status",
 )
 SLIDERS = ("linear", "log", "whole")
 UNSAVED = "This scenario was made in Python: press save, and run the command in the folder that it names."
@@ -306,9 +307,11 @@ class Lab:
             client.put(RUN, pack(found))
 
     def say(self, line: str) -> None:
-        """Say a line while something is compiled or takes long."""
+        """Say a line while something is compiled or takes long, also to pages that open meanwhile."""
         if line:
-            self.tell("status", {"kind": "status", "line": line, "loud": False}, keep=False)
+            self.tell("status", {"kind": "status", "line": line, "loud": False})
+        else:
+            self.forget("status")
 
     def tell(self, slot: str, message: Message, keep: bool = True) -> None:
         """Send a message to every page, and to those that open later if it is to be kept."""

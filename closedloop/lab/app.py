@@ -38,6 +38,7 @@ from closedloop.lab.share import page
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import variants
+from closedloop.scenario.tables import ALL
 from closedloop.simulation.prepare import prepare
 from robot_models import RobotModel
 
@@ -172,7 +173,7 @@ class Lab:
                     with contextlib.suppress(ValueError, TypeError, IndexError):  # what is at fault is said by the run
                         self.controls[at] = control.with_value(value)
         self.ask(key)
-        if more or value is None or name == "kind" or key == "surface.contact":  # other controls may show others
+        if more or value is None or ALL in key or name == "kind" or key == "surface.contact":  # others may show others
             self.refresh()
 
     def first_value(self, key: str, index: int | None) -> Any:

@@ -24,6 +24,7 @@ from closedloop.base.errors import (
     lines_of,
     printable,
 )
+from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
 from closedloop.command.cautions import warn_of_gains, warn_of_hulls, warn_of_no_surface, warn_of_other_texts
@@ -95,14 +96,15 @@ def _run_into(results: Results, job: Job, options: Namespace) -> int:
     if options.json:
         print(json.dumps(run.summary(), indent=2, allow_nan=False))
         if results.not_first:  # standard output is for the summary
-            print(printable(f"closedloop: wrote {job.folder}{os.sep}; {results.not_first}"), file=sys.stderr)
+            said = f"closedloop: wrote {job.folder}{os.sep}; {results.not_first}"
+            print(printable(said), file=sys.stderr)
     else:
         from closedloop.record.report import print_report
 
         print_report(run)
-        names = ", ".join(path.name for path in paths) + (results.not_first and f"; {results.not_first}")
-        wrote = printable(f"{job.folder}{os.sep}: {names}")
-        print(f"{max(0, len(run) - 1)} steps in {run.wall_seconds:.2g} s; wrote {wrote}")
+        beside = results.not_first and printable(f"; {results.not_first}")
+        wrote = what_was_written(*paths, folder=job.folder) + beside
+        print(f"{max(0, len(run) - 1)} steps in {run.wall_seconds:.2g} s; {wrote}")
     if failure:
         raise failure
     facts = run.summary()

@@ -107,7 +107,7 @@ for k, limit in boundary[::2]:
 # %%
 delay = Range("sensor.delay", 0.0, 0.008)
 table = press(compliance__stiffness=TABLE)
-section(table, delay, 0.002, (100.0, 200.0), "delay [ms]", 1e3)
+_ = section(table, delay, 0.002, (100.0, 200.0), "delay [ms]", 1e3)
 # %% [markdown]
 # ## Sampling
 #
@@ -116,7 +116,7 @@ section(table, delay, 0.002, (100.0, 200.0), "delay [ms]", 1e3)
 
 # %%
 period = Range("law.sample_period", 0.0005, 0.0045)
-section(table, period, 0.004, (150.0, 250.0), "sample period [ms]", 1e3)
+_ = section(table, period, 0.004, (150.0, 250.0), "sample period [ms]", 1e3)
 # %% [markdown]
 # ## Elastic joints
 #
@@ -127,7 +127,7 @@ section(table, period, 0.004, (150.0, 250.0), "sample period [ms]", 1e3)
 # %%
 joints = Range("transmission.stiffness", 5e3, 1e5, log=True)
 elastic = press(transmission__stiffness=1e4, transmission__damping=2.0, transmission__measured="motor")
-section(elastic, joints, 1e4, (100.0, 300.0), "joint stiffness [N m/rad]")
+_ = section(elastic, joints, 1e4, (100.0, 300.0), "joint stiffness [N m/rad]")
 # %% [markdown]
 # ## The gain, and the damping that allows it
 #

@@ -66,16 +66,27 @@ _KNOWN = {
 }
 
 
-def _table() -> Any:
-    # Imported here: it imports Pinocchio.
-    from example_robot_data import robots_loader
+NEEDS = 'example-robot-data, which is not installed: pip install "closedloop[robots]"'
 
+
+def _table() -> Any:
+    """Return the table of example-robot-data, None if that is not installed."""
+    try:
+        from example_robot_data import robots_loader  # here: it imports Pinocchio
+    except ModuleNotFoundError:
+        return None
     return robots_loader
 
 
+def installed() -> bool:
+    """Whether example-robot-data is installed, which is optional."""
+    return _table() is not None
+
+
 def example_names() -> tuple[str, ...]:
-    """Return the names in the table of example-robot-data, sorted."""
-    return tuple(sorted(_table().ROBOTS))
+    """Return the names in the table of example-robot-data, sorted; none if that is not installed."""
+    table = _table()
+    return () if table is None else tuple(sorted(table.ROBOTS))
 
 
 @dataclass(frozen=True)

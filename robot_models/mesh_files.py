@@ -29,9 +29,9 @@ def mesh_file(name: str, folder: Path | None) -> Path | None:
 @lru_cache(maxsize=1)
 def _share() -> Path | None:
     """Return the folder in which the package example-robot-data lies."""
-    from example_robot_data import robots_loader
-
     try:
+        from example_robot_data import robots_loader
+
         return Path(robots_loader.getModelPath("/panda_description/urdf/panda.urdf")).resolve().parents[1]
-    except OSError:
+    except (ModuleNotFoundError, OSError):  # an optional package
         return None

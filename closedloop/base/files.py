@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from closedloop.base.errors import OutputError
+from closedloop.base.errors import OutputError, printable
 
 try:
     import fcntl
@@ -290,3 +290,12 @@ def made_folder(out: str | None) -> Path | None:
     except (OSError, ValueError) as error:
         raise OutputError(f"--out {out!r}: cannot be written: {reason_of(error)}; name another folder") from None
     return folder
+
+
+def what_was_written(*paths: str | Path, folder: str | Path | None = None) -> str:
+    """Return the line of a command that has written files, printable: a path may have any character in it.
+
+    With a folder the names of the files stand after it.
+    """
+    names = ", ".join(str(path) if folder is None else Path(path).name for path in paths)
+    return printable(f"wrote {names}" if folder is None else f"wrote {folder}{os.sep}: {names}")

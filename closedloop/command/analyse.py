@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from closedloop.base.errors import ScenarioError, printable
-from closedloop.base.files import made_folder
+from closedloop.base.errors import ScenarioError
+from closedloop.base.files import made_folder, what_was_written
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _main(words: list[str]) -> int:
         paths += draw_page(page, folder)
         paths += [written(figure, folder / name) for name, figure in drawn]
         if not options.json:
-            print(printable(f"wrote {', '.join(map(str, paths))}"))
+            print(what_was_written(*paths))
     return DONE
 
 

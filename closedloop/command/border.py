@@ -20,6 +20,7 @@ from typing import NoReturn
 
 from closedloop.base.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
 from closedloop.base.interrupts import INTERRUPTED, as_exceptions, exit_status, terminable, word_for
+from closedloop.base.optional import not_installed
 from closedloop.command.streams import patient_output
 from closedloop.jit.numba_settings import sound_settings, why_no_settings
 from closedloop.jit.openmp_settings import readable_openmp
@@ -117,7 +118,9 @@ def _run(
         return BAD_INPUT, (f"{where}{error.strerror or error}",)
     except SystemExit as leaving:  # our own parsers raise Left
         return BAD_INPUT, (f"something that was run, such as a law, called sys.exit({leaving.code!r})",)
-    except Exception:
+    except Exception as error:
+        if line := not_installed(error):
+            return BAD_INPUT, (line,)
         if came:  # within a library that was being imported, which made an ImportError of it, for example
             return INTERRUPTED, ("interrupted",)
         raise

@@ -9,7 +9,7 @@ import json
 from collections.abc import Sequence
 
 from closedloop.base.errors import printable
-from closedloop.base.files import made_folder, write_whole
+from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.command.border import DONE, Parser, run_command
 
 
@@ -68,5 +68,5 @@ def _main(words: list[str]) -> int:
         write_whole(folder / "comparison.json", f"{report}\n".encode())
         write_whole(folder / "comparison.svg", image.getvalue())
         if not options.json:
-            print(printable(f"wrote {folder}/: comparison.json, comparison.svg"))
+            print(what_was_written("comparison.json", "comparison.svg", folder=folder))
     return DONE

@@ -19,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _main(words: list[str]) -> int:
     options = _parser().parse_args(words)
-    from closedloop.base.files import probe_folder, reason_of, write_whole
+    from closedloop.base.files import probe_folder, reason_of, what_was_written, write_whole
     from closedloop.studies.identify.excite import excite
 
     folder = Path(options.out)
@@ -37,7 +37,7 @@ def _main(words: list[str]) -> int:
     table = found.to_pandas()
     write_whole(folder / "excitation.csv", table.to_csv(index=False).encode())
     write_whole(folder / "report.txt", ("\n".join(found.lines()) + "\n").encode())
-    print("\n" + printable(f"wrote {folder}/: excitation.csv, report.txt"))
+    print("\n" + what_was_written("excitation.csv", "report.txt", folder=folder))
     return DONE
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from closedloop.base.errors import OutputError, printable
+from closedloop.base.errors import OutputError
+from closedloop.base.files import what_was_written
 from closedloop.command.border import DONE, Parser, run_command
 from closedloop.figures.export.csv_table import write_csv
 from closedloop.figures.export.mcap_file import write_mcap
@@ -50,5 +51,5 @@ def export_command(arguments: list[str]) -> int:
     if out.exists() and not options.overwrite:
         raise OutputError(f"{out}: is there already; name another file with --out, or replace it with --overwrite")
     paths = FORMATS[options.to](run, out)
-    print(printable(f"wrote {', '.join(map(str, paths))}"))
+    print(what_was_written(*paths))
     return DONE

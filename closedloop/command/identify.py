@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _main(words: list[str]) -> int:
     options = _parser().parse_args(words)
     import robot_models
-    from closedloop.base.files import probe_folder, reason_of
+    from closedloop.base.files import probe_folder, reason_of, what_was_written
     from closedloop.studies.identify.identify import identify
     from closedloop.studies.identify.read import read_log
     from closedloop.studies.identify.written import report, write
@@ -59,7 +59,7 @@ def _main(words: list[str]) -> int:
     )  # fmt: skip
     print("\n".join(map(printable, report(found))))
     paths = write(found, folder, f"closedloop identify {' '.join(options.logs)}")
-    print("\n" + printable(f"wrote {folder}/: {', '.join(path.name for path in paths)}"))
+    print("\n" + what_was_written(*paths, folder=folder))
     return DONE
 
 
@@ -71,7 +71,7 @@ def _contact(
     import io
     import json
 
-    from closedloop.base.files import write_whole
+    from closedloop.base.files import what_was_written, write_whole
     from closedloop.studies.comparison.recording import read_recording
     from closedloop.studies.identify.contact.identify_contact import contact_recording, identify_contact
     from closedloop.studies.identify.read import run_of
@@ -94,7 +94,7 @@ def _contact(
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / "contact.json", f"{json.dumps(found.summary(), indent=2, allow_nan=False)}\n".encode())
     write_whole(folder / "contact.png", image.getvalue())
-    print("\n" + printable(f"wrote {folder}/: contact.json, contact.png"))
+    print("\n" + what_was_written("contact.json", "contact.png", folder=folder))
     return DONE
 
 

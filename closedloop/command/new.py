@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from closedloop.base.errors import OutputError, ScenarioError, one_line, printable
-from closedloop.base.files import write_whole
+from closedloop.base.files import what_was_written, write_whole
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def _main(words: list[str]) -> int:
     text = scenario_text(scenario, robot, _named_from(file, options.robot))
     parse_scenario(text, file.stem, str(file))  # refuses a name that is none
     write_whole(file, text.encode(), replace=False)
-    print(printable(f"wrote {file}: {_what(scenario, robot)}"))
+    print(printable(f"{what_was_written(file)}: {_what(scenario, robot)}"))
     print(printable(f"run it with: closedloop run {file}"))
     return DONE
 

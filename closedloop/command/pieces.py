@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from functools import partial
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from closedloop.jit.dual import FORM
@@ -262,6 +263,8 @@ def _impact() -> None:
 
 
 def _measures() -> None:
+    if find_spec("pyarrow") is None:  # without it there are no batches, which alone need this
+        return
     from closedloop.scenario.load import load_scenario
     from closedloop.simulation.batch.simulate_batch import simulate_batch
 

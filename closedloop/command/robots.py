@@ -51,6 +51,7 @@ def _print_all(console: Console) -> None:
     """Print a line for each robot, and why some cannot be used."""
     import robot_models
     from robot_models import ModelError
+    from robot_models.example_robots import NEEDS, installed
 
     width, tip = max(map(len, names())), 22
     rest = max(console.width - width - tip - 12, 12)
@@ -66,8 +67,12 @@ def _print_all(console: Console) -> None:
             print(f"{name:{width}}  {model.n:6}  {_cut(model.tip or 'none', tip):{tip}}  {joints}")
     console.print(
         "\nThe tip is that of a scenario which names none. `closedloop robots NAME` shows all joints, their limits and "
-        "the frames that can be a tip; a URDF or MJCF file is named by its path.\n\nnot to be used as they are:"
+        "the frames that can be a tip; a URDF or MJCF file is named by its path."
     )
+    if not installed():
+        console.print(f"\nRobots of other makers, as panda and ur5, need {NEEDS}.", markup=False)
+    if refused:
+        console.print("\nnot to be used as they are:")
     for text in refused:
         console.print(f"  {text}", markup=False, soft_wrap=True)
 

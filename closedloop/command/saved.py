@@ -6,12 +6,11 @@ Nothing is simulated, and no module of a user is imported: a run with a law of o
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from closedloop.base.errors import OutputError, RunFileError, printable
+from closedloop.base.errors import OutputError, RunFileError
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
@@ -55,10 +54,11 @@ def _plot(words: list[str]) -> int:
         raise RunFileError(f"{options.run}: the run stopped before its first row: there is nothing to draw")
     folder = Path(options.run).parent if options.out is None else Path(options.out)
     _make(folder)
+    from closedloop.base.files import what_was_written
     from closedloop.figures import draw_figures
 
     paths = draw_figures(run, folder)
-    print(printable(f"wrote {folder}{os.sep}: {', '.join(path.name for path in paths)}"))
+    print(what_was_written(*paths, folder=folder))
     return DONE
 
 

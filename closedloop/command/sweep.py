@@ -20,6 +20,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from closedloop.base.errors import printable
+from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated, exit_status, word_for
 
 # What takes time to import is imported below, once signals are answered.
@@ -259,7 +260,7 @@ def _plot(arguments: list[str]) -> int:
 
     of = [name for word in options.of for name in word.split(",") if name]
     path = sweep_plot(options.table, of or None, x=options.x, y=options.y, out=options.out)
-    print(printable(f"wrote {path}"))
+    print(what_was_written(path))
     return DONE
 
 

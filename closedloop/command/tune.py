@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from closedloop.base.errors import ScenarioError, printable
-from closedloop.base.files import made_folder
+from closedloop.base.files import made_folder, what_was_written
 from closedloop.command.border import DONE, STOPPED, Parser, run_command
 
 
@@ -54,7 +54,7 @@ def _main(words: list[str]) -> int:
             written(tuning.figure(), folder / "tune"),
         ]
         if not options.json:
-            print(printable(f"wrote {', '.join(map(str, paths))}"))
+            print(what_was_written(*paths))
     return DONE if tuning.feasible else STOPPED
 
 

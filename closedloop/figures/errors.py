@@ -42,22 +42,27 @@ def directions(run: Run) -> Array:
         carried = run.velocity - run.slip_velocity - run.closure_rate[:, None] * normals
         step -= carried * np.gradient(run.time)[:, None]
     step = _along(step, normals)
-    size = np.linalg.norm(step, axis=1)
+    size = np.sqrt(_dot(step, step))
     moves = size > max(STILL * float(np.max(size, initial=0.0)), 1e-12)
     if not np.any(moves):
         found = np.tile(frame_of(run)[1], (len(run), 1))
     else:
-        rows = np.flatnonzero(moves)
-        found = step[rows[np.clip(np.searchsorted(rows, np.arange(len(run)), side="right") - 1, 0, None)]]
+        found = step[np.maximum.accumulate(np.where(moves, np.arange(len(run)), np.argmax(moves)))]
     found = _along(found, normals)  # of a surface that curves away since
-    unit_vectors: Array = found / np.linalg.norm(found, axis=1)[:, None]
+    unit_vectors: Array = found / np.sqrt(_dot(found, found))[:, None]
     return unit_vectors
 
 
 def _along(x: Array, normals: Array) -> Array:
     """Return the parts of vectors (N, 3) along the surface."""
-    part: Array = x - np.sum(x * normals, axis=1)[:, None] * normals
+    part: Array = x - _dot(x, normals)[:, None] * normals
     return part
+
+
+def _dot(x: Array, y: Array) -> Array:
+    """Return the inner products (N,) of vectors (N, 3)."""
+    found: Array = np.einsum("ij,ij->i", x, y)
+    return found
 
 
 def sideways(run: Run, along: Array) -> Array:
@@ -69,7 +74,7 @@ def sideways(run: Run, along: Array) -> Array:
 def tip_errors(run: Run) -> TipErrors:
     """Return the tip's errors against the desired tip position."""
     off, along = run.position - run.reference_tip, directions(run)
-    return TipErrors(*(np.sum(off * axis, axis=1) for axis in (along, sideways(run, along), run.surface_normal)))
+    return TipErrors(*(_dot(off, axis) for axis in (along, sideways(run, along), run.surface_normal)))
 
 
 def force_error(run: Run, force: Array) -> Array:

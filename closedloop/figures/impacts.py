@@ -34,7 +34,7 @@ class _Series(NamedTuple):
 
 
 def hits(run: Run) -> NDArray[np.bool_]:
-    """Return which events are meetings with the surface (M,); a touchdown without an impulse is none."""
+    """Return which events are meetings with the surface (M,). A touchdown without an impulse does not count."""
     return np.isin(run.event_kind, (IMPACT, TOUCHDOWN)) & (run.event_compression > 0.0)
 
 

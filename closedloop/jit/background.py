@@ -102,8 +102,11 @@ def refused() -> str:
 left_to_another = False
 
 
-def start(functions: Sequence[Callable[..., Any]]) -> None:
-    """Start a process that compiles entry kernels, unless one is running or these were requested before."""
+def start(functions: Sequence[Callable[..., Any]], quietly: bool = False) -> None:
+    """Start a process that compiles entry kernels, unless one is running or these were requested before.
+
+    A line says so where that takes long, unless `quietly`.
+    """
     with _lock:
         names = [function.__name__ for function in functions if function.__name__ not in _asked]
         if not names or left_to_another or refused():
@@ -112,8 +115,9 @@ def start(functions: Sequence[Callable[..., Any]]) -> None:
             _say(_BEHIND, f"compiling {_named(names)} would take longer than this run, and cannot be kept: {reason}")
             return
         lock = _take_lock()
+        loud = not quietly and not TAKES_LONG.keys().isdisjoint(names)
         if lock is None:
-            if not TAKES_LONG.keys().isdisjoint(names):
+            if loud:
                 _say(_BEHIND, f"compiling {_named(names)} in another process; this run is interpreted meanwhile")
             return
         try:
@@ -124,7 +128,7 @@ def start(functions: Sequence[Callable[..., Any]]) -> None:
         finally:
             os.close(lock)
         _asked.update(names)
-        if not TAKES_LONG.keys().isdisjoint(names):
+        if loud:
             _say(
                 _BEHIND,
                 f"compiling {_named(names)} in the background, once for this installation; this run is interpreted "

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from closedloop.base.errors import ClosedLoopError, one_line
+from closedloop.base.files import what_was_written
 from closedloop.lab.keeping import save, save_page
 from closedloop.lab.pins import MOST_PINS
 from closedloop.lab.protocol import Lab
@@ -101,7 +102,7 @@ def _write(lab: Lab, client: Client, said: Said) -> None:
         written = save(answer.run, command, lab.folder)
     else:
         written = [save_page(answer.run, command, lab.folder, lab.ghosts)]
-    _say(lab, f"wrote {', '.join(map(str, written))}")
+    _say(lab, what_was_written(*written))
 
 
 def _window(lab: Lab, client: Client, said: Said) -> None:

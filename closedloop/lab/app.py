@@ -38,6 +38,7 @@ from closedloop.lab.share import page
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import variants
+from closedloop.scenario.tables import ALL
 from closedloop.simulation.prepare import prepare
 from robot_models import RobotModel
 
@@ -59,6 +60,7 @@ FIRST = (
     "analysis",
     "map",
     "boundary",
+    "status",
 )
 SLIDERS = ("linear", "log", "whole")
 UNSAVED = "This scenario was made in Python: press save, and run the command in the folder that it names."
@@ -171,7 +173,7 @@ class Lab:
                     with contextlib.suppress(ValueError, TypeError, IndexError):  # what is at fault is said by the run
                         self.controls[at] = control.with_value(value)
         self.ask(key)
-        if more or value is None or name == "kind" or key == "surface.contact":  # other controls may show others
+        if more or value is None or ALL in key or name == "kind" or key == "surface.contact":  # others may show others
             self.refresh()
 
     def first_value(self, key: str, index: int | None) -> Any:
@@ -306,9 +308,11 @@ class Lab:
             client.put(RUN, pack(found))
 
     def say(self, line: str) -> None:
-        """Say a line while something is compiled or takes long."""
+        """Say a line while something is compiled or takes long, also to pages that open meanwhile."""
         if line:
-            self.tell("status", {"kind": "status", "line": line, "loud": False}, keep=False)
+            self.tell("status", {"kind": "status", "line": line, "loud": False})
+        else:
+            self.forget("status")
 
     def tell(self, slot: str, message: Message, keep: bool = True) -> None:
         """Send a message to every page, and to those that open later if it is to be kept."""

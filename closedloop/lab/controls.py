@@ -19,7 +19,7 @@ from closedloop.lab.spans import nearest_round, span
 from closedloop.scenario.messages import variants
 from closedloop.scenario.overrides import toml_value
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.scenario.tables import names_in, table_type
+from closedloop.scenario.tables import ALL, names_in, table_type
 from robot_models import RobotModel
 
 # The tabs of the lab, and the sections of the scenario in each.
@@ -185,7 +185,17 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
 
 
 def _of_tables(section: str, tables: Sequence[Section], scenario: Scenario) -> Iterator[Control]:
-    """Yield the controls of the numbers of each table of a list, with the table's name in their label."""
+    """Yield the controls of the numbers of each table of a list, with the table's name in their label.
+
+    Before them, where there are several tables: one for each number that all have, and have alike. It sets all.
+    """
+    first = tables[0] if len(tables) > 1 else None
+    for key, field in type(first).model_fields.items() if first is not None else ():
+        values = [getattr(table, key, None) for table in tables]
+        if field_units(field) and isinstance(values[0], float) and values.count(values[0]) == len(values):
+            for control in _of_field(f"{section}.{ALL}.{key}", field, values[0], scenario, None):
+                if control.form in ("linear", "log"):
+                    yield replace(control, label=f"all: {key}")
     for i, (table, name) in enumerate(zip(tables, names_in(section, tables), strict=True)):
         for key, field in type(table).model_fields.items():
             if field_units(field):

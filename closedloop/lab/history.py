@@ -18,6 +18,7 @@ from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import variant_keys
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.tables import ALL
 
 Changes = dict[str, Any]  # dotted key to value, as `load_scenario` takes them
 # Changes of one key that follow each other so fast, s, are one step of undo: a slider that is dragged.
@@ -156,6 +157,9 @@ def with_change(changes: Changes, key: str, value: Any) -> Changes:
     """Return changes with one more: kinds first, and without what another kind does not know; None takes it back."""
     section, _, name = key.partition(".")
     merged = {k: v for k, v in changes.items() if k != key}
+    if f".{ALL}." in key:  # of all tables of a list: what one of them was set to would win
+        before, after = key.split(ALL)
+        merged = {k: v for k, v in merged.items() if not (k.startswith(before) and k.endswith(after))}
     if name == "kind":
         known = variant_keys(section, value) if value is not None else set()
         merged = {k: v for k, v in merged.items() if not k.startswith(f"{section}.") or k.partition(".")[2] in known}

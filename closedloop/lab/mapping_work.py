@@ -10,6 +10,7 @@ import numpy as np
 
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.base.sections import Section
+from closedloop.jit.background import refused, seconds_to_compile, start
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.answers import Answer
 from closedloop.lab.controls import Control
@@ -20,16 +21,19 @@ from closedloop.lab.newest import Newest
 from closedloop.lab.protocol import Lab
 from closedloop.record.report.measures import MEASURES
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import ALL
 from closedloop.simulation.engines.lane_loop import run_in_lanes
 from closedloop.simulation.engines.lanes import can_use_lanes
 from closedloop.studies.analysis.stability import Range, Stability
 
-USUAL = "rms_force_error"
+USUAL, WITHOUT_LAW = "rms_force_error", "energy_lost_to_friction"
 # The map is sent again after so long at the earliest while it fills in, s.
 OFTEN = 0.25
 # A page that opens begins with a map where a run takes no longer than this of a processor, s; it has so many runs at a
 # time, and ends after so long, s, or when a slider is moved.
-QUICK, FEW_RUNS, AT_MOST = 0.15, 24, 8.0
+QUICK, FEW_RUNS, AT_MOST = 0.4, 24, 8.0
+# While what a first map needs is compiled by another process, it is looked for this often, s.
+LOOK = 1.0
 # Values along the map at which the boundary of stability is solved for, and its tolerance: less than a pixel.
 POINTS, FINE = 24, 2e-4
 
@@ -47,6 +51,7 @@ class MapWork:
         self.map: Map | None = None
         self._axes: dict[str, tuple[Control, bool]] = {}
         self._by_itself = False
+        self._closed, self._waits = threading.Event(), False
         self._told: Message | None = None
         self._work: Newest[tuple[Map, bool], None] = Newest(self._fill, lambda nothing: None)
 
@@ -72,8 +77,12 @@ class MapWork:
         }
         first = next((name for name in names if name == "law.force"), names[0] if names else "")
         x, y = (of[STIFFNESS][0], of[DAMPING][0]) if all(of.values()) else (first, logs[0])
+        quantity = USUAL
+        touching = [n for n in names if n.startswith("contact.") and n.endswith((".friction", ".restitution"))]
+        if len(touching) > 1 and not any(of.values()):  # bodies alone
+            (x, y), quantity = touching[:2], WITHOUT_LAW
         message = {
-            "kind": "map_keys", "names": names, "quantities": list(MEASURES), "quantity": USUAL, "x": x, "y": y,
+            "kind": "map_keys", "names": names, "quantities": list(MEASURES), "quantity": quantity, "x": x, "y": y,
         }  # fmt: skip
         if message != self._told:
             self._told = message
@@ -107,13 +116,44 @@ class MapWork:
         self._work.ask((Map(scenario, over, along, quantity, model), by_itself))
 
     def begin_by_itself(self, answer: Answer) -> None:
-        """Compute a first map for a page that is open, of a run that is quick and has nothing left to be compiled."""
+        """Compute a first map for a page that is open, of a run that is quick.
+
+        What it needs is compiled first, by another process: here it would take the time of the runs.
+        """
         run, told = answer.run, self._told
-        if run is None or told is None or self.map is not None or answer.stopped or answer.effort > QUICK:
+        if run is None or told is None or self.map is not None or answer.stopped:
             return
-        if not run.scenario.has_surface or (can_use_lanes(run.scenario) and needs_compiling(run_in_lanes)):
+        if answer.effort > QUICK or not run.scenario.has_surface:  # another tab has something to show
+            name = "analysis" if run.scenario.has_surface else "events"
+            self._lab.tell("tab", {"kind": "tab", "name": name}, keep=False)
+            return
+        if can_use_lanes(run.scenario) and needs_compiling(run_in_lanes):
+            self._wait_for_compiler()
             return
         self.start(told["x"], told["y"], told["quantity"], by_itself=True)
+
+    def _wait_for_compiler(self) -> None:
+        """Say what the first map waits for, and begin it when that is there."""
+        what = (
+            f"What computes eight runs at a time is not compiled yet (some {seconds_to_compile([run_in_lanes]):.0f} s)"
+        )
+        if refused():
+            self._say(f"{what}: press compute, then it is compiled first.")
+        else:
+            self._say(f"{what}. It is compiled in the background; then the first map begins.")
+        if not self._waits:
+            self._waits = True
+            threading.Thread(target=self._look_for_compiled, name="closedloop-first-map", daemon=True).start()
+
+    def _look_for_compiled(self) -> None:
+        while needs_compiling(run_in_lanes):
+            if not refused():
+                start([run_in_lanes], quietly=True)
+            if self._closed.wait(LOOK):
+                return
+        self._waits = False
+        if self._lab.answer is not None and self.map is None:
+            self._lab.details.ask(self._lab.answer)  # after which a first map begins, once the slider rests
 
     def changed(self) -> None:
         """A value of the scenario has changed: a map that nobody asked for leaves the processor to the run."""
@@ -129,8 +169,9 @@ class MapWork:
         return self._work.wait(seconds)
 
     def close(self) -> None:
-        """Stop computing, and the thread."""
+        """Stop computing, and the threads."""
         self._stop.set()
+        self._closed.set()
         self._work.close()
 
     def go(self, u: float, v: float, last: bool = True) -> None:
@@ -162,7 +203,11 @@ class MapWork:
         found = []
         for axis in (self.map.x, self.map.y):
             section, _, name = axis.control.key.partition(".")
-            value = getattr(getattr(scenario, section, None), name, None)
+            held = getattr(scenario, section, None)
+            if isinstance(held, tuple):  # of tables: of one, or of all, which have it alike
+                number, _, name = name.partition(".")
+                held = held[0 if number == ALL else int(number)]
+            value = getattr(held, name, None)
             if axis.control.index is not None and isinstance(value, tuple) and axis.control.index < len(value):
                 value = value[axis.control.index]
             if not isinstance(value, int | float):

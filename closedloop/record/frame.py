@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from closedloop.base.optional import needs
 from closedloop.record.columns.derived import WRENCH
 from closedloop.scenario.contact_names import tangents_of
 
@@ -37,6 +38,7 @@ def data_frame(
     units : callable
         The unit of a column by its name.
     """
+    needs("pandas")
     import pandas
 
     parts: dict[str, NDArray[Any]] = {}

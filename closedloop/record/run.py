@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import ScenarioError
+from closedloop.base.optional import needs
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.by_contact import columns_by_contact
@@ -195,6 +196,7 @@ class Run:
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the run as an xarray Dataset with units and the attributes of the file."""
+        needs("xarray")
         import xarray
 
         contacts, specs = labels_of(self.scenario.contact or ()), self.specs

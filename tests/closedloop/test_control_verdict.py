@@ -118,7 +118,8 @@ def test_sparse_rows_say_that_a_swing_is_not_known():
     problems, unknown = judge_control(drawn(cycle(0.08, 9.0), 0.1, sparse=True), {})
     assert problems == []
     assert "oscillation" in unknown[0]
-    run = cl.simulate(cl.load_scenario("wam_slide", {"time.integrator": "dop853", "time.step": 0.1}))
+    changes = {"time.integrator": "dop853", "time.step": 0.1, "time.duration": 2.0}
+    run = cl.simulate(cl.load_scenario("wam_slide", changes))
     facts = run.summary()
     assert facts["verdict"]["good"], facts["verdict"]
     assert facts["control_verdict"]["good"]

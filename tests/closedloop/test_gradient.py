@@ -194,14 +194,35 @@ def test_kelvin_voigt():
 
     t, speed = 0.05, 0.05
     found = cl.gradient(
-        mass_on_a_spring(0.0, start__v=[0.0, 0.0, -speed]), ["compliance.stiffness", "compliance.damping"],
-        of=[f"contact_force@{t}"],
+        mass_on_a_spring(0.0, start__v=[0.0, 0.0, -speed], time__tolerance=1e-14),
+        ["compliance.stiffness", "compliance.damping"], of=[f"contact_force@{t}"],
     )  # fmt: skip
     by = found.derivative[f"contact_force@{t}"]
     assert by["compliance.stiffness"] == pytest.approx(
-        complex_step(lambda k: force(k, DAMPING, t), STIFFNESS), rel=1e-7
+        complex_step(lambda k: force(k, DAMPING, t), STIFFNESS), rel=1e-8
     )
-    assert by["compliance.damping"] == pytest.approx(complex_step(lambda c: force(STIFFNESS, c, t), DAMPING), rel=1e-7)
+    assert by["compliance.damping"] == pytest.approx(complex_step(lambda c: force(STIFFNESS, c, t), DAMPING), rel=1e-8)
+
+
+def test_differences_of_an_integrator_that_chooses_its_steps():
+    """With dop853, which has no dual numbers, instants of impacts and of the end of a slip are known to 1e-8."""
+    falls = ball(time__integrator="dop853", time__duration=0.5)
+    found = cl.gradient(falls, ["impact.restitution", "surface.gap"], of=["event_time"])
+    by, count = found.derivative["event_time"], found.value["event_time"].size
+    assert set(found.method["event_time"].values()) == {differences.DIFFERENCES}
+    assert count == 2
+    for key, at, closed in (
+        ("impact.restitution", RESTITUTION, lambda e: bounces(count, e, GAP, ACCELERATION)),
+        ("surface.gap", GAP, lambda h: bounces(count, RESTITUTION, h, ACCELERATION)),
+    ):
+        np.testing.assert_allclose(by[key], complex_step(closed, at), rtol=1e-8, atol=1e-12)
+    v, friction = 0.8, 0.4
+    changes = {"friction__kind": "coulomb", "friction__coefficient": friction, "time__integrator": "dop853"}
+    changes |= {"time__duration": 0.42}
+    found = cl.gradient(point(start__v=[v, 0.0, 0.0], **changes), ["friction.coefficient", "law.force"], ["event_time"])
+    stop = MASS * v / (friction * FORCE)
+    assert found.derivative["event_time"]["friction.coefficient"] == pytest.approx([-stop / friction], rel=1e-8)
+    assert found.derivative["event_time"]["law.force"] == pytest.approx([-stop / FORCE], rel=1e-8)
 
 
 def test_another_order_of_events_is_named():

@@ -272,6 +272,8 @@ def test_a_drag_in_the_map_loads_the_runs_below_the_pointer(page, lab, monkeypat
     assert lab.run.scenario.law.force == pytest.approx(found.x.at(0.7), rel=0.02)
     assert lab.run.scenario.law.kp[1] == pytest.approx(found.y.at(0.75)[1], rel=0.05)
     assert page.evaluate("map.point") == pytest.approx([lab.run.scenario.law.force, lab.run.scenario.law.kp[1]])
+    again = "() => { const moved = map.canvas.toDataURL(); map.shown(); return moved === map.canvas.toDataURL(); }"
+    assert page.evaluate(again)  # where the ring has moved, the cells below it are those of the map
     page.keyboard.press("Control+z")
     settled(page, lab)
     assert (lab.run.scenario.law.force, lab.run.scenario.law.kp[1]) == (10.0, 900.0)

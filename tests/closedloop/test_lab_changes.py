@@ -88,6 +88,20 @@ def test_each_contact_of_a_list_has_sliders():
     assert controls(cl.load_scenario("wam_slide"), "contact") == []
 
 
+def test_one_slider_moves_a_key_of_all_contacts():
+    """Also of a contact that was moved by itself before; where contacts differ there is none."""
+    base = cl.load_scenario("gripper_block")
+    history, found = History(base, "gripper_block"), groups.all_controls(base, robot_models.load("gripper"))
+    assert found["contact.*.friction", None].value == base.contact[0].friction
+    history.change("contact.3.friction", 0.1)
+    apart = groups.all_controls(history.scenario(), robot_models.load("gripper"))
+    assert ("contact.*.friction", None) not in apart
+    history.change("contact.*.friction", 0.6)
+    assert {each.friction for each in history.scenario().contact} == {0.6}
+    history.change("contact.2.friction", 0.2)
+    assert [each.friction for each in history.scenario().contact[:4]] == [0.6, 0.6, 0.2, 0.6]
+
+
 @pytest.mark.parametrize(("contact", "pulls"), [("unilateral", False), ("bilateral", True)])
 def test_the_force_is_moved_to_a_pull_only_where_the_surface_can_hold_the_tip(contact, pulls):
     """A tip that is pulled off a surface that only pushes has left it; a force that is there to begin with is shown."""
@@ -376,7 +390,9 @@ def test_a_first_map_begins_however_loaded_the_computer_is(monkeypatch):
     """A run is quick by its time of a processor: on the clock it takes longer while other programs are at work."""
     base = cl.load_scenario("wam_slide", {"time.duration": 0.05})
     answers, begun = Answers(History(base, "wam_slide")), []
-    lab = SimpleNamespace(controls=groups.all_controls(base, robot_models.load("wam4")), tell=lambda *message: None)
+    told = []
+    lab = SimpleNamespace(controls=groups.all_controls(base, robot_models.load("wam4")),
+                          tell=lambda slot, message, keep=True: told.append(message))  # fmt: skip
     work = MapWork(lab)
     work.show_keys()
     monkeypatch.setattr(mapping_work, "needs_compiling", lambda function: False)
@@ -386,6 +402,33 @@ def test_a_first_map_begins_however_loaded_the_computer_is(monkeypatch):
     for effort in (answer.effort, 2.0 * mapping_work.QUICK):
         work.begin_by_itself(replace(answer, seconds=5.0, effort=effort))
         assert begun == [("law.kp, all", "law.kd, all")]
+    assert told[-1] == {"kind": "tab", "name": "analysis"}  # where no map comes, another tab has something to show
+    work.close()
+
+
+@pytest.mark.parametrize("refused", ["", "a variable refuses it"])
+def test_a_first_map_begins_once_what_it_needs_is_compiled(refused, monkeypatch):
+    """Until then the page says what it waits for; where no process may compile, how to have it compiled."""
+    base = cl.load_scenario("wam_slide", {"time.duration": 0.05})
+    told, asked, started, compiled = [], threading.Event(), [], threading.Event()
+    answer = Answers(History(base, "wam_slide")).answer({})
+    lab = SimpleNamespace(controls=groups.all_controls(base, robot_models.load("wam4")), answer=answer,
+                          details=SimpleNamespace(ask=lambda answer: asked.set()),
+                          tell=lambda slot, message, keep=True: told.append(message.get("line", "")))  # fmt: skip
+    monkeypatch.setattr(mapping_work, "needs_compiling", lambda function: not compiled.is_set())
+    monkeypatch.setattr(mapping_work, "refused", lambda: refused)
+    monkeypatch.setattr(mapping_work, "start", lambda functions, quietly: started.append(functions))
+    monkeypatch.setattr(mapping_work, "LOOK", 0.01)
+    work = MapWork(lab)
+    work.show_keys()
+    for _ in range(2):  # a page that opens later is told as well, and nothing is begun twice
+        work.begin_by_itself(answer)
+    assert "not compiled yet" in told[-1]
+    assert ("press compute" if refused else "then the first map begins") in told[-1]
+    assert not asked.wait(0.1)
+    assert bool(started) is not bool(refused)
+    compiled.set()
+    assert asked.wait(10.0)
     work.close()
 
 

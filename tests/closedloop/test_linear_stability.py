@@ -6,6 +6,7 @@ from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 import closedloop as cl
 from closedloop.simulation.cache import Cache
+from closedloop.studies.analysis import stability
 from closedloop.studies.analysis.margins import margins_of
 from closedloop.studies.analysis.overview import overview
 from closedloop.studies.analysis.page import page_of
@@ -42,12 +43,22 @@ def test_limit_below_which_it_is_unstable(study):
     assert not limit.upwards
 
 
-def test_boundary_over_two_keys(study):
-    """Over three decades of stiffness the limit of the gain is the closed form."""
-    found = study.boundary(
-        Range("law.force_integral", 5.0, 80.0), Range("compliance.stiffness", 2.5e3, 2.5e6, log=True), 3
-    )
-    assert len(found) == 3
+def test_boundary_over_two_keys(study, monkeypatch):
+    """Over three decades of stiffness the limit of the gain is the closed form, in order, by two processes."""
+    begun = []
+
+    class Counted(stability.Beside):
+        def __init__(self, work):
+            begun.append(work)
+            super().__init__(work)
+
+    monkeypatch.setattr(stability, "Beside", Counted)
+    monkeypatch.setattr(stability, "SHARED", 3)
+    monkeypatch.setattr(stability, "possible", lambda: True)
+    along = Range("compliance.stiffness", 2.5e3, 2.5e6, log=True)
+    found = study.boundary(Range("law.force_integral", 5.0, 80.0), along, 3, tolerance=1e-9)
+    assert len(begun) == 1
+    assert [value for value, _ in found] == [along.at(share) for share in (0.0, 0.5, 1.0)]
     for stiffness, limit in found:
         assert limit.value == pytest.approx(limit_of(stiffness), rel=1e-6)
 

@@ -9,9 +9,11 @@ from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 from scipy.linalg import expm
 
 import closedloop as cl
+from closedloop.loop.step.record_row import ContactRow
+from closedloop.scenario.contact_names import names_of
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.here import Here, columns
-from closedloop.studies.analysis.instant import run_on
+from closedloop.studies.analysis.instant import rows_on, run_on
 from closedloop.studies.analysis.linearise import instant_of, loop_at
 
 ALONG_N = ("contact", "law", "sensor", "delay", "filter", "hold")
@@ -294,6 +296,64 @@ def test_small_steps_of_the_run(case):
     assert np.max(np.abs(seen)) > 0.5
 
 
+HELD = {
+    "two palms hold a bar": ("two_arms_bar", {}, 0.5),
+    "feet and pusher slide": ("push_block", {}, 1.5),
+    "a soft pusher": ("push_block", {"contact.pusher.compliance": {"kind": "kelvin_voigt", "stiffness": 2e4,
+                                                                   "damping": 100.0}}, 1.0),
+    "more contacts than are needed": ("gripper_block", {}, 0.5),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", HELD)
+def test_small_steps_with_closed_contacts_of_links(case):
+    """After a step of f_des the forces of links that stick, slide or sink do what those of the linear loop do."""
+    name, changes, at = HELD[case]
+    scenario = cl.load_scenario(name, {"time.integrator": "semi_implicit_euler"} | changes)
+    problem = prepare(scenario)
+    instant = instant_of(scenario, problem, at)
+    loop, kick, rows = loop_at(problem, instant), 1e-4, 30
+    apart = (rows_on(problem, instant, rows, kick) - rows_on(problem, instant, rows, -kick)) / (2.0 * kick)
+    names = names_of(scenario.contact)
+    place = ContactRow.place("link_forces", len(names))
+    first = problem.row_width - problem.row_states - ContactRow.count(len(names))
+    seen = np.cumsum(apart[:, first : problem.row_width - problem.row_states][:, place], axis=0)  # of a pulse
+    duration = (rows - 1) * loop.dt
+    outputs = [each.name for each in loop.outputs if each.name.startswith("contact force[")]
+    assert len(outputs) >= 2
+    for output in outputs:
+        mine = seen[:, names.index(output[len("contact force[") : -1])]
+        wanted = loop.response("force command", output, duration)[1]
+        np.testing.assert_allclose(mine, wanted, atol=0.01 * np.max(np.abs(seen)))
+    assert np.max(np.abs(seen)) > 0.01
+
+
+def test_poles_of_a_block_that_a_gripper_holds():
+    """Fingers that stick to a block leave one motion, m s² + kd s + kp of hand and block together, in closed form."""
+    scenario = cl.load_scenario("gripper_gear", {"time.integrator": "dop853"})
+    problem = prepare(scenario)
+    names = problem.robot.joint_names
+    H = problem.robot.terms(problem.q, problem.v).mass_matrix
+    lift, block = names.index("lift"), names.index("block_z_joint")
+    roots = np.roots([H[lift, lift] + H[block, block], scenario.law.kd[lift], scenario.law.kp[lift]])
+    poles = [pole.s for pole in cl.linearise(scenario, at=0.3).poles()]
+    np.testing.assert_allclose(sorted_by(poles), sorted_by(roots), rtol=1e-9)
+
+
+def test_a_free_body_beside_the_arm():
+    """What a cube that spins in flight is turned by turns about ω, at |ω| in rad/s; the arm's loop is as without it."""
+    changes = {"time.duration": 0.5, "time.integrator": "rk4"}
+    alone = cl.linearise(cl.load_scenario("wam_slide", changes), at=0.1)
+    cube = {"name": "cube", "shape": "box", "edges": [0.1, 0.1, 0.1], "mass": 1.0, "position": [2.0, 2.0, 5.0]}
+    spin = [0.0] * 4 + [0.1, 0.0, 0.0] + [3.0, 1.0, 2.0]
+    loop = cl.linearise(cl.load_scenario("wam_slide", changes | {"body": [cube], "start.v": spin}), at=0.1)
+    for joint in range(1, 5):
+        mine, other = (each.margins(f"torque[J{joint}]") for each in (loop, alone))
+        assert mine.modulus == pytest.approx(other.modulus, rel=1e-6)
+    turning = [pole for pole in loop.poles() if abs(pole.s - 1j * 14.0**0.5) < 1e-4]
+    assert len(turning) == 1
+
+
 @pytest.mark.parametrize(("name", "row"), [("soft_table", 1200), ("wam_hybrid_friction", 1200), ("joint_friction", 0)])
 def test_a_run_that_goes_on_is_the_run(name, row):
     """What is run on from an instant is the rest of the run, to the last bit; at t = 0 the law has started."""
@@ -359,7 +419,11 @@ def test_the_torque_of_each_joint_can_be_cut():
         ("wam_touchdown", {}, 0.01, "the tip is in flight at t = 0.01 s"),
         ("wam_slide", {}, 9.0, "at = 9 s: must be within the run, 0 to time.duration = 8 s"),
         ("wam_slide", {}, -1.0, "at = -1 s: must be within the run"),
-        ("gripper_gear", {}, 0.3, "a contact of a link is closed at t = 0.3 s"),
+        ("cube_toss", {}, 0.1, "no \\[surface\\], and no contact of a link is closed at t = 0.1 s: without a contact"),
+        ("push_block", {"contact.foot 2.rolling": 1e-3}, 0.1, "contact 'foot 2' resists rolling or pivoting, which is"),
+        ("push_block", {"contact.foot 2.friction": 0.0, "contact.foot 2.friction_law": {
+            "kind": "dahl", "coefficient": 0.4, "stiffness": 1e4}}, 0.1,
+         "contact 'foot 2' is closed, whose friction has a memory"),
         ("wam_slide", {"drives.torque_limit": 1.0}, 1.0, "the drive of joint J[1-4] is at its limit at t = 1 s"),
     ],
 )  # fmt: skip
@@ -379,6 +443,30 @@ def test_at_an_impact_and_beyond_the_end_of_a_run():
     stops = cl.load_scenario("wam_slide", {"law.kd": [-60.0, -60.0, -30.0, -20.0]})
     with pytest.raises(cl.SimulationError, match="the run stops before t = 7 s"):
         cl.linearise(stops, at=7.0)
+
+
+def test_at_a_stop_that_holds_a_joint():
+    """A joint at its stop is refused by its name; before it comes there it is not."""
+    scenario = mass_on_a_spring(
+        robot__stops=True, start__q=[9.99, 0.0, 0.0], start__v=[0.5, 0.0, 0.0], law__kp=[0.0] * 3, law__kd=[0.0] * 3
+    )
+    with pytest.raises(
+        cl.SimulationError, match=r"^linearise: joint X is at its stop at t = 0\.09 s, which is not lin"
+    ):
+        cl.linearise(scenario, at=0.09)
+    assert len(cl.linearise(scenario, at=0.01).states) > 0
+
+
+def test_a_contact_that_binds_the_tip_once_more():
+    """Of a tip that a contact of its link holds in the same plane f is not unique: it is refused in one line."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.2})
+    z = cl.simulate(scenario, progress=False).position[0, 2]
+    again = [{"link": "tip", "at": [0.0, 0.0, 0.0], "through": [0.0, 0.0, float(z)]}]
+    twice = cl.load_scenario("wam_slide", {"time.duration": 0.2, "contact": again})
+    with pytest.raises(
+        cl.SimulationError, match=r"^linearise: the tip's contact binds what other contacts or loops bind"
+    ):
+        cl.linearise(twice, at=0.1)
 
 
 def test_names_are_refused_with_those_that_there_are(spring):

@@ -31,7 +31,8 @@ from closedloop.record.report.row_assumptions import (
 )
 from closedloop.record.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.step_error import beside_of, resolution_of, write_beside
+from closedloop.record.report.step_columns import resolution_of
+from closedloop.record.report.step_error import beside_of, write_beside
 from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
@@ -154,13 +155,15 @@ def step_error_of(x, mode, order):
             continue
         part, begin = x[begin:i].tolist(), i
         cut = cut_differences(part)
-        ending = 0.95 * abs(cut[-1]) + 0.05 * abs(part[-1] - part[-2]) if cut.size else 0.0
+        ending = (5.0 * abs(cut[-1]) + abs(part[-1] - part[-2])) / 6.0 if cut.size else 0.0
         steepest = max(steepest, *map(abs, cut), ending) if cut.size else steepest
         jump = max(jump, *(np.abs(np.diff(part)) - np.abs(cut)), 0.0) if cut.size else jump
         if len(part) < 4:
             total += 0.5 * (max(part) - min(part))
             continue
-        turns = [0.0, *(b - a for a, b in itertools.pairwise(cut)), 0.0]
+        whole = cut == np.diff(part)
+        counts = whole[1:] & whole[:-1] if order == 1 else np.ones(cut.size - 1)  # a jump at a row is exact
+        turns = [0.0, *(np.diff(cut) * counts), 0.0]
         for k in range(1, len(turns) - 1):
             near = turns[k - 1 : k + 2]
             if near[1] == 0.0:
@@ -209,13 +212,14 @@ def written_out(row, wanted, limits, V, order, sampled):
     fastest, first = np.max(np.abs(r.v)), order == 1
     varied, steepest, jump = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
     moved = steepest if first or np.any(np.diff(r.mode)) else min(jump, steepest)
+    between = max(0.5 * (steepest + max(np.abs(cut_differences(wanted.force)[:-1]))) - moved, 0.0)
     lands = [i for i in range(1, count) if touching[i] and not touching[i - 1]]
     if first:
         moved += max((abs(wanted.force[i] - wanted.force[i - 1]) for i in lands), default=0.0)
     if sampled:
         kicks = sum(np.abs(cut_differences(x)) for x in r.torque.T)
         moved += max((abs(miss[i]) for i in lands), default=0.0) + 2.0 * max(kicks[:-1][touching[2:]], default=0.0)
-    of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-10 * np.max(np.abs(f))
+    of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-6 * np.max(np.abs(f))
     of_pose += 0.0 if touching[0] and abs(e[0]) > 1e-9 else np.max(np.abs(r.stabiliser_force))
     changes = [i for i in range(1, count) if r.mode[i] != r.mode[i - 1]]
     changed = max((abs(f[i] * touching[i] - f[i - 1] * touching[i - 1]) for i in changes), default=0.0)
@@ -254,8 +258,8 @@ def written_out(row, wanted, limits, V, order, sampled):
         "start_closure_error": e[0] if touching[0] else 0.0,
         "largest_reference_force": np.max(np.abs(wanted.force)),
         "step_error_force": np.nan if failed.any() else varied + moved + of_pose,
-        "step_error_extremes": np.nan if hidden else varied + moved + of_pose + changed,
-        "step_error_position": np.linalg.norm(aside) + late + 1e-12,
+        "step_error_extremes": np.nan if hidden else varied + moved + of_pose + changed + between,
+        "step_error_position": np.linalg.norm(aside) + late + 1e-9,
         "force_chatter": alternating(f) / np.sum(np.abs(f)) if np.any(f) else 0.0,
         "failed_at": [first_of(~met[name]) for name in NAMES],
         "position_excess": np.maximum(np.max(excess, axis=0), 0.0),

@@ -8,7 +8,8 @@ import robot_models
 from closedloop.command.cautions import warn_of_gains
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.report.growth import bounces_on, grows, starts_again
-from closedloop.record.report.step_error import beside_of, step_rows, variation
+from closedloop.record.report.step_columns import variation
+from closedloop.record.report.step_error import beside_of, step_rows
 from closedloop.scenario.modes import unresolved, unresolved_feedback, wrong_by, wrong_decay
 
 ELASTIC = {"transmission.stiffness": 7e4, "transmission.damping": 3.8, "transmission.motor_inertia": 0.05}
@@ -57,7 +58,8 @@ def test_a_jump_does_not_count_and_the_decay_after_it_does():
     for z in (0.02, 0.1, 0.2, 0.5):
         exact, euler = 20.0 * (n > 50) * np.exp(-z * (n - 51.0)), 20.0 * (n > 50) * (1.0 - z) ** np.maximum(n - 51.0, 0)
         true = np.max(np.abs(euler - exact))
-        assert true <= variation(euler) <= 20.0 * z * (1.0 + 1e-12)
+        assert true <= variation(euler) <= 10.0 * z * (1.0 + 1e-12)
+        assert variation(euler, 4) > 0.1 * z  # its last stage has the jump before it is there
     for size in (1.0, 1.01):
         assert variation(1.0 * (n == 50) - (size - 1.0) * (n == 51)) >= 0.37  # all of it decays in one step
 
@@ -246,10 +248,46 @@ def test_what_happens_between_two_rows_is_in_the_stated_error(name, changes):
 
 
 def test_a_jump_in_the_last_row_has_an_error():
-    """No row shows how fast f decays after it: the path starts there, and f differed by 0.055 N, 0.011 stated."""
+    """No row shows how fast f decays after it: the path starts there, and f differed by 0.055 N, 0.011 stated.
+
+    A sixth of the jump of 16 N is assumed, as of a law that decays within a step; of stiffer laws a twentieth was seen.
+    """
     changes = {"surface_motion.kind": "breathing", "time.integrator": "rk4", "time.duration": 1.0}
     stated, off = beside_half_of("wam_liftoff", changes)
-    assert 0.01 < off <= stated["contact_force"] < 20.0 * off
+    assert 0.01 < off <= stated["contact_force"] < 60.0 * off
+
+
+def test_of_a_stiff_law_a_jump_in_the_last_row_has_an_error():
+    """A step of rk4 has answered a twentieth of it: 0.0095 N, where 0.0078 were stated."""
+    gains = [x for leg in (208.4, 174.8, 210.5, 199.6, 118.3, 224.2) for x in (0.0, 0.0, leg)]
+    changes = {"law.kd": gains + [0.0] * 6, "time.integrator": "rk4", "time.duration": 0.5}
+    stated, off = beside_half_of("stewart", changes)
+    assert 1e-3 < off <= stated["contact_force"]
+
+
+def test_noise_in_the_last_row_alone_is_not_known():
+    """The law's velocities count from the path's start on, which is the last row: 1.5 N, 0.18 N stated; not one before.
+
+    In a batch too.
+    """
+    for duration, known in ((0.5, False), (0.6, True)):
+        changes = {"encoder.velocity_noise": 0.0273, "time.duration": duration, "time.integrator": "rk4"}
+        scenario = cl.load_scenario("panda_slide", changes)
+        found = cl.simulate(scenario, engine="compiled").summary()["step_error"]
+        assert (found["contact_force"] is not None) == (found["extremes"] is not None) == known
+        assert found["why_not"].startswith("noise is drawn at each step")
+        (row,) = cl.simulate_batch(scenario, {"law.force": [scenario.law.force]}).to_pylist()
+        assert (row["step_error_force"] is not None) == known
+
+
+def test_the_lowest_force_may_lie_between_two_rows():
+    """f falls until it jumps: at half the step another row is nearer to the jump. 0.0107 N, 0.0066 stated."""
+    changes = {"force_profile.kind": "step", "force_profile.at": 0.004, "force_profile.to": 12.0,
+               "sensor.quantisation": 0.23, "time.duration": 0.05, "time.integrator": "rk4"}  # fmt: skip
+    run = cl.halve(cl.load_scenario("payload_mismatch", changes), engine="compiled")
+    stated = cl.simulate(run.scenario, engine="compiled").summary()["step_error"]
+    off = run.halved["values"]["min_contact_force"]["difference"]
+    assert stated["contact_force"] < off <= stated["extremes"] < 10.0 * off
 
 
 def test_a_tip_that_strikes_with_elastic_joints_is_off_by_more_each_time():

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 import subprocess
 import tomllib
 from pathlib import Path
@@ -12,8 +13,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+import validation
 from closedloop.__main__ import main
 from closedloop.base.errors import printable
+from closedloop.base.files import what_was_written
 from closedloop.figures.export.csv_table import _table
 from closedloop.figures.export.mjcf import explained
 from closedloop.lab.history import quoted
@@ -102,9 +105,14 @@ def test_a_folder_of_two_lines_is_said_in_one(capsys, tmp_path):
 
 
 def test_every_line_that_says_what_was_written_is_made_printable():
-    """In the text of the package: a path may have any character."""
-    package = Path(cl.__file__).parent
-    lines = [line for file in package.rglob("*.py") for line in file.read_text(encoding="utf-8").splitlines()]
-    said = [line for line in lines if "print(" in line and ("wrote {" in line or "{folder}" in line)]
-    assert len(said) > 10
-    assert [line for line in said if "printable(" not in line and "wrote {wrote}" not in line] == []
+    """By one function, in the text of the packages: a path may have any character."""
+    assert what_was_written("a\nb", folder="c\td") == f"wrote c\\td{os.sep}: a\\nb"
+    assert what_was_written("a/b\n", "c") == "wrote a/b\\n, c"
+    lines = [
+        line
+        for package in (cl, validation)
+        for file in Path(package.__file__).parent.rglob("*.py")
+        for line in file.read_text(encoding="utf-8").splitlines()
+    ]
+    assert sum("what_was_written(" in line for line in lines) > 15
+    assert [line for line in lines if "print(" in line and "wrote {" in line] == []

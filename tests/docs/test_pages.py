@@ -12,6 +12,8 @@ import pytest
 from pages import DOCS, PAGES, ROOT, blocks, broken_links, commands, left_out, session
 
 import closedloop
+import robot_models
+import validation
 from closedloop.command.study import STUDIES
 
 WITH_CODE = [page for page in PAGES if blocks(page.read_text(encoding="utf-8"), "python")]
@@ -161,6 +163,28 @@ def test_the_controller_of_the_page_is_short():
     text = (DOCS / "controllers.md").read_text(encoding="utf-8")
     (code,) = [code for file, code in blocks(text, "python") if file == "my_control.py"]
     assert len([line for line in code.splitlines() if line.strip()]) <= 25
+
+
+def without_example(code):
+    """Return the public names of the packages that a program uses nowhere."""
+    used = {(node.value.id, node.attr) for node in ast.walk(ast.parse(code))
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)}  # fmt: skip
+    used |= {(node.module, alias.name) for node in ast.walk(ast.parse(code))
+             if isinstance(node, ast.ImportFrom) for alias in node.names}  # fmt: skip
+    packages = {closedloop: ("cl", "closedloop"), robot_models: ("robot_models",), validation: ("validation",)}
+    return [
+        f"{package.__name__}.{name}" for package, aliases in packages.items() for name in package.__all__
+        if not any((alias, name) in used for alias in aliases)
+    ]  # fmt: skip
+
+
+def test_every_public_name_has_an_example_that_is_run():
+    """Each name that the packages offer is used in the code of a page or a notebook, all of which are run."""
+    pages = [code for page in PAGES for _, code in blocks(page.read_text(encoding="utf-8"), "python")]
+    notebooks = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "notebooks").glob("*.py"))]
+    everything = "\n".join([*pages, *notebooks])
+    assert without_example(everything) == []
+    assert without_example(everything.replace("robot_models.Tool", "Tool")) == ["robot_models.Tool"]
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from copy import deepcopy
 from typing import Any, Literal, get_args, get_origin
 
 from scenario_cases import EXAMPLES, SEED, Case
-from shipped_cases import MECHANISMS, shipped_tables
+from shipped_cases import MECHANISMS, SCENARIOS, shipped_tables
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import OneOf
@@ -29,7 +29,7 @@ FIXED = {"robot.model", "robot.tip", "start.q", "time.duration", "surface.height
 # The tables of a list, of which one is changed, and the keys whose values depend on a place.
 LISTS: dict[str, Any] = {"contact": ContactSection, "body": BodySection}
 PLACES = {"name", "link", "at", "against", "normal", "through", "half_axes", "shape", "position", "surface", "motion",
-          "radius", "edges", "length", "quaternion", "inertia"}  # fmt: skip
+          "radius", "edges", "length", "quaternion", "inertia", "edge"}  # fmt: skip
 # Laws of a contact, in the words of the section of the tip's.
 LAWS = {
     "compliance": ({"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 40.0},
@@ -117,8 +117,8 @@ def add_bodies(draw: random.Random, data: dict[str, Any]) -> str:
 def combinations(count: int, seed: int = SEED, duration: float | None = None, contacts: bool = False) -> Iterator[Case]:
     """Return so many shipped scenarios with two changes and more, none of which is refused by itself.
 
-    They last ten steps, or `duration`, s, and then half of them have another scheme than their own. With `contacts`
-    each has contacts of links, loops or free bodies, and some of the changes are theirs.
+    They last ten steps, or from a fifth of `duration`, s, to twice it, and then half of them have another scheme than
+    their own. With `contacts` each has contacts of links, loops or free bodies, and some of the changes are theirs.
     """
     draw, names = random.Random(seed), shipped_scenarios()
     for number in range(count):
@@ -140,7 +140,11 @@ def combinations(count: int, seed: int = SEED, duration: float | None = None, co
             except ScenarioError:
                 continue
             said.append(change(random.Random(seed_of_this), data))
+        model = data.get("robot", {}).get("model", "")
+        if "/" in model:  # a file beside the shipped scenarios
+            data["robot"]["model"] = str(SCENARIOS / model)
         if duration is not None:
-            data["time"]["duration"] = duration
+            step = data["time"]["step"]
+            data["time"]["duration"] = max(1, round(duration * draw.uniform(0.2, 2.0) / step)) * step
             data["time"]["integrator"] = draw.choice(["rk4", data["time"].get("integrator", "semi_implicit_euler")])
         yield Case(f"{number} {name}: {', '.join(said)}", data, {})

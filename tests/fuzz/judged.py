@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
 import tempfile
 import traceback
 import warnings
@@ -114,8 +115,9 @@ def judge_halved(case: Case) -> tuple[str, str]:
         return FAULTY, f"refused at half the step: {error}"
     if found["stopped"]:
         return FAULTY, f"stops at half the step: {found['stopped']}"
-    beyond, missing, rows, most = [], [], len(run), 0.0
+    beyond, missing, most = [], [], 0.0
     miss = np.max(np.abs(run.contact_force - run.reference_force)[run.mode != FREE], initial=0.0)
+    miss = max(miss, summary["step_error"]["extremes"] or 0.0)  # a row may fall beside a change of contact, or not
     aside = np.max(np.linalg.norm(run.position - run.reference_tip, axis=1))
     for unit, name, names in (("N", "contact_force", OF_FORCE), ("N", "extremes", EXTREMES), ("m", "position", OF_TIP)):
         stated = summary["step_error"][name]
@@ -130,7 +132,8 @@ def judge_halved(case: Case) -> tuple[str, str]:
         for each, x in off.items():
             # A mean over rows differs besides by where its jumps are between them: by a row's worth.
             worst = {"rms_force_error": miss, "rms_path_error": aside}.get(each, 0.0)
-            row = worst * worst / (rows * summary[each]) if worst and summary[each] else 0.0
+            rows = np.count_nonzero(run.mode != FREE) if each == "rms_force_error" else len(run)
+            row = math.hypot(summary[each], worst / math.sqrt(rows)) - summary[each] if worst and rows else 0.0
             most = max(most, (x or 0.0) / (stated + row) if stated else 0.0)
             if x and x > stated + row:
                 beyond.append(f"{each} by {x:.3g} {unit}, {stated:.3g} stated")

@@ -56,7 +56,7 @@ def test_combinations_are_of_values_that_are_valid_alone_and_the_same_for_the_sa
     drawn = list(combinations(60, seed=3))
     assert [case.content for case in drawn] == [case.content for case in combinations(60, seed=3)]
     assert [case.content for case in drawn] != [case.content for case in combinations(60, seed=4)]
-    assert {case.content["time"]["duration"] for case in combinations(20, 3, 0.2)} == {0.2}
+    assert all(0.03 < case.content["time"]["duration"] < 0.41 for case in combinations(20, 3, 0.2))
     draw, read, refused = random.Random(5), 0, []
     for _ in range(400):
         name, seed = draw.choice(shipped_scenarios()), draw.random()

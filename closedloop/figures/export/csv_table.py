@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.files import write_whole
+from closedloop.base.optional import needs
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.record.columns.derived import DERIVED, WRENCH
 from closedloop.record.run import KINDS as UNIT_PARTS
@@ -89,6 +90,7 @@ def _header(name: str, unit: str) -> str:
 
 
 def _table(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    needs("pyarrow")
     import pyarrow as pa
     from pyarrow import csv
 

@@ -70,12 +70,13 @@ class MapTab {
 
   // Where the run of now is; `stale` is the key by which it differs from the runs of the map.
   here(point, stale) {
+    const moved = JSON.stringify(this.point) !== JSON.stringify(stale ? null : point);
     this.point = stale ? null : point;
     this.canvas.classList.toggle("late", Boolean(this.m && stale));
     if (stale && !this.running) this.said.textContent = `These runs have another ${stale}: press compute.`;
     else if (this.stale && this.m) this.said.textContent = this.line?.line ?? this.m.line;
     this.stale = stale;
-    if (this.m) this.shown();
+    if (this.m && moved) this.again();
   }
 
   listen() {
@@ -178,8 +179,18 @@ class MapTab {
       g.textAlign = "left";
       for (const v of (log ? logTicks(low, high) : ticks(low, high, height / 45))) g.fillText(short(v, 3), l + width + 21, t + height * (1 - (f(v) - f(low)) / (f(high) - f(low))) + 4);
     }
+    this.under = make("canvas", { width: this.canvas.width, height: this.canvas.height });
+    this.under.getContext("2d").drawImage(this.canvas, 0, 0);
     this.overlay(g, l, t, width, height);
     this.canvas.setAttribute("aria-label", `map of ${m.quantity} over ${m.x.label} and ${m.y.label}; arrow keys move the run`);
+  }
+
+  // Draw the ring elsewhere. The cells are as they were: to draw them again takes as long as all curves.
+  again() {
+    const [g, w, h] = sized(this.canvas);
+    if (this.under?.width !== this.canvas.width || this.under.height !== this.canvas.height) { this.shown(); return; }
+    g.drawImage(this.under, 0, 0, w, h);
+    this.overlay(g, ...this.area());
   }
 
   // The line between cells whose control is good and the others.

@@ -38,12 +38,13 @@ function ink(name) {
 }
 const short = (v, digits = 4) => (Number.isFinite(v) ? String(Number(v.toPrecision(digits))) : "-");
 
-// Round values between low and high, about so many.
+// Round values between low and high, about so many, but not more than a dozen.
 function ticks(low, high, wanted) {
+  wanted = Math.min(wanted, 12);
   const raw = (high - low) / wanted, power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= raw);
   const found = [];
-  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) + 1e-300 && found.length < 20; k++) found.push(Number((k * step).toPrecision(12)) || 0);
+  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) + 1e-300 && found.length < 30; k++) found.push(Number((k * step).toPrecision(12)) || 0);
   return found.length < 2 && wanted < 16 ? ticks(low, high, 2 * wanted) : found; // one value alone shows no scale
 }
 function logTicks(low, high) {

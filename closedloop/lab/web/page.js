@@ -45,7 +45,7 @@ const on = {
     words.show(m);
     for (const name of ["map", "analysis", "compare"]) tabs.tabs[name].button.hidden = !m.live;
     if (!tabs.name || (!m.live && ["map", "analysis", "compare"].includes(tabs.name))) tabs.open(m.live ? "map" : "events");
-    if (m.fresh) { plots.window = null; plots.hidden.clear(); Object.assign(state, { time: 0, playing: false }); still = frames = null; map.m = map.line = map.point = null; map.canvas.hidden = true; tabs.open(tabs.name); }
+    if (m.fresh) { tabs.used = false; plots.window = null; plots.hidden.clear(); Object.assign(state, { time: 0, playing: false }); still = frames = null; map.m = map.line = map.point = null; map.canvas.hidden = true; tabs.open("map"); }
   },
   run(m) {
     run = m;
@@ -107,6 +107,7 @@ const on = {
   map(m) { map.show(m); },
   map_said(m) { map.say(m.line, m.refused); },
   boundary(m) { map.boundary(m); },
+  tab(m) { if (tabs.name === "map" && !map.m && !tabs.used) tabs.open(m.name); }, // no map begins by itself
   point(m) { map.here(m.at, m.stale); },
   analysis(m) { analysis.show(m); },
   compare(m) { compare.show(m); },

@@ -2,6 +2,8 @@
 // The robot, the surface, the paths and the forces in space. Drag turns, the wheel zooms, Shift and drag shifts.
 // Two views: of the contact, with the whole arm as an inset, and of the whole arm.
 
+// A picture that takes longer, ms, was drawn without a graphics processor: the runs need the processor more.
+const SLOW = 15;
 const ANGLE = 0.7, RED = [0.85, 0.15, 0.1], SEEN_THROUGH = 0.3;
 // The longest usual arrow, and the longest of all, as shares of the view's radius.
 const USUAL = 0.6, MOST = 1.1;
@@ -120,7 +122,7 @@ class Space {
 
   // Where pictures are slow, and a slider is being moved, they wait for it, but no longer than 0.7 s.
   wait() {
-    const now = performance.now(), slow = this.calm && this.cost > 40;
+    const now = performance.now(), slow = this.calm && this.cost > SLOW;
     const left = slow ? Math.min(this.calm + 200, this.asked + 700) - now : 0;
     if (left > 1) { setTimeout(() => this.wait(), left); return; }
     requestAnimationFrame(() => {

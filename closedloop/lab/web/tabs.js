@@ -9,7 +9,7 @@ class Tabs {
     for (const [name, tab] of Object.entries(tabs)) {
       const button = make("button", { textContent: tab.title, id: `tab-${name}` });
       button.setAttribute("role", "tab");
-      button.onclick = () => this.open(name);
+      button.onclick = () => { this.used = true; this.open(name); };
       list.append(button);
       tab.button = button;
     }
@@ -18,6 +18,7 @@ class Tabs {
       const step = { ArrowRight: 1, ArrowLeft: -1 }[e.key];
       if (!step) return;
       e.stopPropagation();
+      this.used = true;
       const next = names[(k + step + names.length) % names.length];
       this.open(next);
       tabs[next].button.focus();

@@ -23,7 +23,7 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.tree import Tree, tree_potential_energy
 from closedloop.record.report.alternation import Signal, count_signal
 from closedloop.record.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES
-from closedloop.record.report.row_assumptions import MOST_GROWTH, NAMES, NEAR_SINGULAR, RESIDUAL_TOLERANCE
+from closedloop.record.report.row_assumptions import MOST_GROWTH, NAMES, NEAR_SINGULAR
 from closedloop.record.report.row_sample import (
     Flags,
     Greatest,
@@ -51,11 +51,13 @@ _NONSINGULAR = NAMES.index("nonsingular")
 # In steady motion a run with a scheme of order one lags by half a step, and by a whole one where readings are as old;
 # one of a higher order by far less, but what only follows, as a closure or a surface that breathes, it still gets wrong
 # in that proportion: half of it is assumed. A tip whose pose is off by a radian presses with another force altogether,
-# and posture and weight both count: twice the force itself. Of the tip's position rounding is a share of the metre that
-# an arm is long, `RESIDUAL_TOLERANCE`.
+# and posture and weight both count: twice the force itself.
 LAG, HIGHER, POSE = 1.0, 0.5, 2.0
-# Rounding of 1e-16 m in a closure is answered with its 1/τ²-fold, which is up to this share of the force.
-ROUNDED = 1e-10
+# Nothing finer is stated than this share of the largest force, and than so many metres: rounding, what a stabiliser
+# answers to it, and what friction at rest passes from joint to joint are below.
+ROUNDED, ROUNDED_WAY = 1e-6, 1e-9
+# The highest f may lie between two rows: it is above both by half the steepest change from row to row at most.
+BETWEEN = 0.5
 # A torque that is held lets f drift until the next sample, where it returns by what the torque changes: as many newtons
 # as newton metres at an arm a metre long. At half a metre it is twice as many, which is assumed. The share is chosen,
 # not a bound: at a shorter arm it is more.
@@ -113,7 +115,7 @@ def measure_rows(
         The record, N >= 1 of `closedloop.loop.step.record_row.Row`s, `h` seconds apart.
     wanted : (P, >= 2 n + 10) array, int, int, int, int
         The table of what is desired, see `closedloop.loop.step.reference_row`, how many of its rows there are to each
-        of the record's, and what `closedloop.record.report.step_error.resolution_of` returns.
+        of the record's, and what `closedloop.record.report.step_columns.resolution_of` returns.
     limits : (4 n,) array
         See `closedloop.record.report.row_sample.joint_limits`.
     events : (E, EVENT_WIDTH) array
@@ -180,7 +182,7 @@ def begin_tally(tally: Tally, n: int, h: float, largest: float, order: int) -> N
     """Write the tally of no row of n joints.
 
     `h`, s, is the time between two rows, `largest` the largest |f_des|, N, and `order` the scheme's, as of
-    `closedloop.record.report.step_error.resolution_of`.
+    `closedloop.record.report.step_columns.resolution_of`.
     """
     tally.order = order
     tally.h, tally.condition, tally.start_error, tally.last_unsettled = h, 0.0, 0.0, -1.0
@@ -305,7 +307,7 @@ def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
         error = min(swing.error, swing.highest - swing.lowest)
         squared += error * error
     lag = LAG * select(first_order, 1.0, HIGHER) * tally.h
-    values.step_error_position = math.sqrt(squared) + lag * values.max_tip_speed + RESIDUAL_TOLERANCE
+    values.step_error_position = math.sqrt(squared) + lag * values.max_tip_speed + ROUNDED_WAY
     for j in range(n):
         fastest = max(fastest, most.joint_speed[j])
     largest = max(most.force, most.minus_force)
@@ -319,7 +321,8 @@ def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
     singular = values.failed_at[_NONSINGULAR]
     values.step_error_force = select(singular == singular, math.nan, error)
     known = (singular != singular) & (swings.sticks == 0.0)
-    values.step_error_extremes = select(known, error + swings.changed, math.nan)
+    sampled = max(BETWEEN * (swings.steepest + swings.ramp) - moved, 0.0)
+    values.step_error_extremes = select(known, error + sampled + swings.changed, math.nan)
 
 
 @kernel_inlined

@@ -24,7 +24,8 @@ from closedloop.record.report.limited import count_limited
 from closedloop.record.report.link_contacts import lost_to_slips
 from closedloop.record.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.record.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
-from closedloop.record.report.step_error import beside_of, resolution_of, write_beside, write_swings
+from closedloop.record.report.step_columns import resolution_of, write_swings
+from closedloop.record.report.step_error import beside_of, write_beside
 from closedloop.record.report.step_variation import Swings
 from robot_models.coordinates import with_rotation_vectors
 

@@ -4,8 +4,9 @@ A decaying motion a e^λt is off by ½ (hλ)² a e^λt a step of order one, whic
 row to row is. What earlier steps left decays as the motion does, so the error of a row is at most the sum of what the
 steps before it added: half of the total variation of the first difference. It is taken of the force less that asked for
 and of the tip's distance from its reference, so that what the path itself does is no error, and anew in each mode of
-contact. Where a path, a force or a law jumps at a row, the difference is an isolated one, and exact: each difference
-counts with no more than the larger of its neighbours. Of a torque that is held for k steps every k-th row counts.
+contact. Where a path, a force or a law jumps at a row, the difference is an isolated one, and exact: it counts with no
+more than the nearer of its neighbours, and with order one the change to it and from it does not count. Of a torque
+that is held for k steps every k-th row counts.
 
 A scheme of order p adds (hλ)ᵖ⁻¹ of that where the signal is smooth. Where it has a kink, as after a jump of the path,
 in friction or at a sample of a sensor, the order is lost, and how smooth it is the rows themselves say
@@ -34,34 +35,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.control.compensation.observer import ObserverCompensation
-from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import IMPACT, LIFTOFF, TOUCHDOWN
-from closedloop.mechanics.closure.baumgarte import STEPS
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
 from closedloop.record.report.growth import AT_REST, bounces_on, grows, starts_again
-from closedloop.record.report.step_variation import ENDING, SPAN, Swing, Swings, cut_slope, local_error
+from closedloop.record.report.step_columns import resolution_of
+from closedloop.record.report.step_variation import Swing, Swings
 from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 
-# The last stage of a step already has the path, force or law that jumps at its end. It has a sixth of the weight in
-# rk4, so that all after the jump comes a sixth of a step early, of a jump within a step up to a third. Where joints are
-# elastic the motors take the jump, and the rows of f do not show it.
+# All after a jump that the last stage of rk4 already has comes a sixth of a step early, of a jump within a step up to a
+# third. Where joints are elastic the motors take the jump, and the rows of f do not show it.
 LATE = 1.0 / 3.0
 # Where friction is in joints, f comes in as many steps to what it is as joints come to rest or begin to move: each in a
 # step of its own with a scheme of order one.
 IN_TURN = 2.0
-# At rest joints creep, and friction takes this share of f from one to another.
-AT_REST_SHARE = 1e-8
 # A touchdown on a soft surface is found within its step, and f begins at nothing there. What is left of its steepest
 # change, after a jump that a damper makes, is the tip's own error.
 LOCATED = 0.05
@@ -77,9 +73,6 @@ AGAIN = 4.0
 # What stages leave the surface by, a stabiliser takes back, and a law with a memory of f keeps: up to so many times the
 # stabiliser's part of f. (49 times was seen, of an admittance near a singular pose.)
 FED_BACK = 60.0
-# A stabiliser answers rounding of so many metres, 1/τ²-fold, with a mass that is at most as many kilograms as f is
-# newtons.
-ROUNDED_WAY = 1e-15
 # Starts of a joint from rest of which each multiplies the error of f; more, and it is beyond the range of f.
 LASTS = 20
 # Where links or bodies strike, several contacts do so in a row, and which is the first moves by a step each time: the
@@ -95,92 +88,6 @@ GROWS = "f grows exponentially: with it the error of each step, and of rounding"
 STRIKES_ONLY = "the tip strikes, and no row is in contact: at another step one may be"
 # Why that of its extremes is not.
 BESIDE_CHANGES = "where the tip sticks, slips or still bounces, f changes for a moment, and a row may fall there or not"
-# Rows in one mode of contact of which the signals are taken one by one.
-LONG = 2048
-
-
-def write_swings(run: Record, swings: Swings) -> None:
-    """Write what the rows of a run, at least one, come to, see `closedloop.record.report.step_variation`."""
-    signals = np.empty((1 + run.position.shape[1], len(run)))
-    np.multiply(run.contact_force - run.reference_force, run.mode != FREE, out=signals[0])
-    np.subtract(run.position.T, run.reference_tip.T, out=signals[1:])
-    (held, order, sampled), total = resolution_of(run.scenario), np.zeros(signals.shape[0])
-    ends = [0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]
-    swings.stretches, swings.steepest, swings.jump, swings.struck, swings.begun = len(ends) - 1, 0.0, 0.0, 0.0, 0.0
-    swings.changed = swings.sticks = 0.0
-    for begin, end in pairwise(ends):
-        # Of long stretches one signal after the other: what is between would take as much memory as half the columns.
-        each = 1 if end - begin > LONG else signals.shape[0]
-        for k in range(0, signals.shape[0], each):
-            stretch = signals[k : k + each, -(-begin // held) * held : end : held]
-            cut = cut_slopes(stretch)
-            total[k : k + each] += _errors(stretch, cut, order) / held
-            if k == 0:
-                sizes, size = np.abs(np.diff(stretch[0])), np.abs(cut[0])
-                last = np.max(size[-1:] + ENDING * (sizes[-1:] - size[-1:]), initial=0.0)
-                swings.steepest = max(swings.steepest, np.max(size, initial=last) / held)
-                swings.jump = max(swings.jump, np.max(sizes - size[: sizes.size], initial=0.0))
-        if begin:
-            around = run.contact_force[begin - 1 : begin + 1] * (run.mode[begin - 1 : begin + 1] != FREE)
-            swings.changed = max(swings.changed, abs(around[1] - around[0]))
-            swings.sticks = max(swings.sticks, float(np.all(run.mode[begin - 1 : begin + 1] != FREE)))
-        if begin and run.mode[begin] != FREE and run.mode[begin - 1] == FREE:
-            swings.begun = max(swings.begun, abs(run.reference_force[begin] - run.reference_force[begin - 1]))
-            swings.struck = max(swings.struck, abs(signals[0, begin]) if sampled else 0.0)
-    swings.kick = _kick(run, held) if sampled else 0.0
-    low, high = np.min(signals, axis=1), np.max(signals, axis=1)
-    for k, error in enumerate(total):
-        swing = Swing(swings.each[k])
-        swing.error, swing.lowest, swing.highest = error, low[k], high[k]
-
-
-def _kick(run: Record, held: int) -> float:
-    """Return `Swings.kick` of a run whose torque is held for so many rows."""
-    torque, touching = run.torque[::held], run.mode[::held] != FREE
-    size = np.zeros(max(0, len(torque) - 2))
-    for column in torque.T:
-        size += np.abs(cut_slopes(column[None])[0, : size.size])
-    return float(np.max(size * touching[2:], initial=0.0))
-
-
-def resolution_of(scenario: Scenario) -> tuple[int, int, int]:
-    """Return for how many steps the law's torque is held, at least 1, the order of the scheme, and whether it is held.
-
-    A law that is sampled leaves every scheme the order one.
-    """
-    period, scheme = scenario.law.sample_period, scheme_of(scenario.time.integrator)
-    held = max(1, round(period / scenario.time.step)) if period else 1
-    sampled = bool(period or scenario.reads_encoders)
-    return held, 1 if scheme is None or sampled else scheme.order, int(sampled)
-
-
-def cut_slopes(signals: Array) -> Array:
-    """Return the differences of signals (k, N) from row to row, isolated ones cut, (k, max(N - 1, 0))."""
-    steps = np.zeros((signals.shape[0], max(signals.shape[1], 1) + 1))  # beside the first and the last there is none
-    np.subtract(signals[:, 1:], signals[:, :-1], out=steps[:, 1:-1])
-    cut: Array = interpreted(cut_slope)(steps[:, :-2], steps[:, 1:-1], steps[:, 2:])
-    return cut
-
-
-def variation(signal: Array, order: int = 1) -> float:
-    """Return what the steps of a scheme of this order add to the error of a signal (N,), summed.
-
-    Of fewer than four rows it is half of their range: nothing is known of what they resolve.
-    """
-    return float(_errors(signal[None], cut_slopes(signal[None]), order)[0])
-
-
-def _errors(signals: Array, cut: Array, order: int) -> Array:
-    """Return `variation` of signals (k, N) with these cut differences, (k,)."""
-    if signals.shape[1] < SPAN:
-        return 0.5 * np.ptp(signals, axis=1) if signals.shape[1] else np.zeros(signals.shape[0])
-    turns = np.zeros((cut.shape[0], cut.shape[1] + 1))
-    np.subtract(cut[:, 1:], cut[:, :-1], out=turns[:, 1:-1])
-    if order == 1:
-        turns = np.abs(turns, out=turns)
-        return np.asarray(interpreted(local_error)(0.0, np.sum(turns, axis=1), 0.0, order))
-    # One signal after the other: what is between stays in the processor's cache.
-    return np.array([np.sum(interpreted(local_error)(x[:-2], x[1:-1], x[2:], order)) for x in turns])
 
 
 def why_not_known(scenario: Scenario, singular: bool) -> str:
@@ -272,20 +179,11 @@ def fed_back(scenario: Scenario) -> float:
     return float(scenario.law.force_feedback + scenario.law.force_integral * scenario.time.step)
 
 
-def add_rounding(scenario: Scenario, values: Any) -> None:
-    """Add what a stabiliser answers to rounding, see `ROUNDED_WAY`."""
-    if scenario.stabiliser.kind not in ("baumgarte", "both"):
-        return
-    constant = scenario.stabiliser.time_constant
-    shortest = STEPS * scenario.time.step if constant == "auto" else constant
-    largest = max(abs(values.peak_contact_force), abs(values.min_contact_force))
-    values.step_error_force += ROUNDED_WAY / shortest**2 * largest
-    values.step_error_extremes += ROUNDED_WAY / shortest**2 * largest
-
-
 def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside) -> None:
     """Write what of the errors depends on what the scenario has besides, see `LATE` and the shares below it."""
-    add_rounding(scenario, values)
+    if why_position_not_known(scenario) and swings.ended > 2.0 * swings.steepest:
+        # Noise enters in the last row: no other shows how much.
+        values.step_error_force = values.step_error_extremes = math.nan
     higher, moved = resolution_of(scenario)[1] > 1, min(swings.jump, swings.steepest)
     force = Swing(swings.each[0])
     more = 0.0
@@ -300,7 +198,7 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
     if scenario.compliance.kind != "none" and higher and swings.stretches > 1.0:
         more -= max(0.0, (1.0 - LOCATED) * swings.steepest - moved)
     if scenario.rubs_in_joints:
-        more += AT_REST_SHARE * values.peak_contact_force + (0.0 if higher else IN_TURN * swings.steepest)
+        more += 0.0 if higher else IN_TURN * swings.steepest
     if scenario.friction.kind != "none" and higher:
         more += BENT * force.error
     if higher and not beside.bounces_on:
@@ -361,8 +259,8 @@ def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
         why = "no row could be computed"
     elif position is None or (force is None and run.scenario.has_surface):
         why = why_not_known(run.scenario, False) or run_force_not_known(run)
-        why = why or why_not_known(run.scenario, values["step_error_force"] is None)
-        why = why or why_position_not_known(run.scenario) or "it is not a finite number"
+        why = why or why_position_not_known(run.scenario)
+        why = why or why_not_known(run.scenario, values["step_error_force"] is None) or "it is not a finite number"
     found = {"contact_force": force, "position": position, "extremes": extremes}
     return found | {"measured": run.halved is not None, "why_not": why}
 

@@ -28,8 +28,9 @@ _NO_MODE = -1.0
 # last stage is evaluated on the other side. That has a sixth of the weight in rk4, which makes a third, and a third
 # more is room for kinks that follow each other.
 KINK_SHARE = 0.45
-# Of a jump at the last row no row shows how fast f decays after it: this share of it.
-ENDING = 0.05
+# The last stage of a step already has the path, force or law that jumps at its end, with a sixth of the weight in rk4.
+# Of a jump at the last row no row shows how fast f decays after it: a sixth of it, where it decays within a step.
+ENDING = 1.0 / 6.0
 
 
 class Swing(Block):
@@ -57,9 +58,13 @@ class Swings(Block, sizes=("n",)):
     stretches: float
     steepest: float  # of the force: the largest cut difference, and the most that one was cut by
     jump: float
+    ended: float  # the most that the last difference was cut by
     struck: float  # of a sampled law: the largest error of the force in the row with which contact begins
     wanted: float  # the last force asked for, and the most that it changes in a step in which contact begins
     begun: float
+    asked: float  # its last two differences from row to row, and the largest cut one
+    asked_before: float
+    ramp: float
     kick: float  # and the largest change of the torques from sample to sample, summed over the joints
     samples: float
     force: float  # the last, 0 off the surface, and its largest change with which contact begins or ends
@@ -108,7 +113,8 @@ def begin_swings(swings: Swings) -> None:
     """Write what is remembered of no row."""
     swings.mode, swings.counted, swings.stretches, swings.steepest = _NO_MODE, 0.0, 0.0, 0.0
     swings.jump, swings.struck, swings.kick, swings.samples = 0.0, 0.0, 0.0, 0.0
-    swings.wanted = swings.begun = swings.force = swings.changed = swings.sticks = 0.0
+    swings.wanted = swings.begun = swings.force = swings.changed = swings.sticks = swings.ended = 0.0
+    swings.asked = swings.asked_before = swings.ramp = 0.0
     for k in range(SIGNALS):
         swing = Swing(swings.each[k])
         swing.error, swing.lowest, swing.highest = 0.0, np.inf, -np.inf
@@ -134,6 +140,9 @@ def count_swings(
             off = abs(row.contact_force - wanted.force)
             swings.struck = select(begins & (off > swings.struck), off, swings.struck)
         swings.mode, swings.counted = row.mode, 0.0
+    asked = wanted.force - swings.wanted if i > 0 else 0.0 * wanted.force
+    swings.ramp = max(swings.ramp, abs(cut_slope(swings.asked_before, swings.asked, asked)))
+    swings.asked_before, swings.asked = swings.asked, asked
     swings.wanted, swings.force = wanted.force, select(row.mode != FREE, row.contact_force, 0.0)
     for k in range(SIGNALS):
         if k == 0:
@@ -168,11 +177,24 @@ def count_torques(row: Any, swings: Swings) -> None:
 
 
 @kernel_inlined
+def turn_of(cut: Any, swing: Swing, order: int) -> Any:
+    """Return by how much the last difference, cut, is another than the one before.
+
+    With order one a jump at a row is exact, and so is what it leaves to decay: the change to it and from it is no error
+    of a step. A stage at the end of the step before already has the jump.
+    """
+    turn = cut - swing.cut
+    if order > 1:
+        return turn
+    return select((cut == swing.slope) & (swing.cut == swing.slope_before), turn, 0.0)
+
+
+@kernel_inlined
 def count_swing(x: float, count: float, order: int, swing: Swing) -> None:
     """Count a value in, before which `count` have been."""
     slope = select(count > 0.0, x - swing.before, 0.0)
     cut = cut_slope(swing.slope_before, swing.slope, slope)
-    turn = select(count > 2.0, cut - swing.cut, 0.0)
+    turn = select(count > 2.0, turn_of(cut, swing, order), 0.0)
     swing.turned = select(count > 2.0, swing.turned, 0.0) + local_error(swing.turn_before, swing.turn, turn, order)
     swing.low = select(count > 0.0, min(swing.low, x), x)
     swing.high = select(count > 0.0, max(swing.high, x), x)
@@ -189,11 +211,12 @@ def end_stretch(held: int, order: int, swings: Swings) -> None:
     for k in range(SIGNALS):
         swing = Swing(swings.each[k])
         last = cut_slope(swing.slope_before, swing.slope, 0.0)
-        turn = last - swing.cut
+        turn = turn_of(last, swing, order)
         turned = swing.turned + local_error(swing.turn_before, swing.turn, turn, order)
         turned = turned + local_error(swing.turn, turn, 0.0, order)
         swing.error += select(swings.counted > 0.0, select(known, turned, 0.5 * (swing.high - swing.low)) / held, 0.0)
         if k == 0:
             steep = abs(last) + ENDING * (abs(swing.slope) - abs(last))
             swings.steepest = max(swings.steepest, select(swings.counted > 2.0, steep / held, 0.0))
-            swings.jump = max(swings.jump, select(swings.counted > 1.0, abs(swing.slope) - abs(last), 0.0))
+            swings.ended = select(swings.counted > 1.0, abs(swing.slope) - abs(last), 0.0)
+            swings.jump = max(swings.jump, swings.ended)

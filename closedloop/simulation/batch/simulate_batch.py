@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
+from closedloop.base.optional import needs
 from closedloop.base.second_process import cores
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
@@ -90,6 +91,7 @@ def simulate_batch(
     ScenarioError
         If a key is unknown, lengths differ, the engine does not cover the scenario, or no run could be read.
     """
+    needs("pyarrow")
     if not changes:
         raise ScenarioError("changes: name at least one key and its values, such as {'law.force': [5.0, 10.0]}")
     keys = tuple(changes)

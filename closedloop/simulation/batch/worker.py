@@ -35,10 +35,9 @@ from closedloop.record.report.link_contacts import lost_to_slips
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
+from closedloop.record.report.step_columns import resolution_of
 from closedloop.record.report.step_error import (
-    add_rounding,
     beside_of,
-    resolution_of,
     unknown_because,
     why_force_not_known,
     write_beside,
@@ -229,7 +228,6 @@ class Worker:
         rows = lane_runs.rows(lane)
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
-        add_rounding(scenario, Values(values, lane_runs.n))
         forget_absent(scenario, values)
         verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
         control = control_in_lanes(lane_runs, lane, scenario)

@@ -25,7 +25,7 @@ from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.record.report.measured import CONTROL, Tally, Values
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.step_error import resolution_of
+from closedloop.record.report.step_columns import resolution_of
 from closedloop.simulation.engines.at_addresses import Parts, measure_at, run_at, run_varied_at
 from closedloop.simulation.engines.compiled import ALL, compiled_work
 from closedloop.simulation.engines.problem import Problem

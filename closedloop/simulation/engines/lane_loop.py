@@ -88,7 +88,7 @@ class Sizes(NamedTuple):
     width : int
         Length of such a row.
     order : int
-        Of the scheme, see `closedloop.record.report.step_error.resolution_of`.
+        Of the scheme, see `closedloop.record.report.step_columns.resolution_of`.
     sampled : int
         Whether the law's torque is held.
     """

@@ -31,7 +31,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree, work_size
 from closedloop.record.report.measured import Tally, Values
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.step_error import resolution_of
+from closedloop.record.report.step_columns import resolution_of
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.lane_loop import SIGNALS, LaneAddresses, Sizes, Worst, run_in_lanes
 from closedloop.simulation.engines.loops import COMPILED

@@ -27,7 +27,7 @@ def step_of(scheme: type[Scheme], A: Array, B: Array, h: float, leads: Array, ex
     A, B : (k, k), (k, m) arrays
         The system.
     leads : (k,) array of int
-        For the semi-implicit scheme, the state whose new value is the rate of this one; −1: none.
+        For the semi-implicit scheme, the state whose new value is in the rate of this one; −1: none.
     exact : (k,) array of bool
         For the semi-implicit scheme, the states that advance exactly, with what they depend on held over the step.
     """
@@ -46,7 +46,7 @@ def step_of(scheme: type[Scheme], A: Array, B: Array, h: float, leads: Array, ex
             rows = np.flatnonzero(exact)
             step[rows] = expm(h * alone)[rows]
         for place in np.flatnonzero(leads >= 0):
-            step[place] = eye[place] + h * step[leads[place]]
+            step[place] = eye[place] + h * (both[place] - eye[leads[place]] + step[leads[place]])
         return step[:k, :k], step[:k, k:]
     slopes: list[Array] = []
     for row in scheme.a:

@@ -6,6 +6,7 @@ nothing is written twice. White noise and quantisation, which have no derivative
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.background import make_ready
 from closedloop.loop.step.record_row import complete_record
+from closedloop.loop.step.turn import turn
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.close import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
@@ -27,6 +29,7 @@ from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import Answers, single_calls
+from closedloop.studies.analysis.closed_contacts import ClosedContacts
 from closedloop.studies.analysis.instant import Instant, parts_of, put
 
 Array = NDArray[np.float64]
@@ -34,7 +37,9 @@ Array = NDArray[np.float64]
 # Two steps whose differences are further apart than this share, at the best, show a function that has no derivative: of
 # those that have one they are nearer than a millionth. A first step whose differences are so near is short enough.
 KINK, NEAR = 1e-2, 1e-6
-# Loop rows whose singular value is below this share of the largest depend on others.
+# The most steps that are tried.
+MOST = 7
+# Rows that bind whose singular value is below this share of the largest depend on others.
 DEPENDENT = 1e-9
 
 
@@ -76,6 +81,8 @@ class Here:
         arrays = problem.table, problem.integrator.tableau(), self._rows
         _, self._call = single_calls(problem, loop_for(PINOCCHIO), loop, arrays, PINOCCHIO)
         self._passes = problem.robot.passes
+        self._posture, self._turned = problem.robot.configuration(loop.w.q)
+        self._balls = problem.robot.model.balls
         state, w, constants = loop.state, loop.w, loop.constants
         n = problem.robot.n
         put(self.instant, problem, loop)
@@ -94,11 +101,14 @@ class Here:
                     f"linearise: {key}.kind = {kind!r} answers to the slip of {lag:g} s ago; take another"
                 )
         constants.s_v = constants.s_p = 0.0
-        if not problem.scenario.has_surface and not self.free:
+        self.contacts = ClosedContacts(problem, loop) if self.instant.contacts else None
+        touches = self.free or self.contacts is not None
+        if not problem.scenario.has_surface and not touches:
             raise ScenarioError(
-                "linearise: the scenario has no [surface]: without a tip's contact there is no force loop"
+                "linearise: the scenario has no [surface], and no contact of a link is closed at "
+                f"t = {self.instant.time:g} s: without a contact there is no force loop"
             )
-        if self.instant.mode == FREE and not self.free:
+        if self.instant.mode == FREE and not touches:
             raise SimulationError(
                 f"linearise: the tip is in flight at t = {self.instant.time:g} s, where there is no force loop; take "
                 "an instant at which it presses",
@@ -107,8 +117,18 @@ class Here:
         self._encoder = int(state.settings.encoder)
         self._motors = parts_of(problem)["transmission"]
         self._saved = state.memory.copy(), w.memory.copy(), constants.memory.copy()
-        self._node = self.row * problem.nodes
-        self._basis = self._loop_basis()
+        self._sensor, self._z = sensor, type(w).place("z", *w.sizes)
+        node = self.row * problem.nodes
+        self._force_nodes = problem.table[node : node + problem.nodes + 1, Reference.place("force", n)]
+        self._asked = self._force_nodes.copy()
+        sizes = {
+            "qdd": n, "dz": w.z.size, "f": 1, "reading": 1, "torque": n, "r": 3, "u": w.tip.u.size, "gap": 1,
+            "last": 2 * n, **({} if self.contacts is None else self.contacts.sizes),
+        }  # fmt: skip
+        ends = np.cumsum(list(sizes.values())).tolist()
+        self.places = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+        self._width = ends[-1]
+        self._basis = independent(self._loop_rows(self.instant.values["q"])[0])
 
     @property
     def n(self) -> int:
@@ -121,7 +141,12 @@ class Here:
         return self._encoder == DIFFERENCE
 
     def __call__(self, held: bool = False, **changes: Any) -> dict[str, Array]:
-        """Evaluate once, with changes to the state and the inputs, and return what follows, by name.
+        """Evaluate once, with changes to the state and the inputs, and return what follows, by name; see `flat`."""
+        found = self.flat(held, **changes)
+        return {name: found[where] for name, where in self.places.items()}
+
+    def flat(self, held: bool = False, **changes: Any) -> Array:
+        """Evaluate once, with changes to the state and the inputs, and return what follows in one row, see `places`.
 
         Parameters
         ----------
@@ -139,54 +164,74 @@ class Here:
         loop, problem, n = self.loop, self.problem, self.n
         state, w, constants = loop.state, loop.w, loop.constants
         state.memory[:], w.memory[:], constants.memory[:] = self._saved
-        w.z += changes.get("z", 0.0)
-        w.torque += changes.get("torque", 0.0)
-        w.sensing.measured += changes["measured"][0] if "measured" in changes else 0.0
-        last = changes.get("last")
-        if last is not None:
-            w.encoders.last_q += last[:n]
-            w.encoders.last_v += last[n:]
+        if self.contacts is not None:
+            self.contacts.put_back()
+        if "z" in changes:
+            w.z += changes["z"]
+        if "torque" in changes:
+            w.torque += changes["torque"]
+        if "measured" in changes:
+            w.sensing.measured += changes["measured"][0]
+        if "last" in changes:
+            w.encoders.last_q += changes["last"][:n]
+            w.encoders.last_v += changes["last"][n:]
         if "bias" in changes:
-            sensor: Any = SensorParameters(constants.sensor, 0)
-            sensor.bias += changes["bias"][0]
-        constants.compliance += changes.get("compliance", 0.0)
-        nodes = problem.table[self._node : self._node + problem.nodes + 1, Reference.place("force", n)]
-        before = nodes.copy()
-        nodes += changes.get("force", 0.0)
-        crba, bias, convention, pinocchio, data = self._passes
-        if self._encoder != NO_ENCODER:
-            w.q[:] = w.encoders.true_q + changes.get("q", 0.0)
-            w.v[:] = w.encoders.true_v + changes.get("v", 0.0)
-            self._close(w.q, w.v)
+            self._sensor.bias += changes["bias"][0]
+        if "compliance" in changes:
+            constants.compliance += changes["compliance"]
+        nodes, asked = self._force_nodes, "force" in changes
+        if asked:
+            nodes += changes["force"]
+        encoders = self._encoder != NO_ENCODER
+        if encoders:
+            w.q[:], w.v[:] = w.encoders.true_q, w.encoders.true_v
+        if "q" in changes:
+            self.move(w.q, changes["q"])
+        if "v" in changes:
+            w.v += changes["v"]
+        self._close(w.q, w.v)
+        if encoders:
             read_encoders(loop, problem.table)
-        else:
-            w.q += changes.get("q", 0.0)
-            w.v += changes.get("v", 0.0)
-            self._close(w.q, w.v)
+        crba, bias, convention, pinocchio, data = self._passes
         try:
-            for _ in range(2 if self._encoder != NO_ENCODER else 1):
-                crba(pinocchio, data, w.q, convention)
-                bias(pinocchio, data, w.q, w.v)
+            for _ in range(2 if encoders else 1):
+                if self._turned is not None:
+                    self._turned()
+                crba(pinocchio, data, self._posture, convention)
+                bias(pinocchio, data, self._posture, w.v)
                 if "link" in changes:
                     problem.robot.views[1][:] -= changes["link"]
                 state.sampled = 0 if held else 1
                 self._call(self._answers.events)
         finally:
-            nodes[:] = before
+            if asked:
+                nodes[:] = self._asked
         if state.row != self.row + 1 and not (state.row == problem.steps and self.row == state.row):
             raise EventHere
-        dz = np.array(w.dz) if state.settings.general != 0 else np.zeros(w.z.size)
-        motors = self._motors
+        found, places, general = np.empty(self._width), self.places, state.settings.general != 0
+        dz, motors = found[places["dz"]], self._motors
+        dz[:] = w.dz if general else 0.0
         if motors.stop > motors.start:  # what the semi-implicit scheme writes there is its own
-            place = type(w).place("z", *w.sizes)
-            dz[motors][:n] = (self._saved[1][place] + changes.get("z", 0.0))[motors][n:]
-        f = float(w.tip.F[0])
-        return {
-            "qdd": np.array(w.qdd), "dz": dz, "f": np.array([f]),
-            "reading": np.array([w.sensing.reading if state.settings.general != 0 else f]),
-            "torque": np.array(w.torque), "r": np.array(w.r), "u": np.array(w.tip.u), "gap": np.array([w.tip.gap]),
-            "last": np.concatenate([w.encoders.last_q, w.encoders.last_v]),
-        }  # fmt: skip
+            dz[motors][:n] = (self._saved[1][self._z] + changes.get("z", 0.0))[motors][n:]
+        found[places["qdd"]], found[places["torque"]], found[places["r"]] = w.qdd, w.torque, w.r
+        f = found[places["f"]] = w.tip.F[0]
+        found[places["reading"]] = w.sensing.reading if general else f
+        found[places["u"]], found[places["gap"]] = w.tip.u, w.tip.gap
+        last = found[places["last"]]
+        last[:n], last[n:] = w.encoders.last_q, w.encoders.last_v
+        if self.contacts is not None:
+            seen = self.contacts.read()
+            if seen is None:
+                raise EventHere
+            found[places["rates"]], found[places["presses"]] = seen
+        return found
+
+    def move(self, q: Array, by: Array) -> None:
+        """Move q (n,) by so much; a joint that turns freely turns by it in the axes of its link."""
+        before = q.copy()
+        q += by
+        for j in self._balls:
+            turn(q, j, before, j, *by[j : j + 3])
 
     def _close(self, q: Array, v: Array) -> None:
         """Move q and q̇ to the nearest state that the loops allow."""
@@ -203,14 +248,6 @@ class Here:
             each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
         G = loop_rows(self.problem.robot, *at)[0][0]
         return G, G @ v
-
-    def _loop_basis(self) -> Array:
-        """Return combinations (k, m) of the loops' rows that are independent and span all."""
-        G, _ = self._loop_rows(self.instant.values["q"])
-        if G.size == 0:
-            return np.zeros((0, G.shape[0]))
-        left, sizes, _ = np.linalg.svd(G, full_matrices=False)
-        return np.asarray(left[:, sizes > DEPENDENT * sizes[0]].T)
 
     def loop_rows(self, q: Array) -> tuple[Array, Array]:
         """Return independent rows (k, n) of the loops at q, and their rate (k,) with q̇ of the instant."""
@@ -238,78 +275,88 @@ class Here:
             if abs(gap + depth) <= 1e-13 + 1e-12 * depth:
                 break
             q = q - along * (gap + depth)
-        deep = instant.values | {"q": instant.values["q"] + q, "v": instant.values["v"].copy()}
+        deep = instant.values | {"q": instant.values["q"].copy(), "v": instant.values["v"].copy()}
+        self.move(deep["q"], q)
         self._close(deep["q"], deep["v"])
         return replace(instant, values=deep)
 
 
-def derivative(function: Any, step: float, value: dict[str, Array], most: int = 7) -> dict[str, Array]:
-    """Return the derivative of a function of one number at 0, a mapping of arrays, by Richardson's extrapolation.
+def independent(rows: Array) -> Array:
+    """Return combinations (k, m) of rows (m, n) that are independent and span all of them."""
+    if rows.size == 0:
+        return np.zeros((0, rows.shape[0]))
+    left, sizes, _ = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(left[:, sizes > DEPENDENT * sizes[0]].T)
 
-    Central differences at `step` and at half of it cancel the error of second order. Where the two are far apart, as
-    over a change of the contact's mode, the step is a tenth of it; the best of `most` steps is taken.
+
+def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]:
+    """Return the derivatives of all that `Here` evaluates by the numbers of a change, matrices (rows, k).
+
+    Central differences at a step and at half of it cancel the error of second order (Richardson's extrapolation). Where
+    the two are far apart, as over a change of the contact's mode, the step of that number is a tenth of it; the best of
+    `MOST` steps is taken.
 
     Parameters
     ----------
-    function : callable
-        Of a number, to a mapping of arrays.
-    step : float
-        The first step.
-    value : mapping
-        What the function is at 0: its size decides what is rounding.
+    here, name, held
+        Where, the change, and whether the torque is held; see `Here.flat`.
+    steps : (k,) array
+        The first step of each number.
 
     Raises
     ------
     EventHere
         If no step stays clear of a change of mode, or there is no derivative.
     """
-    best, least = None, np.inf
-    for _ in range(most):
+    value, k = here.flat(held), steps.size
+    best, least = np.empty((k, value.size)), np.full(k, np.inf)
+    change, step, left = np.zeros(k), steps.astype(float), np.arange(k)
+
+    def at(j: int, amount: float) -> Array:
+        change[j] = amount
         try:
-            wide, near = (_central(function, size) for size in (step, 0.5 * step))
-        except EventHere:
-            step *= 0.1
-            continue
-        apart = 0.0
-        for name, x in near.items():
-            rounding = 1e-12 * (float(np.max(np.abs(value[name]), initial=0.0)) + 1e-3) / step
-            size = float(np.max(np.abs(x), initial=0.0))
-            apart = max(apart, float(np.max(np.abs(x - wide[name]), initial=0.0)) / (size + rounding / 1e-7 + 1e-300))
-        if apart < least:
-            best, least = {name: (4.0 * x - wide[name]) / 3.0 for name, x in near.items()}, apart
-        if apart < NEAR:
+            return here.flat(held, **{name: change})
+        finally:
+            change[j] = 0.0
+
+    for _ in range(MOST):
+        ends, tried = [], []
+        for j in left.tolist():
+            with suppress(EventHere):
+                ends.append([at(j, share * step[j]) for share in (1.0, -1.0, 0.5, -0.5)])
+                tried.append(j)
+        if tried:
+            four, size = np.array(ends), step[tried][:, None]
+            wide, near = (four[:, 0] - four[:, 1]) / (2.0 * size), (four[:, 2] - four[:, 3]) / size
+            apart = _apart(here, value, wide, near, size)
+            for i in np.flatnonzero(apart < least[tried]):
+                best[tried[i]], least[tried[i]] = (4.0 * near[i] - wide[i]) / 3.0, apart[i]
+        left = left[least[left] >= NEAR]
+        if not left.size:
             break
-        step *= 0.1
-    if best is None or least > KINK:
+        step[left] *= 0.1
+    if np.any(least > KINK):
         raise EventHere
-    return best
+    return {key: best[:, where].T for key, where in here.places.items()}
 
 
-def _central(function: Any, step: float) -> dict[str, Array]:
-    above, below = function(step), function(-step)
-    return {name: (above[name] - below[name]) / (2.0 * step) for name in above}
-
-
-def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]:
-    """Return the derivatives of all that `Here` evaluates by the numbers of a change, matrices (rows, k).
+def _apart(here: Here, value: Array, wide: Array, near: Array, step: Array) -> Array:
+    """Return how far two differences (k, ...) are apart, (k,): the most of all that is evaluated, each by its size.
 
     Parameters
     ----------
-    here, name, held
-        Where, the change, and whether the torque is held; see `Here`.
-    steps : (k,) array
-        The first step of each number, see `derivative`.
+    value : array
+        What is evaluated without a change: its size decides what is rounding.
+    wide, near : (k, ...) arrays
+        The differences.
+    step : (k, 1) array
+        The step of the wide ones.
     """
-    value = here(held=held)
-    found: list[dict[str, Array]] = []
-    for j, step in enumerate(steps):
+    firsts = [where.start for where in here.places.values() if where.stop > where.start]
 
-        def along(amount: float, j: int = j) -> dict[str, Array]:
-            change = np.zeros(steps.size)
-            change[j] = amount
-            return here(held=held, **{name: change})
+    def largest(x: Array) -> Array:
+        return np.asarray(np.maximum.reduceat(np.abs(x), firsts, axis=-1))
 
-        found.append(derivative(along, float(step), value))
-    return {
-        key: np.stack([each[key] for each in found], axis=1) if found else x[:, None][:, :0] for key, x in value.items()
-    }
+    rounding = 1e-12 * (largest(value) + 1e-3) / step
+    found: Array = np.max(largest(near - wide) / (largest(near) + rounding / 1e-7 + 1e-300), axis=1)
+    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 
 import numpy as np
@@ -24,6 +24,7 @@ from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import Answers, single_calls
 from closedloop.simulation.stepper import Stepper
+from closedloop.studies.analysis.closed_contacts import contacts_of, put_contacts
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,8 @@ class Instant:
         States of the parts `PARTS`, arrays.
     measured, force : float
         The reading of the sensor that the law has, and f at this instant, N.
+    contacts : mapping
+        State of the contacts of links, if one is closed; see `closedloop.studies.analysis.closed_contacts`.
     """
 
     time: float
@@ -60,6 +63,7 @@ class Instant:
     z: dict[str, Array]
     measured: float
     force: float = 0.0
+    contacts: dict[str, Array] = field(default_factory=dict)
 
 
 def parts_of(problem: Problem) -> dict[str, slice]:
@@ -132,11 +136,7 @@ def run_to(problem: Problem, row: int) -> Instant:
             )
     stepper.back_to(mark)
     state, w = stepper.loop.state, stepper.loop.w
-    if state.together != 0:
-        raise SimulationError(
-            f"linearise: a contact of a link is closed at t = {row * h:g} s; only the tip's contact is linearised",
-            row * h,
-        )
+    contacts = contacts_of(problem, stepper.loop, row * h)
     if problem.stopped and np.any(w.stops.side):
         joint = problem.robot.joint_names[int(np.flatnonzero(w.stops.side)[0])]
         raise SimulationError(
@@ -153,7 +153,7 @@ def run_to(problem: Problem, row: int) -> Instant:
             0, state.settings.states_at : state.settings.states_at + state.law_states
         ]
     z = {name: before[where] for name, where in parts_of(problem).items()}
-    return Instant(row * h, int(state.mode), values, z, float(w.sensing.measured), force)
+    return Instant(row * h, int(state.mode), values, z, float(w.sensing.measured), force, contacts)
 
 
 def put(instant: Instant, problem: Problem, loop: Loop) -> None:
@@ -172,12 +172,19 @@ def put(instant: Instant, problem: Problem, loop: Loop) -> None:
     w.time = row * problem.h
     state.mode, state.started, state.sampled, state.trial.off, state.cleared = instant.mode, 1, 1, 1, 1
     state.phase = STEP_END
+    if instant.contacts:
+        put_contacts(instant.contacts, loop)
     if state.settings.encoder != NO_ENCODER:
         read_encoders(loop, problem.table)
 
 
 def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> Array:
-    """Run the whole loop on from an instant and return the contact force of the next rows (rows,), N.
+    """Run the whole loop on from an instant and return the contact force of the next rows (rows,), N; see `rows_on`."""
+    return rows_on(problem, instant, rows, kick)[:, Row.place("contact_force", problem.robot.n)]
+
+
+def rows_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> Array:
+    """Run the whole loop on from an instant and return the next rows as they are recorded, (rows, ...).
 
     Parameters
     ----------
@@ -213,4 +220,4 @@ def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> 
                 break
     finally:
         kicked[:] = before
-    return np.array(record[first : loop.state.row, Row.place("contact_force", n)])
+    return np.array(record[first : loop.state.row])

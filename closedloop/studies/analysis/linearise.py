@@ -33,7 +33,7 @@ from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.discretise import step_of
-from closedloop.studies.analysis.here import EventHere, Here, columns
+from closedloop.studies.analysis.here import EventHere, Here, columns, independent
 from closedloop.studies.analysis.instant import Instant, parts_of, refuse_outside, row_at, run_to
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from robot_models import RobotModel
@@ -140,6 +140,7 @@ class _Assembly:
         self.outputs = (
             Quantity("contact force", "N"), *(Quantity(f"tip {axis}", "m") for axis in "xyz"),
             *(Quantity(f"torque[{name}]", "N m") for name in names), Quantity("force felt", "N"),
+            *(Quantity(f"contact force[{name}]", "N") for name in (here.contacts.names if here.contacts else ())),
         )  # fmt: skip
 
     def _coordinates(self) -> None:
@@ -148,12 +149,24 @@ class _Assembly:
         H, A, self.frame, _ = self.here.geometry()
         sticks = self.instant.mode == STUCK and self.state.friction.sticking == RIGID_STICK
         contact = A if sticks else A[:1]
+        if self.instant.mode == FREE and self.here.contacts is not None:
+            contact = A[:0]  # what keeps the links bound is elsewhere
         self.rows = contact.shape[0]
-        self.H, self.G = H, np.vstack([contact, self.here.loop_rows(self.instant.values["q"])[0]])
+        others = [self.here.loop_rows(self.instant.values["q"])[0]]
+        if self.here.contacts is not None:
+            others.append(self.here.contacts.rows())
+        self.spans = independent(np.vstack(others))
+        self.H, self.along, self.G = H, A[0], np.vstack([contact, self.spans @ np.vstack(others)])
+        if independent(self.G).shape[0] < self.G.shape[0]:
+            raise SimulationError(
+                "linearise: the tip's contact binds what other contacts or loops bind already at "
+                f"t = {self.instant.time:g} s, so that f is not unique; take another instant",
+                self.instant.time,
+            )
         m = self.G.shape[0]
         answer = np.linalg.solve(H, self.G.T)
         self.P = answer @ np.linalg.inv(self.G @ answer)
-        basis = null_space(self.G)
+        basis = null_space(self.G) if m else np.eye(n)
         self.N = basis @ np.linalg.inv(np.linalg.cholesky(basis.T @ H @ basis)).T if basis.size else basis
         self.bound = slice(1 if self.soft else self.rows if self.instant.mode == FREE else 0, m)  # do not give way
         self.free, self.kept = n - m, self.bound.start
@@ -191,7 +204,8 @@ class _Assembly:
         self.disturbance = self._unseen(self.held) if elastic else self.link
         if self.bound.stop > self.bound.start:
             # On the closure δq̇ along P makes up for how G turns with q.
-            turn = np.vstack([self.law["q"]["u"][: self.rows], self._turn_of_loops()])[self.bound]
+            others = [self._turn_of_loops()] + ([] if here.contacts is None else [self.law["q"]["rates"]])
+            turn = np.vstack([self.law["q"]["u"][: self.rows], self.spans @ np.vstack(others)])[self.bound]
             self.by_v -= self.P[:, self.bound] @ (turn @ self.by_q)
         if self.soft:
             self.by_force = self._by_contact_force()
@@ -202,8 +216,25 @@ class _Assembly:
     def _turn_of_loops(self) -> Array:
         """Return the derivatives (k, n) by q of the rates of the loops' rows, q̇ being what it is."""
         q, apart = self.instant.values["q"], STEP_Q * np.eye(self.n)
-        above, below = (np.array([self.here.loop_rows(q + sign * x)[1] for x in apart]) for sign in (1.0, -1.0))
+
+        def rates(sign: float) -> Array:
+            found = []
+            for x in apart:
+                beside = q.copy()
+                self.here.move(beside, sign * x)
+                found.append(self.here.loop_rows(beside)[1])
+            return np.array(found)
+
+        above, below = rates(1.0), rates(-1.0)
         return np.asarray((above - below).T / (2.0 * STEP_Q))
+
+    def _turning(self) -> Array:
+        """Return what δq of joints that turn freely, in the axes of their links, adds to its rate: −ω × δq; (n, n)."""
+        found, v = np.zeros((self.n, self.n)), self.instant.values["v"]
+        for j in self.problem.robot.model.balls:
+            x, y, z = v[j : j + 3]
+            found[j : j + 3, j : j + 3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        return found
 
     def _unseen(self, found: dict[str, Array]) -> dict[str, Array]:
         """Return the derivatives by a torque that the law does not know of: it sees the change of f alone."""
@@ -268,6 +299,9 @@ class _Assembly:
             parts.append(rows)
         A, by_input = parts[0], parts[3]
         A[:half, half : 2 * half] = np.eye(half)
+        turns = self._turning() @ self.by_q
+        A[:free] += self.N.T @ self.H @ turns
+        A[free:half] += (self.G @ turns)[: self.kept]
         A[self.s0, self.s0 + 1] = by_input[self.s0 + 1, ACCELERATION] = 1.0
         leads, exact = np.full(self.size, -1), np.zeros(self.size, dtype=bool)
         leads[:half] = np.arange(half, 2 * half)
@@ -340,7 +374,11 @@ class _Assembly:
             r = np.zeros((3, whole))
             r[:, :size] = self.plant["q"]["r"] @ self.by_q
             still = np.zeros((3, len(self.inputs)))
-            return F, E, np.vstack([f[0], r, Q[0], felt[0]]), np.vstack([f[1], still, Q[1], felt[1]])
+            presses = (
+                (r[:0], still[:0]) if self.here.contacts is None else widened(self._all(self.plant, "presses"), torque)
+            )
+            C, D = (np.vstack(parts) for parts in zip(f, (r, still), Q, felt, presses, strict=True))
+            return F, E, C, D
 
         F, E, C, D = row_map(True)
         for _ in range(self.problem.hold - 1):
@@ -349,7 +387,10 @@ class _Assembly:
         keep = _moving(F, C)
         keep[self.s0 : self.s0 + 2] = True
         normal = np.zeros(whole)
-        normal[self.s0 + 1 if self.rigid else self.half + self.free] = 1.0
+        if self.rigid or self.kept:
+            normal[self.s0 + 1 if self.rigid else self.half + self.free] = 1.0
+        else:
+            normal[: self.size] = self.along @ self.by_v
         pick, names = np.flatnonzero(keep), self._names(ages, lasts, held)
         return LinearLoop(
             A=F[np.ix_(pick, pick)], B=E[pick], C=C[:, pick], D=D, dt=self.problem.h * max(self.problem.hold, 1),

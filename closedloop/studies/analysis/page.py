@@ -85,7 +85,8 @@ class Page:
         found = [self.sentence(), ""]
         kind = "soft" if loop.soft else "rigid"
         mode = {0: "free", 1: "pressed", 2: "stuck"}[loop.mode]
-        found.append(f"t = {loop.time:g} s, {kind} surface, tip {mode}; {len(loop.states)} states, every {loop.dt:g} s")
+        at = f"{kind} surface, tip {mode}" if loop.mode else f"tip {mode}"
+        found.append(f"t = {loop.time:g} s, {at}; {len(loop.states)} states, every {loop.dt:g} s")
         found += ["", f"{'cut at':22}{'gain':>10}{'phase':>10}{'delay':>12}{'modulus':>10}{'max |S|':>10}"]
         for name, one in self.margins.items():
             if not one.closed:
@@ -109,6 +110,9 @@ class Page:
         rest = sum(pole.at_rest for pole in loop.poles())
         if rest:
             found.append(f"{rest} more rest where they are: friction holds them, or nothing controls them")
+        if loop.mode == 0:
+            found += ["", "the tip touches nothing: f has no bandwidth, and there is no port"]
+            return found + self._limit_lines()
         band = loop.bandwidth()
         found += ["", "bandwidth of the command: " + (f"{band:.3g} Hz" if math.isfinite(band) else
                   f"beyond {0.5 / loop.dt:.3g} Hz, half of the sampling rate")]  # fmt: skip
@@ -118,6 +122,10 @@ class Page:
             if port.passive
             else f"port: not passive, most active at {port.active_at:.3g} Hz"
         )
+        return found + self._limit_lines()
+
+    def _limit_lines(self) -> list[str]:
+        found = []
         for name, limit in self.limits.items():
             if isinstance(limit, str):
                 found.append(f"{name}: {limit}")
@@ -131,14 +139,14 @@ class Page:
     def as_dict(self) -> dict[str, Any]:
         """Return the page as plain values, for JSON: what is infinite, or not known, is None."""
         loop, port = self.loop, self.loop.port()
-        band = loop.bandwidth()
+        band = loop.bandwidth() if loop.mode else math.inf
         return {
             "sentence": self.sentence(), "time": loop.time, "dt": loop.dt, "stable": loop.stable,
             "states": [list(each) for each in loop.states],
             "poles": [pole.as_dict() for pole in loop.poles()],
             "margins": {name: one.as_dict() for name, one in self.margins.items()},
             "bandwidth": band if math.isfinite(band) else None,
-            "passive": port.passive, "active_at": port.active_at,
+            "passive": port.passive if loop.mode else None, "active_at": port.active_at if loop.mode else None,
             "limits": {k: v if isinstance(v, str) else v.as_dict() for k, v in self.limits.items()},
             "longest_delay": self.delay,
         }  # fmt: skip

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from closedloop.base.errors import ScenarioError
+from closedloop.base.second_process import Beside, possible
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
@@ -36,6 +37,8 @@ Array = NDArray[np.float64]
 Value = float | list[float]
 # Values at which a range is looked at, before the limits between them are solved for.
 LOOKS = 25
+# From so many values on a boundary is solved for by two processes: the second looks at the whole range once more.
+SHARED = 8
 # Tolerance of a limit, as a share of its range.
 LIMIT_TOLERANCE = 1e-11
 # Beside the boundary by this share whole runs are tried, for so many periods of the critical pole, and at least so many
@@ -166,6 +169,7 @@ class Stability:
         self._instant = instant_of(scenario, self._problem, at, model)
         self.base = loop_at(self._problem, self._instant)
         self._variants: dict[tuple[str, ...], Variants] = {}
+        self._moved: dict[str, Instant] = {}
 
     def changed(self, values: Mapping[str, Value]) -> Scenario:
         """Return the scenario with other numbers."""
@@ -194,7 +198,10 @@ class Stability:
         surface = scenario.compliance
         if surface != self.scenario.compliance:
             depth = 0.0 if isinstance(surface, Rigid) else surface.static_depth(max(instant.force, 0.0))
-            instant = Here(problem, instant).moved(depth)
+            place = repr([item for item in values.items() if not item[0].startswith("law.")])  # no law moves the tip
+            if place not in self._moved:
+                self._moved[place] = Here(problem, instant).moved(depth)
+            instant = self._moved[place]
         return problem, instant
 
     def growth(self, values: Mapping[str, Value]) -> float:
@@ -263,7 +270,7 @@ class Stability:
         """Return the boundary over two keys: for values of `along`, the limits of `over`.
 
         At the first value the whole range is looked at; then each limit is followed from value to value, and the
-        range is looked at again where one ends.
+        range is looked at again where one ends. If it can be, every other value is left to a second process.
 
         Parameters
         ----------
@@ -276,10 +283,24 @@ class Stability:
         stop : callable
             Asked at each value of `along`: if it is true, what is found until then is returned.
         """
+        shares = np.linspace(0.0, 1.0, points)
+        if points < SHARED or not possible():
+            return self._along(over, along, shares, tolerance, stop)
+        rest = Beside(lambda: self._along(over, along, shares[1::2], tolerance, stop))
+        try:
+            found = self._along(over, along, shares[::2], tolerance, stop)
+            return found if stop() else sorted(found + rest.result(), key=lambda item: abs(item[0] - along.low))
+        finally:
+            rest.stop()
+
+    def _along(
+        self, over: Range, along: Range, shares: Array, tolerance: float, stop: Callable[[], bool]
+    ) -> list[tuple[float, Limit]]:
+        """Return the boundary at shares of the way of `along`; see `boundary`."""
         found: list[tuple[float, Limit]] = []
         last: list[float] = []
         width = 1.0 / LOOKS
-        for share in np.linspace(0.0, 1.0, points):
+        for share in shares:
             if stop():
                 break
             value = along.at(float(share))

@@ -15,6 +15,7 @@ import numpy as np
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
+from closedloop.base.optional import needs
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import simulate_batch
@@ -113,6 +114,7 @@ def compare(
     ScenarioError
         If there are none, two have one name, a key is unknown to one of them, or there is no such value.
     """
+    needs("pandas", "pyarrow")
     import pandas as pd
 
     named = _named(scenarios)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
+from closedloop.base.optional import needs
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.gradient.differences import Along, Part, along
@@ -67,6 +68,7 @@ class Gradient:
 
     def table(self) -> pd.DataFrame:
         """Return a row for each number: `of`, `key` with its entries, `value`, `derivative`, `error`, `method`."""
+        needs("pandas")
         import pandas as pd
 
         rows = []

@@ -20,6 +20,7 @@ from scipy.optimize import minimize
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ModelError
+from closedloop.base.optional import needs
 from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
 from closedloop.studies.identify.regressor import FRICTION, Regressor, Terms
 
@@ -83,6 +84,7 @@ class Excitation:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the motion as a table: time, and q, v, a of each joint."""
+        needs("pandas")
         import pandas
 
         columns = {"time": self.time}

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.files import reason_of
+from closedloop.base.optional import needs
 from closedloop.studies.identify.log import Log, LogError
 
 if TYPE_CHECKING:
@@ -126,6 +127,7 @@ def run_of(path: Path) -> Run | None:
 def table_of(path: Path) -> dict[str, Array]:
     """Return the columns of a file that are numbers."""
     kind = path.suffix.lower()
+    needs(*{".csv": ["pyarrow"], ".txt": ["pyarrow"], ".parquet": ["pyarrow"], ".nc": ["xarray"]}.get(kind, []))
     try:
         if kind in (".csv", ".txt"):
             from pyarrow import csv

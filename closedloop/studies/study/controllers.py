@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line, printable
+from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
+from closedloop.base.files import what_was_written
 from closedloop.base.progress import bar
 from closedloop.record.report.control_verdict import told
 from closedloop.record.run import Run
@@ -160,7 +161,7 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[s
         print(said)
     else:
         print_table(results)
-        print(printable(f"wrote {folder}/: controllers.json, controllers.csv, {figure.name}"))
+        print(what_was_written("controllers.json", "controllers.csv", figure, folder=folder))
     return results
 
 

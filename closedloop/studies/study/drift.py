@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line, printable
-from closedloop.base.files import write_whole
+from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
+from closedloop.base.files import what_was_written, write_whole
 from closedloop.loop.step.record_row import recorded
 from closedloop.mechanics.closure.baumgarte import (
     baumgarte_gains,
@@ -215,8 +215,7 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> dict[str, A
         print(json.dumps(_without_nan(results), indent=2))
     else:
         print_tables(results)
-        names = ", ".join(["drift.json", "drift.csv", *(path.name for path in figures)])
-        print(printable(f"wrote {folder}/: {names}"))
+        print(what_was_written("drift.json", "drift.csv", *figures, folder=folder))
     return results
 
 

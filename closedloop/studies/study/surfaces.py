@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line, printable
+from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
+from closedloop.base.files import what_was_written
 from closedloop.base.progress import bar
 from closedloop.record.report.control_verdict import told
 from closedloop.record.run import Run
@@ -137,7 +138,7 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[s
         print(said)
     else:
         print_tables(results)
-        print(printable(f"wrote {folder}/: surfaces.json, surfaces.csv, {figure.name}"))
+        print(what_was_written("surfaces.json", "surfaces.csv", figure, folder=folder))
     return results
 
 

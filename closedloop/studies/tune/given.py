@@ -112,7 +112,7 @@ def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequenc
     Raises
     ------
     ScenarioError
-        If a key is unknown or no real number, or a range is none.
+        If a key is unknown or no real number, or a range has no two ends.
     """
     found: dict[str, Varied] = {}
     if not vary:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from closedloop.base.errors import OutputError
-from closedloop.base.files import write_whole
+from closedloop.base.files import what_was_written, write_whole
 from closedloop.command.border import Parser, run_command
 from closedloop.command.lab import serve
 from validation.measured.cubes.closedloop import ClosedLoopCube
@@ -68,7 +68,7 @@ def _main(words: list[str]) -> int:
         _figures(Path(options.figures))
     if options.film is not None:
         number, path = options.film
-        print(f"written: {film(_toss(parser, '--film', number), Path(path))}")
+        print(what_was_written(film(_toss(parser, "--film", number), Path(path))))
     if options.lab is not None:
         serve(opened(_toss(parser, "--lab", options.lab)), browser=True)
     return 0

@@ -9,7 +9,6 @@ from closedloop.scenario.load import parse_scenario
 G, MU, HALF = 9.81, 0.4, (0.1, 0.075, 0.05)
 
 
-
 def let_go(angle: float, integrator: str, velocity=(0.0, 0.0, 0.0), spin=(0.0, 0.0, 0.0), **changes: object) -> cl.Run:
     """Return the run of the box, let go with a velocity and a spin along x (up the incline), y, and its normal."""
     c, s = np.cos(angle), np.sin(angle)

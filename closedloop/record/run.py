@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import needs
 from closedloop.mechanics.loops.reactions import LoopReactions
@@ -250,10 +251,12 @@ class Run:
     def _repr_html_(self) -> str:
         return str(_drawn(self, "html"))
 
+    @arguments_checked()
     def save(self, path: str | Path) -> Path:
         """Write the run as NetCDF-4 (HDF5) and return the path; see `closedloop.record.save.save_run`."""
         return save_run(self, path)
 
+    @arguments_checked()
     def show(self, path: str | Path | None = None) -> Any:
         """Show the replay in a browser, or below a notebook's cell; with `path`, write its page there instead.
 
@@ -271,6 +274,7 @@ class Run:
         """
         return _drawn(self, "show", path)
 
+    @arguments_checked()
     def animate(self, path: str | Path, *, speed: float = 1.0, frames_per_second: int = 25) -> Path:
         """Write a film of the run, .gif or .mp4, and return its path; see `closedloop.lab.animate.animate`.
 

@@ -100,6 +100,8 @@ def test_the_line_says_what_where_and_what_would_be_right():
         (lambda: cl.simulate(3), "scenario = 3: must be a Scenario, as load_scenario('wam_slide') returns"),
         (lambda: cl.linearise(SCENARIO, at=math.nan), "at = nan: must be a number or None"),
         (lambda: cl.gradient(SCENARIO, [3], ["rms_force_error"]), "keys = [3]: must be a list of keys"),
+        (lambda: RUN.save(3), "path = 3: must be text or a path"),
+        (lambda: RUN.animate("run.gif", speed="fast"), "speed = 'fast': must be a number"),
         (lambda: cl.simulate(SCENARIO, model="wam4"),
          "model = 'wam4': must be a robot, as robot_models.load('wam4') returns or None"),
     ):  # fmt: skip

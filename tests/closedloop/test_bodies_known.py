@@ -184,3 +184,4 @@ friction = 0.2
     assert 0 < falls[0] < falls[1] < falls[2] < falls[3]
     assert all(tilt[-1] > 0.9 for tilt in tilts)
     assert np.min(run.link_gaps) > -1e-6
+    assert len(run.event_time) < 2000  # 10 000 and more if no modes are found and each 20 µs is a time step of its own

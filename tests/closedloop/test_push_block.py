@@ -84,3 +84,5 @@ def test_the_block_comes_to_rest_and_all_is_well() -> None:
     assert np.all(run.link_modes[-1] == 2)
     assert np.min(run.link_gaps) > -1e-8  # what rk4 leaves at 1 ms; at half the step it is 1e-13
     assert np.max(np.abs(run.v[-1, 4:])) < 1e-7
+    slides = (run.time > 1.0) & (run.time < 2.09)  # slower and slower
+    assert np.max(np.abs(np.diff(run.link_forces[slides], axis=0))) < 2e-3  # N from row to row

@@ -8,6 +8,7 @@ python -m pytest --hypothesis-profile=explore      # other examples each time, t
 
 import gc
 import os
+import signal
 import sys
 from collections import Counter
 from contextlib import suppress
@@ -27,6 +28,8 @@ settings.register_profile("same", derandomize=True, deadline=None, max_examples=
 settings.register_profile("explore", deadline=None)
 settings.load_profile("same")
 os.environ[VARIABLE] = "0"  # for the processes that tests start, too
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a suite that a shell has started in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # Files that take longest, in either suite: begun first, so that no process is left with one of them at the end. The

@@ -116,8 +116,10 @@ def divide_step(w: Work, state: State) -> None:
     if parts > 1.0:
         w.length = left / np.ceil(parts)
         state.divided = 1
-    if state.together != 0 and contacts_at(state.contacts.at)[1].step.longest < w.length:
-        w.length, state.divided = contacts_at(state.contacts.at)[1].step.longest, 1
+    if state.together != 0:
+        _links, c = contacts_at(state.contacts.at)
+        if c.step.span < w.length:
+            w.length, state.divided = c.step.span, 1
 
 
 @kernel

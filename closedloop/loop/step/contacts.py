@@ -199,7 +199,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
     """Write the forces in the present modes, none while these are not decided, and q̈."""
     n, k, status = links.n, links.k, OK
     if state.begins != 0:
-        c.step.span = c.step.longest = constants.h
+        c.step.span = constants.h
     if links.undecided != 0:
         for i in range(3 * k):
             c.F[i], c.rigid[i] = 0.0, 0.0
@@ -239,7 +239,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 for i in range(3 * k):
                     c.F[i] = c.rigid[i] = c.step.force[i]
             elif left < math.inf:
-                c.step.span = c.step.longest = MOST_OF * left
+                c.step.span = MOST_OF * left
                 status = turn_and_solve(c, k, c.step.span)
                 keep_in_cones(c, k)
         if status != OK and w.time > 0.0:  # these modes end here: others, or a time step, go on

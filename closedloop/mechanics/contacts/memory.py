@@ -93,8 +93,7 @@ class TimeStep(Block, sizes=("k",)):
 
     end: float  # s
     begun: float  # 1 if the substep began within it
-    span: float  # after which friction points along what is left of slow slips, s
-    longest: float  # that the next substep may be, s
+    span: float  # the longest that the next substep may be, and after which friction points along slow slips, s
     force: Annotated[Array, 3 * K]  # N
 
 

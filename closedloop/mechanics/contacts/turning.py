@@ -80,20 +80,13 @@ def stop_slips(c: Contacts, k: int, h: float) -> float:
     """
     if c.problem.ends == 0.0:
         return math.inf
-    for i in range(k):
-        c.scratch.start[3 * i], c.scratch.mu[i] = c.problem.form[i], c.mu[i]
     for r in range(3 * k):
         c.before[r] = c.F[r]
-    set_problem(c, k, h, True)
-    count, rate = pack(c, k), 0.0 * h
-    for r in range(3 * count):
-        c.scratch.sought[r] = c.problem.q[r]
+    count, rate = pack_problem(c, k, h, True), 0.0 * h
     c.problem.steps = 0.0
     if count > 1 and solve_within(c, count, 1.0 / h):
         rate = shorten(c, count, h)
-    unpack(c, k, count)
-    for i in range(k):
-        c.mu[i], c.problem.form[i] = c.scratch.mu[i], int(c.scratch.start[3 * i])
+    unpack_problem(c, k, count)
     for r in range(3 * k):
         c.step.force[r] = c.F[r] - c.viscous[r]
         c.F[r] = c.before[r]
@@ -137,28 +130,40 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
 @kernel
 def turn_slips(c: Contacts, k: int, h: float) -> float:
     """Write `along` of the contacts that slip slowly; return its largest change, of μ, negative if none was found."""
-    mu, change = c.scratch.mu, -1.0
-    for i in range(k):
-        mu[i], c.scratch.start[3 * i + 2] = c.mu[i], c.problem.form[i]
-    set_problem(c, k, h, False)
-    count = pack(c, k)
-    for r in range(3 * count):
-        c.scratch.sought[r] = c.problem.q[r]
+    change, count = -1.0, pack_problem(c, k, h, False)
     found = solve_within(c, count, 1.0 / h)
     if found and left_of_slips(c, count) < 0.0:
         c.problem.ends = 1.0
     for i in range(count if found else 0):
         c.scratch.best[3 * i], c.scratch.best[3 * i + 1] = rub(c, i)
-    unpack(c, k, count)
+    unpack_problem(c, k, count)
     if found:
         change = 0.0
     for j in range(count):
         i = int(c.scratch.packed.contact[j])
         if found and c.scratch.turned[i] != 0.0:
-            change = max(change, turn(c, i, c.mu[i], c.scratch.best[3 * j], c.scratch.best[3 * j + 1]))
-    for i in range(k):
-        c.mu[i], c.problem.form[i] = mu[i], int(c.scratch.start[3 * i + 2])
+            change = max(change, turn(c, i, c.scratch.best[3 * j], c.scratch.best[3 * j + 1]))
     return change
+
+
+@kernel
+def pack_problem(c: Contacts, k: int, h: float, ends: bool) -> int:
+    """Write the problem, see `set_problem`, packed, its q as `sought` too; return how many contacts it has."""
+    for i in range(k):
+        c.scratch.mu[i], c.scratch.start[3 * i + 2] = c.mu[i], c.problem.form[i]
+    set_problem(c, k, h, ends)
+    count = pack(c, k)
+    for r in range(3 * count):
+        c.scratch.sought[r] = c.problem.q[r]
+    return int(count)
+
+
+@kernel
+def unpack_problem(c: Contacts, k: int, count: int) -> None:
+    """Put back what `pack_problem` has written over, but for F."""
+    unpack(c, k, count)
+    for i in range(k):
+        c.mu[i], c.problem.form[i] = c.scratch.mu[i], int(c.scratch.start[3 * i + 2])
 
 
 @kernel
@@ -282,12 +287,13 @@ def shorten(c: Contacts, k: int, h: float) -> float:
 
 
 @kernel
-def turn(c: Contacts, i: int, level: float, x1: float, x2: float) -> float:
+def turn(c: Contacts, i: int, x1: float, x2: float) -> float:
     """Write `along` of contact i, with its `rub` x, and return its change, of μ; it stays where slip turns round.
 
     So it does where a slip that has only begun does not go on: friction is against what pulls.
     """
     n = 3 * i
+    level = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
     size, speed = math.hypot(x1, x2), math.hypot(c.u[n + 1], c.u[n + 2])
     d1, d2 = (c.u[n + 1], c.u[n + 2]) if speed > STILL else (c.direction[i, 0], c.direction[i, 1])
     if not size > 0.0 or -x1 * d1 - x2 * d2 < 0.0:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.scenario.load import scenario_of
 from robot_models import load
 
 SOFT = {"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 300.0}
@@ -92,3 +93,26 @@ def test_start_inside_a_soft_surface(both):
     assert run.link_forces[0, 0] == pytest.approx(SOFT["stiffness"] * 0.001, rel=1e-9)
     with pytest.raises(cl.ScenarioError, match="inside the surface"):
         cl.simulate(as_contacts(tip, through=inside, compliance={"kind": "none"}), progress=False)
+
+
+def test_a_box_on_soft_feet_slides_and_turns_to_rest():
+    """In few events, and where rigid feet bring it to rest, though it rocks and its feet are at different depths."""
+    box = {
+        "name": "box", "shape": "box", "edges": [0.2, 0.15, 0.1], "mass": 1.0, "position": [0, 0, 0.05],
+        "velocity": [0.3, 0.1, 0.0], "spin": [0, 0, 2.0],
+    }  # fmt: skip
+    ends = []
+    for compliance in ({"kind": "none"}, {"kind": "kelvin_voigt", "stiffness": 1e5, "damping": 300.0}):
+        contact = {"link": "box", "at": "collision", "friction": 0.4, "compliance": compliance}
+        tables = {
+            "robot": {"model": "none"}, "body": [box], "contact": [contact],
+            "time": {"duration": 0.15, "step": 1e-3, "integrator": "rk4"},
+        }  # fmt: skip
+        run = cl.simulate(scenario_of(tables, "box", {}), progress=False)
+        assert len(run.event_time) < 40
+        assert np.max(np.abs(run.v[-1])) < 1e-9
+        assert run.summary()["verdict"]["good"]
+        ends.append(run.q[-1, :2])
+    straight = (0.3**2 + 0.1**2) / (2.0 * 0.4 * 9.81)  # friction that also brakes the turn brakes the slide less
+    assert straight < np.linalg.norm(ends[0]) < 1.3 * straight
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.02)

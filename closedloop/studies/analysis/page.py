@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from closedloop.base.errors import ClosedLoopError, ScenarioError
+from closedloop.base.errors import ClosedLoopError
 from closedloop.studies.analysis.linear_loop import LinearLoop
 from closedloop.studies.analysis.margins import Margins
-from closedloop.studies.analysis.stability import Limit, Range, Stability, Trial
+from closedloop.studies.analysis.ranges import Limit, Range, Trial
+from closedloop.studies.analysis.stability import Stability
 
 # Up to how many times their value gains and stiffnesses are looked for limits, and at how many values.
 MOST_GAIN, MOST_STIFFNESS, LOOKS = 1e3, 1e4, 13
@@ -33,7 +34,7 @@ class Page:
     limits : dict of str to Limit or str
         Largest stable values by key, or why none was found.
     delay : float or None
-        The longest stable `sensor.delay`, s, of those tried; None if the law reads no force.
+        The longest stable `sensor.delay` of those tried, s; infinite if all are; None if the law reads no force.
     """
 
     loop: LinearLoop
@@ -133,7 +134,8 @@ class Page:
                 side = "largest" if limit.upwards else "smallest"
                 found.append(f"{name}: {side} stable value {limit.value:.6g}, then {limit.pole.frequency:.3g} Hz")
         if self.delay is not None:
-            found.append(f"sensor.delay: longest stable value {self.delay:.4g} s")
+            longest = "no limit is found" if math.isinf(self.delay) else f"longest stable value {self.delay:.4g} s"
+            found.append(f"sensor.delay: {longest}")
         return found
 
     def as_dict(self) -> dict[str, Any]:
@@ -148,7 +150,7 @@ class Page:
             "bandwidth": band if math.isfinite(band) else None,
             "passive": port.passive if loop.mode else None, "active_at": port.active_at if loop.mode else None,
             "limits": {k: v if isinstance(v, str) else v.as_dict() for k, v in self.limits.items()},
-            "longest_delay": self.delay,
+            "longest_delay": self.delay if self.delay is not None and math.isfinite(self.delay) else None,
         }  # fmt: skip
 
 
@@ -219,7 +221,7 @@ def _longest_delay(study: Stability) -> float:
     def stable(samples: int) -> bool:
         try:
             return study.growth({"sensor.delay": samples * h}) < 0.0
-        except ScenarioError:
+        except ClosedLoopError:
             return False
 
     step = max(1, round(period / h))

@@ -130,6 +130,15 @@ def test_page_of_a_stable_loop(study):
     assert page.delay == pytest.approx(page.margins["sensor"].delay, abs=3 * 0.0005)  # sampled, the reading is older
 
 
+def test_page_without_feedback():
+    """Where nothing is fed back no margin is said: of a mechanism with no freedom left, and of bodies alone."""
+    page = page_of(Stability(cl.load_scenario("four_bar")))
+    assert page.sentence() == "stable; nothing is fed back"
+    assert "belongs to" not in "".join(page.lines())
+    page = page_of(Stability(cl.load_scenario("ball_on_turntable"), 0.3))
+    assert page.sentence().startswith("unstable: a motion that nothing controls oscillates at ")
+
+
 def test_page_of_a_loop_that_bears_every_delay(study):
     """What has no limit is said in words, and is null in JSON, which has no infinity."""
     page = page_of(study, limits=False)

@@ -48,19 +48,27 @@ class Page:
         sensor = self.margins["sensor"]
         return sensor if sensor.closed else min(self.margins.values(), key=lambda one: one.modulus)
 
+    @property
+    def fed_back(self) -> bool:
+        """Whether anything is fed back, force or motion."""
+        return any(one.closed for one in self.margins.values())
+
     def sentence(self) -> str:
         """Return the verdict in one sentence."""
         loop = self.loop
         if not loop.stable:
             pole = next(pole for pole in loop.poles() if pole.grows)
             how = f"oscillates at {pole.frequency:.3g} Hz and " if abs(pole.s.imag) > 1e-9 * abs(pole.s) else ""
-            grows = f"unstable: what belongs mostly to the {pole.part} {how}grows with exp({pole.s.real:.3g} t)"
+            what = f"what belongs mostly to the {pole.part}" if self.fed_back else "a motion that nothing controls"
+            grows = f"unstable: {what} {how}grows with exp({pole.s.real:.3g} t)"
             ways = [
                 f"{name} {'below' if limit.upwards else 'above'} {limit.value:.3g} makes it stable"
                 for name, limit in self._limits()
             ]
             return "; ".join([grows, *ways])
         margins = self.weakest
+        if not margins.closed:
+            return "stable; nothing is fed back"
         decibels = "no gain" if math.isinf(margins.decibels) else f"{margins.decibels:.1f} dB"
         degrees = "no phase lag" if math.isinf(margins.phase) else f"{margins.phase:.0f}°"
         far = f"{decibels} and {degrees} from instability"
@@ -97,8 +105,9 @@ class Page:
             phase = "any" if math.isinf(one.phase) else f"{one.phase:.0f}°"
             delay = "any" if math.isinf(one.delay) else f"{1e3 * one.delay:.3g} ms"
             found.append(f"{name:22}{gain:>10}{phase:>10}{delay:>12}{one.modulus:>10.3f}{one.peak_sensitivity:>10.2f}")
-        found += ["", f"{'pole, 1/s':28}{'Hz':>9}{'damping':>9}  belongs to"]
         shown = [pole for pole in loop.poles() if pole.s.imag >= 0.0 and not pole.at_rest][:SHOWN_POLES]
+        if shown:
+            found += ["", f"{'pole, 1/s':28}{'Hz':>9}{'damping':>9}  belongs to"]
         for pole in shown:
             parts = sorted(pole.participation.items(), key=lambda item: -item[1])
             belongs = ", ".join(f"{name} {100 * share:.0f} %" for name, share in parts if share >= 0.05)

@@ -196,6 +196,10 @@ class MapWork:
             if why := found.reasons.get((row, column)):
                 self._say(why)
 
+    def where(self, scenario: Scenario) -> Message:
+        """Return the message of where a scenario is on the map."""
+        return {"kind": "point", "at": self.point(scenario), "stale": self.stale(scenario)}
+
     def point(self, scenario: Scenario) -> list[float] | None:
         """Return where a scenario is on the map: its values of both keys; None if it has others, or there is no map."""
         if self.map is None:
@@ -275,9 +279,7 @@ class MapWork:
             "line": f"{line}. Dashed: where the verdicts turn from good." if complete else line,
         }  # fmt: skip
         self._lab.tell("map", message)
-        scenario = self._lab.history.scenario()
-        point = {"kind": "point", "at": self.point(scenario), "stale": self.stale(scenario)}
-        self._lab.tell("point", point, keep=False)
+        self._lab.tell("point", self.where(self._lab.history.scenario()), keep=False)
 
     def _boundary(self, found: Map) -> None:
         """Send the boundary of stability, where the loop can be analysed and the keys are not entries of one list."""

@@ -56,6 +56,9 @@ class Lab(Protocol):
     def wait_for_plots(self, seconds: float = 60.0) -> bool:
         """Wait until the curves of the newest change have been sent; return whether they have."""
 
+    def computes(self) -> bool:
+        """Whether a run is being computed, or waits for it."""
+
     def tell_controls(self, forced: bool = False) -> None:
         """Send the controls as they are."""
 

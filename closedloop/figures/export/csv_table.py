@@ -14,8 +14,7 @@ from closedloop.base.files import write_whole
 from closedloop.base.optional import needs
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.record.columns.derived import DERIVED, WRENCH
-from closedloop.record.run import units_by_kind
-from closedloop.record.run import Run
+from closedloop.record.run import Run, units_by_kind
 from closedloop.scenario.contact_names import labels_of, tangents_of
 
 AXES = ("x", "y", "z")

@@ -328,7 +328,7 @@ class Lab:
                 client.put(slot, data)
 
     def forget(self, *slots: str) -> None:
-        """Send these to pages that open later no more."""
+        """Do not send these to pages that open later."""
         for slot in slots:
             self._last.pop(slot, None)
 

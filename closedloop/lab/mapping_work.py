@@ -135,7 +135,7 @@ class MapWork:
     def _wait_for_compiler(self) -> None:
         """Say what the first map waits for, and begin it when that is there."""
         what = (
-            f"What computes eight runs at a time is not compiled yet (some {seconds_to_compile([run_in_lanes]):.0f} s)"
+            f"The code for eight runs at a time is not compiled yet (some {seconds_to_compile([run_in_lanes]):.0f} s)"
         )
         if refused():
             self._say(f"{what}: press compute, then it is compiled first.")

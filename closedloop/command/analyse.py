@@ -10,12 +10,13 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.base.files import made_folder, what_was_written
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
-    from closedloop.studies.analysis.stability import Range, Stability
+    from closedloop.studies.analysis.ranges import Range
+    from closedloop.studies.analysis.stability import Stability
 
 # Values of a range that does not say how many, and where whole runs are tried beside a boundary.
 POINTS, TRIED = 60, (0.25, 0.5, 0.75)
@@ -54,10 +55,14 @@ def _main(words: list[str]) -> int:
     ranges = [_range(text) for text in options.vary]
     folder = made_folder(options.out)
 
+    from closedloop.studies.analysis.instant import refuse_outside
     from closedloop.studies.analysis.page import page_of
     from closedloop.studies.analysis.stability import Stability
 
-    study = Stability(load_scenario(options.scenario, overrides), options.at)
+    scenario = load_scenario(options.scenario, overrides)
+    if options.at is not None:
+        refuse_outside(scenario, options.at, "command line: --at")
+    study = Stability(scenario, options.at)
     page = page_of(study, limits=not ranges)
     found: dict[str, Any] = {}
     drawn: list[tuple[str, Any]] = []
@@ -90,7 +95,7 @@ def _range(text: str) -> tuple[Range, int]:
     ScenarioError
         If it is not a range of numbers.
     """
-    from closedloop.studies.analysis.stability import Range
+    from closedloop.studies.analysis.ranges import Range
     from closedloop.studies.sweep.axes import parse_axis
 
     try:
@@ -163,7 +168,7 @@ def _loops(study: Stability, over: Range, count: int) -> list[tuple[float, Any]]
         value = over.at(k / (count - 1))
         try:
             found.append((value, study.loop({over.key: value})))
-        except ScenarioError:
+        except ClosedLoopError:
             continue
     return found
 

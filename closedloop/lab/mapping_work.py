@@ -24,7 +24,8 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
 from closedloop.simulation.engines.lane_loop import run_in_lanes
 from closedloop.simulation.engines.lanes import can_use_lanes
-from closedloop.studies.analysis.stability import Range, Stability
+from closedloop.studies.analysis.ranges import Range
+from closedloop.studies.analysis.stability import Stability
 
 USUAL, WITHOUT_LAW = "rms_force_error", "energy_lost_to_friction"
 # The map is sent again after so long at the earliest while it fills in, s.

@@ -80,7 +80,8 @@ def test_figures_and_a_map(command_line, tmp_path, monkeypatch):
         (("--vary", "law.kind=a:b"), "--vary law.kind=a:b: ", 2),
         (("--vary", "x=1:2"), "--vary x=1:2: must be KEY=VALUES with a key such as law.force", 2),
         (("--vary", "law.nothing=1:2"), "law.nothing", 2),
-        (("--at", "99"), "at = 99 s: must be within the run", 2),
+        (("--at", "99"), "command line: --at = 99 s: must be within the run, 0 to time.duration = ", 2),
+        (("--at", "-3"), "command line: --at = -3 s: must be within the run", 2),
         (("--vary", "law.force=1:2") * 3, "--vary: at most two keys", 2),
     ],
 )

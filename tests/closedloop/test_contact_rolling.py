@@ -31,11 +31,11 @@ SURFACES = {
 }
 
 
-def located(contact, q, v, t):
-    """Return gap, u, u̇ at q̈ = 0, G and what u has beside G q̇ of a contact of wam4, at a state and an instant."""
+def located(contact, q, v, t, name="wam_slide"):
+    """Return gap, u, u̇ at q̈ = 0, G and what u has beside G q̇ of a contact of an arm, at a state and an instant."""
     changes = {"surface": FAR, "contact": [contact], "law.force": 0.0, "reference.kind": "hold", "start.v": None}
     changes["time.integrator"] = "rk4"
-    problem = prepare(cl.load_scenario("wam_slide", changes))
+    problem = prepare(cl.load_scenario(name, changes))
     loop = problem.loop()
     problem.connect(loop, compiled=False)
     links, c = loop.w.kept["contacts"]
@@ -150,18 +150,34 @@ def test_a_disc_that_wobbles_keeps_its_energy(tmp_path):
     assert np.ptp(run.q[:, 2]) > 1e-3
 
 
-@pytest.mark.parametrize("kind", ["ball", "torus", "ellipsoid below", "cylinder that turns"])
-def test_force_at_the_contact_has_the_rows_of_the_run_as_torques(kind):
+# Two rods, long enough to cross in any posture.
+CROSSING = {
+    "at": [0.03, -0.02, 0.2], "through": [0.0, 0.1, 0.05], "radius": 0.01,
+    "edge": {"half": [6.0, 2.0, 4.0], "onto": [[4.0, -6.0, 2.0]], "onto_radius": 0.02},
+}  # fmt: skip
+
+
+# A hand is turned in its joint, the links of wam4 are not.
+HELD = {"tip on link2": "wam_slide", "panda_link4 on panda_hand": "panda_slide"}
+PLACED = [
+    (where, kind) for where in HELD for kind in ("plane", "ball", "torus", "ellipsoid below", "cylinder that turns")
+]
+
+
+@pytest.mark.parametrize(("where", "kind"), [*PLACED, ("panda_link4 on panda_hand", "rods")])
+def test_force_at_the_contact_has_the_rows_of_the_run_as_torques(where, kind):
     """The torques of unit forces where the record puts the contact are the rows G."""
-    q, t = np.array([0.3, 0.5, -0.4, 0.8]), 0.2
-    contact = {"link": "tip", "at": [0.01, -0.02, 0.03], "normal": [0.2, -0.1, 1.0], "through": [0.0, 0.0, -2.0]}
-    contact |= SHAPES[kind] if kind in SHAPES else {"radius": 0.05} | SURFACES[kind]
-    contact["against"] = "link2"
-    G = located(contact, q, np.zeros(4), t)[3]
-    scenario = cl.load_scenario("wam_slide", {"contact": [contact]})
-    mechanism = robot_models.load("wam4").pinocchio_model()
+    (link, against), name, t = where.split(" on "), HELD[where], 0.2
+    model = robot_models.load(cl.load_scenario(name).robot.model)
+    q = np.array([0.3, 0.5, -0.4, 0.8, 0.2, 1.1, -0.6])[: model.n]
+    contact = {"at": [0.01, -0.02, 0.03], "normal": [0.2, -0.1, 1.0], "through": [0.0, 0.0, -2.0]}
+    contact |= SHAPES.get(kind, {}) | ({"radius": 0.05} | SURFACES[kind] if kind in SURFACES else {})
+    contact |= {"link": link, "against": against} | (CROSSING if kind == "rods" else {})
+    G = located(contact, q, np.zeros(model.n), t, name)[3]
+    scenario = cl.load_scenario(name, {"contact": [contact]})
     forces, frictions = np.array([[1.0], [0.0], [0.0]]), np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    torques = contact_torques(scenario, mechanism, np.full(3, t), np.tile(q, (3, 1)), forces, frictions)
+    states = np.full(3, t), np.tile(q, (3, 1))
+    torques = contact_torques(scenario, model.pinocchio_model(), *states, forces, frictions)
     np.testing.assert_allclose(torques, G, atol=1e-13)
 
 

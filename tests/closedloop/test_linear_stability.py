@@ -5,8 +5,10 @@ import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 import closedloop as cl
+from closedloop.mechanics.loops.assemble import errors_at
 from closedloop.simulation.cache import Cache
 from closedloop.studies.analysis import stability
+from closedloop.studies.analysis.here import Here
 from closedloop.studies.analysis.margins import margins_of
 from closedloop.studies.analysis.overview import overview
 from closedloop.studies.analysis.page import page_of
@@ -41,6 +43,32 @@ def test_limit_below_which_it_is_unstable(study):
     wanted = (-k + (k * k + 4.0 * 20.0**2 * MASS * k) ** 0.5) / (2.0 * 20.0)
     assert limit.value == pytest.approx(wanted, rel=1e-8)
     assert not limit.upwards
+
+
+def test_the_search_goes_on_behind_values_without_a_linear_loop(study, monkeypatch):
+    """Such values are named once, with the first of them and why, and the limit behind them is found."""
+    growth = study.growth
+
+    def refusing(values):
+        if 6.0 < values["law.force_integral"] < 15.0:
+            raise cl.SimulationError("linearise: no loop", 0.0)
+        return growth(values)
+
+    monkeypatch.setattr(study, "growth", refusing)
+    (limit,), refused = study.limits(Range("law.force_integral", 5.0, 80.0))
+    assert limit.value == pytest.approx(limit_of(STIFFNESS), rel=1e-9)
+    assert refused == "law.force_integral = 8.125: linearise: no loop"
+    found = study.boundary(Range("law.force_integral", 5.0, 80.0), Range("law.force", 9.0, 10.0), 2)
+    assert [each.value for _, each in found] == pytest.approx([limit_of(STIFFNESS)] * 2, rel=1e-9)
+
+
+def test_a_drive_at_its_limit_does_not_end_a_search():
+    """At forces that the drive cannot hold there is no linear loop: the least of them is named, with why."""
+    study = Stability(cl.load_scenario("wam_slide", {"time.duration": 1.0, "drives.torque_limit": 10.0}))
+    limits, refused = study.limits(Range("law.force", 5.0, 100.0))
+    assert limits == []
+    assert refused.startswith("law.force = 32.71: linearise: the drive of joint J2 is at its limit at t = 0.5 s")
+    assert refused.count("at its limit") == 1
 
 
 def test_boundary_over_two_keys(study, monkeypatch):
@@ -102,6 +130,23 @@ def test_page_of_a_stable_loop(study):
     assert page.delay == pytest.approx(page.margins["sensor"].delay, abs=3 * 0.0005)  # sampled, the reading is older
 
 
+def test_page_without_feedback():
+    """Where nothing is fed back no margin is said: of a mechanism with no freedom left, and of bodies alone."""
+    page = page_of(Stability(cl.load_scenario("four_bar")))
+    assert page.sentence() == "stable; nothing is fed back"
+    assert "belongs to" not in "".join(page.lines())
+    page = page_of(Stability(cl.load_scenario("ball_on_turntable"), 0.3))
+    assert page.sentence().startswith("unstable: a motion that nothing controls oscillates at ")
+
+
+def test_page_of_a_loop_that_bears_every_delay(study):
+    """What has no limit is said in words, and is null in JSON, which has no infinity."""
+    page = page_of(study, limits=False)
+    page.delay = np.inf
+    assert page.lines()[-1] == "sensor.delay: no limit is found"
+    assert page.as_dict()["longest_delay"] is None
+
+
 def test_page_of_an_unstable_loop():
     """It says what grows, how fast, and below which gain it does not."""
     page = page_of(Stability(mass_on_a_spring(gain=40.0), at=0.005))
@@ -155,6 +200,19 @@ def test_another_stiffness_carries_the_same_force():
         (pair, _) = [pole for pole in study.loop({"compliance.stiffness": k}).poles() if pole.part == "contact"]
         tangent = 1.5 * k ** (2.0 / 3.0) * 10.0 ** (1.0 / 3.0)
         assert 2.0 * np.pi * pair.frequency == pytest.approx((tangent / MASS) ** 0.5, rel=1e-6)
+
+
+def test_the_tip_of_a_mechanism_is_put_deeper_with_its_loops_closed():
+    """Rows of the loops of four_bar depend on others: on a softer surface its tip is as deep as it must be."""
+    soft = {"compliance.kind": "kelvin_voigt", "compliance.stiffness": 2e4, "compliance.damping": 400.0}
+    study = Stability(cl.load_scenario("four_bar", {"time.duration": 0.4, "time.integrator": "rk4"} | soft))
+    problem, there = study._at({"compliance.stiffness": 5e3})
+    here = Here(problem, there)
+    rows = here.loop_rows(there.values["q"])[0]
+    assert np.linalg.matrix_rank(rows) < rows.shape[0]
+    assert -here()["gap"][0] == pytest.approx(study._instant.force / 5e3, rel=1e-9)
+    error, _ = errors_at(problem.robot, here._loops, there.values["q"], np.zeros(problem.robot.n))
+    assert np.max(np.abs(error)) < 1e-12
 
 
 @pytest.mark.parametrize(("name", "cut"), [("soft_table", "sensor"), ("wam_slide", "torque")])

@@ -11,8 +11,12 @@ from scipy.linalg import expm
 import closedloop as cl
 from closedloop.loop.step.record_row import ContactRow
 from closedloop.scenario.contact_names import names_of
+from closedloop.simulation.engines.loops import PINOCCHIO
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.analysis.here import Here, columns
+from closedloop.simulation.stepper import Stepper
+from closedloop.studies.analysis.closed_contacts import contacts_of
+from closedloop.studies.analysis.derivatives import columns
+from closedloop.studies.analysis.here import Here
 from closedloop.studies.analysis.instant import rows_on, run_on
 from closedloop.studies.analysis.linearise import instant_of, loop_at
 
@@ -455,6 +459,34 @@ def test_at_a_stop_that_holds_a_joint():
     ):
         cl.linearise(scenario, at=0.09)
     assert len(cl.linearise(scenario, at=0.01).states) > 0
+
+
+def test_at_a_stop_beside_a_closed_contact_and_beside_an_event():
+    """A stop that is held is refused where links touch, too; within a step of its impact the impact is named."""
+    held = {"robot__stops": True, "start__q": [9.99, 0.0, 0.0], "law__kp": [0.0] * 3, "law__kd": [0.0] * 3}
+    cube = {"name": "cube", "shape": "box", "edges": [0.1, 0.1, 0.1], "mass": 1.0, "position": [2.0, 2.0, 0.05]}
+    foot = {"link": "cube", "at": [[x, y, -0.05] for x in (-0.05, 0.05) for y in (-0.05, 0.05)], "friction": 0.5}
+    beside = {"body": [cube], "contact": [foot], "time__integrator": "rk4", "start__v": [0.5] + [0.0] * 8}
+    scenario = mass_on_a_spring(**held | beside)
+    with pytest.raises(
+        cl.SimulationError, match=r"^linearise: at t = 0\.09 s joint X is at its stop, which is not lin"
+    ):
+        cl.linearise(scenario, at=0.09)
+    impact = next(event for event in cl.simulate(scenario, progress=False).events if event.time > 0.0)
+    with pytest.raises(cl.SimulationError, match=rf"within a step of an event \({impact.kind} at"):
+        cl.linearise(scenario, at=impact.time)
+
+
+def test_contacts_without_modes():
+    """Where the forces of contacts are those of a time step there is no linear loop, and it is said."""
+    problem = prepare(cl.load_scenario("push_block"))
+    stepper = Stepper(problem, PINOCCHIO)
+    stepper.let(None)
+    stepper.to_row()
+    assert contacts_of(problem, stepper.loop, 0.1)
+    stepper.loop.w.kept["contacts"].links.undecided = 1
+    with pytest.raises(cl.SimulationError, match=r"^linearise: at t = 0\.1 s no modes of the contacts are found"):
+        contacts_of(problem, stepper.loop, 0.1)
 
 
 def test_a_contact_that_binds_the_tip_once_more():

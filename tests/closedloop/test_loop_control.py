@@ -1,9 +1,12 @@
 """Mechanisms with loops under a controller that errs, reads encoders or drives through springs, and with dop853."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import closedloop as cl
+from robot_models import load
 
 # The controller takes the links for lighter than they are, and the arm sags: a motion without a jump of the reference.
 MOVED = {"reference.start": 1.0, "model_error.masses": 0.8}
@@ -66,6 +69,24 @@ def test_stiff_springs_are_rigid_drives():
         off.append(np.abs(run.q - rigid.q)[-20:].max())  # once the springs have taken up the load
     assert 3.0 < off[0] / off[1] < 5.0
     assert off[0] < 1e-7
+
+
+@pytest.mark.parametrize("given", [{}, {"transmission.motor_inertia": 0.02}])
+def test_a_joint_without_a_drive_has_no_motor(given):
+    """An inertia that turns with its axis is the link's: it has no speed of a motor, and the law sees it in H once."""
+    model = dataclasses.replace(load("five_bar"), armature=np.full(4, 0.02))
+    changes = {"transmission.stiffness": 4e3, "transmission.damping": 10.0, "time.duration": 0.004}
+    seen = []
+
+    def law(x):
+        seen.append((x.q.copy(), x.v.copy(), x.H.copy()))
+        return x.C
+
+    run = cl.simulate(cl.load_scenario("five_bar", changes | given), model=model, law=law)
+    assert np.all(run.motor_velocity[1:, model.driven] != 0.0)
+    assert not np.any(run.motor_velocity[:, ~model.driven])
+    for q, v, H in seen:
+        np.testing.assert_allclose(H, cl.Robot(model).terms(q, v).mass_matrix, rtol=1e-12)
 
 
 def energy(run, k, inertia):

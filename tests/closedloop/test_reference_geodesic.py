@@ -5,6 +5,7 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 import closedloop as cl
+from closedloop.control.reference.geodesic import Rolling
 from closedloop.control.reference.path import PATHS, path_on
 from closedloop.mechanics.surface.motion import MOTIONS
 from closedloop.mechanics.surface.placed import PlacedSurface
@@ -142,6 +143,20 @@ def test_a_path_too_long_to_follow_is_refused():
     """At once: it would take minutes to integrate, and the inverse kinematics takes none so long."""
     with pytest.raises(cl.ScenarioError, match="too long"):
         draw("line", place("sphere", radius=0.4), **line(speed=1e3))
+
+
+def test_a_path_over_a_kink_is_refused_at_once_and_where_it_is(monkeypatch):
+    """Knots are put where the polynomials are off alone: near the kink, not all along, which took 28 s."""
+    steps, step = [], Rolling._step
+    monkeypatch.setattr(Rolling, "_step", lambda self, *given: (steps.append(given[1:]), step(self, *given)))
+    folded = place("implicit", expression="z + 0.1*sqrt((x - 0.02)**2 + 1e-10)")
+    with pytest.raises(
+        cl.ScenarioError, match=r"^reference: after 0\.0\d+ m the path .* bent too sharply, at "
+    ) as said:
+        draw("line", folded, **line(speed=0.02))
+    assert float(str(said.value).split()[2]) == pytest.approx(0.02, abs=5e-4)
+    assert len(str(said.value).splitlines()) == 1
+    assert len(steps) < 2000  # 8192 in the last of ten rounds, evenly spread
 
 
 def test_a_run_along_a_geodesic():

@@ -71,6 +71,8 @@ def test_axes_are_what_they_say():
         ("law.force=,", "has no values"),
         ("law.force=5:15:0", "0 values: must be a whole number from 2 on"),
         ("law.force=5:15:2.5", "2.5 values: must be a whole number from 2 on"),
+        ("law.force=5,,6", "has a comma too many: a value is missing"),
+        ("time.integrator=,rk4", "has a comma too many: a value is missing"),
         ("law.force=5:5:3", "is empty: it ends where it begins; a single value is written law.force=5"),
         ("law.force=5:15", "how many values? such as 5:15:11"),
         ("law.force=5:15:3:4", "a range has two ends and how many values it has"),

@@ -56,6 +56,10 @@ def judged(
         theirs.close()
         try:
             ours.recv()
+        except EOFError:
+            worker.join()
+            raise RuntimeError(f"the first cases are not clean by themselves: {worker.exitcode}") from None
+        try:
             while at < len(cases) and used < seconds:
                 began = time.monotonic()
                 ours.send(cases[at])

@@ -130,12 +130,14 @@ def judge_halved(case: Case) -> tuple[str, str]:
         off = {"column": found[column]} if column else {}
         off |= {each: found["values"][each]["difference"] for each in names}
         for each, x in off.items():
+            if x is None:
+                continue  # of a robot without a tip
             # A mean over rows differs besides by where its jumps are between them: by a row's worth.
             worst = {"rms_force_error": miss, "rms_path_error": aside}.get(each, 0.0)
             rows = np.count_nonzero(run.mode != FREE) if each == "rms_force_error" else len(run)
             row = math.hypot(summary[each], worst / math.sqrt(rows)) - summary[each] if worst and rows else 0.0
-            most = max(most, (x or 0.0) / (stated + row) if stated else 0.0)
-            if x and x > stated + row:
+            most = max(most, x / (stated + row) if stated else 0.0)
+            if x > stated + row:
                 beyond.append(f"{each} by {x:.3g} {unit}, {stated:.3g} stated")
     if beyond:
         return FAULTY, f"differs at half the step: {'; '.join(beyond)}; {found['modes_differ']} modes differ"

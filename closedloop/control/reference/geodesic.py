@@ -9,7 +9,7 @@ curvature within the surface. With (x, y) the path in the plane, s its parameter
 which for a straight line is the equation of a geodesic, and eᵢ are carried along parallel to themselves (M. do Carmo,
 Differential Geometry of Curves and Surfaces, 4-4). It is integrated by DOP853 from knot to knot; at each knot the point
 is put back onto the surface and the tangents into its plane. Between knots the path is the polynomial of degree 5 with
-their r, r' and r'', which is checked midway.
+their r, r' and r'', which is checked midway: where it is off, the point midway becomes a knot.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 # Tolerances of a step of DOP853, and of the polynomials midway between knots: m, and as a share of the speed.
 RELATIVE, ABSOLUTE = 1e-11, 1e-14
 MIDWAY, SPEED_MIDWAY = 1e-12, 1e-10
-# Knots to begin with, one each so many m; and when to give up.
+# Knots to begin with, one each so many m; and when to give up: where so many, evenly spread, would not do.
 SPACING, FEWEST, MOST = 0.01, 8, 4096
 # Longest curve, m: the inverse kinematics follows none that is longer.
 LONGEST = 10.0
@@ -126,35 +126,37 @@ class Rolling:
                 f"reference: a motion of {length:.4g} m is too long to be laid onto the surface as a geodesic, of "
                 f"{LONGEST:g} m at most; make it shorter"
             )
-        count = max(FEWEST, math.ceil(min(length / SPACING, MOST)))
-        before = self.r.copy(), self.tangents.copy()
-        while count <= MOST:
-            self.r, self.tangents = before[0].copy(), before[1].copy()
-            s = np.linspace(0.0, duration, 2 * count + 1)
-            points = self._through(curve, s, length / (2 * count))
+        count, pace = max(FEWEST, math.ceil(min(length / SPACING, MOST))), length / duration
+        finest = 0.75 * duration / (count * 2 ** int(math.log2(MOST / count)))
+        before, s = (self.r, self.tangents), np.linspace(0.0, duration, 2 * count + 1)
+        while True:
+            self.r, self.tangents = before
+            points = self._through(curve, s, pace)
             r: Any = BPoly.from_derivatives(s[::2], points[::2])
             pieces = (r, r.derivative(), r.derivative(2))
-            off = np.abs(pieces[0](s[1::2]) - points[1::2, 0])
-            wrong = np.abs(pieces[1](s[1::2]) - points[1::2, 1])
-            fastest = float(np.max(np.abs(points[:, 1])))
-            if np.max(off) <= MIDWAY * (1.0 + np.max(np.abs(points[:, 0]))) and np.max(wrong) <= SPEED_MIDWAY * fastest:
+            off, wrong = (np.max(np.abs(pieces[i](s[1::2]) - points[1::2, i]), axis=1) for i in range(2))
+            reach, fastest = (float(np.max(np.abs(points[:, i]))) for i in range(2))
+            far = np.flatnonzero((off > MIDWAY * (1.0 + reach)) | (wrong > SPEED_MIDWAY * fastest))
+            if far.size == 0:
                 return Rolled(pieces, points[0, 0].copy())
-            count *= 2
-        raise ScenarioError(
-            "reference: the path cannot be laid onto the surface as a geodesic: it, or the surface, is bent too sharply"
-        )
+            half = s[2 * far + 1] - s[2 * far]
+            if np.min(half) < finest:
+                at = 2 * far[np.argmin(half)] + 1
+                raise ScenarioError(
+                    f"reference: after {pace * s[at]:.4g} m the path cannot be laid onto the surface as a geodesic: "
+                    f"it, or the surface, is bent too sharply, at {np.round(points[at, 0], 4).tolist()} m"
+                )
+            s = np.sort(np.concatenate([s, s[2 * far] + 0.5 * half, s[2 * far + 1] + 0.5 * half]))
 
-    def _through(self, curve: Curve, s: Array, length: float) -> Array:
-        """Return r, r' and r'' at each parameter of s (K,), (K, 3, 3); `length`, m, lies between two of them."""
+    def _through(self, curve: Curve, s: Array, pace: float) -> Array:
+        """Return r, r' and r'' at each parameter of s (K,), (K, 3, 3); `pace` is the path's length by s, m."""
         points = np.empty((s.size, 3, 3))
-        rate = self._rate(curve, 0.0)
         for k in range(s.size):
             if k:
-                rate = self._rate(curve, k * length)
-                self._step(rate, s[k - 1], s[k])
-            self._put_back(k * length)
+                self._step(self._rate(curve, pace * s[k - 1]), s[k - 1], s[k])
+            self._put_back(pace * s[k])
             y = np.concatenate([self.r, self.tangents.ravel()])
-            velocity = rate(s[k], y)[:3]
+            velocity = self._rate(curve, pace * s[k])(s[k], y)[:3]
             _, _, bend = (self._plane @ each[0] for each in curve(s[k : k + 1]))
             n, turning, _, _ = self._shape(self.r, velocity)
             points[k] = self.r, velocity, bend @ self.tangents - n * (turning @ velocity)

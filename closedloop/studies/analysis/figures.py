@@ -12,7 +12,7 @@ import numpy as np
 from closedloop.figures.files import write_figure
 from closedloop.figures.style import COLOURS, MANY, new_figure, styled
 from closedloop.studies.analysis.page import Page
-from closedloop.studies.analysis.stability import Limit, Range, Trial
+from closedloop.studies.analysis.ranges import Limit, Range, Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

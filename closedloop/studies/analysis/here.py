@@ -1,4 +1,4 @@
-"""Evaluations of the equation of motion beside the state of a run at an instant, and their derivatives.
+"""Evaluations of the equation of motion beside the state of a run at an instant.
 
 An evaluation is one call of the loop's own kernel at a row: law, friction, contact and Eq. 24 are those of a run, and
 nothing is written twice. White noise and quantisation, which have no derivative, are left out of it.
@@ -6,7 +6,6 @@ nothing is written twice. White noise and quantisation, which have no derivative
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,11 +33,6 @@ from closedloop.studies.analysis.instant import Instant, parts_of, put
 
 Array = NDArray[np.float64]
 
-# Two steps whose differences are further apart than this share, at the best, show a function that has no derivative: of
-# those that have one they are nearer than a millionth. A first step whose differences are so near is short enough.
-KINK, NEAR = 1e-2, 1e-6
-# The most steps that are tried.
-MOST = 7
 # Rows that bind whose singular value is below this share of the largest depend on others.
 DEPENDENT = 1e-9
 
@@ -128,7 +122,6 @@ class Here:
         ends = np.cumsum(list(sizes.values())).tolist()
         self.places = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
         self._width = ends[-1]
-        self._basis = independent(self._loop_rows(self.instant.values["q"])[0])
 
     @property
     def n(self) -> int:
@@ -238,7 +231,7 @@ class Here:
         if self._loops is not None:
             closed_to(self._loops.address, q, v)
 
-    def _loop_rows(self, q: Array) -> tuple[Array, Array]:
+    def loop_rows(self, q: Array) -> tuple[Array, Array]:
         """Return the rows G (m, n) of the loops at q, and their rate (m,) with q̇ of the instant."""
         if not self.problem.robot.model.loops:
             return np.zeros((0, self.n)), np.zeros(0)
@@ -248,11 +241,6 @@ class Here:
             each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
         G = loop_rows(self.problem.robot, *at)[0][0]
         return G, G @ v
-
-    def loop_rows(self, q: Array) -> tuple[Array, Array]:
-        """Return independent rows (k, n) of the loops at q, and their rate (k,) with q̇ of the instant."""
-        G, rate = self._loop_rows(q)
-        return self._basis @ G, self._basis @ rate
 
     def geometry(self) -> tuple[Array, Array, Array, Array]:
         """Return H (n, n), the contact frame's Jacobian A (3, n), the frame (3, 3) and S (3, 3) at the instant."""
@@ -266,7 +254,8 @@ class Here:
         """Return the instant with the tip moved along the normal until it is so deep, m, in a soft surface."""
         instant = self.instant
         H, A, _, _ = self.geometry()
-        bound = np.vstack([A[:1], self.loop_rows(instant.values["q"])[0]])
+        loops = self.loop_rows(instant.values["q"])[0]
+        bound = np.vstack([A[:1], independent(loops) @ loops])
         answer = np.linalg.solve(H, bound.T)
         along = answer @ np.linalg.inv(bound @ answer)[:, 0]
         q = np.zeros(self.n)
@@ -287,76 +276,3 @@ def independent(rows: Array) -> Array:
         return np.zeros((0, rows.shape[0]))
     left, sizes, _ = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(left[:, sizes > DEPENDENT * sizes[0]].T)
-
-
-def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]:
-    """Return the derivatives of all that `Here` evaluates by the numbers of a change, matrices (rows, k).
-
-    Central differences at a step and at half of it cancel the error of second order (Richardson's extrapolation). Where
-    the two are far apart, as over a change of the contact's mode, the step of that number is a tenth of it; the best of
-    `MOST` steps is taken.
-
-    Parameters
-    ----------
-    here, name, held
-        Where, the change, and whether the torque is held; see `Here.flat`.
-    steps : (k,) array
-        The first step of each number.
-
-    Raises
-    ------
-    EventHere
-        If no step stays clear of a change of mode, or there is no derivative.
-    """
-    value, k = here.flat(held), steps.size
-    best, least = np.empty((k, value.size)), np.full(k, np.inf)
-    change, step, left = np.zeros(k), steps.astype(float), np.arange(k)
-
-    def at(j: int, amount: float) -> Array:
-        change[j] = amount
-        try:
-            return here.flat(held, **{name: change})
-        finally:
-            change[j] = 0.0
-
-    for _ in range(MOST):
-        ends, tried = [], []
-        for j in left.tolist():
-            with suppress(EventHere):
-                ends.append([at(j, share * step[j]) for share in (1.0, -1.0, 0.5, -0.5)])
-                tried.append(j)
-        if tried:
-            four, size = np.array(ends), step[tried][:, None]
-            wide, near = (four[:, 0] - four[:, 1]) / (2.0 * size), (four[:, 2] - four[:, 3]) / size
-            apart = _apart(here, value, wide, near, size)
-            for i in np.flatnonzero(apart < least[tried]):
-                best[tried[i]], least[tried[i]] = (4.0 * near[i] - wide[i]) / 3.0, apart[i]
-        left = left[least[left] >= NEAR]
-        if not left.size:
-            break
-        step[left] *= 0.1
-    if np.any(least > KINK):
-        raise EventHere
-    return {key: best[:, where].T for key, where in here.places.items()}
-
-
-def _apart(here: Here, value: Array, wide: Array, near: Array, step: Array) -> Array:
-    """Return how far two differences (k, ...) are apart, (k,): the most of all that is evaluated, each by its size.
-
-    Parameters
-    ----------
-    value : array
-        What is evaluated without a change: its size decides what is rounding.
-    wide, near : (k, ...) arrays
-        The differences.
-    step : (k, 1) array
-        The step of the wide ones.
-    """
-    firsts = [where.start for where in here.places.values() if where.stop > where.start]
-
-    def largest(x: Array) -> Array:
-        return np.asarray(np.maximum.reduceat(np.abs(x), firsts, axis=-1))
-
-    rounding = 1e-12 * (largest(value) + 1e-3) / step
-    found: Array = np.max(largest(near - wide) / (largest(near) + rounding / 1e-7 + 1e-300), axis=1)
-    return found

@@ -77,8 +77,8 @@ def parts_of(problem: Problem) -> dict[str, slice]:
     return {name: slice(end - count, end) for name, count, end in zip(PARTS, counts, ends, strict=True)}
 
 
-def refuse_outside(scenario: Scenario, at: float) -> None:
-    """Refuse an instant, s, outside the run.
+def refuse_outside(scenario: Scenario, at: float, what: str = "linearise: at") -> None:
+    """Refuse an instant, s, outside the run; `what` is what gave it.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def refuse_outside(scenario: Scenario, at: float) -> None:
     """
     end = scenario.time.duration
     if not 0.0 <= at <= end:
-        raise ScenarioError(f"linearise: at = {at:g} s: must be within the run, 0 to time.duration = {end:g} s")
+        raise ScenarioError(f"{what} = {at:g} s: must be within the run, 0 to time.duration = {end:g} s")
 
 
 def row_at(problem: Problem, at: float) -> int:

@@ -13,16 +13,12 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import missing_line
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.analysis.margins import Margins, margins_of
+from closedloop.studies.analysis.poles import Pole, pole_at
 from robot_models.cached import cached_property
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# |z − 1| up to which a pole is one at rest: it changes nothing within a million samples. It is the square root of the
-# rounding that a double pole at 1 splits by.
-AT_REST = 1e-6
-# |z| below which a mode is over at the next samples: it has no continuous equivalent.
-DEADBEAT = 1e-6
 # Parts that are no part of the loop.
 OUTSIDE = "surface"
 # −Re Y/|Y| up to which a port is passive: the rounding of a response; and what sampling makes of one that is 0, per
@@ -38,54 +34,6 @@ class Quantity(NamedTuple):
     name: str
     unit: str
     part: str = ""
-
-
-@dataclass(frozen=True)
-class Pole:
-    """A pole of the loop.
-
-    Attributes
-    ----------
-    z, s : complex
-        From sample to sample, and the continuous equivalent ln(z)/dt, 1/s; −∞ for one that is over at once.
-    frequency : float
-        Natural frequency |s|, Hz.
-    damping : float
-        Damping ratio −Re s/|s|; 1 for a real pole that decays.
-    participation : dict of str to float
-        Share of each part: arm, contact, law, compensation, filter, sensor, delay, hold, transmission, friction,
-        encoder; the sum is 1. Of a state it is |l_k r_k| with the left and the right eigenvector, normalised.
-    """
-
-    z: complex
-    s: complex
-    frequency: float
-    damping: float
-    participation: dict[str, float]
-
-    @property
-    def part(self) -> str:
-        """The part with the largest share."""
-        return max(self.participation, key=self.participation.__getitem__)
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether it neither decays nor grows: a joint that friction holds, a motion that nothing controls."""
-        return abs(self.z - 1.0) < AT_REST
-
-    @property
-    def grows(self) -> bool:
-        """Whether it is unstable."""
-        return not self.at_rest and abs(self.z) >= 1.0
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as plain numbers; one that is over at once has no s."""
-        over = not math.isfinite(self.s.real)
-        return {
-            "z": [self.z.real, self.z.imag], "s": None if over else [self.s.real, self.s.imag],
-            "frequency": None if over else self.frequency, "damping": self.damping,
-            "part": self.part, "participation": self.participation,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -184,7 +132,7 @@ class LinearLoop:
             for i, value in zip(inside, shares[:, k], strict=True):
                 part = self.states[i].part
                 share[part] = share.get(part, 0.0) + float(value) / total
-            found.append(_pole(complex(z), self.dt, share))
+            found.append(pole_at(complex(z), self.dt, share))
         return tuple(sorted(found, key=lambda pole: (-abs(pole.z), -pole.z.real, -pole.z.imag)))
 
     def poles(self) -> tuple[Pole, ...]:
@@ -354,14 +302,6 @@ def _place(quantities: tuple[Quantity, ...], name: str, what: str) -> int:
             return i
     known = ", ".join(quantity.name for quantity in quantities)
     raise ScenarioError(f"{what} {name!r}: there is none; there are {known}")
-
-
-def _pole(z: complex, dt: float, participation: dict[str, float]) -> Pole:
-    if abs(z) < DEADBEAT:
-        return Pole(z, complex(-math.inf, 0.0), math.inf, 1.0, participation)
-    s = complex(np.log(z)) / dt
-    size = abs(s)
-    return Pole(z, s, size / (2.0 * math.pi), -s.real / size if size > 0.0 else 1.0, participation)
 
 
 def _at(A: Array, b: Array, c: Array, z: ComplexArray) -> ComplexArray:

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from closedloop.base.errors import ClosedLoopError, ScenarioError
+from closedloop.base.errors import ClosedLoopError
 from closedloop.studies.analysis.linear_loop import LinearLoop
 from closedloop.studies.analysis.margins import Margins
-from closedloop.studies.analysis.stability import Limit, Range, Stability, Trial
+from closedloop.studies.analysis.ranges import Limit, Range, Trial
+from closedloop.studies.analysis.stability import Stability
 
 # Up to how many times their value gains and stiffnesses are looked for limits, and at how many values.
 MOST_GAIN, MOST_STIFFNESS, LOOKS = 1e3, 1e4, 13
@@ -33,7 +34,7 @@ class Page:
     limits : dict of str to Limit or str
         Largest stable values by key, or why none was found.
     delay : float or None
-        The longest stable `sensor.delay`, s, of those tried; None if the law reads no force.
+        The longest stable `sensor.delay` of those tried, s; infinite if all are; None if the law reads no force.
     """
 
     loop: LinearLoop
@@ -47,19 +48,27 @@ class Page:
         sensor = self.margins["sensor"]
         return sensor if sensor.closed else min(self.margins.values(), key=lambda one: one.modulus)
 
+    @property
+    def fed_back(self) -> bool:
+        """Whether anything is fed back, force or motion."""
+        return any(one.closed for one in self.margins.values())
+
     def sentence(self) -> str:
         """Return the verdict in one sentence."""
         loop = self.loop
         if not loop.stable:
             pole = next(pole for pole in loop.poles() if pole.grows)
             how = f"oscillates at {pole.frequency:.3g} Hz and " if abs(pole.s.imag) > 1e-9 * abs(pole.s) else ""
-            grows = f"unstable: what belongs mostly to the {pole.part} {how}grows with exp({pole.s.real:.3g} t)"
+            what = f"what belongs mostly to the {pole.part}" if self.fed_back else "a motion that nothing controls"
+            grows = f"unstable: {what} {how}grows with exp({pole.s.real:.3g} t)"
             ways = [
                 f"{name} {'below' if limit.upwards else 'above'} {limit.value:.3g} makes it stable"
                 for name, limit in self._limits()
             ]
             return "; ".join([grows, *ways])
         margins = self.weakest
+        if not margins.closed:
+            return "stable; nothing is fed back"
         decibels = "no gain" if math.isinf(margins.decibels) else f"{margins.decibels:.1f} dB"
         degrees = "no phase lag" if math.isinf(margins.phase) else f"{margins.phase:.0f}°"
         far = f"{decibels} and {degrees} from instability"
@@ -96,8 +105,9 @@ class Page:
             phase = "any" if math.isinf(one.phase) else f"{one.phase:.0f}°"
             delay = "any" if math.isinf(one.delay) else f"{1e3 * one.delay:.3g} ms"
             found.append(f"{name:22}{gain:>10}{phase:>10}{delay:>12}{one.modulus:>10.3f}{one.peak_sensitivity:>10.2f}")
-        found += ["", f"{'pole, 1/s':28}{'Hz':>9}{'damping':>9}  belongs to"]
         shown = [pole for pole in loop.poles() if pole.s.imag >= 0.0 and not pole.at_rest][:SHOWN_POLES]
+        if shown:
+            found += ["", f"{'pole, 1/s':28}{'Hz':>9}{'damping':>9}  belongs to"]
         for pole in shown:
             parts = sorted(pole.participation.items(), key=lambda item: -item[1])
             belongs = ", ".join(f"{name} {100 * share:.0f} %" for name, share in parts if share >= 0.05)
@@ -133,7 +143,8 @@ class Page:
                 side = "largest" if limit.upwards else "smallest"
                 found.append(f"{name}: {side} stable value {limit.value:.6g}, then {limit.pole.frequency:.3g} Hz")
         if self.delay is not None:
-            found.append(f"sensor.delay: longest stable value {self.delay:.4g} s")
+            longest = "no limit is found" if math.isinf(self.delay) else f"longest stable value {self.delay:.4g} s"
+            found.append(f"sensor.delay: {longest}")
         return found
 
     def as_dict(self) -> dict[str, Any]:
@@ -148,7 +159,7 @@ class Page:
             "bandwidth": band if math.isfinite(band) else None,
             "passive": port.passive if loop.mode else None, "active_at": port.active_at if loop.mode else None,
             "limits": {k: v if isinstance(v, str) else v.as_dict() for k, v in self.limits.items()},
-            "longest_delay": self.delay,
+            "longest_delay": self.delay if self.delay is not None and math.isfinite(self.delay) else None,
         }  # fmt: skip
 
 
@@ -219,7 +230,7 @@ def _longest_delay(study: Stability) -> float:
     def stable(samples: int) -> bool:
         try:
             return study.growth({"sensor.delay": samples * h}) < 0.0
-        except ScenarioError:
+        except ClosedLoopError:
             return False
 
     step = max(1, round(period / h))

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError
 from closedloop.base.second_process import Beside, possible
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.overrides import Variants
@@ -27,14 +25,14 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.here import Here
 from closedloop.studies.analysis.instant import Instant, refuse_outside, run_on
-from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
+from closedloop.studies.analysis.linear_loop import LinearLoop
 from closedloop.studies.analysis.linearise import instant_of, loop_at
+from closedloop.studies.analysis.ranges import Limit, Range, Trial, Value
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
+__all__ = ["Range", "Stability"]
 
-# A key's value: a number, or a list with a number for each joint.
-Value = float | list[float]
 # Values at which a range is looked at, before the limits between them are solved for.
 LOOKS = 25
 # From so many values on a boundary is solved for by two processes: the second looks at the whole range once more.
@@ -44,104 +42,6 @@ LIMIT_TOLERANCE = 1e-11
 # Beside the boundary by this share whole runs are tried, for so many periods of the critical pole, and at least so many
 # samples; they begin apart by this share of the force, in f_des.
 BESIDE, PERIODS, LEAST_SAMPLES, KICK = 0.1, 12.0, 100, 1e-6
-
-
-@dataclass(frozen=True)
-class Range:
-    """A key of the scenario, and the range of numbers in which limits are sought.
-
-    Attributes
-    ----------
-    key : str
-        Dotted key.
-    low, high : float
-        Ends, in either order: limits are found from `low` on.
-    log : bool
-        Whether it is looked at evenly in its logarithm.
-    held : tuple of float
-        Where the key is a list, as it is in the scenario; else empty.
-    index : int, optional
-        The entry of that list which the numbers are of, the others as they are; if left out they are of the first that
-        is not zero, and the others change by the same factor.
-    """
-
-    key: str
-    low: float
-    high: float
-    log: bool = False
-    held: tuple[float, ...] = ()
-    index: int | None = None
-
-    def value(self, number: float) -> float | list[float]:
-        """Return the key's value for a number of the range."""
-        if not self.held:
-            return number
-        if self.index is not None:
-            return [*self.held[: self.index], number, *self.held[self.index + 1 :]]
-        first = next(entry for entry in self.held if entry != 0.0)
-        return [number / first * entry for entry in self.held]
-
-    def at(self, share: float) -> float:
-        """Return the value at `share`, 0 to 1, of the way."""
-        if self.log:
-            return float(self.low * (self.high / self.low) ** share)
-        return float(self.low + (self.high - self.low) * share)
-
-    def share(self, value: float) -> float:
-        """Return how far along the way a value is."""
-        if self.log:
-            return math.log(value / self.low) / math.log(self.high / self.low)
-        return (value - self.low) / (self.high - self.low)
-
-
-@dataclass(frozen=True)
-class Limit:
-    """A value at which the loop becomes unstable, or stable again.
-
-    Attributes
-    ----------
-    key, value
-        What is changed, and to what.
-    upwards : bool
-        Whether it is unstable above it, rather than below it.
-    pole : Pole
-        The pole that lies on the unit circle there.
-    """
-
-    key: str
-    value: float
-    upwards: bool
-    pole: Pole
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as plain numbers."""
-        return {
-            "key": self.key, "value": self.value, "unstable": "above" if self.upwards else "below",
-            "frequency": self.pole.frequency, "part": self.pole.part,
-        }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Two runs of the whole nonlinear loop beside the boundary, from the instant on, that begin a little apart.
-
-    Attributes
-    ----------
-    values : dict
-        What is changed, from the instant on.
-    expected, seen : float
-        The rate of the linear loop's slowest pole, and that with which the two runs grow apart, 1/s; infinite if one of
-        them stops.
-    """
-
-    values: dict[str, Value]
-    expected: float
-    seen: float
-
-    @property
-    def agrees(self) -> bool:
-        """Whether both say the same of its stability."""
-        return (self.expected > 0.0) == (self.seen > 0.0)
 
 
 class Stability:
@@ -213,7 +113,10 @@ class Stability:
         self, over: Range, given: Mapping[str, Value] | None = None, looks: int = LOOKS,
         tolerance: float = LIMIT_TOLERANCE,
     ) -> tuple[list[Limit], str]:  # fmt: skip
-        """Return every limit in a range, and why its far end is refused, "" if it is not.
+        """Return every limit in a range, and why values of it are refused, "" if none is.
+
+        Beyond a value that there can be no scenario with, the range ends. A value at which there is no linear loop, as
+        where a drive is at its limit, is named, and the search goes on behind it.
 
         Parameters
         ----------
@@ -227,22 +130,33 @@ class Stability:
         """
         given = dict(given or {})
         shares = np.linspace(0.0, 1.0, looks)
-        seen: list[tuple[float, float]] = []
-        refused = ""
+        seen: list[tuple[float, float] | None] = []
+        refused: dict[str, str] = {}
+
+        def no_loop(error: SimulationError, share: float) -> None:
+            refused.setdefault(str(error), f"{over.key} = {over.at(share):.4g}: {error}")
+
         for share in shares:
             try:
-                seen.append((float(share), self.growth(given | {over.key: over.value(over.at(share))})))
+                seen.append((float(share), self.growth(given | {over.key: over.value(over.at(float(share)))})))
+            except SimulationError as error:
+                no_loop(error, float(share))
+                seen.append(None)
             except ScenarioError as error:
-                refused = str(error)
-                if seen:
+                refused[str(error)] = str(error)
+                if any(seen):
                     break
-        if not seen:
-            raise ScenarioError(refused)
+        if not any(seen):
+            raise ScenarioError(next(iter(refused.values())))
         found = []
         for below, above in pairwise(seen):
-            if (below[1] > 0.0) != (above[1] > 0.0):
+            if below is None or above is None or (below[1] > 0.0) == (above[1] > 0.0):
+                continue
+            try:
                 found.append(self._solved(over, given, below, above, tolerance))
-        return found, refused
+            except SimulationError as error:
+                no_loop(error, 0.5 * (below[0] + above[0]))
+        return found, "; ".join(refused.values())
 
     def _solved(
         self, over: Range, given: Mapping[str, Value], below: tuple[float, float], above: tuple[float, float],
@@ -315,7 +229,7 @@ class Stability:
             if not now:
                 try:
                     now, _ = self.limits(over, given, tolerance=tolerance)
-                except ScenarioError:
+                except ClosedLoopError:
                     now = []
             last = [over.share(limit.value) for limit in now]
             found += [(value, limit) for limit in now]
@@ -330,10 +244,10 @@ class Stability:
             ends = max(0.0, share - width), min(1.0, share + width)
             try:
                 low, high = ((x, self.growth({**given, over.key: over.value(over.at(x))})) for x in ends)
-            except ScenarioError:
+                if (low[1] > 0.0) != (high[1] > 0.0):
+                    return self._solved(over, given, low, high, tolerance)
+            except ClosedLoopError:
                 return None
-            if (low[1] > 0.0) != (high[1] > 0.0):
-                return self._solved(over, given, low, high, tolerance)
             width *= 3.0
         return None
 
@@ -346,7 +260,7 @@ class Stability:
                 problem, instant = self._at(values)
                 expected = self.growth(values)
                 trials.append(Trial(values, expected, self._seen(problem, instant, limit.pole.frequency)))
-            except ScenarioError:  # beyond what the scenario may be
+            except ClosedLoopError:  # beyond what the scenario may be, or without a linear loop
                 continue
         return trials
 

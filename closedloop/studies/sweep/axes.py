@@ -115,7 +115,7 @@ def parse_axis(text: str, drawn: bool = False) -> Axis:
         return _range(text, key, spec, [x for x in numbers if x is not None], log, drawn)
     if log or (len(parts) in (3, 4) and not spec.startswith(("[", '"', "'"))):
         raise ScenarioError(f"--over {text}: not a range of numbers; it must look like {FORMS}")
-    values, whole = _listed(spec), takes_whole_numbers(key)
+    values, whole = _listed(spec, text), takes_whole_numbers(key)
     if not whole and all(type(value) in (int, float) for value in values):
         values = tuple(float(value) for value in values)
     if len({repr(value) for value in values}) < len(values):
@@ -157,7 +157,7 @@ def _range(text: str, key: str, spec: str, numbers: list[float], log: bool, draw
     return axis
 
 
-def _listed(spec: str) -> tuple[Any, ...]:
+def _listed(spec: str, text: str) -> tuple[Any, ...]:
     """Read a list: as TOML where it is that, else word by word, so that names need no quotes."""
     try:
         found = tomllib.loads(f"values = [{spec}]")
@@ -165,7 +165,10 @@ def _listed(spec: str) -> tuple[Any, ...]:
             return tuple(found["values"])
     except (ValueError, RecursionError):
         pass
-    return tuple(toml_value(word.strip()) for word in spec.split(",") if word.strip())
+    words = [word.strip() for word in spec.split(",")]
+    if any(words) and not all(words[:-1]):  # one comma more at the end is none
+        raise ScenarioError(f"--over {text}: has a comma too many: a value is missing")
+    return tuple(toml_value(word) for word in words if word)
 
 
 def _number(text: str) -> float | None:

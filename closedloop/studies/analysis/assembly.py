@@ -1,0 +1,219 @@
+"""The loop from one sample of the law to the next, put together from what is reduced to free coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.mechanics.integrators import AdaptiveIntegrator, Scheme, scheme_of
+from closedloop.simulation.engines.problem import Problem
+from closedloop.studies.analysis.discretise import step_of
+from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
+from closedloop.studies.analysis.reduced import Reduced
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Columns of the inputs.
+COMMAND, ACCELERATION, LOAD, NOISE = range(4)
+# Rates below this share of the largest are rounding: a state that has none is no part of the loop.
+NONE = 1e-12
+# The most states of a loop; a delay has one a sample.
+MOST_STATES = 2000
+
+
+def _step(r: Reduced) -> tuple[Array, list[Array]]:
+    """Return Φ (x, x) of a step of the coordinates, and Γ by each of the inputs of a step."""
+    block, half, free = r.plant, r.half, r.free
+    parts = []
+    for qdd, dz in zip(r.all_of(block, "qdd"), r.all_of(block, "dz"), strict=True):
+        rows = np.zeros((r.size, qdd.shape[1]))
+        rows[half : half + free] = r.N.T @ r.H @ qdd
+        rows[half + free : 2 * half] = (r.G @ qdd)[: r.kept]
+        rows[r.z0 : r.s0] = dz
+        parts.append(rows)
+    A, by_input = parts[0], parts[3]
+    A[:half, half : 2 * half] = np.eye(half)
+    turns = r.turning() @ r.by_q
+    A[:free] += r.N.T @ r.H @ turns
+    A[free:half] += (r.G @ turns)[: r.kept]
+    A[r.s0, r.s0 + 1] = by_input[r.s0 + 1, ACCELERATION] = 1.0
+    leads, exact = np.full(r.size, -1), np.zeros(r.size, dtype=bool)
+    leads[:half] = np.arange(half, 2 * half)
+    motors = r.parts["transmission"]
+    if motors.stop > motors.start:
+        first = r.z0 + motors.start
+        leads[first : first + r.n] = np.arange(first + r.n, first + 2 * r.n)
+    for name in ("friction", "joint friction"):
+        exact[r.z0 + r.parts[name].start : r.z0 + r.parts[name].stop] = True
+    h = r.problem.h
+    Phi, Gamma = step_of(_scheme(r.problem), A, np.hstack(parts[1:]), h, leads, exact)
+    ends = np.cumsum([part.shape[1] for part in parts[1:]])
+    effects = np.split(Gamma, ends[:-1], axis=1)
+    surface = slice(r.s0, r.s0 + 2)  # which moves as it moves, whatever the scheme
+    Phi[surface], Phi[surface, surface] = 0.0, [[1.0, h], [0.0, 1.0]]
+    for effect in effects:
+        effect[surface] = 0.0
+    effects[2][surface, ACCELERATION] = 0.5 * h * h, h
+    return Phi, effects
+
+
+def assembled(r: Reduced) -> LinearLoop:
+    """Put the loop together: coordinates, samples of the sensor, newest first, encoders' readings, held torque."""
+    inputs, outputs = _inputs(r), _outputs(r)
+    Phi, (reading, lasting, entering, driving) = _step(r)
+    ages, size = r.problem.sensor.ring, r.size
+    lasts, held = lasting.shape[1], r.n if r.sampled else 0
+    at_last = size + ages
+    at_torque = at_last + lasts
+    whole = at_torque + held
+    if whole > MOST_STATES:
+        raise ScenarioError(
+            f"linearise: {whole} states, {ages} of them samples of sensor.delay: must be at most {MOST_STATES}; "
+            "take a longer time.step or a shorter delay"
+        )
+
+    def widened(parts: list[Array], torque: tuple[Array, Array] | None) -> tuple[Array, Array]:
+        """Return what depends on the coordinates, and so on, by all states and by the inputs."""
+        x, u = np.zeros((parts[0].shape[0], whole)), parts[3].copy()
+        x[:, :size], x[:, at_last - 1], x[:, at_last:at_torque] = parts[0], parts[1][:, 0], parts[2]
+        if torque is not None:
+            x += parts[4] @ torque[0]
+            u += parts[4] @ torque[1]
+        return x, u
+
+    def row_map(asked: bool) -> tuple[Array, Array, Array, Array]:
+        """Return the map over a row, and the outputs at it; `asked`: the law gives its torque there."""
+        F, E = np.zeros((whole, whole)), np.zeros((whole, len(inputs)))
+        F[:size], E[:size] = widened([Phi, reading, lasting, entering, driving], None)
+        if asked:
+            Q = widened(r.all_of(r.law, "torque"), None)
+            Q[1][:, 1:3] = Q[1][:, 4:] = 0.0  # what disturbs the arm has not been seen yet
+        else:
+            Q = np.zeros((r.n, whole)), np.zeros((r.n, len(inputs)))
+            Q[0][:, at_torque:] = np.eye(r.n)
+        torque = Q if r.sampled else None
+        if torque is not None:
+            F[:size] += driving @ Q[0]
+            E[:size] += driving @ Q[1]
+            F[at_torque:], E[at_torque:] = Q
+        f = widened(r.all_of(r.plant, "f"), torque)
+        if r.problem.sensor.states:
+            F[size, r.z0 + r.parts["filter"].start] = 1.0
+        else:
+            F[size], E[size] = f[0][0], f[1][0]
+        felt = F[size : size + 1].copy(), E[size : size + 1].copy()
+        E[size, NOISE] += 1.0
+        F[size + 1 : at_last, size : at_last - 1] = np.eye(ages - 1)
+        F[at_last:at_torque], E[at_last:at_torque] = widened(r.all_of(r.plant, "last"), None) if lasts else (0, 0)
+        tip = np.zeros((3, whole))
+        tip[:, :size] = r.plant["q"]["r"] @ r.by_q
+        still = np.zeros((3, len(inputs)))
+        presses = (tip[:0], still[:0]) if r.here.contacts is None else widened(r.all_of(r.plant, "presses"), torque)
+        C, D = (np.vstack(parts) for parts in zip(f, (tip, still), Q, felt, presses, strict=True))
+        return F, E, C, D
+
+    F, E, C, D = row_map(True)
+    for _ in range(r.problem.hold - 1):
+        F2, E2, _, _ = row_map(False)
+        F, E = F2 @ F, F2 @ E + E2
+    keep = _moving(F, C)
+    keep[r.s0 : r.s0 + 2] = True
+    normal = np.zeros(whole)
+    if r.rigid or r.kept:
+        normal[r.s0 + 1 if r.rigid else r.half + r.free] = 1.0
+    else:
+        normal[: r.size] = r.along @ r.by_v
+    pick, names = np.flatnonzero(keep), _names(r, ages, lasts, held)
+    return LinearLoop(
+        A=F[np.ix_(pick, pick)], B=E[pick], C=C[:, pick], D=D, dt=r.problem.h * max(r.problem.hold, 1),
+        states=tuple(names[i] for i in pick), inputs=inputs, outputs=outputs, time=r.instant.time,
+        scenario=r.problem.scenario, mode=r.instant.mode, soft=r.soft, closure=_closure_poles(r),
+        normal=normal[pick], held_force=r.rigid or _one_stage(r.problem),
+    )  # fmt: skip
+
+
+def _inputs(r: Reduced) -> tuple[Quantity, ...]:
+    """Return the names of the inputs."""
+    return (
+        Quantity("force command", "N"), Quantity("surface acceleration", "m/s²"), Quantity("load", "N"),
+        Quantity("sensor noise", "N"), *(Quantity(f"torque[{name}]", "N m") for name in r.problem.robot.joint_names),
+    )  # fmt: skip
+
+
+def _outputs(r: Reduced) -> tuple[Quantity, ...]:
+    """Return the names of the outputs."""
+    contacts = () if r.here.contacts is None else r.here.contacts.names
+    return (
+        Quantity("contact force", "N"), *(Quantity(f"tip {axis}", "m") for axis in "xyz"),
+        *(Quantity(f"torque[{name}]", "N m") for name in r.problem.robot.joint_names), Quantity("force felt", "N"),
+        *(Quantity(f"contact force[{name}]", "N") for name in contacts),
+    )  # fmt: skip
+
+
+def _names(r: Reduced, ages: int, lasts: int, held: int) -> list[Quantity]:
+    """Return the names of all states, in their order."""
+    names: list[Quantity] = []
+    joints = r.problem.robot.joint_names
+    for tangent, normal, per in (("y", "deformation", ""), ("w", "deformation rate", "/s")):
+        names += [Quantity(f"{tangent}{j + 1}", f"√kg m{per}", "arm") for j in range(r.free)]
+        if r.soft:
+            names.append(Quantity(normal, f"m{per}", "contact"))
+        else:
+            names += [Quantity(f"{'pu'[bool(per)]}{j + 1}", f"m{per}", "arm") for j in range(r.kept)]
+    for part, where in r.parts.items():
+        member = {"law": r.problem.law.member, "compensation": r.problem.compensation.member}.get(part)
+        if member is not None:
+            own = [*member.states, *(f"{name}[{joint}]" for name in member.joint_states for joint in joints)]
+            names += [Quantity(f"{part} {name}", "", part) for name in own]
+        elif part == "transmission" and where.stop > where.start:
+            names += [Quantity(f"motor[{joint}]", "rad", part) for joint in joints]
+            names += [Quantity(f"motor rate[{joint}]", "rad/s", part) for joint in joints]
+        else:
+            belongs = "friction" if "friction" in part else part
+            names += [Quantity(f"{part} {i + 1}", "", belongs) for i in range(where.stop - where.start)]
+    names += [Quantity("surface", "m", OUTSIDE), Quantity("surface rate", "m/s", OUTSIDE)]
+    names += [Quantity("reading", "N", "sensor")] if ages == 1 else [
+        Quantity(f"reading, {age + 1} samples old", "N", "delay") for age in range(ages)
+    ]  # fmt: skip
+    read = (("read q", "rad"), ("read v", "rad/s"))
+    names += [Quantity(f"{what}[{joint}]", unit, "encoder") for what, unit in read for joint in joints][:lasts]
+    return names + [Quantity(f"held torque[{joint}]", "N m", "hold") for joint in joints][:held]
+
+
+def _closure_poles(r: Reduced) -> ComplexArray:
+    """Return the poles of Baumgarte's stabiliser, of e and ė alone, as the integrator makes them; (k,) complex."""
+    section = r.problem.scenario.stabiliser
+    if not r.rigid or section.kind not in ("baumgarte", "both"):
+        return np.zeros(0, dtype=complex)
+    s_v, s_p = r.problem.stabiliser
+    A = np.array([[0.0, 1.0], [-s_p, -s_v]])
+    step, _ = step_of(_scheme(r.problem), A, np.zeros((2, 0)), r.problem.h, np.array([1, -1]), np.zeros(2, dtype=bool))
+    return np.repeat(np.linalg.eigvals(step).astype(complex), r.rows)
+
+
+def _scheme(problem: Problem) -> type[Scheme]:
+    scheme = scheme_of(problem.scenario.time.integrator)
+    assert scheme is not None
+    return scheme
+
+
+def _one_stage(problem: Problem) -> bool:
+    scheme = _scheme(problem)
+    return scheme.stages == 1 and not issubclass(scheme, AdaptiveIntegrator)
+
+
+def _moving(F: Array, C: Array) -> NDArray[np.bool_]:
+    """Return which states are part of the loop: not those that stay as they are, nor those that nothing reads."""
+    keep, scale = np.ones(F.shape[0], dtype=bool), NONE * float(np.max(np.abs(F)))
+    changes = np.abs(F - np.eye(F.shape[0])) > scale
+    reads = changes & ~np.eye(F.shape[0], dtype=bool)
+    seen, over = np.any(np.abs(C) > NONE, axis=0), np.abs(np.diag(F)) <= scale
+    while True:
+        unread = ~np.any(reads[keep], axis=0)
+        still = ~np.any(changes[:, keep], axis=1)
+        left = keep & ~(unread & (still | (over & ~seen)))
+        if np.array_equal(left, keep):
+            return keep
+        keep = left

@@ -14,7 +14,7 @@ Simulate
     compare                                       several laws or scenarios under the same variations
     linearise                                     the force loop as a linear system: poles, margins, the port
     gradient, sensitivities                       derivatives of a run with respect to numbers of its scenario
-    tune                                          gains, or other numbers, that make a value of the runs least
+    tune                                          gains, or other numbers, that minimise a value of the runs
     figures, lab                                  figures of a run; a page with sliders that simulates again
 Build
     ControlLaw, Law, LawInput                     control laws of your own, and their input

@@ -33,6 +33,11 @@ def not_installed(error: BaseException) -> str:
     return _line(package) if package in EXTRAS else ""
 
 
+def missing_line(what: str, package: str, extra: str) -> str:
+    """Return the line that something needs a package, and how to install it: `what` ends with its verb."""
+    return f'{what} {package}, which is not installed: pip install "closedloop[{extra}]"'
+
+
 def _line(package: str) -> str:
     what, extra = EXTRAS[package]
-    return f'{what} need {package}, which is not installed: pip install "closedloop[{extra}]"'
+    return missing_line(f"{what} need", package, extra)

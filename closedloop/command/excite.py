@@ -1,4 +1,4 @@
-"""The command ``closedloop excite --robot NAME|FILE``: a motion within limits that makes parameters known best.
+"""The command ``closedloop excite --robot NAME|FILE``: a motion within limits that identifies parameters best.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error).
 """
@@ -45,7 +45,7 @@ def _parser() -> Parser:
     parser = Parser(
         prog="closedloop excite",
         description="Design a motion of all joints, within their limits and from rest to rest, whose log makes the "
-        "parameters asked for known best, and say how well: half of the 95 % interval of each base parameter.",
+        "parameters asked for can be identified best, and print half of the 95 % interval of each base parameter.",
         cure="such as: closedloop excite --robot ur10 --for dry_shoulder_pan_joint",
     )
     parser.add_argument("--robot", required=True, metavar="NAME|FILE", help="a robot, a URDF or an MJCF")

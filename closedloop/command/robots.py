@@ -70,7 +70,7 @@ def _print_all(console: Console) -> None:
         "the frames that can be a tip; a URDF or MJCF file is named by its path."
     )
     if not installed():
-        console.print(f"\nRobots of other makers, as panda and ur5, need {NEEDS}.", markup=False)
+        console.print(f"\nRobots of other makers, such as panda and ur5, need {NEEDS}.", markup=False)
     if refused:
         console.print("\nnot to be used as they are:")
     for text in refused:

@@ -52,9 +52,7 @@ class SensorSection(Section):
     filter_time_constant: Annotated[NotNegative, PERIOD] = Field(
         0.0, description="time constant of a first-order low-pass, s; 0: none"
     )
-    delay: Annotated[NotNegative, PERIOD] = Field(
-        0.0, description="age of a reading beside the sample's, s; a whole number of samples"
-    )
+    delay: Annotated[NotNegative, PERIOD] = Field(0.0, description="delay of a reading, s; a whole number of samples")
     seed: Seed = Field(0, description="seed of the noise")
 
 

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 
 # What moves across, or turns, by no more than this, m or rad, does not: it has no panel.
 AT_REST = 1e-9
+HEIGHT = "z [mm]"
+# The axis of heights is at least so long, as a share of the longest way of a body.
+LEAST = 0.01
 
 
 def has_bodies(run: Run) -> bool:
@@ -64,7 +67,7 @@ def bodies(run: Run) -> Figure:
     angles = {name: turned(motions[name][1]) for name in shown}
     furthest, most = (max(float(np.max(each)) for each in values.values()) for values in (across, angles))
     factor, unit = length_unit(furthest)
-    drawn = [({name: 1e3 * motions[name][0][:, 2] for name in shown}, "Height", "z [mm]")]
+    drawn = [({name: 1e3 * motions[name][0][:, 2] for name in shown}, "Height", HEIGHT)]
     if furthest > AT_REST:
         label = f"√(Δx² + Δy²) [{unit}]"
         drawn.append(({name: factor * each for name, each in across.items()}, "Distance from the start, across", label))
@@ -77,6 +80,9 @@ def bodies(run: Run) -> Figure:
         for k, name in enumerate(shown):
             axes.plot(run.time, curves[name], color=MANY[k % len(MANY)], label=name)
         axes.margins(y=0.12)
+        low, high = axes.get_ylim()
+        if label == HEIGHT and high - low < (least := LEAST * 1e3 * max(furthest, *size.values())):  # it stays as it is
+            axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
         first, last = axes is panels[0], axes is panels[-1]
         dress(axes, run, f"{title}: {those}" if first and those else title, label, label_marks=first, show_events=last)
         if not last:

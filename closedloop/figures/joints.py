@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from closedloop.figures.dress import dress, explain_contact
 from closedloop.figures.style import MANY, MOST_CURVES, OTHERS, new_figure
-from closedloop.record.run import Run
+from closedloop.record.run import Run, units_by_kind
 from robot_models import RobotModel
 
 if TYPE_CHECKING:
@@ -70,8 +70,10 @@ def joints(run: Run) -> Figure:
         axes.margins(y=0.08)
         of_named = [j for j, joint in enumerate(names) if joint in colours]
         _draw_limits(axes, values[:, of_named], low[of_named], high[of_named], [colours[names[j]] for j in of_named])
-        units = run.units(name).replace(" s-1", "/s")
-        told = f"{title}, {_told(values, low, high, names, units, positions=name == 'q')}"
+        kinds = model.coordinate_types if name == "q" else model.joint_types
+        each = [units_by_kind(run.specs[name].units, kinds[j]).replace(" s-1", "/s") for j in held]
+        units = " | ".join(dict.fromkeys(each))
+        told = f"{title}, {_told(values, low, high, names, each, positions=name == 'q')}"
         last = axes is panels[-1]
         dress(axes, run, told, f"{label} [{units}]", label_marks=axes is panels[0], show_events=last)
         if not last:
@@ -114,8 +116,8 @@ def _draw_limits(axes: Axes, values: Array, low: Array, high: Array, colours: Se
     axes.set_ylim(*reach)
 
 
-def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units: str, positions: bool) -> str:
-    """Return how near the joints come to their limits, in words."""
+def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units: Sequence[str], positions: bool) -> str:
+    """Return how near the joints come to their limits, in words; `units` has that of each."""
     known = np.isfinite(low) & np.isfinite(high) & (high > low)
     if not np.any(known):
         return "no limits known"
@@ -124,11 +126,11 @@ def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units:
         j = int(np.argmin(room))
         which = np.flatnonzero(known)[j]
         where = "past" if room[j] < 0.0 else "from"
-        return f"{abs(room[j]):.2g} {units} {where} a limit at the nearest ({names[which]})"
+        return f"{abs(room[j]):.2g} {units[which]} {where} a limit at the nearest ({names[which]})"
     share = np.max(np.abs(values), axis=0)[known] / high[known]
     j = int(np.argmax(share))
     which = np.flatnonzero(known)[j]
-    return f"up to {float(f'{100.0 * share[j]:.2g}'):g} % of a limit ({names[which]}, ±{high[which]:g} {units})"
+    return f"up to {float(f'{100.0 * share[j]:.2g}'):g} % of a limit ({names[which]}, ±{high[which]:g} {units[which]})"
 
 
 def _name_joints(figure: Figure, axes: Axes, count: int) -> None:

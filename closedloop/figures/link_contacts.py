@@ -63,8 +63,8 @@ def link_contacts(run: Run) -> Figure:
         if high - low < least:  # a force that stays as it is: its rounding is not what is to be seen
             axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
     those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
-    dress(times, run, "Contacts of the links", "", show_events=False)
-    dress(above, run, f"Contact forces{those}", "f [N]", label_marks=False, show_events=False)
+    dress(times, run, "Contacts of the links", "", label_marks=False, show_events=False)
+    dress(above, run, f"Contact forces{those}", "f [N]", show_events=False)
     for axes in (times, above):
         axes.set_xlabel("")
     dress(below, run, "Friction of the contacts; dashed: the edge of the cone", "|friction| [N]", label_marks=False)

@@ -107,7 +107,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         mask = options.pop("reset_mask")
         flags = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
         if not flags or not mask.any():
-            raise ValueError(f"options['reset_mask']: must be an array of {self.num_envs} truths, one of them True")
+            raise ValueError(f"options['reset_mask']: must be an array of {self.num_envs} booleans, one of them True")
         return np.flatnonzero(mask), options
 
     def _begin(self, some: Any, seeds: list[int | None], options: Mapping[str, Any] | None) -> None:

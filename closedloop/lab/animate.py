@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.errors import OutputError, ScenarioError
 from closedloop.base.files import write_whole
+from closedloop.base.optional import missing_line
 from closedloop.figures.scene.scene import Scene, scene_of
 from closedloop.lab.curves import Panel, main_panel, reduced
 from closedloop.record.run import Run
@@ -34,7 +35,7 @@ CELLS, COLOURS = 400, 255
 UNCHANGED = 255  # the number, in the palette of a .gif, of a pixel that is as in the frame before
 # matplotlib's settings: the user's would change what the film looks like.
 OWN: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}
-NEEDS_FFMPEG = 'a .mp4 needs ffmpeg, which is not installed: pip install "closedloop[mp4]", or write a .gif'
+NEEDS_FFMPEG = missing_line("a .mp4 needs", "ffmpeg", "mp4") + ", or write a .gif"
 
 
 def animate(run: Run, path: str | Path, *, speed: float = 1.0, frames_per_second: int = FRAMES_PER_SECOND) -> Path:

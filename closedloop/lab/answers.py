@@ -135,7 +135,7 @@ class Answers:
                 problem, some, events, seconds, engine, law=(name, digest), with_states=law is None, stopped=stopped
             )  # fmt: skip
 
-        shown = clock.perf_counter()
+        began = shown = clock.perf_counter()
 
         def report(done: int, total: int) -> None:
             nonlocal shown
@@ -145,7 +145,11 @@ class Answers:
                     self._part(made(rows[:done], NO_EVENTS, 0.0))
                 shown = clock.perf_counter()
 
-        found, events, failure, seconds = run_loop(problem, law, report, engine, rows=rows, at_once=AT_ONCE)
+        try:
+            found, events, failure, seconds = run_loop(problem, law, report, engine, rows=rows, at_once=AT_ONCE)
+        finally:
+            if shown > began:
+                self._say("")
         run = made(found, events, seconds, None if failure is None else str(failure))
         if failure is not None:
             failure.run = run

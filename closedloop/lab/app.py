@@ -245,6 +245,10 @@ class Lab:
         """Wait until the curves of the newest change have been sent; return whether they have."""
         return self._newest.wait(seconds)
 
+    def computes(self) -> bool:
+        """Whether a run is being computed, or waits for it."""
+        return not self._newest.idle
+
     def _compute(self, request: Asked) -> tuple[Answers, Answer]:
         answers, changes, key = request
         return answers, answers.answer(changes, key)
@@ -324,7 +328,7 @@ class Lab:
                 client.put(slot, data)
 
     def forget(self, *slots: str) -> None:
-        """Send these to pages that open later no more."""
+        """Do not send these to pages that open later."""
         for slot in slots:
             self._last.pop(slot, None)
 
@@ -346,6 +350,8 @@ class Lab:
             for slot in FIRST:
                 if slot in self._last:
                     client.put(slot, self._last[slot])
+            if self.answer is not None and self.answer.run is not None:  # the map may be newer than the run
+                client.put("point", pack(self.map.where(self.answer.run.scenario)))
             self.clients.append(client)
         if self.front:
             self.show_gallery(client, front=True)

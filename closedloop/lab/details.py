@@ -46,8 +46,8 @@ class Details:
         self._robot = 0
         self._cache = Cache()
         self.begin()
-        self._work: Newest[Answer, None] = Newest(self._follow, lambda nothing: None, REST, OFTEN)
-        self._loop: Newest[Answer, None] = Newest(self._analyse, lambda nothing: None, LATER, 5.0)
+        self._work: Newest[Answer, None] = Newest(self._follow, lambda nothing: None, REST, OFTEN, lab.computes)
+        self._loop: Newest[Answer, None] = Newest(self._analyse, lambda nothing: None, LATER, 5.0, lab.computes)
 
     def begin(self) -> None:
         """Forget what was before: another scenario is shown."""
@@ -103,7 +103,8 @@ class Details:
             self._shapes = scene.shapes
             self._robot += 1
             lab.tell("robot", robot_message(scene) | {"robot": self._robot})
-        lab.tell("space", space_message(scene, spread(run), summary["clearance"]) | {"robot": self._robot})
+        found = space_message(scene, spread(run), summary["clearance"], lambda: lab.wait_for_plots(GIVE_WAY))
+        lab.tell("space", found | {"robot": self._robot})
 
     def _send_strip(self, run: Run, summary: Message) -> None:
         lab, held = self._lab, self._lab.pins.held

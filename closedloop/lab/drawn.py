@@ -5,7 +5,7 @@ The curves go first: they are what a slider is moved for. A run in space is its 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +27,8 @@ Rows = Sequence[int] | NDArray[np.int64]
 
 # Rows of a replay in the lab, points of a path, and events that are listed.
 FRAMES, MOST_POINTS, MOST_MARKS = 200, 600, 1000
+# After so many rows of a replay other work may go first.
+FEW_ROWS = 10
 # What the arrows and lines in space are, by the names of `closedloop.figures.scene.scene`.
 MEANINGS = {
     "contact force": "contact force on the tip",
@@ -105,8 +107,13 @@ def robot_message(scene: Scene) -> Message:
     }  # fmt: skip
 
 
-def space_message(scene: Scene, rows: Rows, passing: Message | None = None) -> Message:
-    """Return a run in space: replay at `rows`, surface, paths, and what passes through what, as `passing` says."""
+def space_message(
+    scene: Scene, rows: Rows, passing: Message | None = None, between: Callable[[], object] = lambda: None
+) -> Message:
+    """Return a run in space: replay at `rows`, surface, paths, and what passes through what, as `passing` says.
+
+    `between` is called after every few rows, so that other work may go first.
+    """
     (vertices, faces), (middle, radius), (near, close) = scene.surface, scene.ball, focus(scene)
     first = scene.arrows([0])[0]
     scenario = scene.run.scenario
@@ -121,7 +128,7 @@ def space_message(scene: Scene, rows: Rows, passing: Message | None = None) -> M
         "arrows": [{"name": a.name, "kind": a.kind, "colour": ARROWS[a.kind]} for a in first],
         "kinds": scene.kinds, "passing": _passing(scene, passing),
         "paths": [{"name": n, "colour": c, "points": thin_out(points, MOST_POINTS)} for n, c, points in lines],
-        "frames": frames(scene, rows),
+        "frames": frames(scene, rows, between),
     }  # fmt: skip
 
 
@@ -156,12 +163,19 @@ def focus(scene: Scene) -> tuple[NDArray[np.float64], float]:
     return 0.5 * (low + high), min(near, radius)
 
 
-def frames(scene: Scene, rows: Rows) -> Message:
-    """Return a replay: instants, places of joints, surface and marks (quaternion, origin), forces and their tails."""
+def frames(scene: Scene, rows: Rows, between: Callable[[], object] = lambda: None) -> Message:
+    """Return a replay: instants, places of joints, surface and marks (quaternion, origin), forces and their tails.
+
+    `between` is called after every few rows.
+    """
     run = scene.run
+    arrows: list[Any] = []
     places: list[NDArray[np.float64]] = []
     last: NDArray[np.float64] | None = None
-    for row in rows:
+    for k, row in enumerate(rows):
+        if k % FEW_ROWS == 0:
+            arrows += scene.arrows(rows[k : k + FEW_ROWS])
+            between()
         there = scene.joint_places(int(row))
         (turn, shift), marks = scene.ground.place(int(row)), scene.joined.places(*there)
         ghosts = [ghost.place(float(run.time[row])) for ghost in scene.ghosts]
@@ -170,7 +184,6 @@ def frames(scene: Scene, rows: Rows) -> Message:
             turns *= np.where(np.sum(turns * last, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
         last = turns
         places.append(np.hstack([turns, np.vstack([there[1], shift, marks[1], *(origin for _, origin in ghosts)])]))
-    arrows = scene.arrows(rows)
     tails, forces = (np.array([[arrow[part] for arrow in each] for each in arrows]) for part in (0, 1))
     return {"time": run.time[np.asarray(rows)], "places": np.array(places), "tails": tails, "forces": forces}
 

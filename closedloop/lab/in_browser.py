@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,16 +24,17 @@ PATIENCE = 120_000  # ms
 # Notes when the pointer is moved with its button down, and when the curves of a whole run have been drawn after that:
 # then, and in the frame after that, which shows them.
 WATCH = """() => {
-const largest = () => Math.max(...run.panels[0].traces.find(t => t.label === 'commanded').values);
+const commanded = () => run.panels[0].traces.find(t => t.label === 'commanded');
+const largest = () => commanded() ? Math.max(...commanded().values) : null;
 window.lab = {drawn: [], shown: [], redrawn: 0, faults: 0, largest};
-let began = null, last = largest();
+let began = null, last = run.n;
 window.lab.forget = () => { began = null; window.lab.drawn = []; window.lab.shown = []; };
 addEventListener('error', () => { window.lab.faults += 1; });
 addEventListener('pointermove', e => { if (began === null && e.buttons) began = e.timeStamp; }, true);
 document.addEventListener('drawn', e => {
   window.lab.redrawn += 1;
-  if (e.detail.partial || largest() === last) return;
-  last = largest();
+  if (e.detail.partial || e.detail.n === last) return;
+  last = e.detail.n;
   if (began === null) return;
   const from = began;
   began = null;
@@ -51,7 +53,7 @@ class Moved(NamedTuple):
     seconds : float
         Time that they took, s.
     plotted, wanted : float
-        Value in the plot at the end, and value of the slider.
+        Value in the plot at the end, or of the run shown where the plot has no commanded force; value of the slider.
     faults : int
         Errors in the page.
     growth : float
@@ -135,9 +137,11 @@ def page_drag(page: Any, lab: Lab, key: str, seconds: float, rate: float) -> Mov
     page.wait_for_timeout(1000)
     lab.wait()
     page.wait_for_timeout(2000)
-    plotted, faults = float(page.evaluate("window.lab.largest()")), int(page.evaluate("window.lab.faults"))
+    plotted, faults = page.evaluate("window.lab.largest()"), int(page.evaluate("window.lab.faults"))
+    if plotted is None:  # contacts of links alone
+        plotted = reduce(getattr, key.split("."), lab.run.scenario) if lab.run is not None else np.nan
     wanted = float(slider_at(page, key).input_value())
-    return Moved(moves, redrawn, took, plotted, wanted, faults, float(page.evaluate(heap)) - early)
+    return Moved(moves, redrawn, took, float(plotted), wanted, faults, float(page.evaluate(heap)) - early)
 
 
 def program() -> str | None:

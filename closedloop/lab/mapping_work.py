@@ -136,7 +136,7 @@ class MapWork:
     def _wait_for_compiler(self) -> None:
         """Say what the first map waits for, and begin it when that is there."""
         what = (
-            f"What computes eight runs at a time is not compiled yet (some {seconds_to_compile([run_in_lanes]):.0f} s)"
+            f"The code for eight runs at a time is not compiled yet (some {seconds_to_compile([run_in_lanes]):.0f} s)"
         )
         if refused():
             self._say(f"{what}: press compute, then it is compiled first.")
@@ -196,6 +196,10 @@ class MapWork:
             )
             if why := found.reasons.get((row, column)):
                 self._say(why)
+
+    def where(self, scenario: Scenario) -> Message:
+        """Return the message of where a scenario is on the map."""
+        return {"kind": "point", "at": self.point(scenario), "stale": self.stale(scenario)}
 
     def point(self, scenario: Scenario) -> list[float] | None:
         """Return where a scenario is on the map: its values of both keys; None if it has others, or there is no map."""
@@ -276,9 +280,7 @@ class MapWork:
             "line": f"{line}. Dashed: where the verdicts turn from good." if complete else line,
         }  # fmt: skip
         self._lab.tell("map", message)
-        scenario = self._lab.history.scenario()
-        point = {"kind": "point", "at": self.point(scenario), "stale": self.stale(scenario)}
-        self._lab.tell("point", point, keep=False)
+        self._lab.tell("point", self.where(self._lab.history.scenario()), keep=False)
 
     def _boundary(self, found: Map) -> None:
         """Send the boundary of stability, where the loop can be analysed and the keys are not entries of one list."""

@@ -34,12 +34,15 @@ class Newest(Generic[Q, A]):
     rest, most : float
         Wait until no other request has come for `rest`, s, but no longer than `most` after the first that waits, or
         `SHARE` times what the work took last: work that takes long leaves the time to others.
+    held : callable
+        Whether something goes on that will bring another request. Then it does not rest.
     """
 
     def __init__(
-        self, compute: Callable[[Q], A], show: Callable[[A], None], rest: float = 0.0, most: float = 0.0
-    ) -> None:
-        self._compute, self._show, self._rest, self._most = compute, show, rest, most
+        self, compute: Callable[[Q], A], show: Callable[[A], None], rest: float = 0.0, most: float = 0.0,
+        held: Callable[[], bool] = lambda: False,
+    ) -> None:  # fmt: skip
+        self._compute, self._show, self._rest, self._most, self._held = compute, show, rest, most, held
         self._first = self._last = self._took = 0.0
         self._changed = threading.Condition()
         self._waiting: list[Q] = []
@@ -58,6 +61,11 @@ class Newest(Generic[Q, A]):
             self._changed.notify_all()
 
     @property
+    def idle(self) -> bool:
+        """Whether the newest request is answered and shown."""
+        return not self._busy and not self._waiting
+
+    @property
     def overtaken(self) -> bool:
         """Whether a newer request waits than the one which is being computed."""
         return bool(self._waiting)
@@ -65,7 +73,7 @@ class Newest(Generic[Q, A]):
     def wait(self, seconds: float = 60.0) -> bool:
         """Wait until the newest request is answered and shown; return whether it is."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._busy and not self._waiting, seconds)
+            return self._changed.wait_for(lambda: self.idle, seconds)
 
     def close(self, seconds: float = 5.0) -> None:
         """End the thread, after the work at hand."""
@@ -78,7 +86,8 @@ class Newest(Generic[Q, A]):
     def _left(self) -> float:
         """Return how long the request that waits is still to wait, s."""
         now = clock.monotonic()
-        return min(self._last + self._rest, self._first + max(self._most, SHARE * self._took)) - now
+        rests = now if self._held() else self._last
+        return min(rests + self._rest, self._first + max(self._most, SHARE * self._took)) - now
 
     def _work(self) -> None:
         while True:

@@ -51,10 +51,13 @@ class Lab(Protocol):
         """Send a message to every page."""
 
     def forget(self, *slots: str) -> None:
-        """Send these to pages that open later no more."""
+        """Do not send these to pages that open later."""
 
     def wait_for_plots(self, seconds: float = 60.0) -> bool:
         """Wait until the curves of the newest change have been sent; return whether they have."""
+
+    def computes(self) -> bool:
+        """Whether a run is being computed, or waits for it."""
 
     def tell_controls(self, forced: bool = False) -> None:
         """Send the controls as they are."""

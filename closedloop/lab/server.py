@@ -136,7 +136,7 @@ class Server:
         threading.Thread(target=self._server.serve_forever, name="closedloop-server", daemon=True).start()
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self._server.shutdown()
 
     def _answer(self, loopback: bool, token: str, connection: Any, request: Any) -> Any:

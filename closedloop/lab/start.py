@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
+from closedloop.base.optional import missing_line
 from closedloop.control.law import ControlLaw
 from closedloop.figures.scene.ghost import Ghost
 from closedloop.lab.history import History, in_words
@@ -24,7 +25,7 @@ from robot_models import RobotModel
 if TYPE_CHECKING:
     from closedloop.lab.app import Lab
 
-NEEDS = 'the lab needs websockets, which is not installed: pip install "closedloop[lab]"'
+NEEDS = missing_line("the lab needs", "websockets", "lab")
 HEIGHT = 800  # px of the lab in a notebook
 BEGIN = "wam_slide"  # the scenario below those of which one is chosen
 LONGEST = 600.0  # s that a first run may take, with what is compiled for it

@@ -36,7 +36,7 @@ NUMBERS: dict[str, tuple[str, str, str, bool, float]] = {
 MARGINS: dict[str, tuple[str, str, str]] = {
     "gain margin": ("gain", "x", "the factor by which the loop's gain may rise until it is unstable"),
     "phase margin": ("phase", "deg", "by which the phase may lag where the loop's gain is 1"),
-    "delay margin": ("delay", "ms", "by how long the loop may be later"),
+    "delay margin": ("delay", "ms", "the delay that the loop may have in addition"),
 }
 
 

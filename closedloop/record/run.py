@@ -41,8 +41,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Which part of the unit of the positions each type of them has.
-KINDS = {"prismatic": 1, "quaternion": 2}
+
+def units_by_kind(units: str, kind: str) -> str:
+    """Return the unit of an entry of a joint's column: of a joint or coordinate of this kind, from that for turning."""
+    return {"prismatic": units.replace("rad", "m").replace("N m", "N"), "quaternion": "1"}.get(kind, units)
 
 
 # What draws a run: MODULE:FUNCTION, found when it is asked for, as drawing is above the record (tests/test_layers.py).
@@ -186,10 +188,9 @@ class Run:
         if name in (of_contacts := columns_by_contact(self.scenario.contact or ())):
             name = of_contacts[name][0]
         spec = self.specs[name] if name in self.specs else DERIVED[name]
-        sliding = spec.units.replace("rad", "m").replace("N m", "N")
+        sliding = units_by_kind(spec.units, "prismatic")
         if "coordinate" in spec.dims:
-            parts = (spec.units, "m", "1")
-            return " | ".join(dict.fromkeys(parts[KINDS.get(kind, 0)] for kind in self.model.coordinate_types))
+            return " | ".join(dict.fromkeys(units_by_kind(spec.units, kind) for kind in self.model.coordinate_types))
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
         kinds = {kind == "prismatic" for kind in self.model.joint_types}

@@ -101,3 +101,23 @@ def test_the_first_figure_is_about_the_contacts_where_the_tip_touches_nothing(to
     """Of a cube that is thrown they are its contacts, before its motion and its impacts."""
     names = [path.stem for path in draw_figures(toss, tmp_path)]
     assert names[:2] == ["fig_bodies", "fig_link_contacts"]
+
+
+def test_each_joint_has_its_own_unit_and_bars_hide_no_text():
+    """Of an arm beside a free block: its own units, a limit in that of its joint; a height that stays is drawn flat."""
+
+    def told(figure):
+        return [axes.get_title(loc="left") or axes.get_title() for axes in figure.axes]
+
+    run = cl.simulate(cl.load_scenario("push_block", {"time.duration": 0.7}))
+    drawn = cl.figures.joints(run)
+    assert [axes.get_ylabel() for axes in drawn.axes] == ["torque [N m]", "velocity [rad/s]", "position [rad]"]
+    assert not any("|" in title for title in told(drawn))
+    times, *_ = link_contacts(run).axes
+    assert not times.texts
+    low, high = bodies(run).axes[0].get_ylim()
+    assert high - low > 0.01
+    delta = cl.simulate(cl.load_scenario("delta", {"time.duration": 0.01}))
+    drawn = cl.figures.joints(delta)
+    assert drawn.axes[0].get_ylabel() == "torque [N m | N]"
+    assert not any("|" in title for title in told(drawn))

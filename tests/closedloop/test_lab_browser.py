@@ -324,6 +324,7 @@ def test_two_tabs_and_a_reload_show_the_same_run(page, browser, lab):
     other.reload()
     other.wait_for_function("run && space.scene")
     assert plotted(other)["commanded"] == 13.0
+    other.wait_for_function("map.m === null || map.stale === 'law.force'")  # the map knows the run that is shown
     other.close()
     assert faults == []
     row(page, "law.force").locator(".num").fill("14")

@@ -218,9 +218,12 @@ def test_a_run_that_has_begun_is_finished_and_its_first_part_is_shown(integrator
     monkeypatch.setattr("closedloop.lab.answers.SLOW", 0.0)
     monkeypatch.setattr("closedloop.lab.answers.AT_ONCE", 40)
     base, parts = cl.load_scenario("wam_slide", {"time.integrator": integrator, "time.duration": 0.2}), []
-    answers = Answers(History(base, "wam_slide"), part=parts.append)
+    said = []
+    answers = Answers(History(base, "wam_slide"), say=said.append, part=parts.append)
     found = answers.answer({"law.force": 12.0}).run
     assert len(found) == 201
+    assert said[-2].startswith("computing ... ")
+    assert said[-1] == "", "a page that opens later would say that the run is being computed"
     whole = cl.simulate(cl.load_scenario("wam_slide", {"law.force": 12.0, "time.integrator": integrator,
                                                        "time.duration": 0.2}), engine=found.engine)  # fmt: skip
     assert np.array_equal(found.contact_force, whole.contact_force)
@@ -454,7 +457,15 @@ def test_work_may_wait_for_a_rest():
     assert newest.wait(5.0)
     assert shown == [9]
     newest.close()
-    often = Newest(lambda x: x, shown.append, rest=10.0, most=0.05)
+    computing = threading.Event()
+    computing.set()
+    held = Newest(lambda x: x, shown.append, rest=0.02, most=10.0, held=computing.is_set)
+    held.ask(10)
+    assert not held.wait(0.2), "while a run is computed nothing rests"
+    computing.clear()
+    assert held.wait(5.0)
+    held.close()
+    often = Newest(lambda x: x, shown.append, rest=10.0, most=0.05, held=lambda: True)
     often.ask(10)
     assert often.wait(5.0)
     assert shown[-1] == 10

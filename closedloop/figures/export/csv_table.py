@@ -14,8 +14,7 @@ from closedloop.base.files import write_whole
 from closedloop.base.optional import needs
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.record.columns.derived import DERIVED, WRENCH
-from closedloop.record.run import KINDS as UNIT_PARTS
-from closedloop.record.run import Run
+from closedloop.record.run import Run, units_by_kind
 from closedloop.scenario.contact_names import labels_of, tangents_of
 
 AXES = ("x", "y", "z")
@@ -57,7 +56,7 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
     found = {}
     for k, entry in enumerate(entries):
         if dims[1] == "coordinate":
-            unit = ("rad", "m", "1")[UNIT_PARTS.get(run.model.coordinate_types[k], 0)]
+            unit = units_by_kind("rad", run.model.coordinate_types[k])
         else:
             unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
         found[_header(f"{name} {entry}", unit)] = values[:, k]

@@ -28,6 +28,7 @@ import numpy as np
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
+from closedloop.base.optional import missing_line
 from closedloop.control.laws.none import NoLaw
 from closedloop.figures.export.messages import DEFINITIONS
 from closedloop.figures.scene.ground import thin_out
@@ -37,7 +38,7 @@ from closedloop.record.columns.derived import loop_positions
 from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of
 
-NEEDS_MCAP = 'MCAP needs two packages that are not installed: pip install "closedloop[mcap]"'
+NEEDS_MCAP = missing_line("MCAP needs", "mcap-ros2-support", "mcap")
 PATH_POINTS = 1000  # of the message with the whole desired path, at most
 INFO = 20  # level of a log message
 

@@ -5,7 +5,7 @@ run computes, with the drives' inertia as `armature`. The shapes carry no mass a
 touched, and the links where the scenario has contacts of them; loops are closed by equalities (`mjcf_joined`). There
 are a motor for each joint with a drive, a site `tip`, and keyframes of the run's first and last row.
 
-The law, the closure and friction are no part of it: contact in MuJoCo is soft, and its force another.
+The law, the closure and friction are no part of it: contact in MuJoCo is soft, and its force differs.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LEAST = 1e-12
 SHORT = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 EXPLAINED = (
     " A scene of closedloop: {}. Angles in rad, lengths in m, masses in kg, axes of the base frame.\n"
-    "     Without the control law and the closure: contact in MuJoCo is soft, and its force another. "
+    "     Without the control law and the closure: contact in MuJoCo is soft, and its force differs. "
 )
 
 

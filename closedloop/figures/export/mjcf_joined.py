@@ -49,7 +49,7 @@ def check_joined(scene: Scene) -> None:
             )
         if has_other_law(section):
             raise ScenarioError(
-                f"--to mjcf: contact {touching.name!r} has a law of friction that MuJoCo has not; "
+                f"--to mjcf: contact {touching.name!r} has a law of friction that MuJoCo does not have; "
                 "use --to csv or --to mcap"
             )
         if touching.surface is not None:

@@ -37,7 +37,7 @@ class MapTab {
   keys(m) {
     for (const [select, chosen, names] of [[this.x, m.x, m.names], [this.y, m.y, m.names], [this.value, m.quantity, m.quantities]]) {
       const kept = select.value && names.includes(select.value) ? select.value : chosen;
-      select.replaceChildren(...names.map((n) => new Option(n.replace(/^max_|^rms_/, (w) => w), n)));
+      select.replaceChildren(...names.map((n) => new Option(n, n)));
       select.value = kept;
     }
   }
@@ -131,7 +131,7 @@ class MapTab {
   shown() {
     const [g, w, h] = sized(this.canvas), m = this.m;
     if (w < 60) return;
-    g.font = "11px system-ui, sans-serif";
+    g.font = small_print();
     g.fillStyle = ink("--faint");
     if (!m) return;
     const [l, t, width, height] = this.area(), [nx, ny] = [m.x.values.length, m.y.values.length];
@@ -164,20 +164,21 @@ class MapTab {
     const range = (axis) => [axis.values[0], axis.values[axis.values.length - 1]];
     const marks = (axis, count) => (axis.log ? logTicks(...range(axis)) : ticks(...range(axis), count));
     for (const v of marks(m.x, width / 60)) { const x = l + width * this.along(m.x, v); g.fillRect(x, t + height, 1, 4); g.fillText(short(v), x, t + height + 15); }
-    g.fillText(m.x.label, l + width / 2, h - 4);
+    g.fillText(fitted(g, m.x.label, w), Math.min(l + width / 2, w - g.measureText(fitted(g, m.x.label, w)).width / 2), h - 4);
     g.textAlign = "right";
     for (const v of marks(m.y, height / 40)) { const y = t + height * (1 - this.along(m.y, v)); g.fillRect(l - 4, y, 4, 1); g.fillText(short(v), l - 7, y + 4); }
     g.save();
     g.translate(11, t + height / 2);
     g.rotate(-Math.PI / 2);
     g.textAlign = "center";
-    g.fillText(m.y.label, 0, 0);
+    g.fillText(fitted(g, m.y.label, h), 0, t + height / 2 - h / 2);
     g.restore();
     if (high > low) {
       for (let k = 0; k < height; k++) { g.fillStyle = `rgb(${cividis(1 - k / height)})`; g.fillRect(l + width + 8, t + k, 10, 1.5); }
       g.fillStyle = ink("--faint");
       g.textAlign = "left";
-      for (const v of (log ? logTicks(low, high) : ticks(low, high, height / 45))) g.fillText(short(v, 3), l + width + 21, t + height * (1 - (f(v) - f(low)) / (f(high) - f(low))) + 4);
+      const [values, digits] = [log ? logTicks(low, high) : ticks(low, high, height / 45), 3 + Math.max(0, Math.floor(Math.log10(Math.abs(high) / (high - low))))];
+      for (const v of values) g.fillText(short(v, digits), l + width + 21, t + height * (1 - (f(v) - f(low)) / (f(high) - f(low))) + 4);
     }
     this.under = make("canvas", { width: this.canvas.width, height: this.canvas.height });
     this.under.getContext("2d").drawImage(this.canvas, 0, 0);

@@ -36,6 +36,9 @@ function ink(name) {
   }
   return inks.get(name);
 }
+const small_print = () => `${innerWidth >= 2000 ? 13 : 11}px system-ui, sans-serif`; // in a canvas
+// A text that fits into a width: without the section of its key, where it is too long with it.
+const fitted = (g, text, width) => (g.measureText(text).width > width ? text.slice(text.indexOf(".") + 1) : text);
 const short = (v, digits = 4) => (Number.isFinite(v) ? String(Number(v.toPrecision(digits))) : "-");
 
 // Round values between low and high, about so many, but not more than a dozen.

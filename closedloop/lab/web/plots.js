@@ -176,7 +176,7 @@ class Plot {
     const x = (t) => x0 + (width * (t - a)) / (b - a);
     const y = (v) => y0 + height * (1 - (v - low) / (high - low));
     this.x = x;
-    g.font = "11px system-ui, sans-serif";
+    g.font = small_print();
     g.fillStyle = ink("--faint");
     g.strokeStyle = ink("--line");
     g.lineWidth = 1;

@@ -209,7 +209,7 @@ class Space {
       if (name === null || norm(d) < 0.04 * v.radius) return;
       const [x, y, , k] = [0, 1, 2, 3].map((r) => [...plus(tail, d), 1].reduce((sum, e, j) => sum + camera[4 * j + r] * e, 0));
       if (k <= 0) return;
-      const text = `${name} ${short(norm(this.frame.arrows[i].force), 3)} N`, wide = 7 * text.length + 7;
+      const text = `${name} ${short(norm(this.frame.arrows[i].force), 3)} N`, wide = 8 * text.length + 7;
       let [left, top] = [(50 * (x / k + 1) * w) / 100, (50 * (1 - y / k) * h) / 100];
       if (left + wide > w) left -= wide + 7; // beside the arrow on its other side
       if (taken.some(([l, t, r]) => Math.abs(t - top) < 13 && left < r && l < left + wide)) return; // one on another is unreadable

@@ -48,7 +48,7 @@ function bode(canvas, m, which, unit, marks) {
   const pad = 0.06 * (high - low || 1);
   [low, high] = [low - pad, high + pad];
   const x = (f) => 44 + ((w - 54) * Math.log(f / a)) / Math.log(b / a), y = (v) => 6 + (h - 26) * (1 - (v - low) / (high - low));
-  g.font = "11px system-ui, sans-serif";
+  g.font = small_print();
   const line = (xa, ya, xb, yb) => { g.beginPath(); g.moveTo(xa, ya); g.lineTo(xb, yb); g.stroke(); };
   g.strokeStyle = ink("--line");
   g.fillStyle = ink("--faint");

@@ -104,7 +104,7 @@ def collide(address: int) -> None:
 def strike_surface(S: Array, mu: float, rest_speed: float, w: Work, constants: Constants, state: State) -> None:
     """Write the impulses on a point of mobility S (3, 3), 1/kg, that strikes with `before`, and the kind of event.
 
-    A rebound slower than `rest_speed`, m/s, is none.
+    If the rebound is slower than `rest_speed`, m/s, the tip stays in contact.
     """
     bounces = state.event.rapid <= MAX_RAPID
     state.event.kind, w.impact.discarded_rebound, w.impact.restitution_given = (

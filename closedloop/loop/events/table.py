@@ -85,7 +85,7 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
         ("event",), "J", "kinetic energy lost; at an edge that of the spring of a soft surface"
     ),
     "event_energy_rested": EventColumn(
-        ("event",), "J", "part of the energy lost that was taken so that what parts too slowly rests"
+        ("event",), "J", "part of the energy lost that the rule of rest removed (impact.rest_speed)"
     ),
     "event_position": EventColumn(("event", "axis"), "m", "tip position r, base frame"),
     "event_slip_before": EventColumn(("event",), "m s-1", "speed of slip just before the event"),

@@ -6,6 +6,8 @@ second side. The rows have axes of their own (`closedloop.mechanics.loops.bind`)
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,6 +69,8 @@ def wrenches(robot: Robot, q: Array, rows: Array, forces: Array) -> Array:
         Of the rows, on the first side.
     """
     found, at = [], 0
+    between = [loop for loop in robot.model.loops if loop.type != "gear"]
+    poses = robot.poses_of({n for loop in between for n in (*loop.frames, named_side(robot, loop)[0])}, q)
     for loop in robot.model.loops:
         own = slice(at, at + loop.rows)
         at = own.stop
@@ -74,13 +78,13 @@ def wrenches(robot: Robot, q: Array, rows: Array, forces: Array) -> Array:
             joints = [robot.joint_names.index(name) for name in loop.joints]
             found.append(forces[:, own] * rows[:, own.start][:, joints])
         else:
-            found.append(_wrench(robot, loop, q, forces[:, own]))
+            found.append(_wrench(robot, loop, poses, forces[:, own]))
     return np.concatenate(found, axis=1) if found else np.zeros((len(q), 0))
 
 
-def _wrench(robot: Robot, loop: LoopJoint, q: Array, forces: Array) -> Array:
+def _wrench(robot: Robot, loop: LoopJoint, poses: Mapping[str, tuple[Array, Array]], forces: Array) -> Array:
     """Return the parts of the reaction (N, c) of a joint between two frames, from the forces of its rows (N, k)."""
-    (first, one), (second, other) = (robot.frame_poses(name, q) for name in loop.frames)
+    (first, one), (second, other) = (poses[name] for name in loop.frames)
     a = one + first @ np.array(loop.points[0])
     if loop.type == "distance":
         apart = a - other - second @ np.array(loop.points[1])
@@ -93,7 +97,7 @@ def _wrench(robot: Robot, loop: LoopJoint, q: Array, forces: Array) -> Array:
         u, w = rotation_axes(loop, pair)
         couple += forces[:, [k]] * np.cross(first @ u, second @ w)
     name, point = named_side(robot, loop)
-    named, other = robot.frame_poses(name, q)
+    named, other = poses[name]
     couple += np.cross(a - other - named @ point, force)  # the force of the rows acts at the point of the first side
     parts = [force] if loop.type == "point" else [force, couple]
     return np.concatenate([_turned(named, part) for part in parts], axis=1)

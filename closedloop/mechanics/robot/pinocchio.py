@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -292,13 +292,18 @@ class Robot:
 
         (N, 3, 3) and (N, 3); "world" is the base.
         """
-        number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
-        axes, origins = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+        return self.poses_of([name], q)[name]
+
+    def poses_of(self, names: Iterable[str], q: Array) -> dict[str, tuple[Array, Array]]:
+        """Return what `frame_poses` does of several frames, by their names."""
+        numbers = {name: 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name)) for name in names}
+        found = {name: (np.empty((len(q), 3, 3)), np.empty((len(q), 3))) for name in numbers}
         for k, row in enumerate(self._rows(q)):
             pin.forwardKinematics(self._pin, self._data, row)
-            place = pin.updateFramePlacement(self._pin, self._data, number)
-            axes[k], origins[k] = place.rotation, place.translation
-        return axes, origins
+            for name, number in numbers.items():
+                place = pin.updateFramePlacement(self._pin, self._data, number)
+                found[name][0][k], found[name][1][k] = place.rotation, place.translation
+        return found
 
     def link_below(self, joint: str) -> tuple[str, Array]:
         """Return the name of the link that a joint hangs on, and where on it (3,), m, in the axes of that link."""

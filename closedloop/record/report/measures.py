@@ -40,7 +40,7 @@ MEASURES: dict[str, Measure] = {
     "max_joint_friction": Measure("N m", "largest torque of friction in a joint"),
     "energy_lost_to_friction": Measure("J", "energy that sliding friction took, at all contacts and in the joints"),
     "energy_lost_in_impacts": Measure("J", "energy that impacts took, and what a soft surface had stored at its edge"),
-    "energy_taken_at_rest": Measure("J", "energy of that, taken so that what parts too slowly rests"),
+    "energy_taken_at_rest": Measure("J", "part of that energy which the rule of rest removed (impact.rest_speed)"),
     "largest_rate_cut": Measure("m s-1", "fastest bounce that was cut to rest"),
     "rms_force_error": Measure("N", "RMS error of the contact force over the rows in contact"),
     "force_settled_at": Measure("s", "instant from which the contact force stays within 2 % of that desired"),

@@ -1,4 +1,4 @@
-"""Regular swings of a signal: growing, or a limit cycle; noise, drifts and what dies away are none."""
+"""Regular swings of a signal: growing, or a limit cycle; noise, drifts and decaying oscillations are not."""
 
 from __future__ import annotations
 

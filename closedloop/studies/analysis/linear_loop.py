@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from closedloop.base.errors import ScenarioError
+from closedloop.base.optional import missing_line
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.analysis.margins import Margins, margins_of
 from closedloop.studies.analysis.poles import Pole, pole_at
@@ -290,7 +291,7 @@ class LinearLoop:
         try:
             import control
         except ImportError:
-            raise ScenarioError("to_control needs python-control: pip install 'closedloop[analysis]'") from None
+            raise ScenarioError(missing_line("to_control needs", "python-control", "analysis")) from None
         names = {key: [each.name for each in getattr(self, key)] for key in ("states", "inputs", "outputs")}
         return control.ss(self.A, self.B, self.C, self.D, self.dt, **names, name=self.scenario.name)
 

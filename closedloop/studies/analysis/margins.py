@@ -2,7 +2,7 @@
 
 gain margin      by which a gain may rise, or fall, until L = −1
 phase margin     by which the phase at |L| = 1 may lag
-delay margin     by how long the loop may be later: phase margin over frequency, the least of all crossings
+delay margin     the delay that the loop may have in addition: phase margin over frequency, the least of all crossings
 modulus margin   the least distance of L from −1, 1/max|S|: it bounds all of them from below
 """
 

@@ -119,7 +119,7 @@ class Page:
             found.append(f"{text:28}{pole.frequency:>9.3g}{pole.damping:>9.3f}  {belongs}")
         rest = sum(pole.at_rest for pole in loop.poles())
         if rest:
-            found.append(f"{rest} more rest where they are: friction holds them, or nothing controls them")
+            found.append(f"{rest} more neither grow nor decay: friction holds them, or nothing controls them")
         if loop.mode == 0:
             found += ["", "the tip touches nothing: f has no bandwidth, and there is no port"]
             return found + self._limit_lines()

@@ -213,6 +213,6 @@ def _refuse_limited(here: Here) -> None:
     if here.loop.state.settings.drives != 0 and limited.size:
         raise SimulationError(
             f"linearise: the drive of joint {problem.robot.joint_names[int(limited[0])]} is at its limit at "
-            f"t = {time:g} s, so that its torque answers to nothing; take another instant, or a higher limit",
+            f"t = {time:g} s, so its torque does not respond; take another instant, or a higher limit",
             time,
         )

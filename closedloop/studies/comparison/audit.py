@@ -148,7 +148,7 @@ def expected_force(
     torque, force = recording.torque, recording.force
     if torque is None or force is None:
         missing = "torque" if torque is None else "force"
-        raise LogError(f"{recording.source}: has no {missing}: what its force is cannot be told")
+        raise LogError(f"{recording.source}: has no {missing}: the meaning of its force cannot be determined")
     step, N = recording.step, len(recording.time)
     cutoff = usual_cutoff(Log(recording.time, recording.q, torque)) if cutoff is None else cutoff
     if not 0.0 < cutoff < 0.5 / step:

@@ -97,7 +97,7 @@ class LogComparison:
 
     def lines(self) -> list[str]:
         """Return the comparison in words."""
-        by = f"by {self.shift_from}" if self.shift_from else "nothing moves that would tell it"
+        by = f"by {self.shift_from}" if self.shift_from else "no motion in it determines the shift"
         told = [f"aligned: the log is {self.shift:+.6g} s from the run ({by}); {self.overlap:.4g} s in common"]
         for each in self.differences.values():
             told += ["", f"{each.name}: RMS of log minus run, {each.unit}"]

@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.optional import missing_line
 from closedloop.figures.export.messages import DEFINITIONS
 from closedloop.studies.identify.log import LogError
 
 Array = NDArray[np.float64]
 
 JOINTS, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
-NEEDS = 'reading MCAP and rosbag2 needs two packages that are not installed: pip install "closedloop[mcap]"'
+NEEDS = missing_line("reading MCAP and rosbag2 needs", "mcap-ros2-support", "mcap")
 
 
 def table_of_bag(path: Path) -> dict[str, Array]:

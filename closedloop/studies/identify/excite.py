@@ -1,4 +1,4 @@
-"""A motion that makes parameters known: Fourier series of all joints within their limits, best for what is asked.
+"""A motion that identifies parameters: Fourier series of all joints within their limits, best for what is asked.
 
     q_j(t) = q_j0 + Σ_l a_jl sin(lωt)/(lω) − b_jl cos(lωt)/(lω),    ω = 2π/T,    from rest to rest
 

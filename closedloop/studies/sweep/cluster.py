@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from closedloop.base.errors import ClusterError, OutputError, ScenarioError
+from closedloop.base.optional import missing_line
 from closedloop.studies.sweep.part import run_part_anywhere
 from closedloop.studies.sweep.store import Store
 
@@ -58,7 +59,7 @@ def run_on_cluster(
 
         distributed: Any = dask_distributed  # annotated in parts only
     except ImportError:
-        raise ScenarioError('--scheduler: needs Dask; pip install "closedloop[cluster]"') from None
+        raise ScenarioError(missing_line("--scheduler: a cluster needs", "Dask", "cluster")) from None
     client = _client(distributed, address)
     job, parts, numbers = sweep.job, iter(missing), dict[str, int]()
     try:

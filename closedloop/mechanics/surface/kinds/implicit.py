@@ -32,8 +32,8 @@ class Implicit(Placed):
     )
     at: tuple[Coordinate, Coordinate, Coordinate] = Field(
         (0.0, 0.0, 0.0),
-        description="x, y and z of the point of the surface that `point` places, m; the surface's next to it if φ is "
-        "not zero there",
+        description="x, y and z of the point of the surface that `point` places, m; the nearest point of the surface "
+        "if φ is not zero there",
     )
 
     @field_validator("expression")

@@ -22,6 +22,7 @@ from closedloop.base.sections import (
 from closedloop.control.law import ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.jit.blocks import Block, Count
+from closedloop.jit.dual8 import has_derivatives, settled, sought
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import matrix_of
 from closedloop.mechanics.closure.contact_force import IMMOBILE
@@ -76,7 +77,7 @@ class TipScratch(Block, sizes=("n",)):
     """Intermediate results of a law in operational space, in `LawInput.scratch`."""
 
     inverse: Annotated[Array, 3, 3]
-    eigen: Annotated[Array, 18]
+    eigen: Annotated[Array, 36]
     wanted: Annotated[Array, 3]  # acceleration of the tip, m/s²
     force: Annotated[Array, 3]
     rest: Annotated[Array, 3]
@@ -91,7 +92,7 @@ def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
     ----------
     M : (3, 3) array
         Symmetric.
-    scratch : (18,) array
+    scratch : (36,) array
     P : (3, 3) array
         Written (it may be M itself): the sum of x xᵀ/λ over the eigenvectors x whose eigenvalue λ is above `IMMOBILE`
         of the trace. Along the others (a planar arm, sideways) the arm cannot move the tip.
@@ -101,11 +102,11 @@ def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
     int
         How many eigenvalues counted: the rank.
     """
-    W, V = matrix_of(scratch, 3, 3), matrix_of(scratch[9:18], 3, 3)
+    W, V, given = matrix_of(scratch, 3, 3), matrix_of(scratch[9:18], 3, 3), matrix_of(scratch[18:27], 3, 3)
     trace = M[0, 0] + M[1, 1] + M[2, 2]
     for i in range(3):
         for j in range(3):
-            W[i, j] = M[i, j]
+            W[i, j] = given[i, j] = M[i, j]
             V[i, j] = 1.0 if i == j else 0.0
             P[i, j] = 0.0
     for _ in range(MOST_SWEEPS):
@@ -135,7 +136,39 @@ def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
             for i in range(3):
                 for j in range(3):
                     P[i, j] += V[i, k] * V[j, k] / W[k, k]
+    if has_derivatives(trace):  # a matrix that is diagonal is not rotated, and its derivatives are not diagonal
+        differentiate(given, P, W, V, matrix_of(scratch[27:36], 3, 3))
     return rank
+
+
+@kernel
+def differentiate(M: Array, P: Array, X: Array, Y: Array, N: Array) -> None:
+    """Write the derivatives of P (3, 3), the pseudo-inverse of a symmetric M (3, 3); X, Y and N are scratch.
+
+    dP = −P dM P + P² dM N + N dM P², N = I − M P (G. H. Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973)
+    """
+    for i in range(3):
+        for j in range(3):
+            P[i, j] = sought(P[i, j])
+    multiply(M, P, X)
+    for i in range(3):
+        for j in range(3):
+            N[i, j] = (1.0 if i == j else 0.0) - sought(X[i, j])
+    multiply(M, N, Y)
+    multiply(P, Y, N)
+    multiply(P, N, Y)  # P² M N
+    multiply(P, X, N)  # P M P
+    for i in range(3):
+        for j in range(3):
+            P[i, j] = settled(P[i, j], N[i, j] - Y[i, j] - Y[j, i], 1.0)
+
+
+@kernel
+def multiply(A: Array, B: Array, C: Array) -> None:
+    """Write C = A B, all (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
 
 
 @kernel

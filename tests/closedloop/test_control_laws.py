@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
 from control_loop import POSES, Loop, arm
@@ -17,7 +18,10 @@ from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.tip_space import motion_along_normal, pseudo_inverse, surface_mobility
-from closedloop.jit.kernel import plain
+from closedloop.jit.kernel import numba_ready, plain
+from closedloop.jit.numba_dual8 import dual_vector_at
+from closedloop.jit.pointers import address_of, matrix_of
+from closedloop.jit.simd8 import WIDE, aligned
 from closedloop.simulation.engines.packed import pack_law
 
 LAWS = {
@@ -306,14 +310,52 @@ def test_pseudo_inverse_by_rotations(rank):
         M = basis @ np.diag(values) @ basis.T
         M = 0.5 * (M + M.T)
         P = np.zeros((3, 3))
-        assert pseudo_inverse(M, np.zeros(18), P) == rank
+        assert pseudo_inverse(M, np.zeros(36), P) == rank
         size, inverse_size = np.linalg.norm(M) or 1.0, np.linalg.norm(P) or 1.0
         assert np.max(np.abs(M @ P @ M - M)) < 1e-9 * size
         assert np.max(np.abs(P @ M @ P - P)) < 1e-9 * inverse_size
         assert np.max(np.abs(M @ P - (M @ P).T)) < 1e-9
         in_place = M.copy()
-        pseudo_inverse(in_place, np.zeros(18), in_place)
+        pseudo_inverse(in_place, np.zeros(36), in_place)
         assert np.array_equal(in_place, P)
+
+
+@pytest.mark.slow
+def test_pseudo_inverse_has_the_derivatives_of_its_closed_form():
+    """Of matrices that are diagonal, which no rotation turns, with two or three equal eigenvalues, and of any rank."""
+    numba_ready()
+
+    @numba.njit(error_model="numpy")
+    def inverted(at):
+        memory = dual_vector_at(at, 54)
+        pseudo_inverse(matrix_of(memory[:9], 3, 3), memory[9:45], matrix_of(memory[45:54], 3, 3))
+
+    rng = np.random.default_rng(0)
+    turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    for values in (
+        [1.0, 2.0, 5.0],
+        [2.0, 2.0, 5.0],
+        [3.0, 3.0, 3.0],
+        [0.0, 2.0, 5.0],
+        [0.0, 2.0, 2.0],
+        [0.0, 0.0, 4.0],
+    ):
+        for basis in (np.eye(3), turned):
+            memory = aligned(54)
+            M, nulls = basis @ np.diag(values) @ basis.T, np.array(values) == 0
+            memory[:9, 0] = M.ravel()
+            for k in range(1, WIDE):
+                change = rng.normal(size=(3, 3))
+                change = basis.T @ (change + change.T) @ basis
+                change[np.ix_(nulls, nulls)] = 0.0  # so that its rank stays
+                memory[:9, k] = (basis @ change @ basis.T).ravel()
+            inverted(address_of(memory))
+            P, N = np.linalg.pinv(M), np.eye(3) - np.linalg.pinv(M) @ M
+            np.testing.assert_allclose(memory[45:54, 0].reshape(3, 3), P, atol=1e-14)
+            for k in range(1, WIDE):
+                dM = memory[:9, k].reshape(3, 3)
+                expected = -P @ dM @ P + P @ P @ dM @ N + N @ dM @ P @ P
+                np.testing.assert_allclose(memory[45:54, k].reshape(3, 3), expected, atol=1e-13)
 
 
 @pytest.mark.parametrize("height", [-0.1, 0.0, 0.1])

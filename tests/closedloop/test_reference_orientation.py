@@ -147,6 +147,9 @@ def test_the_law_is_told_how_the_joints_are_to_accelerate():
         assert qdd[1] == 0.0
     plain(desired_acceleration)(0.0, h, table, qdd)
     assert not np.any(qdd)
+    table[:, n] = 1e-20 * (t - 0.3) ** 2  # rounding, whose sign says nothing
+    plain(desired_acceleration)(0.3, h, table, qdd)
+    assert 0.0 < abs(qdd[0]) < 1e-20
 
 
 @pytest.mark.parametrize("law", ["operational_space", "dynamic_hybrid"])

@@ -10,6 +10,9 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 
 Array = NDArray[np.float64]
 
+# The sum of two slopes, rad/s² (m/s²), that are rounding: their signs say nothing, but they may have derivatives.
+STILL = 1e-11
+
 
 @kernel_inlined
 def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
@@ -63,5 +66,5 @@ def desired_acceleration(t: float, spacing: float, table: Array, qdd: Array) -> 
         if 0 < at < table.shape[0] - 1:
             before = (table[at, n + j] - table[at - 1, n + j]) / spacing
             after = (table[at + 1, n + j] - table[at, n + j]) / spacing
-            if before * after > 0.0:
+            if before * after > 0.0 or abs(before) + abs(after) <= STILL:
                 qdd[j] = before if abs(before) < abs(after) else after

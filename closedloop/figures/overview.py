@@ -114,7 +114,7 @@ def _draw_tip_errors(axes: Axes, run: Run) -> None:
     names = ("along the path", "across", "normal") if moves else ("t1", "t2", "normal")
     for k in np.argsort([-float(np.max(np.abs(each))) for each in errors]):  # the largest is at the back
         size = float(np.max(np.abs(errors[k])))
-        told = f"{names[k]} ≤ {length_text(size)}" if size > rounding else f"{names[k]}: 0 but for rounding"
+        told = f"{names[k]} ≤ {length_text(size)}" if size > rounding else f"{names[k]} ≈ 0"
         axes.plot(run.time, factor * errors[k], color=COLOURS[k], label=told)
     axes.margins(y=0.12)
     mark_rounding(axes, largest, rounding, factor)

@@ -8,7 +8,7 @@ import closedloop as cl
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.gradient import differences, exact
+from closedloop.studies.gradient import differences, exact, guard
 from closedloop.studies.gradient.keys import SHARE, Keys
 from closedloop.studies.gradient.seeds import seeds_of
 from closedloop.studies.gradient.variants import Happening, Sample
@@ -268,6 +268,15 @@ def test_a_kink_is_named():
     assert below[0] == pytest.approx(-1.0, rel=1e-9)
     assert above[0] == pytest.approx(1.0, rel=1e-9)
     assert "max_tip_speed has no derivative with respect to start.v[0]" in found.problems[0]
+
+
+def test_a_small_step_does_not_hide_a_wrong_derivative():
+    """A derivative that is 0.3 % off is not accepted where the difference is no larger than rounding."""
+    for beside, agrees in ((guard.BESIDE[0], False), (guard.BESIDE[1], True)):
+        change = np.array([1e-5 * beside])
+        own = guard._Beside(1.003 * change, 1.0 - change, np.ones(1), 1.0 + change, guard.NOISE * guard.ROUNDING)
+        assert own.agrees == agrees
+        assert not own.tells or not agrees
 
 
 def test_at_a_bound_there_is_one_side():

@@ -22,8 +22,9 @@ notices = logging.getLogger(__name__)
 
 # The two plain runs are off the scenario by the first of these shares of the keys' sizes. A derivative must be that of
 # their difference to a share, or to what of the difference is rounding. Where other events happen in them, or one does
-# not agree because it bends or is all but rounding, so it may with the next two.
-BESIDE, AGREE, NOISE = (1e-5, 1e-7, 1e-4), 1e-4, 50.0
+# not agree because it bends or is all but rounding, so it may with the next two, if rounding is no more than a share of
+# the difference there: else a smaller step would hide what the first has shown.
+BESIDE, AGREE, NOISE, TELLS = (1e-5, 1e-7, 1e-4), 1e-4, 50.0, 1e-3
 # The runs on both sides differ from the scenario's by as much, but for this share: else there is a kink.
 KINKED = 1e-3
 
@@ -60,7 +61,7 @@ def agreeing(
                 own = _Beside(
                     expected, minus.values[part], base.values[part], plus.values[part], noise * rounded(run, outputs[i])
                 )
-                good[i] = own.agrees
+                good[i] = own.agrees and (beside == BESIDE[0] or own.tells)
                 if not good[i]:
                     notices.debug("no dual numbers: %s, %g beside: %s", outputs[i].name, beside, own)
         if np.all(good | ~np.array(there)):
@@ -80,11 +81,25 @@ class _Beside(NamedTuple):
     noise: float
 
     @property
+    def change(self) -> Array:
+        """By what it changes, from its value to that of either run."""
+        return 0.5 * (self.plus - self.minus)
+
+    @property
+    def size(self) -> float:
+        """The largest change, or the largest expected."""
+        return max(float(np.max(np.abs(each), initial=0.0)) for each in (self.change, self.expected))
+
+    @property
+    def tells(self) -> bool:
+        """Whether the change is well above rounding."""
+        return self.noise <= TELLS * self.size
+
+    @property
     def agrees(self) -> bool:
         """Whether it changes by that, and by as much on both sides."""
-        change = 0.5 * (self.plus - self.minus)
+        change, size = self.change, self.size
         both_differ = np.abs(self.plus + self.minus - 2.0 * self.at)
-        size = max(float(np.max(np.abs(each), initial=0.0)) for each in (change, self.expected))
         return bool(
             np.all(np.isfinite(self.expected))
             and np.all(np.abs(change - self.expected) <= AGREE * size + self.noise)

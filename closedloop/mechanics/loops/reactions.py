@@ -105,10 +105,10 @@ def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
 def share_of_rows(rows: Array, missing: Array, at_stop: Mask | None) -> tuple[Array, Array]:
     """Return the part of the rows (N, m) in a torque (N, n), and that of the stops (N, n): together of least norm."""
     m, n = rows.shape[1:]
-    some = at_stop is not None and bool(at_stop.any())
-    bound = np.concatenate([rows, np.eye(n) * at_stop[:, None, :]], axis=1) if some else rows
+    held = None if at_stop is None or not at_stop.any() else at_stop[:, None, :]
+    bound = rows if held is None else np.concatenate([rows, np.eye(n) * held], axis=1)
     found = np.einsum("kmn,kn->km", np.linalg.pinv(np.swapaxes(bound, 1, 2), rcond=DEPENDENT), missing)
-    return found[:, :m], found[:, m:] if some else np.zeros(missing.shape)
+    return found[:, :m], np.zeros(missing.shape) if held is None else found[:, m:]
 
 
 def missing_torque(robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.figures.dress import dress, explain_contact
-from closedloop.figures.style import MANY, MOST_CURVES, length_unit, new_figure
+from closedloop.figures.style import MANY, MOST_CURVES, length_unit, new_figure, widen
 from closedloop.record.run import Run
 from robot_models.coordinates import PLACES
 
@@ -80,9 +80,8 @@ def bodies(run: Run) -> Figure:
         for k, name in enumerate(shown):
             axes.plot(run.time, curves[name], color=MANY[k % len(MANY)], label=name)
         axes.margins(y=0.12)
-        low, high = axes.get_ylim()
-        if label == HEIGHT and high - low < (least := LEAST * 1e3 * max(furthest, *size.values())):  # it stays as it is
-            axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
+        if label == HEIGHT:
+            widen(axes, LEAST * 1e3 * max(furthest, *size.values()))
         first, last = axes is panels[0], axes is panels[-1]
         dress(axes, run, f"{title}: {those}" if first and those else title, label, label_marks=first, show_events=last)
         if not last:

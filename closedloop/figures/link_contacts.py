@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.figures.dress import dress, explain_contact
-from closedloop.figures.style import COLOURS, MANY, MOST_CURVES, new_figure
+from closedloop.figures.style import COLOURS, MANY, MOST_CURVES, new_figure, widen
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.record.run import Run
@@ -58,10 +58,7 @@ def link_contacts(run: Run) -> Figure:
         if not has_other_law(sections[k]):
             below.plot(run.time, coulomb_of(sections[k]) * f, "--", color=colour, linewidth=0.7)
     for axes in (above, below):
-        low, high = axes.get_ylim()
-        least = FLATTEST * max(abs(low), abs(high))
-        if high - low < least:  # a force that stays as it is: its rounding is not what is to be seen
-            axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
+        widen(axes, FLATTEST * max(abs(end) for end in axes.get_ylim()))
     those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
     dress(times, run, "Contacts of the links", "", label_marks=False, show_events=False)
     dress(above, run, f"Contact forces{those}", "f [N]", show_events=False)

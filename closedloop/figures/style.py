@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Blue, orange, green of Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
@@ -56,6 +57,13 @@ def new_figure(height: float = 3.4) -> Figure:
 
 # A length below this, m, is told in metres with a power of ten: no instrument knows a unit for it.
 SMALLEST = 1e-12
+
+
+def widen(axes: Axes, least: float) -> None:
+    """Make the axis upwards of a panel at least so long: the rounding of what stays as it is is not to be seen."""
+    low, high = axes.get_ylim()
+    if high - low < least:
+        axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
 
 
 def length_unit(size: float) -> tuple[float, str]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from closedloop.figures.scene.ghost import COLOUR, OPACITY
 from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, Scene
 from closedloop.figures.scene.shapes import Shape
+from closedloop.figures.style import widen
 from closedloop.lab.curves import Panel
 
 Array = NDArray[np.float64]
@@ -119,10 +120,7 @@ class Picture:
             plot.plot(
                 panel.time, trace.values, style, color=trace.colour, linewidth=1.2, label=trace.label if named else None
             )
-        low, high = plot.get_ylim()
-        least = FINEST * max(abs(low), abs(high))
-        if high - low < least:  # a value that stays as it is: its rounding errors are not what the film is about
-            plot.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
+        widen(plot, FINEST * max(abs(end) for end in plot.get_ylim()))
         plot.set_xlabel("time [s]")
         plot.set_ylabel(panel.title)
         handles, names = plot.get_legend_handles_labels()

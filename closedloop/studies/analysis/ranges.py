@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 from closedloop.studies.analysis.poles import Pole
+from closedloop.studies.shares import number_at, share_of
 
 # A key's value: a number, or a list with a number for each joint.
 Value = float | list[float]
@@ -49,15 +49,11 @@ class Range:
 
     def at(self, share: float) -> float:
         """Return the value at `share`, 0 to 1, of the way."""
-        if self.log:
-            return float(self.low * (self.high / self.low) ** share)
-        return float(self.low + (self.high - self.low) * share)
+        return number_at(self.low, self.high, self.log, share)
 
     def share(self, value: float) -> float:
         """Return how far along the way a value is."""
-        if self.log:
-            return math.log(value / self.low) / math.log(self.high / self.low)
-        return (value - self.low) / (self.high - self.low)
+        return share_of(self.low, self.high, self.log, value)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.scenario.overrides import toml_value
 from closedloop.scenario.units import takes_whole_numbers
 from closedloop.simulation.batch.table import key_type
+from closedloop.studies.shares import number_at
 
 FORMS = "5:15:11 (from, to, how many), log:1e-4:1e-2:20, or 5,10,15"
 # Values of one axis.
@@ -78,10 +79,8 @@ class Axis:
     def _between(self, share: float, exact_end: bool = False) -> float | int:
         if share == 0.0 or exact_end:
             value = self.high if exact_end else self.low
-        elif self.log:
-            value = self.low * (self.high / self.low) ** share
         else:
-            value = self.low + (self.high - self.low) * share
+            value = number_at(self.low, self.high, self.log, share)
         return round(value) if self.whole else value
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.gradient.keys import Keys, indexed
+from closedloop.studies.shares import number_at, share_of
 
 Array = NDArray[np.float64]
 
@@ -58,17 +59,13 @@ class Varied:
         """Return the number at a share of the range, 0 to 1."""
         if not AT_END < share < 1.0 - AT_END:  # an end, or the rounding of a search that ends there
             return self.high if share > 0.5 else self.low
-        if self.log:
-            return float(self.low * (self.high / self.low) ** share)
-        return float(self.low + (self.high - self.low) * share)
+        return number_at(self.low, self.high, self.log, share)
 
     @property
     def share(self) -> float:
         """Return where in its range the scenario's number is, or the nearer end."""
         x = min(max(self.present, self.low), self.high)
-        if self.log:
-            return math.log(x / self.low) / math.log(self.high / self.low)
-        return (x - self.low) / (self.high - self.low)
+        return share_of(self.low, self.high, self.log, x)
 
 
 @dataclass(frozen=True)

@@ -106,8 +106,10 @@ def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
     trace = M[0, 0] + M[1, 1] + M[2, 2]
     for i in range(3):
         for j in range(3):
-            W[i, j] = given[i, j] = M[i, j]
+            W[i, j] = M[i, j]
             V[i, j] = 1.0 if i == j else 0.0
+            if has_derivatives(trace):
+                given[i, j] = M[i, j]
             P[i, j] = 0.0
     for _ in range(MOST_SWEEPS):
         if W[0, 1] * W[0, 1] + W[0, 2] * W[0, 2] + W[1, 2] * W[1, 2] <= DIAGONAL * trace * trace:

@@ -87,3 +87,19 @@ def test_a_law_that_is_held_does_not_chatter():
     assert len(run) == 201
     assert len(run.events) > 4
     assert np.all(run.torque[1:4] == run.torque[0])
+
+
+@pytest.mark.parametrize(
+    ("mu", "force"), [(0.02, 5.0), (0.05, 40.0), (0.06, 40.0), (0.07, 40.0), (0.08, 10.0), (0.2, 5.0)]
+)
+def test_what_is_symmetric_slips_symmetrically(mu, force):
+    """A block that hardly held fingers lift, or not: forces are not unique; modes are those of the forces that follow.
+
+    Before, the block turned about one corner (0.07), or two feet parted and came back without end (0.05, 0.06).
+    """
+    run = cl.simulate(cl.load_scenario("gripper_block", {"contact.*.friction": mu, "law.force": force}))
+    assert len(run.event_time) <= 30
+    sideways_and_turning = run.v[:, [4, 6, 7, 8]]
+    assert np.max(np.abs(sideways_and_turning)) < 1e-9
+    assert np.max(np.ptp(run.link_modes[:, :8], axis=1)) == 0
+    assert np.min(run.link_gaps) > -1e-9

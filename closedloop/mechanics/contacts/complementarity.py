@@ -42,6 +42,8 @@ Array = NDArray[np.float64]
 SOLVED, ACCEPTED, WEDGED = 1e-14, 1e-9, 1e6
 # Sweeps of Gauss and Seidel's method before Newton's, at first; it doubles from round to round.
 SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
+# Mobility of contacts that give way a little, of the largest.
+SOFTNESS = 1e-7
 # Rounds at the end of a path, where the solution is near.
 LAST_ROUNDS = 9
 # Where paths start, one after the other, see `start_path`.
@@ -258,6 +260,21 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
 
 
 @kernel
+def soften(c: Contacts, k: int) -> None:
+    """Write F near that of contacts that give way a little: of forces that are not unique nearly the shortest.
+
+    The modes are then those of the forces that follow, and what is symmetric stays so.
+    """
+    largest = largest_mobility(c, k)
+    for i in range(3 * k):
+        c.problem.diagonal[i] = c.W[i, i]
+        c.W[i, i] += SOFTNESS * largest
+    solve_from_here(c, k, SWEEPS, ROUNDS)
+    for i in range(3 * k):
+        c.W[i, i] = c.problem.diagonal[i]
+
+
+@kernel
 def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
     """Write F and `after`, u = q + W F, of the contacts whose `kind` is not OFF; return whether they were found.
 
@@ -265,7 +282,12 @@ def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
     from how many points paths are followed, where the quick method does not find them.
     """
     a = pack(c, k)
-    found = solve_from_here(c, a, SWEEPS, ROUNDS)
+    soften(c, a)
+    found = solve_from_here(c, a, 0, 1)
+    if not found:
+        for i in range(3 * a):
+            c.F[i] = 0.0
+        found = solve_from_here(c, a, SWEEPS, ROUNDS)
     for i in range(0 if found else starts):
         found = found or (follow_path(c, a, STARTS[i]) and solve_from_here(c, a, 0, LAST_ROUNDS))
     unpack(c, k, a)

@@ -68,6 +68,7 @@ class Problem(Block, sizes=("k",)):
     along: Annotated[Array, K, 2]  # F_t = −along f − viscous of a RAY or a LINE
     q: Annotated[Array, 3 * K]
     after: Annotated[Array, 3 * K]  # u⁺
+    diagonal: Annotated[Array, 3 * K]  # of W, where contacts give way
     rounding: float  # force below which there is none, N
     penalty: float  # see `closedloop.mechanics.contacts.complementarity`
     residual: float  # of the last problem, N or N s

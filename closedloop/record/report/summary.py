@@ -29,7 +29,7 @@ from closedloop.record.report.undriven import motions_without_drive
 from closedloop.record.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import gains_fault
-from closedloop.scenario.modes import unresolved, unresolved_feedback
+from closedloop.scenario.modes import unresolved, unresolved_feedback, where_it_rubs
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,9 @@ def _unresolved(run: Record) -> list[str]:
     if not len(run):
         return []
     robot = robot_of(run.scenario, run.model)
-    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], -float(run.closure_error[0]))
+    rubbing = where_it_rubs(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode)
+    depth, own_law = -float(run.closure_error[0]), run.law != "scenario"
+    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, rubbing, own_law)
 
 
 def _unresolved_feedback(run: Record) -> list[str]:

@@ -321,6 +321,28 @@ def test_the_map_shows_where_the_loop_becomes_unstable(page, lab, monkeypatch):
     assert page.evaluate("map.point") == [900.0, 60.0]
 
 
+def test_the_label_of_the_vertical_axis_of_a_map_is_whole(page, lab):
+    """It stands within the canvas, left of the numbers; where all values are equal the map says the value."""
+    page.wait_for_function("map.m && map.under")
+    texts = """() => {
+      const found = [], write = CanvasRenderingContext2D.prototype.fillText;
+      CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+        const m = this.getTransform();
+        found.push([text, (m.a * x + m.c * y + m.e) / devicePixelRatio, m.b]);
+        return write.call(this, text, x, y);
+      };
+      map.m.grid = map.m.grid.map(() => 2.5);
+      map.shown();
+      CanvasRenderingContext2D.prototype.fillText = write;
+      return found;
+    }"""
+    found = page.evaluate(texts)
+    turned = [at for _, at, turn in found if turn]
+    assert len(turned) == 1
+    assert 9 <= turned[0] <= 20
+    assert "2.5 N in every run" in [text for text, *_ in found]
+
+
 def test_two_tabs_and_a_reload_show_the_same_run(page, browser, lab):
     """What one page changes the other shows, controls included; a page that is loaded again shows it as well."""
     other, faults = opened_page(browser, lab)

@@ -11,6 +11,7 @@ filter and delay that its samples do not resolve (`closedloop.control.sensor`, `
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -115,7 +116,7 @@ def where_it_rubs(q: Array, normal: Array, force: Array, friction: Array, mode: 
 
 def unresolved(
     scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float,
-    rubbing: Rubbing | None = None, own_law: bool = False,
+    rubbing: Callable[[], Rubbing | None] = lambda: None, own_law: bool = False,
 ) -> list[str]:  # fmt: skip
     """Return a line for each fast part that the step does not resolve, with a step that would; not of the law alone.
 
@@ -129,8 +130,8 @@ def unresolved(
         The unit normal of the surface there, base axes.
     depth : float
         How deep the tip is in the surface there, m.
-    rubbing : Rubbing, optional
-        Where the tip slips with the most friction.
+    rubbing : callable
+        Returns where the tip slips with the most friction; called only if there is viscous friction in joints.
     own_law : bool
         Whether the law is a user's, of whose feedback nothing is known.
     """
@@ -140,10 +141,11 @@ def unresolved(
     if scenario.time.integrator not in INTEGRATORS or not (soft or elastic or rubs):
         return []
     lines = []
-    for mode in _modes(scenario, in_joints, robot, q, normal, depth, rubbing):
+    slip = rubbing() if hasattr(in_joints, "viscous") else None
+    for mode in _modes(scenario, in_joints, robot, q, normal, depth, slip):
         if np.all(np.isfinite(mode.stiffness)) and (np.any(mode.stiffness) or np.any(mode.damping)):
             law_too = mode.key == "joint_friction.viscous" and not own_law
-            said = _with_feedback(mode, scenario, robot, rubbing) if law_too else []
+            said = _with_feedback(mode, scenario, robot, slip) if law_too else []
             lines += said or _line(mode, scenario, decays="friction." in mode.key)
     return lines
 

@@ -416,6 +416,7 @@ DAMAGE = {
     "a number is none": replace_column("contact_force", lambda x: np.where(np.arange(len(x)) == 7, np.nan, x)),
     "a number is infinite": replace_column("v", lambda x: x + np.inf),
     "robot is deep": set_attribute("robot", "[" * 100_000),
+    "versions are numbers": set_attribute("versions", '{"numpy": 2}'),
     "versions are deep": set_attribute("versions", '{"a":' * 5_000 + "1" + "}" * 5_000),
     "a whole number is huge": set_robot(armature=[10**400, 1, 1, 1]),
     "format version is huge": set_attribute("format_version", "9" * 5000),

@@ -44,6 +44,7 @@ from closedloop.record.report.step_error import (
 )
 from closedloop.record.report.step_variation import Swings
 from closedloop.record.report.tabled import forget_absent, verdict_of
+from closedloop.scenario.gains import Rubbing
 from closedloop.scenario.modes import unresolved, where_it_rubs
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import positions_told
@@ -304,14 +305,16 @@ def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
     if not len(rows):
         return []
     n = problem.robot.n
-    first, rubbing = Row(rows[0], n), None
-    if problem.scenario.friction.kind != "none":
+    first = Row(rows[0], n)
+
+    def rubbing() -> Rubbing | None:
         shape = len(problem.scenario.contact or ()), problem.row_states
         q, normal, f, friction, mode = (
             recorded(rows, n, name, *shape)
             for name in ("q", "surface_normal", "contact_force", "friction_force", "mode")
         )
-        rubbing = where_it_rubs(q, normal, f, friction, mode)
+        return where_it_rubs(q, normal, f, friction, mode)
+
     depth = -float(first.closure_error)
     return unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, depth, rubbing, own_law)
 

@@ -8,6 +8,7 @@ as a free one. So the inspection names such things and refuses them.
 leaves it out of its bias and of its forward dynamics, and here friction belongs to the scenario.
 """
 
+import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Collection
@@ -45,6 +46,7 @@ _OWN = {
 }
 
 _VERSIONS = ("1", "1.0", "1.1", "1.2")
+_DECLARATION = re.compile(r"\A\ufeff?\s*<\?xml[^>]*\?>")
 
 _TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -279,7 +281,8 @@ def _typed(text: str, where: str) -> "yourdfpy.Robot":
 
     from yourdfpy import URDF
 
-    stream = io.BytesIO(text.encode())
+    # Without its declaration, which names another encoding or, damaged, makes yourdfpy print and read in another way.
+    stream = io.BytesIO(_DECLARATION.sub("", text).encode())
     try:
         return URDF.load(stream, build_scene_graph=False, load_meshes=False).robot
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:

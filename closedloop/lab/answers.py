@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 NO_EVENTS = np.zeros((0, EVENT_WIDTH))
 # Steps of the run with which a loop is compiled.
 FEW = 3
-# A run that takes longer than this, s, shows what is done of it, this often.
+# A run that goes on for longer than this, s, shows what is done of it, this often: not just before its end.
 SLOW = 0.1
 # Evaluations between two looks at the clock: some 5 ms of an arm that slides on a plane.
 AT_ONCE = 4000
@@ -139,7 +139,9 @@ class Answers:
 
         def report(done: int, total: int) -> None:
             nonlocal shown
-            if clock.perf_counter() - shown > SLOW and 1 < done < total:
+            now = clock.perf_counter()
+            left = (now - began) * (total - done) / max(done, 1)
+            if now - shown > SLOW and left > SLOW and 1 < done < total:
                 self._say(f"computing ... {done / total:.0%}")
                 if problem.tolerance is None:  # whose rows are elsewhere
                     self._part(made(rows[:done], NO_EVENTS, 0.0))

@@ -21,7 +21,8 @@ from closedloop.lab.protocol import Lab
 from closedloop.lab.strip import margin_tiles, tiles, values
 from closedloop.record.run import Run
 from closedloop.simulation.cache import Cache
-from closedloop.studies.analysis.linearise import linearise
+from closedloop.simulation.prepare import prepare
+from closedloop.studies.analysis.linearise import instant_of, loop_at
 from closedloop.studies.analysis.overview import Overview, overview
 
 # The strip follows when no other run has come for so long, s, and while a slider moves so often; then the rest.
@@ -131,9 +132,16 @@ class Details:
         else:
             line = ""
             try:
-                at = None if self.at is None else min(self.at, run.scenario.time.duration)
+                end = run.scenario.time.duration
+                at = 0.5 * end if self.at is None else min(self.at, end)
                 model = lab.answers.model(run.scenario)
-                found = overview(linearise(run.scenario, at, model=model, cache=self._cache))
+                problem = prepare(run.scenario, model, self._cache)
+                lab.wait_for_plots(GIVE_WAY)
+                instant = instant_of(run.scenario, problem, at, model)
+                lab.wait_for_plots(GIVE_WAY)
+                loop = loop_at(problem, instant)
+                lab.wait_for_plots(GIVE_WAY)
+                found = overview(loop)
             except ClosedLoopError as error:
                 line = one_line(str(error))
         if line:

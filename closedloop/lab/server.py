@@ -23,7 +23,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from closedloop.base.errors import OutputError
 
-FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
+FIRST_PORT, LAST_PORT, PORTS = 8080, 65535, 100  # how many are tried, one after the other
 
 
 # The slot of runs; a page that has not said for so long, s, that it has drawn the last is sent another anyway.
@@ -222,8 +222,10 @@ def _free_port(host: str, port: int) -> int:
     ------
     OutputError
     """
+    if not 1 <= port <= LAST_PORT:
+        raise OutputError(f"--port {port}: must be from 1 to {LAST_PORT}")
     fault: Exception | None = None
-    for tried in range(port, port + PORTS):
+    for tried in range(port, min(port + PORTS, LAST_PORT + 1)):
         try:
             family = socket.getaddrinfo(host, tried, type=socket.SOCK_STREAM)[0][0]
             with socket.socket(family) as probe:

@@ -100,12 +100,16 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         raise RunFileError(f"was written by {age} version: format {version}, this one reads {FORMAT_VERSION}{cure}")
     if CHECKSUM in found:
         _verify(found, columns)
+    # Another program may have written numbers in another machine's order of bytes, which few libraries take.
+    columns = {name: column.astype(column.dtype.newbyteorder("="), copy=False) for name, column in columns.items()}
     found = _LATER | dict(found)
     if wrong := [key for key in (*TEXTS, *_LATER) if not isinstance(found[key], str)]:
         raise RunFileError(f"is damaged: attribute '{wrong[0]}' is not text")
     robot, versions = json.loads(found["robot"]), json.loads(found["versions"])
     if not (isinstance(robot, dict) and isinstance(versions, dict) and isinstance(robot.get("name"), str)):
         raise RunFileError("is damaged: its attributes 'robot' and 'versions' must be tables")
+    if not all(isinstance(text, str) for text in versions.values()):
+        raise RunFileError("is damaged: attribute 'versions' must be a table of texts")
     members = json.loads(found.get(MEMBERS, "{}"))
     if not (isinstance(members, dict) and all(isinstance(text, str) for text in members.values())):
         raise RunFileError(f"is damaged: attribute '{MEMBERS}' must be a table of texts")

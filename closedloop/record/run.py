@@ -11,6 +11,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,6 +116,10 @@ class Run:
         derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)
         for column in (*self.columns.values(), *derived):
             column.setflags(write=False)
+        object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "columns": dict(self.columns)}  # a read-only view cannot be pickled
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # An array that was pickled or copied may be written to again.

@@ -198,14 +198,33 @@ def _named(key: str, shape: Array, scenario: Scenario, robot: Robot) -> str:
     return f"law.kd[{joint}] (joint {robot.joint_names[joint]})"
 
 
-def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
-    """Return the feedback of the scenario's law at the start posture, in decoupled parts."""
+class Rubbing(NamedTuple):
+    """A tip that slips: posture (n,), unit normal and what the surface pushes with, 1 N along it, base axes (3,)."""
+
+    q: Array
+    normal: Array
+    push: Array
+
+
+def without_normal(mobility: Array, normal: Array, push: Array) -> Array:
+    """Return what a contact that pushes leaves of H⁻¹ (n, n), where the tip cannot move along the normal.
+
+    A push (n,) along the joints has friction in it, as the normal (n,) has not: a torque that presses also brakes.
+    """
+    along = float(normal @ mobility @ push)
+    held: Array = mobility - np.outer(mobility @ push, normal @ mobility) / along if along > 0.0 else mobility
+    return held
+
+
+def feedbacks(scenario: Scenario, robot: Robot, rubbing: Rubbing | None = None) -> list[Feedback]:
+    """Return the feedback of the scenario's law, in decoupled parts, at the start posture or where the tip slips."""
     law, n = scenario.law, robot.n
-    q = start_posture(scenario, robot.model)
+    q = start_posture(scenario, robot.model) if rubbing is None else rubbing.q
     terms = robot.terms(q, np.zeros(n))
     surface = PlacedSurface.of(scenario.surface, scenario.surface_motion, terms.position, radius=scenario.tool.radius)
     A = surface.touching(terms.position).frame @ terms.jacobian
-    held = scenario.surface.contact == "bilateral"
+    held = scenario.surface.contact == "bilateral" or rubbing is not None
+    push = A[0] if rubbing is None else rubbing.push @ terms.jacobian
     try:
         motors = np.diag(transmission_constants(scenario.transmission, robot.model)[2])  # zero: they are in H
         mobility = closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix + motors))
@@ -213,8 +232,7 @@ def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
         return []
     S = A @ mobility @ A.T
     if held and S[0, 0] > 0.0:
-        column = mobility @ A[0]
-        mobility -= np.outer(column, column) / S[0, 0]
+        mobility = without_normal(mobility, A[0], push)
         S -= np.outer(S[:, 0], S[0]) / S[0, 0]
     parts: list[Feedback] = []
     if law.kind in ("paper", "hybrid"):

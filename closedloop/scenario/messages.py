@@ -193,7 +193,9 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
         kind = kind if isinstance(kind, str) and kind in kinds else ""
         known, place = sorted(variant_keys(section, kind)), f"[{section}] has"
         mine = {path[1].lower(), *called(path[1])} & set(known)
-        for name in (path[1], *(() if mine else called(path[1]))) if len(path) == 2 else ():
+        misspelt = key_meant(path[1], sorted(_all_keys(section)))
+        other_words = () if mine or misspelt in known else (*called(path[1]), *([misspelt] if misspelt else []))
+        for name in (path[1], *other_words) if len(path) == 2 else ():
             others = [repr(each) for each in _shipped_kinds(section) if name in variant_keys(section, each)]
             if others:
                 meant = "" if name == path[1] else f"did you mean '{section}.{name}'? "

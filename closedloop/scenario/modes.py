@@ -1,4 +1,4 @@
-"""Whether the step resolves what is fast: elastic joints, a soft surface, bristles of friction, a law's feedback.
+"""Whether the step resolves what is fast: elastic joints, a soft surface, bristles, viscous friction, a law's feedback.
 
 It is about accuracy, not stability alone. A step that is stable may damp a swing that the arm does not damp, or feed
 one that it does: Runge-Kutta's fourth order scheme takes away 23 % of the rate at hω = 2.3. So what a step makes of a
@@ -11,6 +11,7 @@ filter and delay that its samples do not resolve (`closedloop.control.sensor`, `
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +19,13 @@ from numpy.typing import NDArray
 
 from closedloop.control.transmission import transmission_constants
 from closedloop.mechanics.closure.baumgarte import linear_step
-from closedloop.mechanics.friction.law import FrictionLaw
+from closedloop.mechanics.closure.contact_force import PRESSED
+from closedloop.mechanics.friction.law import FrictionLaw, JointFriction
 from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.scenario.gains import closed_mobility, feedbacks
+from closedloop.scenario.arm import joint_friction_of
+from closedloop.scenario.gains import Rubbing, closed_mobility, feedbacks, without_normal
 from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -101,8 +104,21 @@ def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
     return found
 
 
-def unresolved(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float) -> list[str]:
-    """Return a line for each fast part that the step does not resolve, with a step that would; not of the law.
+def where_it_rubs(q: Array, normal: Array, force: Array, friction: Array, mode: NDArray[Any]) -> Rubbing | None:
+    """Return where a tip slips with the most friction for its normal force, of rows (N, ...); None if it never does."""
+    slips = (mode == PRESSED) & (force != 0.0)
+    level = np.linalg.norm(friction, axis=1) / np.where(slips, np.abs(force), np.inf)
+    k = int(np.argmax(level)) if level.size else 0
+    if not level.size or not level[k] > 0.0:
+        return None
+    return Rubbing(q[k], normal[k], normal[k] + friction[k] / force[k])
+
+
+def unresolved(
+    scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float,
+    rubbing: Callable[[], Rubbing | None] = lambda: None, own_law: bool = False,
+) -> list[str]:  # fmt: skip
+    """Return a line for each fast part that the step does not resolve, with a step that would; not of the law alone.
 
     Parameters
     ----------
@@ -114,15 +130,23 @@ def unresolved(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth:
         The unit normal of the surface there, base axes.
     depth : float
         How deep the tip is in the surface there, m.
+    rubbing : callable
+        Returns where the tip slips with the most friction; called only if there is viscous friction in joints.
+    own_law : bool
+        Whether the law is a user's, of whose feedback nothing is known.
     """
     soft, elastic = scenario.compliance.kind != "none", scenario.transmission.elastic
-    bristles = hasattr(scenario.friction, "stiffness") or hasattr(scenario.joint_friction, "stiffness")
-    if scenario.time.integrator not in INTEGRATORS or not (soft or elastic or bristles):
+    in_joints = joint_friction_of(scenario, robot.model)
+    rubs = any(hasattr(law, name) for law in (scenario.friction, in_joints) for name in ("stiffness", "viscous"))
+    if scenario.time.integrator not in INTEGRATORS or not (soft or elastic or rubs):
         return []
     lines = []
-    for mode in _modes(scenario, robot, q, normal, depth):
-        if np.all(np.isfinite(mode.stiffness)) and np.any(mode.stiffness):
-            lines += _line(mode, scenario, decays=mode.key.endswith("friction.stiffness"))
+    slip = rubbing() if hasattr(in_joints, "viscous") else None
+    for mode in _modes(scenario, in_joints, robot, q, normal, depth, slip):
+        if np.all(np.isfinite(mode.stiffness)) and (np.any(mode.stiffness) or np.any(mode.damping)):
+            law_too = mode.key == "joint_friction.viscous" and not own_law
+            said = _with_feedback(mode, scenario, robot, slip) if law_too else []
+            lines += said or _line(mode, scenario, decays="friction." in mode.key)
     return lines
 
 
@@ -131,20 +155,40 @@ def unresolved_feedback(scenario: Scenario, robot: Robot) -> list[str]:
 
     A torque that is held is a controller's own, and is resolved.
     """
+    lines = []
+    for mode in _of_feedback(scenario, robot):
+        lines += _line(mode, scenario, decays=True, least=WRONG_FEEDBACK)
+    return lines
+
+
+def _of_feedback(scenario: Scenario, robot: Robot, rubbing: Rubbing | None = None) -> list[Mode]:
+    """Return what a law's feedback makes the arm do, where it acts at every stage of the scheme."""
     name, start = scenario.time.integrator, getattr(scenario.law, "pd_start", None)
     if name not in INTEGRATORS or scenario.law.sample_period or scenario.reads_encoders:
         return []
     if start is not None and start >= scenario.time.duration:
         return []
-    lines = []
-    for feedback in feedbacks(scenario, robot):
-        if all(np.all(np.isfinite(matrix)) for matrix in feedback[2:]):
-            mode = Mode(f"{feedback.spring}, {feedback.damper}", feedback.stiffness, feedback.damping, name)
-            lines += _line(mode, scenario, decays=True, least=WRONG_FEEDBACK)
-    return lines
+    return [
+        Mode(f"{feedback.spring}, {feedback.damper}", feedback.stiffness, feedback.damping, name)
+        for feedback in feedbacks(scenario, robot, rubbing)
+        if all(np.all(np.isfinite(matrix)) for matrix in feedback[2:])
+    ]
 
 
-def _modes(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float) -> list[Mode]:
+def _with_feedback(rubs: Mode, scenario: Scenario, robot: Robot, rubbing: Rubbing | None) -> list[str]:
+    """Return a line, in a list, where friction and a law damp joints too fast for the step, and the law alone not."""
+    for mode in _of_feedback(scenario, robot, rubbing):
+        acts = mode.key == "law.kp, law.kd" and np.any(mode.damping)
+        if acts and not _line(mode, scenario, decays=True, least=WRONG_FEEDBACK):
+            both = Mode(f"{rubs.key}, {mode.key}", mode.stiffness, mode.damping + rubs.damping, mode.integrator)
+            return _line(both, scenario, decays=True, least=WRONG_FEEDBACK)
+    return []
+
+
+def _modes(
+    scenario: Scenario, in_joints: JointFriction, robot: Robot, q: Array, normal: Array, depth: float,
+    rubbing: Rubbing | None,
+) -> list[Mode]:  # fmt: skip
     """Return what of the arm and the surface moves by itself at a posture."""
     name, n = scenario.time.integrator, robot.n
     on_bristles = "explicit_euler" if INTEGRATORS[name].semi_implicit else name
@@ -164,18 +208,31 @@ def _modes(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: flo
         k, d = scenario.compliance.tangent(max(0.0, depth))
         modes.append(Mode("compliance", S[:1, :1] * k, S[:1, :1] * d, name))
     elif S[0, 0] > 0.0:  # a rigid surface holds the tip
-        column = mobility @ A[0]
-        mobility = mobility - np.outer(column, column) / S[0, 0]
+        mobility = without_normal(mobility, A[0], A[0])
         S = S - np.outer(S[:, 0], S[0]) / S[0, 0]
     if hasattr(scenario.friction, "stiffness"):
         load = max(0.0, scenario.law.force)
         k, d = _bristle(scenario.friction, surface_parameters(scenario.friction), load)
         modes.append(Mode("friction.stiffness", S[1:, 1:] * k, S[1:, 1:] * d, on_bristles))
-    if hasattr(scenario.joint_friction, "stiffness"):
-        each = [_bristle(scenario.joint_friction, par, 1.0) for par in joint_parameters(scenario.joint_friction, n)]
-        k, d = np.array(each).T
+    if hasattr(scenario.friction, "viscous"):
+        d = surface_parameters(scenario.friction).viscous
+        modes.append(Mode("friction.viscous", np.zeros((2, 2)), S[1:, 1:] * d, name))
+    of_joints = joint_parameters(in_joints, n)
+    if hasattr(in_joints, "stiffness"):
+        k, d = np.array([_bristle(in_joints, par, 1.0) for par in of_joints]).T
         modes.append(Mode("joint_friction.stiffness", mobility * k, mobility * d, on_bristles))
+    if hasattr(in_joints, "viscous"):
+        d = np.array([par.viscous for par in of_joints])
+        damped = mobility if rubbing is None else _while_slipping(robot, rubbing)
+        modes.append(Mode("joint_friction.viscous", np.zeros((n, n)), damped * d, name))
     return modes
+
+
+def _while_slipping(robot: Robot, rubbing: Rubbing) -> Array:
+    """Return what a contact with friction leaves of H⁻¹ (n, n)."""
+    terms = robot.terms(np.array(rubbing.q), np.zeros(robot.n))
+    mobility = closed_mobility(robot, rubbing.q, np.linalg.inv(terms.mass_matrix))
+    return without_normal(mobility, rubbing.normal @ terms.jacobian, rubbing.push @ terms.jacobian)
 
 
 def _bristle(section: FrictionLaw, par: Any, load: float) -> tuple[float, float]:

@@ -151,8 +151,8 @@ def test_ctrl_c_at_any_moment(integrator, law, duration, times, alarm):
     whole = cl.simulate(asked, law=law)
     seconds, rng, left = whole.wall_seconds, np.random.default_rng(5), []
     for _ in range(20 * times):
-        alarm(rng.uniform(0.0, 1.0) * seconds + 0.001)
         try:
+            alarm(rng.uniform(0.0, 1.0) * seconds + 0.001)
             # The first run may have compiled, and may have shared the processor: how long one takes is learnt.
             seconds = cl.simulate(asked, law=law).wall_seconds
         except cl.InterruptedRunError as error:

@@ -52,6 +52,15 @@ def lab(tmp_path, monkeypatch):
     opened.close()
 
 
+# How many colours the picture in space has.
+COLOURS = """() => {
+  const g = Object.assign(document.createElement('canvas'), {width: 300, height: 300}).getContext('2d');
+  space.drawing.present();
+  g.drawImage(space.canvas, 0, 0);
+  return new Set(new Uint32Array(g.getImageData(0, 0, 300, 300).data.buffer)).size;
+}"""
+
+
 def opened_page(browser, lab, **settings):
     """Return a page of the lab that shows a run, and the list of what is thrown in it."""
     page, faults = browser.new_page(**({"viewport": {"width": 1440, "height": 900}} | settings)), []
@@ -312,6 +321,28 @@ def test_the_map_shows_where_the_loop_becomes_unstable(page, lab, monkeypatch):
     assert page.evaluate("map.point") == [900.0, 60.0]
 
 
+def test_the_label_of_the_vertical_axis_of_a_map_is_whole(page, lab):
+    """It stands within the canvas, left of the numbers; where all values are equal the map says the value."""
+    page.wait_for_function("map.m && map.under")
+    texts = """() => {
+      const found = [], write = CanvasRenderingContext2D.prototype.fillText;
+      CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+        const m = this.getTransform();
+        found.push([text, (m.a * x + m.c * y + m.e) / devicePixelRatio, m.b]);
+        return write.call(this, text, x, y);
+      };
+      map.m.grid = map.m.grid.map(() => 2.5);
+      map.shown();
+      CanvasRenderingContext2D.prototype.fillText = write;
+      return found;
+    }"""
+    found = page.evaluate(texts)
+    turned = [at for _, at, turn in found if turn]
+    assert len(turned) == 1
+    assert 9 <= turned[0] <= 20
+    assert "2.5 N in every run" in [text for text, *_ in found]
+
+
 def test_two_tabs_and_a_reload_show_the_same_run(page, browser, lab):
     """What one page changes the other shows, controls included; a page that is loaded again shows it as well."""
     other, faults = opened_page(browser, lab)
@@ -369,6 +400,55 @@ def test_what_is_no_request_of_the_page_changes_nothing(page, lab):
     settled(page, lab)
     assert lab.run.scenario == before.scenario
     assert page.evaluate("socket.readyState") == 1
+
+
+def test_a_curve_of_many_points_covers_what_its_line_would(page):
+    """In every column of pixels from its least to its greatest value; with dashes in some columns and not in others."""
+    drawn = """([count, dashes]) => {
+      const g = Object.assign(document.createElement('canvas'), {width: 100, height: 50}).getContext('2d');
+      const time = Float32Array.from({length: count}, (_, i) => 100 * i / count);
+      const zigzag = time.map((_, i) => (i % 2 ? 10 : 40));
+      Plot.prototype.curve(g, time, zigzag, '#f00', 1, dashes, t => t, v => v);
+      const d = g.getImageData(0, 0, 100, 50).data, seen = (x, y) => d[4 * (100 * y + x) + 3] > 100;
+      return [...Array(100).keys()].map(x => [...Array(50).keys()].filter(y => seen(x, y)).length);
+    }"""
+    for count in (200, 1000):
+        heights = page.evaluate(drawn, [count, []])
+        assert min(heights[1:]) >= 30
+        assert max(heights) <= 32
+    dashed = page.evaluate(drawn, [1000, [5, 4]])
+    assert [height >= 30 for height in dashed[:18]] == 2 * (5 * [True] + 4 * [False])
+    assert max(page.evaluate(drawn, [5, []])) < 30, "a line through few points is no bar"
+
+
+def test_pictures_wait_for_the_run_where_they_are_slow(page, lab):
+    """While a slider moves they come late and coarse; once it rests a good one shows the newest instant."""
+    settled(page, lab)
+    page.wait_for_function("!space.waits")
+    page.evaluate("""() => {
+      const paint = space.paint;
+      window.painted = [];
+      space.paint = coarse => { painted.push(coarse); return paint.call(space, coarse); };
+      space.cost = 1000;
+      space.moved();
+      draw_space();
+    }""")
+    page.wait_for_function("painted.length && !painted.some(coarse => !coarse)")
+    page.evaluate("space.answered()")
+    page.wait_for_function("painted.at(-1) === false && !space.waits")
+    assert page.evaluate(COLOURS) > 20
+
+
+def test_the_picture_comes_back_after_the_graphics_processor_was_lost(page, lab):
+    """As browsers take it away when it hangs or the computer sleeps: the same view is there again."""
+    settled(page, lab)
+    views = page.evaluate("space.views")
+    page.evaluate("() => { window.lost = space.gl.getExtension('WEBGL_lose_context'); lost.loseContext(); }")
+    page.wait_for_function("space.gl.isContextLost()")
+    page.evaluate("lost.restoreContext()")
+    page.wait_for_function("!space.gl.isContextLost() && space.drawing.size.length && !space.waits")
+    assert page.evaluate(COLOURS) > 20
+    assert page.evaluate("space.views") == views
 
 
 @pytest.mark.parametrize(("width", "height"), [(900, 700), (1440, 900), (2560, 1440)])

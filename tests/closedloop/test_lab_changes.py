@@ -1,5 +1,6 @@
 """The controls of the lab and what comes of moving them, without a browser."""
 
+import itertools
 import shlex
 import threading
 import time
@@ -235,6 +236,21 @@ def test_a_run_that_has_begun_is_finished_and_its_first_part_is_shown(integrator
     assert lengths == sorted(lengths)
     for part in parts:
         assert np.array_equal(part.contact_force, found.contact_force[: len(part)])
+
+
+def test_a_run_that_is_about_to_end_shows_no_part(monkeypatch):
+    """To draw a part just before the whole would only delay it."""
+    ticks = itertools.count()
+    clock = SimpleNamespace(perf_counter=lambda: 0.02 * next(ticks), thread_time=lambda: 0.0)  # of each look at it
+    monkeypatch.setattr("closedloop.lab.answers.clock", clock)
+    monkeypatch.setattr("closedloop.lab.answers.AT_ONCE", 40)
+    base, parts = cl.load_scenario("wam_slide", {"time.duration": 2.0}), []
+    answers = Answers(History(base, "wam_slide"), part=parts.append)
+    for slow, least in ((0.0, 0.97), (0.4, 0.3)):
+        parts.clear()
+        monkeypatch.setattr("closedloop.lab.answers.SLOW", slow)
+        rows = len(answers.answer({"law.force": 12.0}).run)
+        assert least < len(parts[-1]) / rows < least + 0.33
 
 
 def test_pinned_runs_are_compared_with_the_present_one():

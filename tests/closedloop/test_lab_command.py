@@ -34,7 +34,8 @@ def run_file(tmp_path_factory):
         (["wam_slide", "--law", "no_such_module:f"], "no module"),
         (["wam_slide", "--time.step", "0.1"], "time constant at least"),
         (["wam_slide", "--colour"], "unrecognized arguments"),
-        (["wam_slide", "--port", "99999999"], "cannot listen"),
+        (["wam_slide", "--port", "99999999"], "--port 99999999: must be from 1 to 65535"),
+        (["wam_slide", "--port", "-1"], "--port -1: must be from 1 to 65535"),
     ],
 )
 def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):

@@ -111,7 +111,8 @@ def test_the_drawn_forces_between_links_are_the_torques_that_are_missing(name):
     assert np.array_equal(plotted["links"].traces[2].values, run.link_forces[:, 1])
     slips = replace(run, columns=run.columns | {"event_contact": np.array([2]), "event_time": run.time[row : row + 1]})
     others = [name for name in EVENT_COLUMNS if name not in slips.columns or not len(slips.columns[name])]
-    slips.columns.update({name: np.ones((1, *run.columns[name].shape[1:]), dtype=int) for name in others})
+    more = {name: np.ones((1, *run.columns[name].shape[1:]), dtype=int) for name in others}
+    slips = replace(slips, columns=slips.columns | more)
     assert scene_of(slips).marks[0].position == pytest.approx(drawn[1].tail)
     mechanism = scene.model.pinocchio_model()
     data = mechanism.createData()

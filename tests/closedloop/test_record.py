@@ -1,5 +1,6 @@
 """The run file: whole, exact, readable by others, repeatable from itself alone, and refused where damaged."""
 
+import copy
 import dataclasses
 import errno
 import io
@@ -148,6 +149,26 @@ def test_dimensions_are_those_of_netcdf(rows, run, tmp_path):
     with xarray.open_dataset(path, engine="h5netcdf") as data:
         assert set(data.coords) == {"time", "joint", "axis"}
         assert data.sizes["time"] == rows
+
+
+def test_the_columns_of_a_run_cannot_be_exchanged(run, saved):
+    """Neither in the run nor in a copy of it; the dictionary that it was made of is another's and may change."""
+    given = dict(run.columns)
+    copies = (
+        copy.copy(run),
+        copy.deepcopy(run),
+        pickle.loads(pickle.dumps(run)),
+        dataclasses.replace(run, columns=given),
+    )
+    for held in (run, cl.load_run(saved), *copies):
+        with pytest.raises(TypeError, match="item assignment"):
+            held.columns["q"] = 3
+        with pytest.raises(AttributeError):
+            held.columns.pop("q")
+        assert np.array_equal(held.q, run.q)
+    last = dataclasses.replace(run, columns=given)
+    given["q"] = 3
+    assert np.array_equal(last.q, run.q)
 
 
 def test_columns_are_attributes_and_read_only(run, saved):
@@ -395,6 +416,7 @@ DAMAGE = {
     "a number is none": replace_column("contact_force", lambda x: np.where(np.arange(len(x)) == 7, np.nan, x)),
     "a number is infinite": replace_column("v", lambda x: x + np.inf),
     "robot is deep": set_attribute("robot", "[" * 100_000),
+    "versions are numbers": set_attribute("versions", '{"numpy": 2}'),
     "versions are deep": set_attribute("versions", '{"a":' * 5_000 + "1" + "}" * 5_000),
     "a whole number is huge": set_robot(armature=[10**400, 1, 1, 1]),
     "format version is huge": set_attribute("format_version", "9" * 5000),

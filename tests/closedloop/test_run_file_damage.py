@@ -358,6 +358,19 @@ def test_what_no_run_can_hold_is_refused(bounced, tmp_path, read_here, capsys, n
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.parametrize("kind", [">f8", ">f4"])
+def test_numbers_of_another_machine_are_read_as_this_ones(saved, tmp_path, read_here, kind):
+    """Another program may write them with the first byte first: what uses the run, as a table of text, takes them."""
+    copy, run = shutil.copy(saved, tmp_path / "copy.nc"), cl.load_run(saved)
+    with h5py.File(copy, "r+") as file:
+        del file.attrs["checksum"], file["q"]
+        file["q"] = run.q.astype(kind)
+    loaded = cl.load_run(copy)
+    assert loaded.q.dtype.isnative
+    np.testing.assert_array_equal(loaded.q, run.q.astype(kind))
+    assert main(["export", str(copy), "--to", "csv", "--out", str(tmp_path / "run.csv")]) == 0
+
+
 @pytest.fixture(scope="module")
 def bounced(tmp_path_factory):
     """Return the file of a short run with an event."""

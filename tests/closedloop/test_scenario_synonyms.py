@@ -30,6 +30,24 @@ def test_another_name_of_a_key_is_understood(word):
         explain_key(word)
 
 
+MISSPELT = {
+    "friction.coeficient": ("coefficient", "'none' where it is not given", "'coulomb'"),
+    "law.stifness": ("stiffness", "'paper'", "'impedance'"),
+    "surface.radus": ("radius", "'plane'", "'capsule'"),  # a plane's edge_radius is less like it
+}
+
+
+@pytest.mark.parametrize("word", MISSPELT)
+def test_a_misspelt_key_of_another_kind_is_understood(word):
+    """It is named with the kinds that have it, where this kind has nothing more like it."""
+    name, kind, other = MISSPELT[word]
+    with pytest.raises(cl.ScenarioError) as refused:
+        cl.load_scenario("wam_slide", {word: 0.5})
+    section = word.partition(".")[0]
+    meant = f"unknown key '{word}'; did you mean '{section}.{name}'? "
+    assert f"{meant}{section}.kind is {kind}, and {name} is a key of {other}" in str(refused.value)
+
+
 def test_on_the_command_line_and_in_a_sweep(command_line, capsys):
     """An option without a section too."""
     assert "did you mean 'friction.coefficient'" in command_line("wam_slide", "--friction.mu", "0.3").refusal()

@@ -277,10 +277,10 @@ def test_ctrl_c_itself():
     scenario = cl.load_scenario("wam_slide", {"time.duration": 1.0})
     sim = cl.Simulator(scenario)
     sim.reset()
-    signal.setitimer(signal.ITIMER_REAL, 0.003)
     before = signal.signal(signal.SIGALRM, lambda number, frame: signal.raise_signal(signal.SIGINT))
 
     def go_on():
+        signal.setitimer(signal.ITIMER_REAL, 0.003)
         while not sim.done:
             sim.run_until(1.0)
             sim.reset()

@@ -142,6 +142,54 @@ def test_bristles_at_the_tip_are_compared_with_every_scheme(integrator):
     assert faults_of({**LUGRE, **finer})[0] == []
 
 
+VISCOUS = {"joint_friction.kind": "coulomb_viscous", "joint_friction.kinetic": 0.68, "joint_friction.viscous": 168.0}
+
+
+def test_viscous_friction_that_the_step_does_not_resolve_is_bad():
+    """The largest rate of H⁻¹B of an arm whose tip is held, by hand; and of the tip itself. A shorter step is good."""
+    fast = {"joint_friction.viscous": 400.0, "time.integrator": "rk4", "law.kp": 0.0, "law.kd": 0.0}
+    (line,), _ = faults_of({**VISCOUS, **fast})
+    scenario = cl.load_scenario("wam_slide")
+    robot = cl.Robot(robot_models.load("wam4"), "tip")
+    terms = robot.terms(np.array(scenario.start.q), np.zeros(4))
+    mobility, along = np.linalg.inv(terms.mass_matrix), terms.jacobian[2]
+    mobility -= np.outer(mobility @ along, along @ mobility) / (along @ mobility @ along)
+    rate = np.max(np.linalg.eigvals(400.0 * mobility).real)
+    assert line.startswith("joint_friction.viscous: rk4 with time.step = 0.001 s gets a decay of")
+    assert float(line.split(" 1/s")[0].rsplit(" ", 1)[1]) == pytest.approx(rate, rel=5e-3)
+    assert faults_of({**VISCOUS, **fast, "time.step": 5e-4})[0] == []
+    (line,), _ = faults_of(
+        {"friction.kind": "coulomb_viscous", "friction.coefficient": 0.1, "friction.viscous": 2000.0}
+    )
+    assert line.startswith("friction.viscous: semi_implicit_euler with time.step = 0.001 s gets a decay of")
+
+
+def test_a_slip_whose_friction_makes_joints_fast_for_the_step_is_bad_in_a_run_and_in_a_batch():
+    """Friction at the tip and in the joints and a law's damping together: with hλ = −2.9 rk4 grew, f was 2 % off."""
+    changes = {**VISCOUS, "time.integrator": "rk4", "time.duration": 1.297, "joint_friction.kinetic": 0.6836}
+    scenarios = [cl.load_scenario("wam_slide_friction", {**changes, "time.step": h}) for h in (1e-3, 5e-4)]
+    coarse, fine = (cl.simulate(scenario, engine="compiled") for scenario in scenarios)
+    assert np.max(np.abs(coarse.contact_force - fine.contact_force[::2])) > 0.1
+    names = [problem["name"] for problem in coarse.summary()["verdict"]["problems"]]
+    assert names == ["resolution"]
+    assert fine.summary()["verdict"]["good"]
+    for scenario, verdict in zip(scenarios, ("resolution", "good"), strict=True):
+        (row,) = cl.simulate_batch(scenario, {"law.force": [scenario.law.force]}, workers=1).to_pylist()
+        assert row["verdict"] == verdict
+
+
+def test_friction_and_a_law_that_damp_joints_together_too_fast_are_said_together():
+    """Each alone is resolved."""
+    both = {**VISCOUS, "joint_friction.viscous": 60.0, "law.kd": [90.0, 90.0, 45.0, 30.0], "time.duration": 0.5}
+    (line,), feedback = faults_of(both)
+    assert line.startswith(
+        "joint_friction.viscous, law.kp, law.kd: semi_implicit_euler with time.step = 0.001 s gets a "
+    )
+    assert feedback == faults_of({**both, "joint_friction.viscous": 1.0})[0] == []
+    assert faults_of({**both, "law.kd": 1.0})[0] == []
+    assert faults_of({**both, "time.duration": 0.3, "law.pd_start": 0.5})[0] == []  # it does not act yet
+
+
 def test_feedback_that_alternates_is_said_before_the_run(capsys):
     """Where a step makes a decay of the law alternate; not where the torque is held, which is a controller's own."""
     nothing, (line,) = faults_of({"law.kd": 160.0})

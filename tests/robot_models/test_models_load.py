@@ -289,6 +289,13 @@ def test_home_is_inside_the_limits(write):
     np.testing.assert_array_equal(robot.home, [0.0, 0.75])
 
 
+def test_a_declaration_that_is_damaged_makes_no_noise(write, caplog):
+    """XML of version ".0" is read, by every reader: one printed that it tries another way."""
+    text = arm()[arm().index("<robot") :]
+    assert robot_models.load(write(f'<?xml version=".0"?>\n{text}')).n == robot_models.load(write(text)).n
+    assert not caplog.records  # which a program without handlers prints
+
+
 def test_the_root_decides_the_format(write):
     """A URDF in an .xml file is a URDF."""
     assert robot_models.load(write(arm(), "robot.xml")).format == "urdf"

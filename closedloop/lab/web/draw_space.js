@@ -14,9 +14,12 @@ void main() {
 
 class Drawing {
   constructor(canvas) {
-    this.gl = canvas.getContext("webgl2", { antialias: true });
+    this.gl = canvas.getContext("webgl2", { antialias: false });
     if (!this.gl) return;
     this.program = this.compile();
+    this.behind = this.gl.createFramebuffer();
+    this.kept = [this.gl.createRenderbuffer(), this.gl.createRenderbuffer()]; // of colours and of depths
+    this.size = [];
     this.shaft = this.round(1, 1);
     this.head = this.round(1, 0);
   }
@@ -34,6 +37,45 @@ class Drawing {
     gl.linkProgram(program);
     this.at = Object.fromEntries(["model", "camera", "colour", "lit"].map((n) => [n, gl.getUniformLocation(program, n)]));
     return program;
+  }
+
+  // Begin a picture of so many pixels, each of so many samples, which is drawn behind the canvas: the page shows what is drawn on a canvas in the
+  // same frame, and would wait for it.
+  picture(w, h, wanted) {
+    const gl = this.gl;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.behind);
+    if (this.size.join() === [w, h, wanted].join()) return;
+    this.size = [w, h, wanted];
+    const samples = Math.min(wanted, gl.getParameter(gl.MAX_SAMPLES)), forms = [gl.RGBA8, gl.DEPTH_COMPONENT24];
+    this.kept.forEach((buffer, k) => {
+      gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+      gl.renderbufferStorageMultisample(gl.RENDERBUFFER, samples, forms[k], w, h);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT][k], gl.RENDERBUFFER, buffer);
+    });
+  }
+
+  // Call `then` with the time that the picture took, ms, once it is drawn; the page goes on meanwhile.
+  finished(then) {
+    const gl = this.gl, began = performance.now(), fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    const look = () => {
+      const took = performance.now() - began;
+      if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED && took < 2000) { setTimeout(look, 4); return; }
+      gl.deleteSync(fence);
+      then(took);
+    };
+    look();
+  }
+
+  // Put the picture on the canvas. It is cleared first: a browser may do so itself later, as it has shown what was there.
+  present() {
+    const gl = this.gl, [w, h] = this.size;
+    if (gl.canvas.width !== w || gl.canvas.height !== h) [gl.canvas.width, gl.canvas.height] = [w, h];
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, this.behind);
+    gl.blitFramebuffer(0, 0, w, h, 0, 0, w, h, gl.COLOR_BUFFER_BIT, gl.NEAREST);
   }
 
   mesh(vertices, faces) {

@@ -168,10 +168,10 @@ class MapTab {
     g.textAlign = "right";
     for (const v of marks(m.y, height / 40)) { const y = t + height * (1 - this.along(m.y, v)); g.fillRect(l - 4, y, 4, 1); g.fillText(short(v), l - 7, y + 4); }
     g.save();
-    g.translate(11, t + height / 2);
+    g.translate(11, h / 2);
     g.rotate(-Math.PI / 2);
     g.textAlign = "center";
-    g.fillText(fitted(g, m.y.label, h), 0, t + height / 2 - h / 2);
+    g.fillText(fitted(g, m.y.label, h), 0, 0);
     g.restore();
     if (high > low) {
       for (let k = 0; k < height; k++) { g.fillStyle = `rgb(${cividis(1 - k / height)})`; g.fillRect(l + width + 8, t + k, 10, 1.5); }
@@ -179,6 +179,11 @@ class MapTab {
       g.textAlign = "left";
       const [values, digits] = [log ? logTicks(low, high) : ticks(low, high, height / 45), 3 + Math.max(0, Math.floor(Math.log10(Math.abs(high) / (high - low))))];
       for (const v of values) g.fillText(short(v, digits), l + width + 21, t + height * (1 - (f(v) - f(low)) / (f(high) - f(low))) + 4);
+    }
+    if (high === low) {
+      g.fillStyle = "#fff";
+      g.textAlign = "center";
+      g.fillText(`${short(low)} ${m.unit} in every run`, l + width / 2, t + 16);
     }
     this.under = make("canvas", { width: this.canvas.width, height: this.canvas.height });
     this.under.getContext("2d").drawImage(this.canvas, 0, 0);

@@ -58,6 +58,7 @@ const on = {
     plots.now = state.time;
     plots.show(m);
     show_stopped(m);
+    if (!m.partial) space.answered();
     if (m.frame && m.frame.robot && m.frame.robot === space.about?.robot) { still = m.frame; frames = null; draw_space(); }
     $("time").max = m.end;
     $("time").min = m.begin;
@@ -95,6 +96,7 @@ const on = {
     clearTimeout(late);
     $("plots").classList.remove("late");
     controls.fault(m.key, m.line);
+    if (m.line) space.answered();
     if (m.line) say(`not run: ${m.line}`, true);
   },
   status(m) { say(m.line, m.loud); },

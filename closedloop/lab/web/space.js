@@ -4,7 +4,7 @@
 
 // A picture that takes longer, ms, was drawn without a graphics processor: the runs need the processor more.
 const SLOW = 15;
-const ANGLE = 0.7, RED = [0.85, 0.15, 0.1], SEEN_THROUGH = 0.3;
+const ANGLE = 0.7, SAMPLES = 4, RED = [0.85, 0.15, 0.1], SEEN_THROUGH = 0.3;
 // The longest usual arrow, and the longest of all, as shares of the view's radius.
 const USUAL = 0.6, MOST = 1.1;
 const SHOWN = { "contact force": "f", friction: "friction", "commanded force": "commanded" };
@@ -20,6 +20,19 @@ class Space {
     this.clear = true;
     this.views = null;
     if (this.gl) this.listen();
+    canvas.addEventListener("webglcontextlost", (e) => e.preventDefault()); // the browser gives another one later
+    canvas.addEventListener("webglcontextrestored", () => this.begin_again());
+  }
+
+  // All that was drawn with has been lost with the graphics processor: make it again.
+  begin_again() {
+    const { views, about, scene } = this;
+    this.drawing = new Drawing(this.canvas);
+    this.waits = false;
+    if (about) this.robot(about);
+    this.views = views;
+    if (scene) this.space(scene);
+    this.draw();
   }
 
   // Show another robot.
@@ -120,37 +133,38 @@ class Space {
     this.wait();
   }
 
-  // Where pictures are slow, and a slider is being moved, they wait for it, but no longer than 0.7 s.
+  // Where pictures are slow they wait until the run asked for is there and the slider rests, but no longer than 0.7 s:
+  // then a coarse one is drawn, in a third of the time, and the next once the slider rests.
   wait() {
-    const now = performance.now(), slow = this.calm && this.cost > SLOW;
-    const left = slow ? Math.min(this.calm + 200, this.asked + 700) - now : 0;
-    if (left > 1) { setTimeout(() => this.wait(), left); return; }
+    const now = performance.now(), slow = this.calm && this.cost > SLOW, rest = slow ? this.calm + 200 - now : 0;
+    const left = slow ? Math.min(rest, this.asked + 700 - now) : 0;
+    if (left > 1) { setTimeout(() => this.wait(), Math.min(left, 200)); return; }
+    const coarse = rest > 1;
     requestAnimationFrame(() => {
-      const began = performance.now();
-      this.paint();
-      const fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
-      this.gl.flush();
-      const done = () => {
-        const s = this.gl.clientWaitSync(fence, 0, 0);
-        if (s === this.gl.TIMEOUT_EXPIRED && performance.now() - began < 2000) { setTimeout(done, 4); return; }
-        this.gl.deleteSync(fence);
-        this.cost = performance.now() - began;
-        this.waits = false;
-        if (this.again) { this.again = false; this.draw(); }
-      };
-      done();
+      const texts = this.paint(coarse), drawing = this.drawing;
+      drawing.finished((took) => {
+        if (!coarse) this.cost = took;
+        requestAnimationFrame(() => {
+          if (drawing !== this.drawing) return; // lost meanwhile
+          drawing.present();
+          this.labels.replaceChildren(...texts);
+          this.waits = false;
+          if (coarse || this.again) { this.again = false; this.draw(); }
+        });
+      });
     });
   }
 
-  // A slider is being moved: where pictures are slow, they wait until it rests.
-  moved() { this.calm = performance.now(); }
+  // A slider is being moved, and a run is asked for, which may take a while; or it is there.
+  moved() { this.calm = performance.now() + 2000; }
+  answered() { this.calm = performance.now(); }
 
-  paint() {
+  // Draw the frame, coarsely or well; return its texts.
+  paint(coarse) {
     const c = this.canvas, dpr = Math.min(window.devicePixelRatio || 1, 2);
     const [w, h] = [Math.max(1, Math.round(c.clientWidth * dpr)), Math.max(1, Math.round(c.clientHeight * dpr))];
-    if (c.width !== w || c.height !== h) [c.width, c.height] = [w, h];
     const v = this.view(), camera = this.camera(v, w / h);
-    this.cut = false;
+    this.drawing.picture(w, h, coarse ? 0 : SAMPLES);
     this.part(0, 0, w, h, camera, v, true);
     const inset = $("inset");
     if (inset) inset.hidden = true;
@@ -159,8 +173,7 @@ class Space {
       if (inset) Object.assign(inset, { hidden: false }).style.cssText = `width:${size / dpr}px;height:${size / dpr}px`;
       this.part(8 * dpr, h - size - 8 * dpr, size, size, this.camera(other, 1), other, false);
     }
-    this.text(camera, v);
-    this.after?.();
+    return this.texts(camera, v);
   }
 
   part(x, y, w, h, camera, v, arrows) {
@@ -183,25 +196,24 @@ class Space {
     d.blend(false);
   }
 
-  // Call with each arrow to be drawn: its number, tail, vector in m, and whether it is cut short.
+  // Call with each arrow to be drawn: its number, tail, and vector, m, which is cut short if need be.
   each_arrow(v, act) {
     const k = this.scale(v), most = MOST * v.radius;
     this.frame.arrows.forEach((a, i) => {
       const { kind } = this.scene.arrows[i], length = k * norm(a.force);
       if (this.hidden.has(kind) || !(length > 0)) return;
-      act(i, a.tail, a.force.map((x) => (x * Math.min(length, most)) / norm(a.force)), length > most);
+      act(i, a.tail, a.force.map((x) => (x * Math.min(length, most)) / norm(a.force)));
     });
   }
 
   arrows(v, opacity) {
-    this.each_arrow(v, (i, tail, d, cut) => {
-      this.cut ||= cut;
+    this.each_arrow(v, (i, tail, d) => {
       this.drawing.arrow(tail, d, v.radius, [...this.scene.arrows[i].colour, opacity]);
     });
   }
 
-  // The size of the forces at the tip beside their arrows.
-  text(camera, v) {
+  // The sizes of the forces at the tip, to be put beside their arrows.
+  texts(camera, v) {
     const spans = [], taken = [];
     const { clientWidth: w, clientHeight: h } = this.canvas;
     this.each_arrow(v, (i, tail, d) => {
@@ -218,7 +230,7 @@ class Space {
       span.style.cssText = `left:${left}px;top:${top}px;color:${tint_rgb(a.colour)}`;
       spans.push(span);
     });
-    this.labels.replaceChildren(...spans);
+    return spans;
   }
 
   // Hide what is called so, or show it again; return whether it is hidden now.

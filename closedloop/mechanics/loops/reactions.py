@@ -74,7 +74,7 @@ def loop_reactions(
         Joints that are at a stop, which carries its own part.
     """
     rows, errors = loop_rows(robot, q, v)
-    missing = missing_torque(robot, q, v, acceleration, torque, force)
+    missing = robot.needed_torque(q, v, acceleration, force) - torque
     # rows differ in unit: what depends on what is decided with each by its usual length
     scaled = bound_by_loops(robot).scale[:, None] * rows
     rank = np.linalg.matrix_rank(scaled, tol=DEPENDENT * np.sqrt(rows.shape[1])) if len(q) else np.zeros(0, dtype=int)
@@ -109,15 +109,6 @@ def share_of_rows(rows: Array, missing: Array, at_stop: Mask | None) -> tuple[Ar
     bound = rows if held is None else np.concatenate([rows, np.eye(n) * held], axis=1)
     found = np.einsum("kmn,kn->km", np.linalg.pinv(np.swapaxes(bound, 1, 2), rcond=DEPENDENT), missing)
     return found[:, :m], np.zeros(missing.shape) if held is None else found[:, m:]
-
-
-def missing_torque(robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array) -> Array:
-    """Return H q̈ + C − Q − Jᵣᵀ F, (N, n), N m (N): what else acts on the joints. The arguments are those above."""
-    missing = np.empty(q.shape)
-    for k in range(len(q)):
-        terms = robot.terms(q[k], v[k])
-        missing[k] = terms.mass_matrix @ acceleration[k] + terms.bias - torque[k] - terms.jacobian.T @ force[k]
-    return missing
 
 
 @entry_kernel

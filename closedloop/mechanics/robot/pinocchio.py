@@ -239,6 +239,16 @@ class Robot:
         model, data = self._pin, self._data
         return np.array([pin.computePotentialEnergy(model, data, row) for row in self._rows(q)])
 
+    def needed_torque(self, q: Array, v: Array, a: Array, tip_force: Array) -> Array:
+        """Return H q̈ + C − Jᵣᵀ F in each row of q, v, q̈ (N, n) and F (N, 3), base axes: (N, n), N m (N)."""
+        found = np.empty((len(q), self.n))
+        for k, (qk, vk, ak) in enumerate(zip(self._rows(q), *map(np.ascontiguousarray, (v, a)), strict=True)):
+            found[k] = pin.rnea(self._pin, self._data, qk, vk, ak)
+            if tip_force[k].any():
+                jacobian = pin.computeFrameJacobian(self._pin, self._data, qk, self._frame, _ALIGNED)
+                found[k] -= jacobian.reshape(6, self.n)[:3].T @ tip_force[k]
+        return found
+
     def wrist_wrench(self, q: Array, v: Array, a: Array, tip_force: Array, tip_moment: Array | None = None) -> Array:
         """Return what a force-torque sensor between the arm and its tool reads, (N, 6), N and N m.
 

@@ -16,7 +16,6 @@ from closedloop.mechanics.loops.reactions import (
     LoopReactions,
     loop_reactions,
     loop_rows,
-    missing_torque,
     share_of_rows,
 )
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -116,7 +115,7 @@ def stop_torque(run: Record) -> Array:
         return np.zeros(run.v.shape)
     robot = robot_of(run.scenario, without_tools(run.model))
     known = _drive(run) + run.joint_friction + _of_contacts(run, robot)
-    found = missing_torque(robot, run.q, run.v, run.acceleration, known, tip_force(run))
+    found = robot.needed_torque(run.q, run.v, run.acceleration, tip_force(run)) - known
     there = at_stop(run)
     if robot.model.loops:
         rows, _ = loop_rows(robot, run.q, run.v)

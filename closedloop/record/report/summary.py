@@ -28,8 +28,8 @@ from closedloop.record.report.undetermined import not_determined_from
 from closedloop.record.report.undriven import motions_without_drive
 from closedloop.record.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
-from closedloop.scenario.gains import gains_fault
-from closedloop.scenario.modes import unresolved, unresolved_feedback
+from closedloop.scenario.gains import Rubbing, gains_fault
+from closedloop.scenario.modes import unresolved, unresolved_feedback, where_it_rubs
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,12 @@ def _unresolved(run: Record) -> list[str]:
     if not len(run):
         return []
     robot = robot_of(run.scenario, run.model)
-    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], -float(run.closure_error[0]))
+    depth, own_law = -float(run.closure_error[0]), run.law != "scenario"
+
+    def rubbing() -> Rubbing | None:
+        return where_it_rubs(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode)
+
+    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, rubbing, own_law)
 
 
 def _unresolved_feedback(run: Record) -> list[str]:

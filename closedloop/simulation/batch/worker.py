@@ -44,7 +44,8 @@ from closedloop.record.report.step_error import (
 )
 from closedloop.record.report.step_variation import Swings
 from closedloop.record.report.tabled import forget_absent, verdict_of
-from closedloop.scenario.modes import unresolved
+from closedloop.scenario.gains import Rubbing
+from closedloop.scenario.modes import unresolved, where_it_rubs
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import positions_told
 from closedloop.simulation.batch.control import control_in_lanes, control_of_rows
@@ -279,7 +280,7 @@ class Worker:
         if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
             values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
         reason = None if failure is None else str(failure)
-        swings = _unresolved(problem, rows)
+        swings = _unresolved(problem, rows, self.law is not None)
         verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason, swings)
         control = control_of_rows(problem, signals, events, values, reason)
         status = RAN if failure is None else STOPPED
@@ -300,11 +301,22 @@ class Worker:
         return self._rows[:count].reshape(-1, width)
 
 
-def _unresolved(problem: Problem, rows: Array) -> list[str]:
+def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
     if not len(rows):
         return []
-    first = Row(rows[0], problem.robot.n)
-    return unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, -float(first.closure_error))
+    n = problem.robot.n
+    first = Row(rows[0], n)
+
+    def rubbing() -> Rubbing | None:
+        shape = len(problem.scenario.contact or ()), problem.row_states
+        q, normal, f, friction, mode = (
+            recorded(rows, n, name, *shape)
+            for name in ("q", "surface_normal", "contact_force", "friction_force", "mode")
+        )
+        return where_it_rubs(q, normal, f, friction, mode)
+
+    depth = -float(first.closure_error)
+    return unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, depth, rubbing, own_law)
 
 
 def failed(error: Exception) -> Outcome:

@@ -75,7 +75,7 @@ def sweep_plot(
             Path(out).parent.mkdir(parents=True, exist_ok=True)
         except (OSError, ValueError) as error:
             raise OutputError(f"--out {out}: cannot be written: {reason_of(error)}") from None
-    return write_whole(out, picture.getbuffer())
+    return write_whole(out, picture.getvalue())
 
 
 def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = None, y: str | None = None) -> Figure:

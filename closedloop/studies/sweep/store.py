@@ -192,7 +192,8 @@ class Store:
         try:
             if columns:
                 np.savez(whole_columns, **columns)  # type: ignore[arg-type]
-                write_part(self.columns_of(part), whole_columns.getbuffer())
+                with whole_columns.getbuffer() as content:  # else an error's traceback holds the memory open
+                    write_part(self.columns_of(part), content)
             write_part(self.rows_of(part), memoryview(table.getvalue()))
         except OSError as error:
             raise OutputError(f"{error}; what was done is kept: once there is room, the same command goes on") from None

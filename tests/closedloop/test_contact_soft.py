@@ -95,20 +95,31 @@ def test_start_inside_a_soft_surface(both):
         cl.simulate(as_contacts(tip, through=inside, compliance={"kind": "none"}), progress=False)
 
 
+def thrown(compliance, mu, duration, velocity=(0.3, 0.1, 0.0), spin=(0, 0, 2.0), gravity=(0, 0, -9.81), **time):
+    """Return the run of a box of 1 kg that slides and turns on its four lower corners."""
+    depth = 9.81 / 4.0 / compliance["stiffness"] if "stiffness" in compliance else 0.0
+    box = {
+        "name": "box", "shape": "box", "edges": [0.2, 0.15, 0.1], "mass": 1.0, "position": [0, 0, 0.05 - depth],
+        "velocity": list(velocity), "spin": list(spin),
+    }  # fmt: skip
+    contact = {"link": "box", "at": "collision", "friction": mu, "compliance": compliance}
+    tables = {
+        "robot": {"model": "none", "gravity": list(gravity)}, "body": [box], "contact": [contact],
+        "time": {"duration": duration, "step": 1e-3, "integrator": "rk4"} | time,
+    }  # fmt: skip
+    return cl.simulate(scenario_of(tables, "box", {}), progress=False)
+
+
+def soft(k, d):
+    """Return the section of a Kelvin-Voigt surface."""
+    return {"kind": "kelvin_voigt", "stiffness": k, "damping": d}
+
+
 def test_a_box_on_soft_feet_slides_and_turns_to_rest():
     """In few events, and where rigid feet bring it to rest, though it rocks and its feet are at different depths."""
-    box = {
-        "name": "box", "shape": "box", "edges": [0.2, 0.15, 0.1], "mass": 1.0, "position": [0, 0, 0.05],
-        "velocity": [0.3, 0.1, 0.0], "spin": [0, 0, 2.0],
-    }  # fmt: skip
     ends = []
-    for compliance in ({"kind": "none"}, {"kind": "kelvin_voigt", "stiffness": 1e5, "damping": 300.0}):
-        contact = {"link": "box", "at": "collision", "friction": 0.4, "compliance": compliance}
-        tables = {
-            "robot": {"model": "none"}, "body": [box], "contact": [contact],
-            "time": {"duration": 0.15, "step": 1e-3, "integrator": "rk4"},
-        }  # fmt: skip
-        run = cl.simulate(scenario_of(tables, "box", {}), progress=False)
+    for compliance in ({"kind": "none"}, soft(1e5, 300.0)):
+        run = thrown(compliance, 0.4, 0.15)
         assert len(run.event_time) < 40
         assert np.max(np.abs(run.v[-1])) < 1e-9
         assert run.summary()["verdict"]["good"]
@@ -116,3 +127,40 @@ def test_a_box_on_soft_feet_slides_and_turns_to_rest():
     straight = (0.3**2 + 0.1**2) / (2.0 * 0.4 * 9.81)  # friction that also brakes the turn brakes the slide less
     assert straight < np.linalg.norm(ends[0]) < 1.3 * straight
     np.testing.assert_allclose(ends[1], ends[0], rtol=0.02)
+
+
+@pytest.mark.parametrize(("k", "d"), [(1e3, 20.0), (1e4, 20.0), (1e4, 100.0), (1e5, 20.0), (1e5, 300.0)])
+@pytest.mark.parametrize("mu", [0.2, 0.4, 0.8])
+def test_a_box_on_soft_feet_rests_whatever_they_are_like(k, d, mu):
+    """Each of these stopped, or had a slip that ended and began again every nanosecond."""
+    run = thrown(soft(k, d), mu, 0.6)
+    assert len(run.event_time) <= 20
+    assert np.max(np.abs(run.v[-1])) < 2e-4  # what rocks still does so by its own damping
+    assert np.all(run.link_modes[-1, run.link_forces[-1] > 0.0] == 2)
+    rub = np.hypot(*np.moveaxis(run.link_frictions.reshape(len(run.time), -1, 2), -1, 0))
+    assert np.max(rub - mu * run.link_forces) < 1e-9
+    energy = run.kinetic_energy + run.potential_energy
+    stored = 0.5 * k * np.sum(np.minimum(run.link_gaps, 0.0) ** 2, axis=1)
+    assert np.max(np.diff(energy + stored)) < 1e-3 * run.kinetic_energy[0]  # the step's error at d = 300 N s/m
+
+
+def test_a_turn_on_soft_feet_ends_by_its_closed_form():
+    """Friction μ m g at the distance r of four feet: ω falls by μ m g r/I, then by e⁻¹ in a step, all alike."""
+    run = thrown(soft(1e3, 20.0), 0.8, 0.06, velocity=(0, 0, 0), spin=(0, 0, 1.0))
+    rate = 0.8 * 9.81 * np.hypot(0.1, 0.075) / ((0.2**2 + 0.15**2) / 12.0)
+    fast = run.v[:, 5] > 2.0 * rate * 1e-3
+    np.testing.assert_allclose(run.v[fast, 5], (1.0 - rate * run.time)[fast], atol=1e-4)
+    assert np.max(np.abs(run.v[-1])) < 1e-12
+    rub = np.hypot(*np.moveaxis(run.link_frictions[:, :8].reshape(len(run.time), 4, 2), -1, 0))
+    assert np.max(np.ptp(rub, axis=1)) < 1e-6
+
+
+@pytest.mark.parametrize("tilt", [0.5, 0.99])
+def test_a_box_on_soft_feet_does_not_creep_down_an_incline(tilt):
+    """Below the angle of friction it stays: a second moves it by what its first steps did."""
+    angle = tilt * np.arctan(0.4)
+    gravity = (9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle))
+    run = thrown(soft(1e4, 100.0), 0.4, 1.0, velocity=(0, 0, 0), spin=(0, 0, 0), gravity=gravity)
+    settled = run.time > 0.4
+    assert np.max(np.abs(run.v[settled])) < 1e-7
+    assert np.max(np.ptp(run.q[settled, :3], axis=0)) < 1e-7

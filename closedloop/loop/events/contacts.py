@@ -173,7 +173,8 @@ def off_surfaces(links: ContactLinks, c: Contacts) -> bool:
 def stopped_by_others(links: ContactLinks, c: Contacts) -> bool:
     """Whether a contact that slid at the event is at rest after it, by what stopped others: its mode ends."""
     for i in range(links.k):
-        slid = c.mode[i] == PRESSED and stops_slipping(c, i) and c.friction.start_slip[i] > STICK_SPEED
+        ends = stops_slipping(c, i) and c.friction.shared[i] == 0.0
+        slid = c.mode[i] == PRESSED and ends and c.friction.start_slip[i] > STICK_SPEED
         if slid and math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) <= STILL:
             return True
     return False

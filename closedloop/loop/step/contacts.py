@@ -33,6 +33,7 @@ from closedloop.mechanics.contacts.friction import (
     advance_states,
     cone_limit,
     give_states,
+    some_share,
     stops_slipping,
     write_rates,
 )
@@ -225,7 +226,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             )  # what pulls rubs with |f|
             status = solve_modes(c, k)
         begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
-        if fixed and status == OK:
+        if status == OK and (fixed or some_share(c, k)):
             status = turn_and_solve(c, k, c.step.span)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
@@ -299,7 +300,7 @@ def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
         if c.mode[i] == STUCK:
             left = cone_limit(c, i) * abs(c.rigid[n]) - math.hypot(c.rigid[n + 1], c.rigid[n + 2])
             least = min(least, left + c.problem.rounding)
-        elif stops_slipping(c, i):
+        elif stops_slipping(c, i) and c.friction.shared[i] == 0.0:
             along = c.u[n + 1] * c.direction[i, 0] + c.u[n + 2] * c.direction[i, 1]
             end = max(rest, c.friction.capture[i] if c.friction.start_slip[i] > c.friction.capture[i] else 0.0)
             least = min(least, along + (slow if c.friction.start_slip[i] <= max(slow, rest) else -end))

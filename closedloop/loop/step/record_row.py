@@ -28,7 +28,7 @@ from closedloop.mechanics.closure.conditioning import (
 )
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.closure.residuals import residuals
-from closedloop.mechanics.contacts.friction import remember_speed
+from closedloop.mechanics.contacts.friction import remember_speed, rests
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.resistance import resistance_of
 
@@ -283,7 +283,8 @@ def record_contacts(w: Work, state: State, part: Array) -> None:
     row = ContactRow(part[links.record_at :], points - 1)
     for i in range(1, points):
         at, to = 3 * i, i - 1
-        row.link_modes[to], row.link_gaps[to], row.link_forces[to] = c.mode[i], c.located[at], c.F[at]
+        row.link_modes[to] = STUCK if rests(c, i) else c.mode[i]
+        row.link_gaps[to], row.link_forces[to] = c.located[at], c.F[at]
         row.link_frictions[2 * to], row.link_frictions[2 * to + 1] = c.F[at + 1], c.F[at + 2]
         row.link_slips[2 * to], row.link_slips[2 * to + 1] = c.u[at + 1], c.u[at + 2]
         for which in range(2):

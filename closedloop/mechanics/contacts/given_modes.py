@@ -16,7 +16,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
-from closedloop.mechanics.contacts.friction import slide, write_limits
+from closedloop.mechanics.contacts.friction import slide, write_limits, write_shared
 from closedloop.mechanics.contacts.least_norm import least_norm
 from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import (
@@ -88,6 +88,7 @@ def kinds_of_modes(links: ContactLinks, c: Contacts) -> None:
         elif pulls or c.mode[i] != FREE:
             c.problem.form[i] = LINE if pulls else RAY
             slide(links, c, i, c.mode[i] == STUCK)
+    write_shared(c, links.k)
 
 
 @kernel

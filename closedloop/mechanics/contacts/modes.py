@@ -16,7 +16,14 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import solve_contacts
-from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
+from closedloop.mechanics.contacts.friction import (
+    has_law,
+    slide,
+    stick_as_spring,
+    stops_slipping,
+    write_limits,
+    write_shared,
+)
 from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
 from closedloop.mechanics.contacts.memory import (
     CONE,
@@ -149,6 +156,7 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
         elif c.mu[i] > 0.0:
             c.direction[i, 0], c.direction[i, 1] = u1 / speed, u2 / speed
             c.problem.along[i, 0], c.problem.along[i, 1] = c.mu[i] * u1 / speed, c.mu[i] * u2 / speed
+    write_shared(c, links.k)
     return size
 
 
@@ -185,6 +193,8 @@ def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
     a1, a2 = c.problem.after[at + 1], c.problem.after[at + 2]
     size = math.hypot(a1, a2)
     if c.problem.form[i] in (CONE, DOUBLE):
+        if size <= nothing and c.friction.shared[i] != 0.0:
+            return PRESSED
         if size <= nothing:
             rub = math.hypot(c.F[at + 1], c.F[at + 2])
             if not (tired and c.event.outside[i] != 0.0 and rub > 0.0):
@@ -205,7 +215,7 @@ def happened_to(c: Contacts, i: int, mode: int) -> float:
         return CAME if mode != FREE else 0.0
     if mode == FREE:
         return LEFT
-    if c.event.struck[i] != 0.0:
+    if c.event.struck[i] != 0.0 or c.friction.shared[i] != 0.0:
         return 0.0
     if mode == STUCK:
         return STUCK_NOW if before != STUCK else 0.0

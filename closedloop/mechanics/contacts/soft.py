@@ -6,7 +6,7 @@ its part of all other rows is in their free acceleration, and
     u̇_n = −w f_known + w f
 
 so that every method finds f = f_known, with friction in the cone of that f. There is no impulse along its normal.
-Beside other contacts it gives way along the surface, too, see `CREEP`.
+Beside other contacts it has no mode of sticking, see `closedloop.mechanics.contacts.friction.write_shared`.
 """
 
 from __future__ import annotations
@@ -36,9 +36,8 @@ IntArray = NDArray[np.int64]
 ASKED = 3
 # N/m by which a gap becomes a force, for the event function alone: its sign decides.
 AS_FORCE = 1e6
-# The share of its mobility that is added along the surface. So the friction of several contacts of one body is unique,
-# though they are at different depths, and a body that rocks on them makes them slip against each other.
-CREEP = 1e-5
+# The share of its mobility that is added along the surface: contacts of one body then share their friction in one way.
+CREEP = 1e-8
 
 
 @cache

@@ -5,7 +5,8 @@ others, so that all directions are those of one problem, with u⁺ what is left 
 
     u_t⁺ = u_t + h u̇_t,    F_t = −μ|f| u_t⁺/|u_t⁺|,    u̇_n = b_n where contacts are closed, u̇ = b where they stick
 
-Where a slip ends within the step, the step ends there, with constant forces, see `stop_slips`.
+Where a slip ends within the step, the step ends there, with constant forces, see `stop_slips`. Soft contacts beside
+others go on: their friction is then within its limit, F_t with u_t⁺ = 0, and their slips become less by e in a step.
 
 The work is bounded: so many turns, so many steps of Newton's method in all. What is not found by then is left: friction
 is then against the slip as it is.
@@ -26,9 +27,12 @@ from closedloop.mechanics.contacts.complementarity import (
     solve_from_here,
     write_residuals,
 )
-from closedloop.mechanics.contacts.friction import STILL, stops_slipping
+from closedloop.mechanics.contacts.continuation import force_size
+from closedloop.mechanics.contacts.friction import STILL, some_share, stops_slipping
+from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.packed import pack, unpack
+from closedloop.mechanics.contacts.soft import CREEP
 
 # Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
 # how often it may be no less than before: where forces are not unique it need not become less.
@@ -37,6 +41,11 @@ TURNS, SETTLED, STALLED = 20, 1e-11, 2
 HELD = 1e9
 # Rounds of the method that solves the problem, and its steps in all turns, solutions for one τ counted as steps.
 ROUNDS, MOST_STEPS = 3, 400
+# Sweeps for soft contacts beside others where that finds nothing, and the residual, of the largest force, they may
+# have: feet of one body share their friction in many ways, between which Newton's method does not decide.
+SWEEPS, NEAR = 100, 1e-7
+# Of the accelerations that bodies have this share is taken with those that they have not.
+SHARE = 1e-5
 # Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then.
 SEARCHES, WIDER, ON_EDGE = 30, 4.0, 1e-12
 
@@ -118,13 +127,31 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
     if not (c.problem.form[i] in (RAY, LINE) and c.mode[i] == PRESSED and stops_slipping(c, i)):
         return False
     u1, u2, trace = c.u[n + 1], c.u[n + 2], W[n + 1, n + 1] + W[n + 2, n + 2]
-    speed, level = math.hypot(u1, u2), math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
-    if not h * level * abs(c.F[n]) * trace > speed:
+    speed = math.hypot(u1, u2)
+    if c.friction.shared[i] > 0.0:  # the friction of the others of its body acts on its slip, too
+        return h * shared_friction(c) * trace > speed
+    if not h * level_of(c, i) * abs(c.F[n]) * trace > speed:
         return False
     if speed > STILL and not u1 * c.direction[i, 0] + u2 * c.direction[i, 1] > 0.0:
         return False  # past the end of slip
     # What moves along a line does not turn.
     return bool(W[n + 1, n + 1] * W[n + 2, n + 2] - W[n + 1, n + 2] * W[n + 2, n + 1] > IMMOBILE * trace * trace)
+
+
+@kernel
+def shared_friction(c: Contacts) -> float:
+    """Return the largest friction of all contacts of `write_shared` together, N."""
+    most = 0.0
+    for i in range(c.friction.shared.shape[0]):
+        most += c.friction.shared[i] * abs(c.F[3 * i])
+    return float(most)
+
+
+@kernel
+def level_of(c: Contacts, i: int) -> float:
+    """Return the largest |F_t|/f of contact i, which slides."""
+    shared = c.friction.shared[i]
+    return float(shared if shared > 0.0 else math.hypot(c.problem.along[i, 0], c.problem.along[i, 1]))
 
 
 @kernel
@@ -155,7 +182,36 @@ def pack_problem(c: Contacts, k: int, h: float, ends: bool) -> int:
     count = pack(c, k)
     for r in range(3 * count):
         c.scratch.sought[r] = c.problem.q[r]
+    drop_contradictions(c, count)
     return int(count)
+
+
+@kernel
+def drop_contradictions(c: Contacts, k: int) -> None:
+    """Take from the accelerations of packed soft contacts what no motion of their bodies has.
+
+    Feet of one body that turns accelerate towards its axis, with the square of its speed. They do not slip by that,
+    but friction that is to stop it would be as large as it can be.
+    """
+    S, unknown, p, largest = c.scratch.system, c.scratch.unknown, 0, largest_mobility(c, k)
+    for i in range(k):
+        if is_turned(c, i) and c.friction.shared[int(c.scratch.packed.contact[i])] > 0.0:
+            unknown[p], unknown[p + 1] = 3 * i + 1, 3 * i + 2
+            p += 2
+    for r in range(p):
+        row = int(unknown[r])
+        for s in range(p):
+            S[r, s] = c.W[row, int(unknown[s])]
+        S[r, r] += SHARE * largest
+        S[r, p] = c.drift[3 * int(c.scratch.packed.contact[row // 3]) + row % 3]
+    solve_any_rank(S, p, 1, c.scratch.column_order, c.scratch.solution, 0.0)
+    for r in range(p):
+        row = int(unknown[r])
+        left = -c.drift[3 * int(c.scratch.packed.contact[row // 3]) + row % 3]
+        left -= CREEP * c.W[row - row % 3, row - row % 3] * c.scratch.solution[0, r]
+        for s in range(p):
+            left += c.W[row, int(unknown[s])] * c.scratch.solution[0, s]
+        c.scratch.sought[row] += left
 
 
 @kernel
@@ -175,7 +231,7 @@ def set_problem(c: Contacts, k: int, h: float, ends: bool) -> None:
     for i in range(k):
         form = int(c.problem.form[i])
         if slips_slowly(c, i, h):
-            c.mu[i] = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
+            c.mu[i] = level_of(c, i)
             c.scratch.turned[i], c.problem.form[i] = 1.0, CONE if ends and form == RAY else DOUBLE
             continue
         c.scratch.turned[i] = 0.0
@@ -193,6 +249,8 @@ def set_problem(c: Contacts, k: int, h: float, ends: bool) -> None:
                 s -= c.W[r, j] * c.viscous[j]
         c.problem.q[r] = s
         c.F[r] += c.viscous[r]
+        if r > 3 * i and c.friction.shared[i] > 0.0:  # from here the feet of one body do not press against each other
+            c.F[r] *= 0.0
 
 
 @kernel
@@ -204,9 +262,9 @@ def is_turned(c: Contacts, i: int) -> bool:
 @kernel
 def slip_of(c: Contacts, i: int) -> tuple[float, float]:
     """Return the slip of packed contact i, m/s: zero of one that is rounding, and has no direction."""
-    n = 3 * int(c.scratch.packed.contact[i])
-    u1, u2 = c.u[n + 1], c.u[n + 2]
-    return (u1, u2) if math.hypot(u1, u2) > STILL else (0.0 * u1, 0.0 * u2)
+    j = int(c.scratch.packed.contact[i])
+    u1, u2 = c.u[3 * j + 1], c.u[3 * j + 2]
+    return (u1, u2) if c.friction.shared[j] > 0.0 or math.hypot(u1, u2) > STILL else (0.0 * u1, 0.0 * u2)
 
 
 @kernel
@@ -223,7 +281,11 @@ def solve_within(c: Contacts, k: int, rate: float) -> bool:
             c.problem.q[3 * i + 1] += rate * u1
             c.problem.q[3 * i + 2] += rate * u2
     if not solve_from_here(c, k, 0, ROUNDS):
-        return False
+        if not some_share(c, c.friction.shared.shape[0]):
+            return False
+        solve_from_here(c, k, SWEEPS, 1)
+        if not c.problem.residual <= NEAR * force_size(c.F, 3 * k):
+            return False
     if has_derivatives(c.F[0]):  # those of the solution follow by one step from its value
         largest = largest_mobility(c, k)
         write_residuals(c, k, c.F, largest)
@@ -248,7 +310,8 @@ def left_of_slips(c: Contacts, k: int) -> float:
     least = math.inf
     for i in range(k):
         u1, u2 = slip_of(c, i)
-        if is_turned(c, i) and math.hypot(u1, u2) > 0.0:
+        own = c.friction.shared[int(c.scratch.packed.contact[i])] == 0.0  # the others' slips end by themselves
+        if own and is_turned(c, i) and math.hypot(u1, u2) > 0.0:
             x1, x2 = rub(c, i)
             least = min(least, math.hypot(x1, x2) / (c.mu[i] * abs(c.F[3 * i]) + 1e-300) - 1.0)
     return float(least)
@@ -293,14 +356,16 @@ def turn(c: Contacts, i: int, x1: float, x2: float) -> float:
     So it does where a slip that has only begun does not go on: friction is against what pulls.
     """
     n = 3 * i
-    level = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
+    level, f = level_of(c, i), c.F[n]
     size, speed = math.hypot(x1, x2), math.hypot(c.u[n + 1], c.u[n + 2])
     d1, d2 = (c.u[n + 1], c.u[n + 2]) if speed > STILL else (c.direction[i, 0], c.direction[i, 1])
-    if not size > 0.0 or -x1 * d1 - x2 * d2 < 0.0:
+    shared = c.friction.shared[i] > 0.0
+    if not size > 0.0 or (-x1 * d1 - x2 * d2 < 0.0 and not shared):
         return 0.0
-    if speed <= STILL and size <= level * abs(c.F[n]):
+    within = size <= level * abs(f)
+    if speed <= STILL and within and not shared:
         return 0.0
-    share = -math.copysign(level / size, c.F[n])
+    share = -1.0 / f if within and shared else -math.copysign(level / size, f)
     change = math.hypot(share * x1 - c.problem.along[i, 0], share * x2 - c.problem.along[i, 1])
     c.problem.along[i, 0], c.problem.along[i, 1] = share * x1, share * x2
     return float(change / level)

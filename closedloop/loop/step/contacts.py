@@ -33,7 +33,6 @@ from closedloop.mechanics.contacts.friction import (
     advance_states,
     cone_limit,
     give_states,
-    some_share,
     stops_slipping,
     write_rates,
 )
@@ -60,6 +59,7 @@ from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, SINKING, d
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.soft import soft_margin
+from closedloop.mechanics.contacts.soft_friction import some_share
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import stop_slips, turn_and_solve
 from closedloop.mechanics.impact import energy_lost

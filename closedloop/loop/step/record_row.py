@@ -28,9 +28,10 @@ from closedloop.mechanics.closure.conditioning import (
 )
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.closure.residuals import residuals
-from closedloop.mechanics.contacts.friction import remember_speed, rests
+from closedloop.mechanics.contacts.friction import remember_speed
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.resistance import resistance_of
+from closedloop.mechanics.contacts.soft_friction import rests
 
 Array = NDArray[np.float64]
 

@@ -25,9 +25,6 @@ from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.memory import (
     ELASTIC_STICK,
-    LINE,
-    OFF,
-    RAY,
     RIGID_STICK,
     SMOOTH,
     SPRING_STICK,
@@ -49,8 +46,6 @@ SLIDE, HOLD, RATES, ADVANCE, LIMIT, STICK = range(6)
 STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
 # Where slip ends, a spring pulls exactly at its limit: up to this share above it, it still holds.
 AT_LIMIT = 1e-12
-# Friction of a contact without a mode of sticking is at its limit within this share.
-AT_EDGE = 1e-9
 # Below this a slip has no direction of its own, m/s: it is rounding.
 STILL = 1e-9
 
@@ -203,40 +198,6 @@ def ask_law_of(links: ContactLinks, i: int, what: int) -> None:
 def stops_slipping(c: Contacts, i: int) -> bool:
     """Whether the friction of contact i has a mode of sticking, which begins where slip ends."""
     return bool(c.mu[i] > 0.0 or c.friction.sticks[i] == RIGID_STICK or c.friction.sticks[i] == SPRING_STICK)
-
-
-@kernel
-def write_shared(c: Contacts, k: int) -> None:
-    """Write of each soft contact beside other closed ones the largest |F_t|/f, as `along` has it, or μ.
-
-    With f known, friction that points to where the slips are at the end of a step is determined, but for how feet of
-    one body share it. Such contacts have no mode of sticking: their slips end by themselves, in a step or a few.
-    """
-    closed = 0
-    for i in range(k):
-        closed += 1 if c.problem.form[i] != OFF else 0
-    for i in range(k):
-        ends = c.soft[i] != 0.0 and stops_slipping(c, i) and c.friction.sticks[i] != SPRING_STICK
-        level = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
-        c.friction.shared[i] = 0.0
-        if closed > 1 and ends and c.problem.form[i] != OFF:
-            c.friction.shared[i] = level if c.problem.form[i] in (RAY, LINE) else c.mu[i]
-
-
-@kernel
-def some_share(c: Contacts, k: int) -> bool:
-    """Whether a soft contact is closed beside others, see `write_shared`."""
-    most = 0.0
-    for i in range(k):
-        most = max(most, c.friction.shared[i])
-    return bool(most > 0.0)
-
-
-@kernel
-def rests(c: Contacts, i: int) -> bool:
-    """Whether contact i sticks, or as a soft one beside others is held by less than its friction can."""
-    size, most = math.hypot(c.F[3 * i + 1], c.F[3 * i + 2]), c.friction.shared[i] * abs(c.F[3 * i])
-    return bool(c.mode[i] == STUCK or size < (1.0 - AT_EDGE) * most)
 
 
 @kernel

@@ -16,7 +16,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
-from closedloop.mechanics.contacts.friction import slide, write_limits, write_shared
+from closedloop.mechanics.contacts.friction import slide, write_limits
 from closedloop.mechanics.contacts.least_norm import least_norm
 from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import (
@@ -31,6 +31,7 @@ from closedloop.mechanics.contacts.memory import (
 )
 from closedloop.mechanics.contacts.resistance import add_turning, has_resistance, is_resistance, moved_by_turning
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, SAME_ROW, independent_rows, shortest_solutions
+from closedloop.mechanics.contacts.soft_friction import write_shared
 from closedloop.mechanics.loops.solve import orthonormal_rows
 
 Array = NDArray[np.float64]

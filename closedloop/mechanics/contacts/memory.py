@@ -169,7 +169,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     sticks: Annotated[Array, K]  # how, see SMOOTH
     capture: Annotated[Array, K]  # speed of slip up to which sticking is tried, m/s
     lag: Annotated[Array, K]  # by which friction is behind the slip, s
-    shared: Annotated[Array, K]  # largest |F_t|/f of a soft contact beside others, else 0; see `write_shared`
+    shared: Annotated[Array, K]  # largest |F_t|/f of a soft contact beside others, else 0; see `soft_friction`
     held: Annotated[Array, K]  # 1 if its spring holds it, in the present problem
     states: Annotated[Array, K]  # how many its law of friction has
     states_at: Annotated[Array, K]  # and where in `Work.z` they are

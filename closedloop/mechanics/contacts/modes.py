@@ -22,7 +22,6 @@ from closedloop.mechanics.contacts.friction import (
     stick_as_spring,
     stops_slipping,
     write_limits,
-    write_shared,
 )
 from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
 from closedloop.mechanics.contacts.memory import (
@@ -36,6 +35,7 @@ from closedloop.mechanics.contacts.memory import (
     Contacts,
 )
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
+from closedloop.mechanics.contacts.soft_friction import write_shared
 
 Array = NDArray[np.float64]
 

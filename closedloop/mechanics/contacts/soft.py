@@ -6,7 +6,7 @@ its part of all other rows is in their free acceleration, and
     u̇_n = −w f_known + w f
 
 so that every method finds f = f_known, with friction in the cone of that f. There is no impulse along its normal.
-Beside other contacts it has no mode of sticking, see `closedloop.mechanics.contacts.friction.write_shared`.
+Beside other contacts it has no mode of sticking, see `closedloop.mechanics.contacts.soft_friction`.
 """
 
 from __future__ import annotations

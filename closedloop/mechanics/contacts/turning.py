@@ -28,11 +28,10 @@ from closedloop.mechanics.contacts.complementarity import (
     write_residuals,
 )
 from closedloop.mechanics.contacts.continuation import force_size
-from closedloop.mechanics.contacts.friction import STILL, some_share, stops_slipping
-from closedloop.mechanics.contacts.linear import solve_any_rank
+from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.packed import pack, unpack
-from closedloop.mechanics.contacts.soft import CREEP
+from closedloop.mechanics.contacts.soft_friction import drop_contradictions, shared_friction, some_share
 
 # Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
 # how often it may be no less than before: where forces are not unique it need not become less.
@@ -44,8 +43,6 @@ ROUNDS, MOST_STEPS = 3, 400
 # Sweeps for soft contacts beside others where that finds nothing, and the residual, of the largest force, they may
 # have: feet of one body share their friction in many ways, between which Newton's method does not decide.
 SWEEPS, NEAR = 100, 1e-7
-# Of the accelerations that bodies have this share is taken with those that they have not.
-SHARE = 1e-5
 # Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then.
 SEARCHES, WIDER, ON_EDGE = 30, 4.0, 1e-12
 
@@ -129,22 +126,13 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
     u1, u2, trace = c.u[n + 1], c.u[n + 2], W[n + 1, n + 1] + W[n + 2, n + 2]
     speed = math.hypot(u1, u2)
     if c.friction.shared[i] > 0.0:  # the friction of the others of its body acts on its slip, too
-        return h * shared_friction(c) * trace > speed
+        return bool(h * shared_friction(c) * trace > speed)
     if not h * level_of(c, i) * abs(c.F[n]) * trace > speed:
         return False
     if speed > STILL and not u1 * c.direction[i, 0] + u2 * c.direction[i, 1] > 0.0:
         return False  # past the end of slip
     # What moves along a line does not turn.
     return bool(W[n + 1, n + 1] * W[n + 2, n + 2] - W[n + 1, n + 2] * W[n + 2, n + 1] > IMMOBILE * trace * trace)
-
-
-@kernel
-def shared_friction(c: Contacts) -> float:
-    """Return the largest friction of all contacts of `write_shared` together, N."""
-    most = 0.0
-    for i in range(c.friction.shared.shape[0]):
-        most += c.friction.shared[i] * abs(c.F[3 * i])
-    return float(most)
 
 
 @kernel
@@ -182,36 +170,8 @@ def pack_problem(c: Contacts, k: int, h: float, ends: bool) -> int:
     count = pack(c, k)
     for r in range(3 * count):
         c.scratch.sought[r] = c.problem.q[r]
-    drop_contradictions(c, count)
+    drop_contradictions(c, count, largest_mobility(c, count))
     return int(count)
-
-
-@kernel
-def drop_contradictions(c: Contacts, k: int) -> None:
-    """Take from the accelerations of packed soft contacts what no motion of their bodies has.
-
-    Feet of one body that turns accelerate towards its axis, with the square of its speed. They do not slip by that,
-    but friction that is to stop it would be as large as it can be.
-    """
-    S, unknown, p, largest = c.scratch.system, c.scratch.unknown, 0, largest_mobility(c, k)
-    for i in range(k):
-        if is_turned(c, i) and c.friction.shared[int(c.scratch.packed.contact[i])] > 0.0:
-            unknown[p], unknown[p + 1] = 3 * i + 1, 3 * i + 2
-            p += 2
-    for r in range(p):
-        row = int(unknown[r])
-        for s in range(p):
-            S[r, s] = c.W[row, int(unknown[s])]
-        S[r, r] += SHARE * largest
-        S[r, p] = c.drift[3 * int(c.scratch.packed.contact[row // 3]) + row % 3]
-    solve_any_rank(S, p, 1, c.scratch.column_order, c.scratch.solution, 0.0)
-    for r in range(p):
-        row = int(unknown[r])
-        left = -c.drift[3 * int(c.scratch.packed.contact[row // 3]) + row % 3]
-        left -= CREEP * c.W[row - row % 3, row - row % 3] * c.scratch.solution[0, r]
-        for s in range(p):
-            left += c.W[row, int(unknown[s])] * c.scratch.solution[0, s]
-        c.scratch.sought[row] += left
 
 
 @kernel

@@ -89,7 +89,7 @@ def kinds_of_modes(links: ContactLinks, c: Contacts) -> None:
         elif pulls or c.mode[i] != FREE:
             c.problem.form[i] = LINE if pulls else RAY
             slide(links, c, i, c.mode[i] == STUCK)
-    write_shared(c, links.k)
+    write_shared(links, c)
 
 
 @kernel

@@ -156,7 +156,7 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
         elif c.mu[i] > 0.0:
             c.direction[i, 0], c.direction[i, 1] = u1 / speed, u2 / speed
             c.problem.along[i, 0], c.problem.along[i, 1] = c.mu[i] * u1 / speed, c.mu[i] * u2 / speed
-    write_shared(c, links.k)
+    write_shared(links, c)
     return size
 
 

@@ -37,7 +37,8 @@ ASKED = 3
 # N/m by which a gap becomes a force, for the event function alone: its sign decides.
 AS_FORCE = 1e6
 # The share of its mobility that is added along the surface: contacts of one body then share their friction in one way.
-CREEP = 1e-8
+# Where joints have dry friction contacts stick, and slip against each other as a body rocks on them: there it is more.
+CREEP, CREEP_BESIDE_DRY = 1e-8, 1e-5
 
 
 @cache
@@ -117,7 +118,7 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
             c.W[j, n], c.W[n, j] = 0.0, 0.0
         c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
         for j in range(n + 1, n + 3):
-            c.W[j, j] += CREEP * own
+            c.W[j, j] += (CREEP if links.joints == links.k else CREEP_BESIDE_DRY) * own
 
 
 @kernel

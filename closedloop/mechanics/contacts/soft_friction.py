@@ -12,7 +12,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import STUCK
 from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.contacts.linear import solve_any_rank
-from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, Contacts
+from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.soft import CREEP
 
 # Friction is at its limit within the first share. Of the accelerations that bodies have, the second is taken with those
@@ -21,20 +21,21 @@ AT_EDGE, SHARE = 1e-9, 1e-5
 
 
 @kernel
-def write_shared(c: Contacts, k: int) -> None:
+def write_shared(links: ContactLinks, c: Contacts) -> None:
     """Write of each soft contact beside other closed ones the largest |F_t|/f, as `along` has it, or μ.
 
     With f known, friction that points to where the slips are at the end of a step is determined, but for how feet of
     one body share it. Such contacts have no mode of sticking: their slips end by themselves, in a step or a few.
+    Joints with dry friction stop at an instant, and what moves them with it: beside them contacts stick as others do.
     """
-    closed = 0
+    closed, k, dry = 0, links.k, links.joints < links.k
     for i in range(k):
         closed += 1 if c.problem.form[i] != OFF else 0
     for i in range(k):
         ends = c.soft[i] != 0.0 and stops_slipping(c, i) and c.friction.sticks[i] != SPRING_STICK
         level = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
         c.friction.shared[i] = 0.0
-        if closed > 1 and ends and c.problem.form[i] != OFF:
+        if closed > 1 and ends and not dry and c.problem.form[i] != OFF:
             c.friction.shared[i] = level if c.problem.form[i] in (RAY, LINE) else c.mu[i]
 
 

@@ -79,15 +79,27 @@ def slip_margin(w: Work, constants: Any) -> float:
 
 @kernel
 def choose_trial(w: Work, state: State) -> None:
-    """Choose the next trial instant in the search's bracket: by the secant, and every third time by bisection."""
-    low, high = w.search.low, w.search.high
-    a, b = w.search.at_low, w.search.at_high
-    tau = 0.5 * (low + high)
-    if state.trial.steps % 3 != 2 and a > 0.0 > b and a > 1e-6 * -b:
-        tau = low + (high - low) * (a / (a - b))
-        tau = min(max(tau, low + 0.4 * INSTANT), high - 0.4 * INSTANT)
+    """Choose the next trial instant in the search's bracket, by Chandrupatla's method.
+
+    That is inverse quadratic interpolation, or bisection where the three latest values do not allow it (T. R.
+    Chandrupatla, Adv. Eng. Softw. 28, 1997). The first trial is that of the secant.
+    """
+    low, high, a, b = w.search.low, w.search.high, w.search.at_low, w.search.at_high
+    share, of_low = 0.5, w.search.tau == low  # of the bracket, from its newer end
+    if state.trial.steps == 0:
+        if a > 0.0 > b and a > 1e-6 * -b:
+            share = a / (a - b) if of_low else b / (b - a)
+    else:
+        x, y = (low, a) if of_low else (high, b)
+        far, at_far = (high, b) if of_low else (low, a)
+        old, at_old = w.search.replaced, w.search.at_replaced
+        within, fall = (x - far) / (old - far), (y - at_far) / (at_old - at_far)
+        if fall * fall < within and (1.0 - fall) * (1.0 - fall) < 1.0 - within:
+            share = y / (at_far - y) * at_old / (at_far - at_old)
+            share += (old - x) / (far - x) * y / (at_old - y) * at_far / (at_old - at_far)
+    tau = low + share * (high - low) if of_low else high - share * (high - low)
     state.trial.steps += 1
-    w.search.tau = tau
+    w.search.tau = min(max(tau, low + 0.4 * INSTANT), high - 0.4 * INSTANT)
 
 
 @kernel
@@ -108,13 +120,12 @@ def refine_bracket(w: Work, state: State) -> int:
             w.search.low, w.search.at_low = 0.0, max(w.start.gap, 0.0)
         else:
             value = -w.tip.rate
-    # The end that stays twice has its value halved, so that the secant moves towards it (Illinois).
     if value >= 0.0:  # at zero its mode has not ended: an event applied there would change nothing, and come again
+        w.search.replaced, w.search.at_replaced = w.search.low, w.search.at_low
         w.search.low, w.search.at_low = tau, value
-        w.search.at_high *= 0.5 if state.trial.steps > 1 else 1.0
     else:
+        w.search.replaced, w.search.at_replaced = w.search.high, w.search.at_high
         w.search.high, w.search.at_high = tau, value
-        w.search.at_low *= 0.5 if state.trial.steps > 1 else 1.0
     if w.search.high - w.search.low > max(INSTANT, 4e-16 * w.time):
         choose_trial(w, state)
     elif state.trial.purpose == LOCATE_MINIMUM or w.search.high == w.length:

@@ -128,8 +128,8 @@ def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) ->
 
     Of a stage only the forces count. Without a stabiliser contacts sink all the time: nothing is held against that.
     """
-    located = state.row == 0 or state.trial.off != 0 or state.trial.purpose > STAGE_CHECKED  # its end is searched for
-    if state.together == 0 or located or state.settings.stages == 1 or state.settings.adaptive != 0:
+    here = state.row == 0 or state.trial.off != 0  # there is no earlier instant
+    if state.together == 0 or here or state.settings.stages == 1 or state.settings.adaptive != 0:
         return False
     links, c = contacts_at(state.contacts.at)
     if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
@@ -137,8 +137,8 @@ def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) ->
     depth, force = closed_depth(links, c), force_over_load(links, c)
     sinks = at_end and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
     multiplies = links.stepped == 0 and force > max(HIGH, MOST_GROWTH * w.start.force_over_load)
-    if w.length > SHORTEST_HALF and (sinks or multiplies):
-        w.length *= 0.5
+    if w.search.tau > SHORTEST_HALF and (sinks or multiplies):
+        w.length = 0.5 * w.search.tau
         w.search.tau, state.divided, state.trial.purpose = w.length, 1, NO_TRIAL
         return True
     return False

@@ -23,6 +23,8 @@ class Search(Block):
     high: float
     at_low: float
     at_high: float
+    replaced: float  # the end that the latest trial has replaced, and the value there
+    at_replaced: float
     value: float  # of the event function
 
 

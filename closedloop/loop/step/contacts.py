@@ -28,6 +28,7 @@ from closedloop.loop.step.memory import Constants, State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
 from closedloop.mechanics.contacts.closed import solve_closed
+from closedloop.mechanics.contacts.complementarity import WEDGED
 from closedloop.mechanics.contacts.friction import (
     STILL,
     advance_states,
@@ -243,7 +244,8 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 c.step.span = MOST_OF * left
                 status = turn_and_solve(c, k, c.step.span)
                 keep_in_cones(c, k)
-        if status != OK and w.time > 0.0:  # these modes end here: others, or a time step, go on
+        wedges = links.stepped == 0 and force_over_load(links, c) > WEDGED
+        if (status != OK or wedges) and w.time > 0.0:  # these modes end here: others, or a time step, go on
             status, c.margin = OK, NO_FORCES
     w.contacts.margin, w.contacts.power, w.contacts.power_rate = c.margin, 0.0, 0.0
     for i in range(3):

@@ -36,6 +36,7 @@ from closedloop.loop.events.phases import (
     RESTING,
     RETRY_SUBSTEP,
     SHALLOW,
+    SHORTEST_GROWTH,
     SHORTEST_HALF,
     STAGE,
     STAGE_CHECKED,
@@ -137,7 +138,7 @@ def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) ->
     depth, force = closed_depth(links, c), force_over_load(links, c)
     sinks = at_end and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
     multiplies = links.stepped == 0 and force > max(HIGH, MOST_GROWTH * w.start.force_over_load)
-    if w.search.tau > SHORTEST_HALF and (sinks or multiplies):
+    if (sinks and w.search.tau > SHORTEST_HALF) or (multiplies and w.search.tau > SHORTEST_GROWTH):
         w.length = 0.5 * w.search.tau
         w.search.tau, state.divided, state.trial.purpose = w.length, 1, NO_TRIAL
         return True

@@ -91,12 +91,13 @@ RK4 = [
 def test_rk4_keeps_its_fourth_order_through_events(case, arm, stabiliser, simulated):
     """A step half as long makes the times of the events and the state after them 16 times more exact.
 
-    What is left at the shortest step is well above rounding, so the order shows: the slope over a factor of four.
+    The order is the slope over a factor of four. The instant of a liftoff is then within what instants are sought to,
+    1e-14 s, so it may seem to be of a higher one.
     """
     found = errors(simulated, case, arm, "rk4", (0.01, 0.005, 0.0025), stabiliser)
     orders = np.log2(found[0] / found[-1]) / 2
     assert np.all(orders > 3.7), found
-    assert np.all(orders < 4.5), found
+    assert np.all(orders < 5.0), found
 
 
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "explicit_euler"])

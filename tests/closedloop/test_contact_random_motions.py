@@ -13,31 +13,30 @@ import motions
 from boxes import no_torque
 from drops import examine
 
-# Of the first 40 these gain more than a millionth of their energy in a step of 1 ms (docs/limits.md): their forces grow
-# without bound on the way to Painlevé's paradox.
-GAIN = {8, 11, 13}
-
-
 @pytest.mark.parametrize("seed", seeds(6, 40))
 def test_a_random_motion_goes_on(tmp_path, seed):
-    """Nothing stops it, pulls or leaves its cone; impacts gain no energy, and steps none but where it is said."""
+    """Nothing stops it, pulls or leaves its cone; impacts gain no energy, and steps no more than is said."""
     text, known = motions.draw(seed, tmp_path)
     (tmp_path / "scenario.toml").write_text(text)
     run = cl.simulate(cl.load_scenario(str(tmp_path / "scenario.toml")), law=no_torque, engine="compiled")
     wrong = examine(run, known["mu"], rests=False)
-    assert wrong.pop("gap", 0.0) > (-2e-5 if seed in GAIN else -2e-6)  # such a force in one stage, of a step of 1 ms
-    energy = wrong.pop("energy", 0.0)
-    assert energy < 1e-6 or seed in GAIN
+    assert wrong.pop("gap", 0.0) > -2e-6
+    assert wrong.pop("energy", 0.0) < 1e-6
     assert wrong == {}
 
 
 # Seeds in which, before they were mended: a contact that parts and comes back within a nanometre sank by one each time
 # (1084, 1195); a time step pressed contacts in (1041); rates that multiply near a gimbal lock gained energy (1144);
-# forces grew without bound within a step (1119); friction was turned round with a force that would pull (1131).
+# forces grew without bound within a step (1119), or in a trial step in the search for an event (20261340, 20261377,
+# 20262085); friction was turned round with a force that would pull (1131); a time step had impulses of 2e4 N s of
+# contacts that are wedged (20261842, 20261488), or none were found (20261206, 20261722); a slip of 1e-4 m/s was at the
+# edge of Painlevé's paradox in one stage (20261989).
 MENDED = [1041, 1084, 1119, 1131, 1144, 1195]
+MENDED += [20261206, 20261340, 20261377, 20261488, 20261722, 20261842, 20261989, 20262085]
+QUICK = {1084, 20261340, 20261842, 20261989}
 
 
-@pytest.mark.parametrize("seed", [pytest.param(s, marks=() if s == 1084 else pytest.mark.slow) for s in MENDED])
+@pytest.mark.parametrize("seed", [pytest.param(s, marks=() if s in QUICK else pytest.mark.slow) for s in MENDED])
 def test_a_mended_motion_stays_on_its_surfaces(tmp_path, seed):
     """No gap is below a nanometre, and no step gains more than a few 1e-9 of the energy, but after time steps."""
     text, known = motions.draw(seed, tmp_path)

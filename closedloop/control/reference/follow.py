@@ -165,7 +165,7 @@ def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[s
     first, whole = _first_intervals(segment), segment.stop - segment.start
     parts: list[JointPath] = []
     for begin, end in itertools.pairwise([segment.start, *seams(who.held.surface, segment), segment.stop]):
-        share = math.ceil(first * (end - begin) / whole)
+        share = math.ceil(first * ((end - begin) / whole))
         parts.append(_between(who, parts[-1].q[-1] if parts else q, segment, (begin, end), share, most, keys))
         most -= parts[-1].times.size - 1
     return _joined(parts)

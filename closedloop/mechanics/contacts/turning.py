@@ -5,7 +5,7 @@ others, so that all directions are those of one problem, with u⁺ what is left 
 
     u_t⁺ = u_t + h u̇_t,    F_t = −μ|f| u_t⁺/|u_t⁺|,    u̇_n = b_n where contacts are closed, u̇ = b where they stick
 
-Where a slip ends within the step, the step ends there, with constant forces (`closedloop.mechanics.contacts.slips_end`).
+Where a slip ends within the step, so does the step, with constant forces (`closedloop.mechanics.contacts.slips_end`).
 Soft contacts beside others go on: their friction is then within its limit, F_t with u_t⁺ = 0, and their slips become
 less by e in a step.
 

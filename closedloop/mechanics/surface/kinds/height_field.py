@@ -56,6 +56,13 @@ class HeightField(Placed):
             raise ScenarioError(f"surface.edge_radius = {a:g}: the grid ends {min(x, y):g} m from its middle")
         return a, b
 
+    def seams(self) -> tuple[Array, Array]:
+        """Return the lines of the grid, where one patch of the spline ends and the next begins."""
+        columns, rows = (
+            self.spacing * (np.arange(k) - 0.5 * (k - 1)) for k in (len(self.heights[0]), len(self.heights))
+        )
+        return columns, rows
+
     def list_length(self) -> int:
         """Return the length of what `resolved` gives."""
         return 2 + (len(self.heights) + 2) * (len(self.heights[0]) + 2)

@@ -203,11 +203,15 @@ def test_a_signal_while_a_thread_starts_ends_the_thread(monkeypatch, several):
 
     monkeypatch.setattr(threads.ThreadPoolExecutor, "submit", interrupted)
     done = Done()
-    with pytest.raises(KeyboardInterrupt):
+
+    def start():
         if several:
             side_by_side(lambda own, i: until_ended(done), 1, 1, object, lambda: None, done)
         else:
             uninterrupted(until_ended)
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
     assert len(ended) == 1
 
 

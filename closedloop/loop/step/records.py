@@ -22,6 +22,7 @@ class Search(Block):
     low: float  # bracket of the event searched for, s, with the event function at either end
     high: float
     at_low: float
+    at_stage: float  # of dual numbers: the least event function at the stages of a step to the instant found
     at_high: float
     value: float  # of the event function
 

@@ -130,7 +130,7 @@ class Picture:
 
     def _draw_walls(self, problem: Problem, arm: _Arm, q: Array) -> bool:
         """Draw the bodies that links touch, and the last link; return whether there are such bodies."""
-        from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+        from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
         vertices, faces = _surface(problem)
         if not len(faces):

@@ -25,7 +25,7 @@ def solids_mesh(scenario: Scenario, points: Array) -> Mesh:
     low, high = points.min(axis=0) - BEYOND, points.max(axis=0) + BEYOND
     box = np.vstack([np.column_stack([np.eye(3), high]), np.column_stack([-np.eye(3), -low])])
     vertices: list[Array] = [np.zeros((0, 3))]
-    triangles: list[Array] = [np.zeros((0, 3))]
+    triangles: list[NDArray[np.int64]] = [np.zeros((0, 3), np.int64)]
     for section in scenario.contact or ():
         placed = surface_of(section) if section.against == WORLD else None
         if placed is None or placed.moves or not isinstance(placed.section, Polyhedron):
@@ -35,7 +35,7 @@ def solids_mesh(scenario: Scenario, points: Array) -> Mesh:
         normals = faces[:, :3] @ placed.frame[[1, 2, 0]]  # a face's axes are the two tangents and the normal
         solid = np.column_stack([normals, faces[:, 3] + normals @ placed.origin])
         for corners in _polygons(np.vstack([solid, box]), 0.5 * (low + high), float(np.linalg.norm(high - low))):
-            first, fan = sum(len(each) for each in vertices), np.arange(1, len(corners) - 1)
+            first, fan = sum(len(each) for each in vertices), np.arange(1, len(corners) - 1, dtype=np.int64)
             triangles.append(first + np.column_stack([np.zeros_like(fan), fan, fan + 1]))
             vertices.append(corners)
     return np.vstack(vertices), np.vstack(triangles).astype(np.uint32)

@@ -58,10 +58,10 @@ class HeightField(Placed):
 
     def seams(self) -> tuple[Array, Array]:
         """Return the lines of the grid, where one patch of the spline ends and the next begins."""
-        columns, rows = (
-            self.spacing * (np.arange(k) - 0.5 * (k - 1)) for k in (len(self.heights[0]), len(self.heights))
-        )
-        return columns, rows
+        return self._lines(len(self.heights[0])), self._lines(len(self.heights))
+
+    def _lines(self, count: int) -> Array:
+        return np.asarray(self.spacing * (np.arange(count) - 0.5 * (count - 1)), dtype=np.float64)
 
     def list_length(self) -> int:
         """Return the length of what `resolved` gives."""

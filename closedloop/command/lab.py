@@ -42,15 +42,15 @@ def lab_command(arguments: list[str]) -> int:
         raise ScenarioError(NEEDS)
     name_members(overrides.items())
     law = import_law(options.law) if options.law else None
+    opened = lab(
+        options.scenario, overrides, law=law, host=options.host, port=options.port, dark=options.dark, show=False
+    )
     if not is_loopback(options.host):
         print(
             f"closedloop: warning: --host {options.host} lets every computer that reaches this one and knows the "
             "address with its token move the controls and save files; the address goes over the network unencrypted",
             file=sys.stderr, flush=True,
         )  # fmt: skip
-    opened = lab(
-        options.scenario, overrides, law=law, host=options.host, port=options.port, dark=options.dark, show=False
-    )
     serve(opened, browser=not options.no_browser)
     return DONE
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, quaternions, round_down
 from closedloop.figures.scene.shapes import Shape, robot_shapes
+from closedloop.figures.scene.solids import BEYOND, solids_mesh
 from closedloop.gym.core import Core
 from closedloop.simulation.engines.problem import Problem
 from robot_models.cached import cached_property
@@ -103,6 +104,8 @@ class Picture:
         if problem.scenario.has_surface:
             x, y, z = patch(problem, core.together.problem(i).robot.position(problem.q))
             axes.plot_surface(x, y, z, color="0.8", alpha=0.45, edgecolor="0.6", linewidth=0.4)
+        elif self._draw_walls(problem, arm, now.q[i]):
+            line = line[-1:]  # what is seen is the tip between them
         path = problem.table[:, 2 * problem.robot.n : 2 * problem.robot.n + 3]
         axes.plot(*path[:: max(1, len(path) // TRAIL)].T, color=WANTED, linewidth=1.0)
         axes.scatter(*now.wanted_tip[i][:, None], color=PATH, s=12)
@@ -124,6 +127,23 @@ class Picture:
         bar.axhline(wanted, color=WANTED, linewidth=2.0)
         bar.set(xlim=(-0.6, len(names) - 0.4), ylim=(0.0, self._most), title="force in N")
         bar.set_xticks(places if len(names) > 1 else [], names if len(names) > 1 else [], rotation=90, fontsize=7)
+
+    def _draw_walls(self, problem: Problem, arm: _Arm, q: Array) -> bool:
+        """Draw the bodies that links touch, and the last link; return whether there are such bodies."""
+        from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+
+        vertices, faces = _surface(problem)
+        if not len(faces):
+            return False
+        turns, origins = arm.places(q)
+        parts = [(vertices[faces], (0.7, 0.7, 0.7), 0.35)]
+        for shape in arm.shapes:
+            if shape.joint == len(origins) - 1:
+                placed = origins[-1] + shape.vertices @ turns[-1].T
+                parts.append((placed[np.asarray(shape.faces)], shape.colour, 0.9))
+        for triangles, colour, alpha in parts:
+            self._axes.add_collection3d(Poly3DCollection(triangles, facecolor=colour, alpha=alpha))
+        return True
 
     def close(self) -> None:
         """Let the figure go."""
@@ -219,7 +239,7 @@ class Browser:
         })  # fmt: skip
         vertices, faces = _surface(problem)
         path = problem.table[:, 2 * problem.robot.n : 2 * problem.robot.n + 3]
-        view = {"centre": tip, "radius": 2.0 * HALF}
+        view = {"centre": tip, "radius": 2.0 * HALF if scenario.has_surface or not len(faces) else 3.0 * BEYOND}
         self._tell("space", {
             "size": problem.robot.reach, "usual": max(abs(scenario.law.force), 1.0), "passing": None, "near": view,
             "whole": {"centre": 0.5 * tip, "radius": problem.robot.reach}, "normal": problem.frame[0], "robot": 1,
@@ -235,10 +255,14 @@ class Browser:
 
 
 def _surface(problem: Problem) -> tuple[Array, NDArray[np.uint32]]:
-    """Return the surface about the tip's start as vertices (k, 3) and triangles (l, 3), none if there is none."""
+    """Return the surface about the tip's start as vertices (k, 3) and triangles (l, 3), none if there is none.
+
+    Without a surface these are the bodies with flat faces that links touch.
+    """
+    start = problem.robot.position(problem.q)
     if not problem.scenario.has_surface:
-        return np.zeros((0, 3)), np.zeros((0, 3), np.uint32)
-    points, side = np.stack(patch(problem, problem.robot.position(problem.q)), axis=-1).reshape(-1, 3), SQUARES + 1
+        return solids_mesh(problem.scenario, start[None])
+    points, side = np.stack(patch(problem, start), axis=-1).reshape(-1, 3), SQUARES + 1
     corner = (np.arange(SQUARES)[:, None] * side + np.arange(SQUARES)).ravel()
     faces = np.vstack([
         np.column_stack([corner, corner + side, corner + 1]),

@@ -118,7 +118,7 @@ class Details:
             name, before = held[-1].name, values(held[-1].run, held[-1].run.summary())
             known = self._pinned.get(name)
         found = tiles(run, summary, before, name)
-        if margins is not None:
+        if margins is not None and run.scenario.has_law:  # without one nothing is a loop that could be unstable
             found[2:2] = margin_tiles(margins, margins["stable"], known, name)
         lab.tell("strip", {"kind": "strip", "tiles": found})
 

@@ -28,6 +28,8 @@ from closedloop.studies.analysis.ranges import Range
 from closedloop.studies.analysis.stability import Stability
 
 USUAL, WITHOUT_LAW = "rms_force_error", "energy_lost_to_friction"
+# Keys that come last: they hold motions of the arm that leave the tip where it is, and change little of its force.
+POSTURE = "law.posture_"
 # The map is sent again after so long at the earliest while it fills in, s.
 OFTEN = 0.25
 # A page that opens begins with a map where a run takes no longer than this of a processor, s; it has so many runs at a
@@ -73,6 +75,7 @@ class MapWork:
         names = list(self._axes)
         # A gain, say, rather than an instant or a period, of which most values do not fit the step.
         logs = [n for n, (c, _) in self._axes.items() if c.form == "log" and c.unit != "s"] or names[-1:] or [""]
+        logs.sort(key=lambda name: name.startswith(POSTURE))
         of = {
             group: [n for n in logs if n and group_of(self._axes[n][0].key) == group] for group in (STIFFNESS, DAMPING)
         }

@@ -1,12 +1,15 @@
 """Runs of dual numbers: values to the bit, and derivatives against the complex step and closed forms."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import closedloop as cl
 from closedloop.control.reference.table import Reference
+from closedloop.loop.events import locate
+from closedloop.loop.events.phases import REACH_EVENT
 from closedloop.loop.step.record_row import Row
 from closedloop.simulation.engines.dual_loop import DualRun, prepared, structure
 from closedloop.simulation.prepare import prepare
@@ -138,3 +141,25 @@ def test_what_dual_numbers_do_not_take_is_found_by_differences():
     )
     assert found.method["q@end"]["law.force"].startswith(DUALS)
     assert list(found.value) == ["max_kkt_residual", "q@end"]
+
+
+@pytest.mark.parametrize(("at_end", "used"), [(-1.5e-5, "stage"), (-1e-12, "end")])
+def test_an_instant_that_a_stage_decides_has_the_derivatives_of_that_stage(monkeypatch, at_end, used):
+    """Friction of a slip that turns by 90 degrees stops turning at a stage, and the event function jumps at the end.
+
+    Its derivatives there are none of the instant: the end of a slip of `push_block` had one that was off by a quarter.
+    """
+    monkeypatch.setattr(locate, "slope_of", lambda value: value)
+    monkeypatch.setattr(locate, "settled", lambda tau, value, slope: (value, slope))
+    search = SimpleNamespace(tau=0.1, value=at_end, at_stage=0.0, at_low=0.0)
+    trial, settings = SimpleNamespace(settling=1, purpose=0), SimpleNamespace(stages=4)
+    w, state = SimpleNamespace(search=search), SimpleNamespace(trial=trial, settings=settings, together=1)
+    margins = iter([3e-4, -1e-11, 2e-4])
+    monkeypatch.setattr(locate, "event_function", lambda *_: next(margins))
+    for state.stage in (1, 2, 3):
+        locate.note_stage.py_func(w, None, state)
+    for _ in range(2):
+        locate.settle_instant.py_func(w, state)
+    value = -1e-11 if used == "stage" else at_end
+    assert search.tau == (value, value)
+    assert (trial.settling, trial.purpose) == (0, REACH_EVENT)

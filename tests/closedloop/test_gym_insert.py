@@ -8,9 +8,11 @@ import pytest
 
 import closedloop as cl
 import closedloop.gym as clgym
+from closedloop.figures.scene.scene import scene_of
 from closedloop.gym.ranges import Range, as_ranges, drawn
 from closedloop.gym.vector import ContactVectorEnv
-from closedloop.gym.view import shown_forces
+from closedloop.gym.view import _surface, shown_forces
+from closedloop.mechanics.contacts.surfaces import surface_of
 
 SCENARIO = clgym.TASKS["insert"].scenario
 
@@ -130,3 +132,35 @@ def test_what_is_shown_has_the_forces_of_the_contacts():
     press.reset(seed=0)
     press.step(np.zeros(1))
     assert shown_forces(press.core, 0) == (["f"], press.core.now.force[:1])
+
+
+def test_the_hole_is_drawn_where_the_peg_touches_it():
+    """Two walls with chamfers, closed, in a box about the contacts; each corner is on the surfaces that strike."""
+    scenario = cl.load_scenario(SCENARIO, {"time.duration": 0.3})
+    scene = scene_of(cl.simulate(scenario))
+    vertices, faces = scene.surface
+    sides = np.sort(np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    corners = np.unique(vertices.round(9), axis=0)
+    assert len(faces) == 32
+    assert len(sides) == 96
+    inner = corners[np.abs(corners[:, 0]) < 0.0102]
+    assert np.unique(inner[:, 0]) == pytest.approx([-0.0101, 0.0101])  # 20 mm and the clearance of 0.2 mm
+    assert inner[:, 2].max() == pytest.approx(-0.002 + np.sqrt(2) * 0.00015 - 0.00015, abs=1e-9)
+    assert corners[:, 2].max() == 0.0
+    for name, side in (("left corner", -1.0), ("right corner", 1.0)):
+        (contact,) = (each for each in scenario.contact if each.name == name)
+        placed = surface_of(contact)
+        mine = corners[side * corners[:, 0] > 0.0]
+        levels = [placed.touching(corner).level for corner in mine]
+        assert max(levels) < 2.0 * placed.section.rounding
+        assert sum(abs(level) < 2.0 * placed.section.rounding for level in levels) >= 8
+        assert placed.touching(np.array([0.0, 0.0, -0.01])).gap == pytest.approx(0.0101, abs=1e-6)
+    env = gymnasium.make("closedloop/Insert-v0", render_mode="rgb_array").unwrapped
+    env.reset(seed=4)
+    walls, triangles = _surface(env.core.together.problem(0))
+    assert len(triangles) == len(faces)
+    assert np.abs(walls).max() < 0.1
+    env.step(np.zeros(3))
+    picture = env.render()
+    assert np.unique(picture.reshape(-1, 3), axis=0).shape[0] > 100
+    assert scene_of(cl.simulate(cl.load_scenario("tower", {"time.duration": 0.01}))).surface[1].shape == (2, 3)

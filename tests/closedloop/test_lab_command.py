@@ -36,6 +36,7 @@ def run_file(tmp_path_factory):
         (["wam_slide", "--colour"], "unrecognized arguments"),
         (["wam_slide", "--port", "99999999"], "--port 99999999: must be from 1 to 65535"),
         (["wam_slide", "--port", "-1"], "--port -1: must be from 1 to 65535"),
+        (["wam_slide", "--host", "300.1.1.1"], "--host 300.1.1.1 --port 8080: cannot listen there"),
     ],
 )
 def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):

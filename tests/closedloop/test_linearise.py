@@ -332,6 +332,23 @@ def test_small_steps_with_closed_contacts_of_links(case):
     assert np.max(np.abs(seen)) > 0.01
 
 
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
+def test_a_cube_that_rests_on_four_feet_beside_the_arm_changes_no_pole(integrator):
+    """Its feet stick, by more rows than it can move in: it stays where it is, and the loop is that of the arm."""
+    changes = {"time.integrator": integrator, "time.duration": 0.5}
+    alone = cl.load_scenario("wam_slide", changes)
+    corners = [[x, y, -0.05] for x in (-0.05, 0.05) for y in (-0.05, 0.05)]
+    cube = {"name": "cube", "shape": "box", "edges": [0.1, 0.1, 0.1], "mass": 1.0, "position": [0.6, 0.0, 0.05]}
+    feet = {"name": "foot", "link": "cube", "at": corners, "friction": 0.5}
+    beside = cl.load_scenario("wam_slide", changes | {"body": [cube], "contact": [feet]})
+    mine, wanted = (cl.linearise(each, at=0.25) for each in (beside, alone))
+    assert [each.name for each in mine.outputs if each.name.startswith("contact force[")] == [
+        f"contact force[foot {k}]" for k in (1, 2, 3, 4)
+    ]
+    found, poles = ([pole.z for pole in each.poles()] for each in (mine, wanted))
+    np.testing.assert_allclose(found, poles, atol=1e-11)
+
+
 def test_poles_of_a_block_that_a_gripper_holds():
     """Fingers that stick to a block leave one motion, m s² + kd s + kp of hand and block together, in closed form."""
     scenario = cl.load_scenario("gripper_gear", {"time.integrator": "dop853"})

@@ -6,7 +6,9 @@ import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.mechanics.loops.reactions import loop_rows, share_of_rows
 from closedloop.mechanics.loops.wrench import labels_of
+from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops.mechanisms import MECHANISMS, joint, loop, point
 
 MASS, CENTRE = 2.0, np.array([0.3, -0.2, 0.1])
@@ -118,3 +120,19 @@ def test_cut_open_the_mechanism_moves_alike_under_its_reactions(name):
     needed = pin.rnea(built, data, run.q[k].copy(), run.v[k].copy(), run.acceleration[k].copy(), external)
     np.testing.assert_allclose(needed, torque, atol=1e-10 * (1.0 + np.max(np.abs(run.loops.reactions[k]))))
     assert np.max(np.abs(run.loops.reactions[k])) > 1e-4
+
+
+@pytest.mark.parametrize("name", ["delta", "five_bar"])
+def test_reactions_of_independent_rows_are_those_of_least_norm(name):
+    """Where no row depends on another, Q R gives what the pseudo-inverse does; else the pseudo-inverse is taken."""
+    run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.05}))
+    rows, _ = loop_rows(Robot(run.model, run.scenario.robot.tip or "tip"), run.q, run.v)
+    independent = bool(np.all(run.loops.rank == rows.shape[1]))
+    assert independent == (name == "delta")
+    missing = np.einsum("kmn,km->kn", rows, run.loops.multipliers)
+    least, _ = share_of_rows(rows, missing, None)
+    assert np.max(np.abs(run.loops.multipliers)) > 0.1
+    assert run.loops.multipliers == pytest.approx(least, abs=1e-10)
+    found, stops = share_of_rows(rows, missing, None, independent)
+    assert found == pytest.approx(least, abs=1e-10)
+    assert not np.any(stops)

@@ -1,5 +1,6 @@
 """The orientation of the tool along a path: held by the reference, followed by the laws, refused where it cannot be."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,11 +9,16 @@ from rounding import within
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
+from closedloop.control.reference.curves import Straight
+from closedloop.control.reference.follow import Follower
 from closedloop.control.reference.inverse_kinematics import _axis_rows, _frame_rows
 from closedloop.control.reference.orientation import turned_by
+from closedloop.control.reference.seams import seams
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.loop.step.reference_row import desired_acceleration
+from closedloop.mechanics.surface.kinds.height_field import HeightField
+from closedloop.mechanics.surface.surface import Surface
 from closedloop.simulation.engines.problem import Problem
 
 ON_A_BALL = {
@@ -169,16 +175,46 @@ def test_feed_forward_holds_the_tool(monkeypatch, law):
     assert told.tool_angle.max() < untold.tool_angle.max()
 
 
-def test_a_tool_is_held_against_a_height_field():
-    """The acceleration jumps at the patches of its spline: knots go there, far fewer than halving everywhere takes."""
+@pytest.mark.parametrize("seamless", [False, True])
+def test_a_tool_is_held_against_a_height_field(seamless, monkeypatch):
+    """The acceleration jumps at the seams of its spline: a knot is at each, or halving finds them, with far more."""
+    walks, walk = [], Follower.walk
+    monkeypatch.setattr(Follower, "walk", lambda who, q, *way: walks.append(len(way[0])) or walk(who, q, *way))
+    if seamless:
+        monkeypatch.setattr(HeightField, "seams", Surface.seams)
     problem = cl.prepare(cl.load_scenario("panda_polish", {"reference.passes": 1, "reference.stop": 3.0}))
     joints = problem.wanted.joints
     assert joints.times.size < 4000
+    assert (len(walks) < 12) != seamless
+    assert (sum(walks) < 4 * joints.times.size) != seamless
     times = np.linspace(0.5, 3.0, 101)
     q, (r, v, _) = joints.sample(times)[0], problem.wanted.tip.sample(times)
     normals = problem.surface.normals(times, r, v)[0]
     assert np.max(np.abs(problem.robot.tip_axes(q)[:, :, 2] + normals)) < 1e-9
     assert np.max(np.abs([problem.robot.position(each) for each in q] - r)) < 1e-9
+
+
+def test_the_seams_of_a_path_are_where_it_crosses_the_grid():
+    """Across lines of the grid at the instants at which its coordinate is that of a line; none along a line."""
+    problem = cl.prepare(cl.load_scenario("panda_polish"))
+    surface, (first, *_), lines = problem.surface, problem.wanted.tip.segments, 0.03 * np.arange(-4.0, 5.0)
+
+    def places(segment, times):
+        return (segment.sample(np.array(times))[0] - surface.origin) @ surface.frame[1:].T
+
+    assert np.ptp(places(first, [first.start, first.stop]), axis=0) == pytest.approx([0.0, 0.08], abs=1e-12)
+    on = np.abs(places(first, seams(surface, first))[:, 1, None] - lines).min(axis=1)
+    assert on == pytest.approx([0.0] * 2, abs=1e-15)
+    along_it = replace(first, curve=Straight(0.08 * surface.frame[1] + 0.04 * surface.frame[2]))
+    on = np.abs(places(along_it, seams(surface, along_it))[..., None] - lines).min(axis=2) < 1e-12
+    low, high = np.sort(places(along_it, [along_it.start, along_it.stop]), axis=0)[..., None]
+    assert np.all(on.any(axis=1))
+    assert on.sum(axis=0).tolist() == np.sum((lines > low + 1e-9) & (lines < high - 1e-9), axis=1).tolist()
+    assert seams(None, first) == []
+    moving = replace(
+        surface, motion=cl.load_scenario("panda_scan", ON_A_BALL | {"surface_motion": BREATHING}).surface_motion
+    )
+    assert seams(moving, first) == []
 
 
 @pytest.mark.parametrize("seed", range(6))

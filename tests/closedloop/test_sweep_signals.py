@@ -182,6 +182,39 @@ def test_threads_end_between_two_runs_when_one_fails():
         done.add()
 
 
+@pytest.mark.parametrize("several", [False, True])
+def test_a_signal_while_a_thread_starts_ends_the_thread(monkeypatch, several):
+    """It waits until the thread is known: else nothing would end it, and what it writes would be left unfinished."""
+    submit, ended = threads.ThreadPoolExecutor.submit, []
+
+    def interrupted(pool, *arguments):
+        future = submit(pool, *arguments)
+        signal.raise_signal(signal.SIGINT)
+        return future
+
+    def until_ended(done):
+        try:
+            for _ in range(1000):
+                done.check()
+                time.sleep(0.001)
+        except Ended:
+            ended.append(done)
+            raise
+
+    monkeypatch.setattr(threads.ThreadPoolExecutor, "submit", interrupted)
+    done = Done()
+
+    def start():
+        if several:
+            side_by_side(lambda own, i: until_ended(done), 1, 1, object, lambda: None, done)
+        else:
+            uninterrupted(until_ended)
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    assert len(ended) == 1
+
+
 def test_uninterrupted_returns_and_raises():
     """What the thread returns or raises comes out."""
     assert uninterrupted(lambda done: 3) == 3

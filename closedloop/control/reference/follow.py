@@ -35,6 +35,7 @@ from closedloop.control.reference.inverse_kinematics import (
 from closedloop.control.reference.joint_path import JointPath
 from closedloop.control.reference.least_norm import RANK_TOLERANCE
 from closedloop.control.reference.orientation import ASKEW, FREE_ORIENTATION, Orientation
+from closedloop.control.reference.seams import seams
 from closedloop.control.reference.tip_path import Segment, TipPath
 from closedloop.jit.interim import call_once
 from closedloop.mechanics.loops.along_path import along_path
@@ -161,7 +162,13 @@ def _joined(parts: list[JointPath]) -> JointPath:
 
 def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[str, ...]) -> JointPath:
     """Return the joint path along one segment, with as many knots as it needs; at most `most` intervals."""
-    return _between(who, q, segment, (segment.start, segment.stop), _first_intervals(segment), most, keys)
+    first, whole = _first_intervals(segment), segment.stop - segment.start
+    parts: list[JointPath] = []
+    for begin, end in itertools.pairwise([segment.start, *seams(who.held.surface, segment), segment.stop]):
+        share = math.ceil(first * ((end - begin) / whole))
+        parts.append(_between(who, parts[-1].q[-1] if parts else q, segment, (begin, end), share, most, keys))
+        most -= parts[-1].times.size - 1
+    return _joined(parts)
 
 
 def _between(
@@ -169,8 +176,8 @@ def _between(
 ) -> JointPath:
     """Return the joint path between two instants of a segment, with `first` intervals or more.
 
-    A tool that is held against the normal of a height field has an acceleration that jumps from patch to patch of its
-    spline. Knots are needed near the jumps alone: what some doublings do not resolve is halved.
+    A tool that is held against a surface may have an acceleration that jumps. Knots are needed near the jumps alone:
+    what some doublings do not resolve is halved.
     """
     intervals, begin, end = first, *span
     while True:

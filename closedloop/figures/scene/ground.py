@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.errors import frame_of
+from closedloop.figures.scene.solids import solids_mesh
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.motion import SurfaceMotion
@@ -96,6 +97,15 @@ class Ground:
         if self.placed is None:
             return np.eye(3), np.zeros(3)
         return self.placed.displacement(float(self.run.time[row]))
+
+
+def world_mesh(scenario: Scenario, points: Array, touched: list[Array]) -> tuple[Array, NDArray[np.uint32]]:
+    """Return what of the world links touch: a plane about points (k, 3), m, and bodies about the points touched, m."""
+    vertices, faces = floor_mesh(scenario, points)
+    if not touched:
+        return vertices, faces
+    walls, more = solids_mesh(scenario, np.array(touched))
+    return np.vstack([vertices, walls]), np.vstack([faces, more + np.uint32(len(vertices))])
 
 
 def floor_mesh(scenario: Scenario, points: Array) -> tuple[Array, NDArray[np.uint32]]:

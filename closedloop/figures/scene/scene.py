@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from closedloop.figures.scene.ghost import Ghost
-from closedloop.figures.scene.ground import Ground, floor_mesh
+from closedloop.figures.scene.ground import Ground, world_mesh
 from closedloop.figures.scene.joined import Joined, reactions_in, robot_in
 from closedloop.figures.scene.shapes import Shape, robot_shapes
 from closedloop.mechanics.closure.contact_force import FREE
@@ -109,12 +109,14 @@ class Scene:
     def surface(self) -> tuple[Array, NDArray[np.uint32]]:
         """The surface at t = 0: vertices (k, 3), m, base frame, and triangles (l, 3); none if it is out of the way.
 
-        Where the tip has none, it is the plane of the world that links touch.
+        Where the tip has none, it is the plane, or the bodies with flat faces, of the world that links touch.
         """
         if self.ground.there:
             return self.ground.mesh
         rows = np.unique(np.linspace(0, len(self.run) - 1, 20).round().astype(int))
-        return floor_mesh(self.run.scenario, np.vstack([self.joint_places(int(row))[1] for row in rows]))
+        there = [self.joint_places(int(row)) for row in rows]
+        touched = [a.tail for row, at in zip(rows, there, strict=True) for a in self.between_links(int(row), *at)]
+        return world_mesh(self.run.scenario, np.vstack([origins for _, origins in there]), touched)
 
     @cached_property
     def marks(self) -> list[Mark]:

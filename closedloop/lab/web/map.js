@@ -7,7 +7,8 @@ function cividis(u) {
   const k = Math.min(Math.max(u, 0), 1) * (CIVIDIS.length - 1), i = Math.min(Math.floor(k), CIVIDIS.length - 2);
   return CIVIDIS[i].map((c, j) => Math.round(c + (k - i) * (CIVIDIS[i + 1][j] - c)));
 }
-const MAP = [58, 12, 64, 34]; // px left, above, right, below
+const MAP = [58, 12, 64, 34]; // px left, above, right at least, below
+const BAR = 21; // px from the map to the numbers beside its colours
 
 class MapTab {
   constructor(send, change) {
@@ -101,7 +102,7 @@ class MapTab {
 
   area() {
     const [l, t, r, b] = MAP;
-    return [l, t, this.canvas.clientWidth - l - r, this.canvas.clientHeight - t - b];
+    return [l, t, this.canvas.clientWidth - l - Math.max(r, this.beside ?? 0), this.canvas.clientHeight - t - b];
   }
 
   inside(e) { const [l, t, w, h] = this.area(); return e.offsetX >= l && e.offsetX <= l + w && e.offsetY >= t && e.offsetY <= t + h; }
@@ -134,10 +135,13 @@ class MapTab {
     g.font = small_print();
     g.fillStyle = ink("--faint");
     if (!m) return;
-    const [l, t, width, height] = this.area(), [nx, ny] = [m.x.values.length, m.y.values.length];
     let [low, high] = [Infinity, -Infinity];
     for (const v of m.grid) if (Number.isFinite(v)) { low = Math.min(low, v); high = Math.max(high, v); }
     const log = low > 0 && high > 100 * low, f = log ? Math.log : (x) => x;
+    const digits = 3 + Math.max(0, Math.floor(Math.log10(Math.abs(high) / (high - low)))) || 3;
+    const numbers = high > low ? (log ? logTicks(low, high) : ticks(low, high, h / 45)).map((v) => [v, short(v, digits)]) : [];
+    this.beside = BAR + 4 + Math.max(0, ...numbers.map(([, text]) => g.measureText(text).width));
+    const [l, t, width, height] = this.area(), [nx, ny] = [m.x.values.length, m.y.values.length];
     const colour = (v) => `rgb(${cividis(high > low ? (f(v) - f(low)) / (f(high) - f(low)) : 0.5)})`;
     const [cw, ch] = [width / nx, height / ny];
     const known = (i, j) => { // while it fills in, cells show the nearest that is known
@@ -177,8 +181,7 @@ class MapTab {
       for (let k = 0; k < height; k++) { g.fillStyle = `rgb(${cividis(1 - k / height)})`; g.fillRect(l + width + 8, t + k, 10, 1.5); }
       g.fillStyle = ink("--faint");
       g.textAlign = "left";
-      const [values, digits] = [log ? logTicks(low, high) : ticks(low, high, height / 45), 3 + Math.max(0, Math.floor(Math.log10(Math.abs(high) / (high - low))))];
-      for (const v of values) g.fillText(short(v, digits), l + width + 21, t + height * (1 - (f(v) - f(low)) / (f(high) - f(low))) + 4);
+      for (const [v, text] of numbers) g.fillText(text, l + width + BAR, t + height * (1 - (f(v) - f(low)) / (f(high) - f(low))) + 4);
     }
     if (high === low) {
       g.fillStyle = "#fff";

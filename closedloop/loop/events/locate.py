@@ -33,6 +33,10 @@ Array = NDArray[np.float64]
 # still sticks, so that rounding does not let it go again.
 AT_LIMIT = 1e-12
 
+# An event function that is so many times as large at the end of a step as at a stage, at an instant that was found, has
+# jumped.
+JUMP = 1e-3
+
 
 @kernel
 def event_function(w: Work, constants: Constants, state: State) -> float:
@@ -145,14 +149,26 @@ def refine_bracket(w: Work, state: State) -> int:
 
 
 @kernel
+def note_stage(w: Work, constants: Constants, state: State) -> None:
+    """Write the least of the event function at the stages of a step to an instant whose derivatives are sought."""
+    value = event_function(w, constants, state)
+    if state.stage == 1 or abs(value) < abs(w.search.at_stage):
+        w.search.at_stage = value
+
+
+@kernel
 def settle_instant(w: Work, state: State) -> None:
     """Give the instant that was found its derivatives, by two more trial steps to it.
 
     In the first the instant is the unknown, so the event function has its rate there; in the second it is constant.
+    Where friction that stops turning at a stage lets the event function jump past zero, it is zero at that stage.
     """
+    value = w.search.value
+    if state.together != 0 and state.settings.stages > 1 and abs(w.search.at_stage) < JUMP * abs(value):
+        value = w.search.at_stage
     if state.trial.settling == 1:
-        w.search.at_low, w.search.tau = slope_of(w.search.value), sought(w.search.tau)
+        w.search.at_low, w.search.tau = slope_of(value), sought(w.search.tau)
         state.trial.settling = 2
     else:
-        w.search.tau = settled(w.search.tau, w.search.value, w.search.at_low)
+        w.search.tau = settled(w.search.tau, value, w.search.at_low)
         state.trial.settling, state.trial.purpose = 0, REACH_EVENT

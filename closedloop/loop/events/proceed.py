@@ -31,11 +31,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.loop.events.asked import answer_asked
 from closedloop.loop.events.contacts import apply_contact_impulses
 from closedloop.loop.events.impacts import apply_impact
-from closedloop.loop.events.locate import event_function, refine_bracket
+from closedloop.loop.events.locate import event_function, note_stage, refine_bracket
 from closedloop.loop.events.phases import (
     ADVANCE,
     AFTER_EVENT,
@@ -178,6 +179,8 @@ def proceed(
             for j in range(w.torque.shape[0]):
                 w.torque[j] = w.drives.held[j]  # until the end of the step the torque of the last sample acted
     elif phase == STAGE:
+        if has_derivatives(w.time) and state.trial.settling != 0:
+            note_stage(w, constants, state)
         todo = check_stage(w, state) if state.settings.unilateral != 0 else ADVANCE
         if state.together != 0 and w.contacts.margin <= NO_FORCES:
             todo = end_before_stage(w, state)

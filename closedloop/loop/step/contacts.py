@@ -59,10 +59,11 @@ from closedloop.mechanics.contacts.memory import (
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, SINKING, decide, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shapes import rolls, shapes_at
+from closedloop.mechanics.contacts.slips_end import stop_slips
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.soft_friction import some_share
 from closedloop.mechanics.contacts.time_step import begin_time_step
-from closedloop.mechanics.contacts.turning import stop_slips, turn_and_solve
+from closedloop.mechanics.contacts.turning import turn_and_solve
 from closedloop.mechanics.impact import energy_lost
 
 Array = NDArray[np.float64]

@@ -22,6 +22,7 @@ class Search(Block):
     low: float  # bracket of the event searched for, s, with the event function at either end
     high: float
     at_low: float
+    at_stage: float  # of dual numbers: the least event function at the stages of a step to the instant found
     at_high: float
     replaced: float  # the end that the latest trial has replaced, and the value there
     at_replaced: float

@@ -6,6 +6,7 @@ complementarity  forces or impulses in Coulomb's cones that solve all contacts t
 continuation     the same along a path, where the quick method does not find them
 closed           forces in known modes: of one contact, or of all
 turning          friction of contacts that slip slowly, with the forces
+slips_end        when the first of these slips ends within a step
 given_modes      forces where it is known which contacts are free, slide or stick
 shortest         of equations that depend on each other which do not, and the shortest forces that obey them
 time_step        one step at the level of impulses, where no modes agree

@@ -5,8 +5,9 @@ others, so that all directions are those of one problem, with u⁺ what is left 
 
     u_t⁺ = u_t + h u̇_t,    F_t = −μ|f| u_t⁺/|u_t⁺|,    u̇_n = b_n where contacts are closed, u̇ = b where they stick
 
-Where a slip ends within the step, the step ends there, with constant forces, see `stop_slips`. Soft contacts beside
-others go on: their friction is then within its limit, F_t with u_t⁺ = 0, and their slips become less by e in a step.
+Where a slip ends within the step, so does the step, with constant forces (`closedloop.mechanics.contacts.slips_end`).
+Soft contacts beside others go on: their friction is then within its limit, F_t with u_t⁺ = 0, and their slips become
+less by e in a step.
 
 The work is bounded: so many turns, so many steps of Newton's method in all. What is not found by then is left: friction
 is then against the slip as it is.
@@ -43,8 +44,6 @@ ROUNDS, MOST_STEPS = 3, 400
 # Sweeps for soft contacts beside others where that finds nothing, and the residual, of the largest force, they may
 # have: feet of one body share their friction in many ways, between which Newton's method does not decide.
 SWEEPS, NEAR = 100, 1e-7
-# Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then.
-SEARCHES, WIDER, ON_EDGE = 30, 4.0, 1e-12
 
 
 @kernel
@@ -74,29 +73,6 @@ def turn_and_solve(c: Contacts, k: int, h: float) -> int:
     for i in range(k):
         c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[3 * i], c.scratch.start[3 * i + 1]
     return int(solve_closed(c, k))
-
-
-@kernel
-def stop_slips(c: Contacts, k: int, h: float) -> float:
-    """Return the time after which the first of several slow slips ends, s, if in this step; else infinity.
-
-    Until then constant forces, `TimeStep.force`, act as in a time step (`closedloop.mechanics.contacts.time_step`):
-    every contact is in its cone with what is left of its slip. So all that stops together does so, and no contact stops
-    another. The slip of one contact alone ends where its own friction stops it.
-    """
-    if c.problem.ends == 0.0:
-        return math.inf
-    for r in range(3 * k):
-        c.before[r] = c.F[r]
-    count, rate = pack_problem(c, k, h, True), 0.0 * h
-    c.problem.steps = 0.0
-    if count > 1 and solve_within(c, count, 1.0 / h):
-        rate = shorten(c, count, h)
-    unpack_problem(c, k, count)
-    for r in range(3 * k):
-        c.step.force[r] = c.F[r] - c.viscous[r]
-        c.F[r] = c.before[r]
-    return float(1.0 / rate) if rate > 0.0 else math.inf
 
 
 @kernel
@@ -275,38 +251,6 @@ def left_of_slips(c: Contacts, k: int) -> float:
             x1, x2 = rub(c, i)
             least = min(least, math.hypot(x1, x2) / (c.mu[i] * abs(c.F[3 * i]) + 1e-300) - 1.0)
     return float(least)
-
-
-@kernel
-def shorten(c: Contacts, k: int, h: float) -> float:
-    """Return 1/τ of the τ at which the first slip ends just then, s⁻¹, within the step; zero if that was not found."""
-    low, at_low = 1.0 / h, left_of_slips(c, k)
-    if not at_low < 0.0:
-        return 0.0 * low
-    high, at_high = low, at_low
-    for _ in range(SEARCHES):
-        high *= WIDER
-        if not solve_within(c, k, high):
-            return 0.0 * low
-        at_high = left_of_slips(c, k)
-        if at_high >= 0.0:
-            break
-        low, at_low = high, at_high
-    if not at_high >= 0.0:
-        return 0.0 * low
-    rate, side = high, 0
-    for _ in range(SEARCHES if at_high > ON_EDGE else 0):  # the method of Illinois
-        rate = (low * at_high - high * at_low) / (at_high - at_low)
-        if not solve_within(c, k, rate):
-            return 0.0 * low
-        now = left_of_slips(c, k)
-        if abs(now) <= ON_EDGE or high - low <= ON_EDGE * high:
-            break
-        if now < 0.0:
-            low, at_low, at_high, side = rate, now, at_high * (0.5 if side < 0 else 1.0), -1
-        else:
-            high, at_high, at_low, side = rate, now, at_low * (0.5 if side > 0 else 1.0), 1
-    return rate
 
 
 @kernel

@@ -91,6 +91,10 @@ class Surface(Parameters):
         """Return the sizes of a block by which `edge_distance` finds where its faces end; zeros of other surfaces."""
         return (0.0,) * 5
 
+    def seams(self) -> tuple[Array, Array]:
+        """Return the x and the y, m, at which third derivatives of φ jump, across lines along the other tangent."""
+        return np.zeros(0), np.zeros(0)
+
     def list_length(self) -> int:
         """Return how many entries each parameter has that is a list."""
         return 0

@@ -67,8 +67,9 @@ TAKEN_ALONG = 20.0
 # Friction at the tip bends with the slip within a step, and rows do not show how much: so many times what they show.
 BENT = 3.0
 # A joint that comes to rest is off by the error of f there, and breaks away again earlier or later for it: where
-# friction is less in motion, the error of f grows, as does that of a tip that breaks away. So many times more is
-# assumed each time, up to the range of f. (4.4 times in all was seen, of a joint that sticks and slips ever farther.)
+# friction is less in motion, the error of f grows, as does that of the tip, and that of a tip that breaks away. So many
+# times more is assumed each time, up to the range. (4.4 times in all was seen, of a joint that sticks and slips ever
+# farther.)
 AGAIN = 4.0
 # What stages leave the surface by, a stabiliser takes back, and a law with a memory of f keeps: up to so many times the
 # stabiliser's part of f. (49 times was seen, of an admittance near a singular pose.)
@@ -86,6 +87,7 @@ BOUNCED = 20
 GROWS = "f grows exponentially: with it the error of each step, and of rounding"
 # Why that of f is not.
 STRIKES_ONLY = "the tip strikes, and no row is in contact: at another step one may be"
+BESIDE_OTHERS = "contacts of links change while the tip is in contact: f follows their friction between two rows"
 # Why that of its extremes is not.
 BESIDE_CHANGES = "where the tip sticks, slips or still bounces, f changes for a moment, and a row may fall there or not"
 
@@ -130,6 +132,8 @@ def why_force_not_known(
     strikes = np.isin(kinds, (IMPACT, TOUCHDOWN))
     if np.any(strikes & (contacts == 0)) and not np.any(touching):
         return STRIKES_ONLY
+    if scenario.contact and np.any(contacts != 0) and np.any(touching):
+        return BESIDE_OTHERS
     if np.any(strikes) and touching[-1] and speed < AT_REST and scenario.rubs_in_joints:
         return "joint_friction: what friction bears at rest depends on the last of the motion after an impact"
     return GROWS if grows(off) else ""
@@ -201,10 +205,11 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
         more += 0.0 if higher else IN_TURN * swings.steepest
     if scenario.friction.kind != "none" and higher:
         more += BENT * force.error
-    if higher and not beside.bounces_on:
-        # So often is more than any range of f.
-        multiplied = ((1.0 + AGAIN) ** min(beside.starts_again, LASTS) - 1.0) * values.step_error_force
-        more += min(multiplied, values.peak_contact_force - values.min_contact_force)
+    ranges = [each.highest - each.lowest for each in map(Swing, swings.each[1:])]
+    if not beside.bounces_on:
+        grown = (1.0 + AGAIN) ** min(beside.starts_again, LASTS) - 1.0  # so often is more than any range
+        more += min(grown * values.step_error_force, values.peak_contact_force - values.min_contact_force)
+        values.step_error_position += min(grown * values.step_error_position, math.hypot(*ranges))
     if isinstance(scenario.compensation, ObserverCompensation) and higher and scenario.stabiliser.kind == "both":
         # What stages leave the surface by, the observer takes for a disturbance, and comes back from at its rate.
         more += swings.steepest / min(1.0, scenario.compensation.rate * scenario.time.step)
@@ -213,7 +218,6 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
     more += fed_back(scenario) * beside.asked
     if beside.bounces_on:  # f and the tip may be anywhere in their ranges
         more = max(more, values.peak_contact_force - min(values.min_contact_force, 0.0) - values.step_error_force)
-        ranges = [each.highest - each.lowest for each in map(Swing, swings.each[1:])]
         values.step_error_position = max(values.step_error_position, math.hypot(*ranges))
     values.step_error_force += more
     values.step_error_extremes += math.nan if beside.off_at_the_end else more

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import TypeVar
 
+from closedloop.base.interrupts import held_back
+
 T = TypeVar("T")
 
 # Threads have so long to end when one of them has failed or the main thread is interrupted, s: a run that takes longer
@@ -84,9 +86,10 @@ def side_by_side(
             one(mine_alone, i)
 
     report()
-    pool = ThreadPoolExecutor(min(threads, count), NAME)
-    running = {pool.submit(work) for _ in range(min(threads, count))}
+    pool, running = ThreadPoolExecutor(min(threads, count), NAME), set[Future[None]]()
     try:
+        with held_back():  # what has begun is known, and can be ended
+            running.update(pool.submit(work) for _ in range(min(threads, count)))
         while running:
             over, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
             for future in over:
@@ -102,10 +105,10 @@ def uninterrupted(work: Callable[[Done], T]) -> T:
 
     An interruption makes ``done.check()`` raise there, and is raised here once that has ended it.
     """
-    pool, done = ThreadPoolExecutor(1, NAME), Done()
-    running = {pool.submit(work, done)}
+    pool, done, running = ThreadPoolExecutor(1, NAME), Done(), set[Future[T]]()
     try:
-        (future,) = running
+        with held_back():  # as above
+            running.add(future := pool.submit(work, done))
         while not future.done():
             wait(running, timeout=0.1)
         return future.result()

@@ -14,6 +14,7 @@ from closedloop.base.optional import missing_line
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.analysis.margins import Margins, margins_of
 from closedloop.studies.analysis.poles import Pole, pole_at
+from closedloop.studies.analysis.port import Port, port_of
 from robot_models.cached import cached_property
 
 Array = NDArray[np.float64]
@@ -21,9 +22,6 @@ ComplexArray = NDArray[np.complex128]
 
 # Parts that are no part of the loop.
 OUTSIDE = "surface"
-# −Re Y/|Y| up to which a port is passive: the rounding of a response; and what sampling makes of one that is 0, per
-# frequency in samples.
-PASSIVE, SAMPLING = 1e-6, 0.1
 # Points of a frequency response to a decade, at first.
 POINTS = 60
 
@@ -34,28 +32,6 @@ class Quantity(NamedTuple):
     name: str
     unit: str
     part: str = ""
-
-
-@dataclass(frozen=True)
-class Port:
-    """How the tip yields to a force along the normal, as the surface sees it: Y = v/f.
-
-    Attributes
-    ----------
-    frequency : (k,) array
-        Hz, up to half of the sampling rate.
-    admittance : (k,) array of complex
-        Y, m/s/N: the velocity of the tip along n to f.
-    passive : bool
-        Whether Re Y ≥ 0 at all of them: then the loop is stable on every passive surface.
-    active_at : float or None
-        The frequency at which Re Y is the most negative, relative to |Y|, Hz; None if it is passive.
-    """
-
-    frequency: Array
-    admittance: ComplexArray
-    passive: bool
-    active_at: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,17 +244,8 @@ class LinearLoop:
     def port(self) -> Port:
         """Return the admittance of the tip along the normal, and whether it is passive."""
         f = self.grid
-        v = self.frequency_response("surface", "normal velocity", f)
-        force = self.frequency_response("surface", "contact force", f)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            Y = v / force
-        known = np.isfinite(Y)
-        share = np.where(known, Y.real / np.where(known, np.abs(Y), 1.0), 0.0)
-        if not self.held_force:  # within a step f varies: by so much Re Y is uncertain, and beyond a quarter not known
-            share = np.where(f < 0.25 / self.dt, share + SAMPLING * f * self.dt, 0.0)
-        worst = int(np.argmin(share))
-        passive = bool(share[worst] >= -PASSIVE)
-        return Port(f, Y, passive, None if passive else float(f[worst]))
+        v, force = (self.frequency_response("surface", name, f) for name in ("normal velocity", "contact force"))
+        return port_of(f, v, force, None if self.held_force else self.dt)
 
     def to_control(self) -> Any:
         """Return it as a `control.StateSpace`.

@@ -81,7 +81,8 @@ class Comparison:
                         axes.plot([place - 0.3, place + 0.3], [np.nanmedian(values)] * 2, "k-", linewidth=1.6)
                 unit = self.units.get(each, "")
                 axes.set_ylabel(f"{each}\n[{unit}]" if unit else each, fontsize=8)
-            panels[-1].set_xticks(range(len(names)), names)
+            words = [name.replace("_", "_\n").replace(":", ":\n") if len(names) > 3 else name for name in names]
+            panels[-1].set_xticks(range(len(names)), words)
             panels[0].set_title("each point a run, under the same variations; bars: medians")
         return figure
 

@@ -56,6 +56,13 @@ class HeightField(Placed):
             raise ScenarioError(f"surface.edge_radius = {a:g}: the grid ends {min(x, y):g} m from its middle")
         return a, b
 
+    def seams(self) -> tuple[Array, Array]:
+        """Return the lines of the grid, where one patch of the spline ends and the next begins."""
+        return self._lines(len(self.heights[0])), self._lines(len(self.heights))
+
+    def _lines(self, count: int) -> Array:
+        return np.asarray(self.spacing * (np.arange(count) - 0.5 * (count - 1)), dtype=np.float64)
+
     def list_length(self) -> int:
         """Return the length of what `resolved` gives."""
         return 2 + (len(self.heights) + 2) * (len(self.heights[0]) + 2)

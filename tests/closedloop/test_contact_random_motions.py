@@ -13,6 +13,7 @@ import motions
 from boxes import no_torque
 from drops import examine
 
+
 @pytest.mark.parametrize("seed", seeds(6, 40))
 def test_a_random_motion_goes_on(tmp_path, seed):
     """Nothing stops it, pulls or leaves its cone; impacts gain no energy, and steps no more than is said."""

@@ -62,8 +62,9 @@ LARGEST_CHANGE = 0.025
 # than at its beginning, is taken again in halves, down to the third, s: what it has done there is its own error.
 DEEP, DEEPENS, SHORTEST_HALF = 4e-10, 5e-11, 1e-5
 # So is one in which the forces of contacts multiply by more than the first and come to more than the second, as a
-# multiple of the load, down to the third, s: near Painlevé's paradox they have no bound.
-MOST_GROWTH, HIGH, SHORTEST_GROWTH = 2.0, 30.0, 1e-8
+# multiple of the load, down to the third, s: near Painlevé's paradox they have no bound. Where they jump, from one
+# solution to another, no halving helps: there are at most so many in a step.
+MOST_GROWTH, HIGH, SHORTEST_GROWTH, MOST_HALVINGS = 2.0, 30.0, 1e-8, 200
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
 # Moves of a projection: Newton's method converges quadratically, from the nanometres or micrometres after a step in one

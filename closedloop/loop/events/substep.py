@@ -27,6 +27,7 @@ from closedloop.loop.events.phases import (
     LOCATE_MINIMUM,
     MAX_IN_STEP,
     MOST_GROWTH,
+    MOST_HALVINGS,
     NEED_TERMS,
     NO_TRIAL,
     PART_END,
@@ -138,7 +139,9 @@ def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) ->
     depth, force = closed_depth(links, c), force_over_load(links, c)
     sinks = at_end and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
     multiplies = links.stepped == 0 and force > max(HIGH, MOST_GROWTH * w.start.force_over_load)
-    if (sinks and w.search.tau > SHORTEST_HALF) or (multiplies and w.search.tau > SHORTEST_GROWTH):
+    shortest = SHORTEST_GROWTH if multiplies else SHORTEST_HALF
+    if (sinks or multiplies) and w.search.tau > shortest and state.trial.halvings < MOST_HALVINGS:
+        state.trial.halvings += 1
         w.length = 0.5 * w.search.tau
         w.search.tau, state.divided, state.trial.purpose = w.length, 1, NO_TRIAL
         return True
@@ -261,6 +264,8 @@ def check_stage(w: Work, state: State) -> int:
 def end_before_stage(w: Work, state: State) -> int:
     """Search for the event before a stage at which no forces go with the modes of the contacts."""
     if state.trial.purpose == REACH_EVENT:
+        if w.search.tau == w.search.low:
+            return ADVANCE  # there are none at the substep's beginning either: the event is there
         w.search.tau = w.search.low
         return RETRY_SUBSTEP
     if state.trial.purpose > STAGE_CHECKED:

@@ -122,6 +122,7 @@ class Trial(Block):
     steps: int  # of this search
     off: int  # 1 if an event at the end of this step happens there, not before
     watched: int  # 1 if the event that is searched for may be that an open contact of a link closes
+    halvings: int  # of substeps, in this step
     settling: int  # of dual numbers (`closedloop.jit.dual8`): 1 while the slope at the instant found is sought, then 2
 
 

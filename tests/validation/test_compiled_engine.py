@@ -34,11 +34,12 @@ def test_runs_are_those_on_pinocchio(name, overrides):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", shipped())
-def test_every_shipped_scenario_is_the_same_in_both_engines(name, request):
+def test_every_shipped_scenario_is_the_same_in_both_engines(name):
     """Likewise each scenario that is shipped, friction, other laws and all; the first compiles for a minute."""
-    if name == "push_block":
-        request.applymarker(pytest.mark.xfail(reason="how its block comes to rest at 2.17 s is decided by rounding"))
     checks = list(compare_runs(name))
+    failed = [check.what for check in checks if not check.passed]
+    if name == "push_block" and failed and all("instants" in what for what in failed):
+        pytest.xfail("in either engine a change of 1e-15 of its start changes its events from 2.169 s on")
     assert all(check.passed for check in checks), checks
 
 

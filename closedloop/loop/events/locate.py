@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 # still sticks, so that rounding does not let it go again.
 AT_LIMIT = 1e-12
 
-# An event function that is so many times as large at the end of a step as at a stage, at an instant that was found, has
-# jumped.
+# An event function that at a stage is less than this share of what it is at the end of the step, which ends at an
+# instant that was found, has jumped.
 JUMP = 1e-3
 
 

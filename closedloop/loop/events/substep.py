@@ -124,14 +124,19 @@ def divide_step(w: Work, state: State) -> None:
             w.length, state.divided = c.step.span, 1
 
 
+@kernel_inlined
+def nothing_earlier(state: State) -> bool:
+    """Whether there is no instant before this one to search, or to end a step at."""
+    return bool(state.row == 0 or state.trial.off != 0)
+
+
 @kernel
 def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) -> bool:
     """Halve a substep if contacts sink in it, or forces multiply, and say whether it was: it is then taken again.
 
     Of a stage only the forces count. Without a stabiliser contacts sink all the time: nothing is held against that.
     """
-    here = state.row == 0 or state.trial.off != 0  # there is no earlier instant
-    if state.together == 0 or here or state.settings.stages == 1 or state.settings.adaptive != 0:
+    if state.together == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
         return False
     links, c = contacts_at(state.contacts.at)
     if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
@@ -281,7 +286,7 @@ def end_before_stage(w: Work, state: State) -> int:
 @kernel_inlined
 def check_step(w: Work, drift: float, state: State) -> int:
     """Return the action at the end of a step: BEGIN_SUBSTEP, APPLY_EVENT here, or RETRY_SUBSTEP to locate an event."""
-    here = state.row == 0 or state.trial.off != 0  # there is no earlier instant to search
+    here = nothing_earlier(state)
     trial = NO_TRIAL
     if state.mode != FREE or state.together != 0:
         if w.search.value < 0.0:

@@ -23,7 +23,7 @@ from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.given_modes import mobility_of
-from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub
 from closedloop.mechanics.contacts.modes import near
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
@@ -294,7 +294,7 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     the condition of `closedloop.loop.step.joint_friction`. Its normal row is its own, as that of a soft contact.
     """
     first, n = links.joints, links.n
-    if first == links.k:
+    if not joints_rub(links):
         return
     joint_limits(w, constants, state)
     for i in range(first, links.k):

@@ -55,6 +55,7 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
     contacts_at,
+    joints_rub,
 )
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, SINKING, decide, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
@@ -232,7 +233,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             status = turn_and_solve(c, k, c.step.span)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
-        if k > links.joints:
+        if joints_rub(links):
             rest = max(rest, STILL)  # dry friction of the joints stops a slip within a step, which then does not turn
         c.margin = margin_of(c, k, STICK_SPEED, rest)
         if begins and fixed and status == OK and c.margin >= 0.0:

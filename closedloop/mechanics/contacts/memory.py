@@ -237,6 +237,12 @@ def contacts_at(address: int) -> tuple[ContactLinks, Contacts]:
     return links, Contacts(vector_at(links.numbers, links.total), links.n, links.k, links.past)
 
 
+@kernel
+def joints_rub(links: ContactLinks) -> bool:
+    """Whether joints have dry friction: what stands for it comes after the contacts."""
+    return bool(links.joints < links.k)
+
+
 class ContactMemory(NamedTuple):
     """The memory of the contacts, made in Python: kept as long as its address is used."""
 

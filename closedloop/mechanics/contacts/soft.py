@@ -24,7 +24,7 @@ from closedloop.jit.parameters import pack, parameter_block
 from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.surface.compliance import POINTS, WEIGHTS, Compliance
@@ -118,7 +118,7 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
             c.W[j, n], c.W[n, j] = 0.0, 0.0
         c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
         for j in range(n + 1, n + 3):
-            c.W[j, j] += (CREEP if links.joints == links.k else CREEP_BESIDE_DRY) * own
+            c.W[j, j] += (CREEP_BESIDE_DRY if joints_rub(links) else CREEP) * own
 
 
 @kernel

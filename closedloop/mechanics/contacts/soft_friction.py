@@ -12,7 +12,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import STUCK
 from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.contacts.linear import solve_any_rank
-from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts, joints_rub
 from closedloop.mechanics.contacts.soft import CREEP
 
 # Friction is at its limit within the first share. Of the accelerations that bodies have, the second is taken with those
@@ -28,7 +28,7 @@ def write_shared(links: ContactLinks, c: Contacts) -> None:
     one body share it. Such contacts have no mode of sticking: their slips end by themselves, in a step or a few.
     Joints with dry friction stop at an instant, and what moves them with it: beside them contacts stick as others do.
     """
-    closed, k, dry = 0, links.k, links.joints < links.k
+    closed, k, dry = 0, links.k, joints_rub(links)
     for i in range(k):
         closed += 1 if c.problem.form[i] != OFF else 0
     for i in range(k):

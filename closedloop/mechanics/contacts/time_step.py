@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 SPAN, SWEEPS, NEAR = 2e-5, 2000, 1e-6
 # Impulses of contacts that are wedged have no bound, and are in balance only where the bodies are: so many times what
 # is asked for, they move bodies that turn within the step by a part in a thousand.
-WEDGED = 1e3
+MOST_IMPULSE = 1e3
 # Shares of friction that are tried where even so no impulses are found.
 LESS_FRICTION = (0.5, 0.25, 0.0)
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
@@ -118,7 +118,7 @@ def solve_with_less_friction(c: Contacts, k: int) -> bool:
 def find_impulses(c: Contacts, k: int) -> bool:
     """Write the impulses F; return whether they were found."""
     largest, asked = largest_mobility(c, k), force_size(c.problem.q, 3 * k)
-    if solve_contacts(c, k) and largest * force_size(c.F, 3 * k) <= WEDGED * asked:
+    if solve_contacts(c, k) and largest * force_size(c.F, 3 * k) <= MOST_IMPULSE * asked:
         return True
     return come_near(c, k)
 

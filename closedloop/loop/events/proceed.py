@@ -159,8 +159,8 @@ def proceed(
     if phase in (STEP_END, PART_END):
         w.search.value = event_function(w, constants, state)
         todo = check_step(w, w.tip.drift_c[0], state)
-        if todo == BEGIN_SUBSTEP and take_in_halves(w, constants, state, True):
-            todo = RETRY_SUBSTEP
+        if todo == BEGIN_SUBSTEP:
+            todo = take_in_halves(w, constants, state, todo)
         if todo == BEGIN_SUBSTEP and phase == PART_END:
             commit_work(w)
             w.length = state.row * constants.h - w.time
@@ -185,8 +185,8 @@ def proceed(
         todo = check_stage(w, state) if state.settings.unilateral != 0 else ADVANCE
         if state.together != 0 and w.contacts.margin <= NO_FORCES:
             todo = end_before_stage(w, state)
-        elif todo == ADVANCE and take_in_halves(w, constants, state, False):
-            todo = RETRY_SUBSTEP
+        elif todo == ADVANCE:
+            todo = take_in_halves(w, constants, state, todo)
     elif phase == TRIAL_END:
         w.search.value = event_function(w, constants, state)
         todo = refine_bracket(w, state)

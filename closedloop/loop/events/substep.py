@@ -10,6 +10,7 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.loop.events.locate import choose_trial, event_function, refine_bracket
 from closedloop.loop.events.phases import (
     ADVANCE,
+    AFTER_EVENT,
     APPLY_EVENT,
     AT_EVENT,
     BEGIN_SUBSTEP,
@@ -131,26 +132,36 @@ def nothing_earlier(state: State) -> bool:
 
 
 @kernel
-def take_in_halves(w: Work, constants: Constants, state: State, at_end: bool) -> bool:
-    """Halve a substep if contacts sink in it, or forces multiply, and say whether it was: it is then taken again.
+def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> int:
+    """Return RETRY_SUBSTEP, with half the length, if contacts sink in a substep, or forces multiply; else `todo`.
 
-    Of a stage only the forces count. Without a stabiliser contacts sink all the time: nothing is held against that.
+    Of a stage, where `todo` is not BEGIN_SUBSTEP, only the forces count. Without a stabiliser contacts sink all the
+    time: nothing is held against that. Where forces multiply after all halvings a time step goes on.
     """
     if state.together == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
-        return False
+        return todo
     links, c = contacts_at(state.contacts.at)
     if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
-        return False
+        return todo
     depth, force = closed_depth(links, c), force_over_load(links, c)
-    sinks = at_end and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
+    sinks = todo == BEGIN_SUBSTEP and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
     multiplies = links.stepped == 0 and force > max(HIGH, MOST_GROWTH * w.start.force_over_load)
     shortest = SHORTEST_GROWTH if multiplies else SHORTEST_HALF
-    if (sinks or multiplies) and w.search.tau > shortest and state.trial.halvings < MOST_HALVINGS:
+    if not ((sinks or multiplies) and w.search.tau > shortest):
+        return todo
+    state.trial.purpose = NO_TRIAL
+    if state.trial.halvings < MOST_HALVINGS:
         state.trial.halvings += 1
         w.length = 0.5 * w.search.tau
-        w.search.tau, state.divided, state.trial.purpose = w.length, 1, NO_TRIAL
-        return True
-    return False
+        w.search.tau, state.divided = w.length, 1
+        return RETRY_SUBSTEP
+    if not multiplies:
+        return todo
+    restore_state(w, state)
+    w.time = w.start.time
+    links.undecided, links.chattering, state.striking = 1, 2, -1
+    request_terms(state, AFTER_EVENT)
+    return NEED_TERMS
 
 
 @kernel_inlined

@@ -65,6 +65,8 @@ DEEP, DEEPENS, SHORTEST_HALF = 4e-10, 5e-11, 1e-5
 # multiple of the load, down to the third, s: near Painlevé's paradox they have no bound. Where they jump, from one
 # solution to another, no halving helps: there are at most so many in a step.
 MOST_GROWTH, HIGH, SHORTEST_GROWTH, MOST_HALVINGS = 2.0, 30.0, 1e-8, 200
+# And one in which slips turn, for which there are at most so many.
+MOST_TURNS = 50
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
 # Moves of a projection: Newton's method converges quadratically, from the nanometres or micrometres after a step in one

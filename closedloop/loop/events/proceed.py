@@ -164,6 +164,8 @@ def proceed(
         if todo == BEGIN_SUBSTEP and phase == PART_END:
             commit_work(w)
             w.length = state.row * constants.h - w.time
+            if state.trial.halvings > 0:
+                w.length = min(w.length, 2.0 * w.search.tau)  # halvings have found what is resolved
         elif todo == BEGIN_SUBSTEP:
             commit_work(w)
             if state.row == 0:

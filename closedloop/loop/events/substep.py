@@ -29,6 +29,7 @@ from closedloop.loop.events.phases import (
     MAX_IN_STEP,
     MOST_GROWTH,
     MOST_HALVINGS,
+    MOST_TURNS,
     NEED_TERMS,
     NO_TRIAL,
     PART_END,
@@ -49,7 +50,7 @@ from closedloop.loop.events.phases import (
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
-from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, closed_depth, force_over_load
+from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, closed_depth, force_over_load, slips_turn
 from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.entries import ADVANCE_STATES
 from closedloop.loop.step.joint_friction import advance_joint_friction
@@ -67,7 +68,7 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
     """Save the state and its derivative at the beginning of a substep of length w.length."""
     n, extra = w.q.shape[0], w.z.shape[0]
     if state.contacts.entry != 0:
-        divide_step(w, state)
+        divide_step(w, constants, state)
     for j in range(n):
         w.start.state[j] = w.q[j]
         w.start.state[n + j] = w.v[j]
@@ -102,7 +103,7 @@ def save_slip(w: Work, constants: Constants, state: State) -> None:
 
 
 @kernel
-def divide_step(w: Work, state: State) -> None:
+def divide_step(w: Work, constants: Constants, state: State) -> None:
     """Shorten a substep in which fast joints would turn, or change their speed, by too much, or slips end; note it."""
     fastest, change, left = 0.0, 0.0, w.length
     fast, most = (
@@ -110,7 +111,7 @@ def divide_step(w: Work, state: State) -> None:
     )
     for j in range(w.q.shape[0]):
         fastest, change = max(fastest, abs(w.v[j])), max(change, abs(w.qdd[j]))
-    state.divided = 0
+    state.divided = 1 if left < state.row * constants.h - w.time - INSTANT else 0
     if state.settings.adaptive != 0:
         return
     parts = fastest * left / most if fastest > fast else 1.0
@@ -133,7 +134,7 @@ def nothing_earlier(state: State) -> bool:
 
 @kernel
 def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> int:
-    """Return RETRY_SUBSTEP, with half the length, if contacts sink in a substep, or forces multiply; else `todo`.
+    """Return RETRY_SUBSTEP, with half the length, if contacts sink, slips turn or forces multiply in it; else `todo`.
 
     Of a stage, where `todo` is not BEGIN_SUBSTEP, only the forces count. Without a stabiliser contacts sink all the
     time: nothing is held against that. Where forces multiply after all halvings a time step goes on.
@@ -143,11 +144,12 @@ def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> in
     links, c = contacts_at(state.contacts.at)
     if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
         return todo
-    depth, force = closed_depth(links, c), force_over_load(links, c)
-    sinks = todo == BEGIN_SUBSTEP and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
+    ends, depth, force = todo == BEGIN_SUBSTEP, closed_depth(links, c), force_over_load(links, c)
+    sinks = ends and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
+    turns = not ends and slips_turn(links, c, state.stage) and state.trial.halvings < MOST_TURNS
     multiplies = links.stepped == 0 and force > max(HIGH, MOST_GROWTH * w.start.force_over_load)
     shortest = SHORTEST_GROWTH if multiplies else SHORTEST_HALF
-    if not ((sinks or multiplies) and w.search.tau > shortest):
+    if not ((sinks or turns or multiplies) and w.search.tau > shortest):
         return todo
     state.trial.purpose = NO_TRIAL
     if state.trial.halvings < MOST_HALVINGS:

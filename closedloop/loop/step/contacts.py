@@ -279,6 +279,8 @@ CLOSED = 2e-15
 # The last step before slips end has constant forces. Of an integrator of several stages it is no longer than the first,
 # of the step; until then its steps are no longer than the second, of what is left.
 LAST, MOST_OF = 1.0 / 4.0, 0.9
+# Slips at two stages in the middle of a substep may differ by the first, a share; slower ones count as the second, m/s.
+MOST_TURN, UNTURNED = 0.25, 1e-6
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
 # The speed of slip below which it is none, m/s.
@@ -396,6 +398,23 @@ def force_over_load(links: ContactLinks, c: Contacts) -> float:
         if c.mode[i] == PRESSED and c.mu[i] > 0.0:
             slides = 1.0
     return float(slides * largest * most / asked) if asked > 0.0 else 0.0
+
+
+@kernel
+def slips_turn(links: ContactLinks, c: Contacts, stage: int) -> bool:
+    """Whether the slips at both stages of rk4 in the middle of a substep differ by a share of themselves.
+
+    The friction of slow slips turns them faster than a long step resolves. The first stage is kept for the second.
+    """
+    turns = False
+    for i in range(links.points if stage <= 2 and links.stepped == 0 else 0):
+        u1, u2 = c.u[3 * i + 1], c.u[3 * i + 2]
+        if stage == 2 and c.mode[i] == PRESSED and c.mu[i] > 0.0 and c.soft[i] == 0.0:
+            before1, before2 = c.friction.stage_u[i, 0], c.friction.stage_u[i, 1]
+            speed = max(math.hypot(u1, u2), math.hypot(before1, before2), UNTURNED)
+            turns = turns or math.hypot(u1 - before1, u2 - before2) > MOST_TURN * speed
+        c.friction.stage_u[i, 0], c.friction.stage_u[i, 1] = u1, u2
+    return turns
 
 
 @kernel

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 # Contacts that come together slower than this do not, m/s.
 RESTING = 1e-11
+# Velocities after an impact may be off by this, m/s.
+ROUNDING = 1e-14
 # The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
 # is tried in the search for the largest factor, along one path each, for they take long.
 LEAST_SHARE, MOST_MISSING = 1e-3, 10
@@ -166,9 +168,11 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
         bounce = -share * c.restitution[i] * c.before[3 * i]
         if c.event.struck[i] != 0.0 and links.chattering == 0 and bounce >= slowest_rebound(links, c, i, rest_speed):
             c.problem.q[3 * i] -= bounce
-    if not solve_contacts(c, k, starts):
+    largest = largest_mobility(c, k)
+    # Where all is at rest but for rounding that of the velocities is no small share of what is asked for.
+    if not (solve_contacts(c, k, starts) or c.problem.residual * largest <= ROUNDING):
         return False
-    asked = force_size(c.problem.q, 3 * k) / largest_mobility(c, k)
+    asked = force_size(c.problem.q, 3 * k) / largest
     if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:
         return False
     write_after(c, k)

@@ -177,6 +177,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     sense: Annotated[Array, K]  # sign of f that is tried of a DOUBLE whose force is not unique
     start_slip: Annotated[Array, K]  # speed of slip at the beginning of the substep, m/s
     start_u: Annotated[Array, K, 2]  # and its velocity
+    stage_u: Annotated[Array, K, 2]  # and that at the first stage in the middle of the substep
     delayed: Annotated[Array, K]  # speed of slip that friction with memory answers to, m/s
     speeds: Annotated[Array, K, PAST]  # of slip at the latest rows, m/s
     resistance: Resistance

@@ -283,8 +283,8 @@ LAST, MOST_OF = 1.0 / 4.0, 0.9
 MOST_TURN, UNTURNED = 0.25, 1e-6
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
-# The speed of slip below which it is none, m/s.
-STICK_SPEED = 1e-7
+# The speed of slip below which it is none, m/s: it ends if it becomes less, in a step, by more than to this share.
+STICK_SPEED, FADED = 1e-7, 0.5
 
 
 @kernel
@@ -292,7 +292,8 @@ def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
     """Return what is left until the mode of a contact ends: a gap, m, a force, N, or a speed of slip, m/s.
 
     Slip ends at the speed `rest`, m/s: 0 with steps of fixed length, if no dry friction of joints stops it. An
-    integrator that chooses its steps would need endlessly many for the turns of the direction at the very end.
+    integrator that chooses its steps would need endlessly many for the turns of the direction at the very end. One that
+    is slower than `slow` has begun, or fades away.
     """
     least = math.inf
     for i in range(k):
@@ -308,8 +309,13 @@ def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
             least = min(least, left + c.problem.rounding)
         elif stops_slipping(c, i) and c.friction.shared[i] == 0.0:
             along = c.u[n + 1] * c.direction[i, 0] + c.u[n + 2] * c.direction[i, 1]
-            end = max(rest, c.friction.capture[i] if c.friction.start_slip[i] > c.friction.capture[i] else 0.0)
-            least = min(least, along + (slow if c.friction.start_slip[i] <= max(slow, rest) else -end))
+            start = c.friction.start_slip[i]
+            end = max(rest, c.friction.capture[i] if start > c.friction.capture[i] else 0.0)
+            if start <= STILL:
+                end = -slow
+            elif start <= max(slow, rest):
+                end = FADED * start
+            least = min(least, along - end)
     return float(least)
 
 

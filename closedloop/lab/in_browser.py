@@ -105,9 +105,10 @@ def pictures(lab: Lab, folder: Path) -> list[Path]:
     made = []
     for size in PICTURED:
         for theme in ("light", "dark"):
-            with page_of(lab, size, theme) as page:  # type: ignore[arg-type]
+            with page_of(lab, size, theme) as page:
                 page.evaluate("seek(0.5 * (state.begin + state.end))")
                 lab.map.wait(PATIENCE / 1e3)
+                lab.wait(PATIENCE / 1e3)
                 page.wait_for_timeout(1000)
                 made.append(folder / f"{lab.history.base.name}-{size[0]}-{theme}.png")
                 page.screenshot(path=made[-1])

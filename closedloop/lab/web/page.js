@@ -153,7 +153,8 @@ function legend(m) {
     row.classList.toggle("off", space.hidden.has(name));
     row.onclick = () => { row.classList.toggle("off", space.toggle(name)); draw_space(); };
     return row;
-  }), make("span", { id: "scale" }), m.passing ? make("span", { className: "passing", textContent: m.passing.text }) : "");
+  }), make("span", { id: "scale" }), m.passing ? make("span", { className: "passing", textContent: m.passing.text.split(":")[0], title: m.passing.text }) : "");
+  space.covered = [$("legend").offsetHeight + 4, $("legend").offsetLeft + $("legend").offsetWidth];
 }
 
 // The scene between the two frames around an instant: places of joints, and forces.

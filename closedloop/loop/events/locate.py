@@ -25,7 +25,6 @@ from closedloop.loop.events.phases import (
 from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
-from closedloop.mechanics.root import next_share
 
 Array = NDArray[np.float64]
 
@@ -84,7 +83,11 @@ def slip_margin(w: Work, constants: Any) -> float:
 
 @kernel
 def choose_trial(w: Work, state: State) -> None:
-    """Choose the next trial instant in the search's bracket; the first is that of the secant."""
+    """Choose the next trial instant in the search's bracket, by Chandrupatla's method.
+
+    That is inverse quadratic interpolation, or bisection where the three latest values do not allow it (T. R.
+    Chandrupatla, Adv. Eng. Softw. 28, 1997). The first trial is that of the secant.
+    """
     low, high, a, b = w.search.low, w.search.high, w.search.at_low, w.search.at_high
     share, of_low = 0.5, w.search.tau == low  # of the bracket, from its newer end
     if state.trial.steps == 0:
@@ -93,7 +96,11 @@ def choose_trial(w: Work, state: State) -> None:
     else:
         x, y = (low, a) if of_low else (high, b)
         far, at_far = (high, b) if of_low else (low, a)
-        share = next_share(x, y, far, at_far, w.search.replaced, w.search.at_replaced)
+        old, at_old = w.search.replaced, w.search.at_replaced
+        within, fall = (x - far) / (old - far), (y - at_far) / (at_old - at_far)
+        if fall * fall < within and (1.0 - fall) * (1.0 - fall) < 1.0 - within:
+            share = y / (at_far - y) * at_old / (at_far - at_old)
+            share += (old - x) / (far - x) * y / (at_old - y) * at_far / (at_old - at_far)
     tau = low + share * (high - low) if of_low else high - share * (high - low)
     state.trial.steps += 1
     w.search.tau = min(max(tau, low + 0.4 * INSTANT), high - 0.4 * INSTANT)

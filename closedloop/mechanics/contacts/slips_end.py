@@ -11,11 +11,10 @@ from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, soug
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.turning import left_of_slips, pack_problem, solve_within, unpack_problem
-from closedloop.mechanics.root import next_share
 
-# Of the search for τ: evaluations on each side, the factor of the first, by which share friction is then inside its
-# cone, and how near to that.
-SEARCHES, WIDER, INSIDE, NEAR = 30, 4.0, 1e-9, 1e-13
+# Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then;
+# and by which share of 1/τ before it derivatives are taken.
+SEARCHES, WIDER, ON_EDGE, BESIDE_EDGE = 30, 4.0, 1e-12, 1e-8
 
 
 @kernel
@@ -43,12 +42,8 @@ def stop_slips(c: Contacts, k: int, h: float) -> float:
 
 @kernel
 def shorten(c: Contacts, k: int, h: float) -> float:
-    """Return 1/τ of the τ at which the first slip has just ended, s⁻¹, within the step; zero if that was not found.
-
-    All forces there are inside their cones, and the slips that end are zero: which of two slopes a derivative has, and
-    how much slip is left, is not up to rounding.
-    """
-    low, at_low = 1.0 / h, just_ended(c, k)
+    """Return 1/τ of the τ at which the first slip ends just then, s⁻¹, within the step; zero if that was not found."""
+    low, at_low = 1.0 / h, left_of_slips(c, k)
     if not at_low < 0.0:
         return 0.0 * low
     high, at_high = low, at_low
@@ -56,46 +51,42 @@ def shorten(c: Contacts, k: int, h: float) -> float:
         high *= WIDER
         if not solve_within(c, k, high):
             return 0.0 * low
-        at_high = just_ended(c, k)
+        at_high = left_of_slips(c, k)
         if at_high >= 0.0:
             break
         low, at_low = high, at_high
     if not at_high >= 0.0:
         return 0.0 * low
-    rate, now, share = high, at_high, at_high / (at_high - at_low)
-    for _ in range(SEARCHES):
-        if abs(now) <= NEAR or high - low <= NEAR * high:
-            break
-        rate += share * (low - high if rate == high else high - low)
+    rate, side = high, 0
+    for _ in range(SEARCHES if at_high > ON_EDGE else 0):  # the method of Illinois
+        rate = (low * at_high - high * at_low) / (at_high - at_low)
         if not solve_within(c, k, rate):
             return 0.0 * low
-        now = just_ended(c, k)
+        now = left_of_slips(c, k)
+        if abs(now) <= ON_EDGE or high - low <= ON_EDGE * high:
+            break
         if now < 0.0:
-            old, at_old, low, at_low = low, at_low, rate, now
-            share = next_share(low, now, high, at_high, old, at_old)
+            low, at_low, at_high, side = rate, now, at_high * (0.5 if side < 0 else 1.0), -1
         else:
-            old, at_old, high, at_high = high, at_high, rate, now
-            share = next_share(high, now, low, at_low, old, at_old)
+            high, at_high, at_low, side = rate, now, at_low * (0.5 if side > 0 else 1.0), 1
     return settle(c, k, rate) if has_derivatives(rate) else rate
 
 
 @kernel
-def just_ended(c: Contacts, k: int) -> float:
-    """Return `left_of_slips` where that is not zero but a little below."""
-    return left_of_slips(c, k) + INSIDE
-
-
-@kernel
 def settle(c: Contacts, k: int, rate: float) -> float:
-    """Return the 1/τ that was found with its derivatives, s⁻¹, and solve the problem there once more."""
+    """Return the 1/τ that was found with its derivatives, s⁻¹, and solve the problem there once more.
+
+    Its equation is asked a little before slip ends: at the edge itself rounding would decide between two slopes.
+    """
+    beside = (1.0 + BESIDE_EDGE) * sought(rate)
     for r in range(3 * k):
         c.path.point[r] = c.F[r]
-    if not solve_within(c, k, along(rate)):
+    if not solve_within(c, k, along(beside)):
         return 0.0 * rate
     slope = slope_of(left_of_slips(c, k))
     for r in range(3 * k):
         c.F[r] = c.path.point[r]
-    if not solve_within(c, k, sought(rate)):
+    if not solve_within(c, k, beside):
         return 0.0 * rate
     rate = settled(sought(rate), left_of_slips(c, k), slope)
     return rate if solve_within(c, k, rate) else 0.0 * rate

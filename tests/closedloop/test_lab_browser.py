@@ -101,7 +101,7 @@ def row(page, key):
 
 
 def test_a_dragged_slider_redraws_the_run_and_the_last_value_stays(page, lab):
-    """A drag gives many runs, and at its end slider, number box, run, plot and page agree."""
+    """A drag gives many runs, which the picture follows; at its end slider, number box, run, plot and page agree."""
     shown = []
     lab.after_show.append(shown.append)
     box = in_browser.slider_of(page, "law.force")
@@ -117,6 +117,7 @@ def test_a_dragged_slider_redraws_the_run_and_the_last_value_stays(page, lab):
     settled(page, lab)
     force = float(row(page, "law.force").locator("input[type=range]").input_value())
     assert len(shown) > 5
+    assert page.evaluate("still.robot === space.about.robot && still.time[0] === state.time")
     assert not any(answer.fault for answer in shown)
     assert lab.run.scenario.law.force == pytest.approx(force)
     assert float(row(page, "law.force").locator(".num").input_value()) == pytest.approx(force)

@@ -25,7 +25,7 @@ Identify
     identify, Log                                 parameters of a robot, with intervals, from a log of its motion
     identify_contact                              friction, stiffness, damping, restitution, force sensor, from a log
     excite                                        a motion within limits that makes given parameters known best
-    compare_log, Recording                        a log or a run over a scenario: what differs, and what explains it
+    compare_log, Recording                        compare a log or a run with a scenario, and explain the difference
 Errors, all of them ClosedLoopError
     ScenarioError, ModelError, RunFileError, OutputError, ClusterError
     SimulationError (its run has the rows until then): SingularClosureError, DivergenceError, ChatterError,

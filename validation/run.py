@@ -60,7 +60,7 @@ def _parser() -> Parser:
     parser = Parser(
         prog="python -m validation.run",
         description="Compare every quantity of the simulator with engines that share nothing with it.",
-        epilog="exit status: 0 all within tolerance; 1 something is not, or a fault went unseen; 2 bad input",
+        epilog="exit status: 0 all within tolerance; 1 something is not, or a fault was not detected; 2 bad input",
     )
     parser.add_argument(
         "--robot", help="only this robot: a name in the report, any that robot_models loads, random:SEED, or a file"
@@ -71,8 +71,8 @@ def _parser() -> Parser:
     parser.add_argument("--state", type=int, help="only this state of the seed, with --robot")
     parser.add_argument("--quick", action="store_true", help="few states and no slide: some seconds")
     parser.add_argument("--details", action="store_true", help="print a line for each quantity of each engine")
-    parser.add_argument("--plant", action="store_true", help="plant faults in turn and show what catches each")
-    parser.add_argument("--engine", metavar="MODULE:CLASS", help="judge this engine too (see CONTRIBUTING.md)")
+    parser.add_argument("--plant", action="store_true", help="plant faults and show which comparison detects each")
+    parser.add_argument("--engine", metavar="MODULE:CLASS", help="compare this engine too (see CONTRIBUTING.md)")
     parser.add_argument("--json", metavar="FILE", help="write every value")
     parser.add_argument("--html", metavar="FILE", help="write the tables as a page")
     parser.add_argument("--markdown", metavar="FILE", help="write the tables for a paper's appendix")

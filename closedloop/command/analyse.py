@@ -42,7 +42,7 @@ def _main(words: list[str]) -> int:
     parser.add_argument("scenario", help="a scenario that ships, or a .toml; --SECTION.KEY VALUE changes it")
     parser.add_argument("--at", type=float, metavar="T", help="the instant, s (default: half of the duration)")
     parser.add_argument("--out", metavar="DIR", help="where figures and analysis.json go (default: none are written)")
-    parser.add_argument("--json", action="store_true", help="print the page as JSON")
+    parser.add_argument("--json", action="store_true", help="print analysis.json instead")
     parser.add_argument(
         "--vary", action="append", default=[], metavar="KEY=RANGE",
         help="a key and its range, such as compliance.stiffness=log:1e2:1e7 or law.force_integral=0:80:40: the limits "

@@ -27,9 +27,9 @@ def _main(words: list[str]) -> int:
     overrides, rest = split_overrides(words)
     parser = Parser(
         prog="closedloop compare",
-        description="Lay a log of a robot, or a saved run, over a scenario: aligned in time, with the differences of "
-        "joints, torques and contact force, what explains them, and whether the log's force is consistent with its own "
-        "motion and torques. --SECTION.KEY VALUE changes the scenario.",
+        description="Compare a log of a robot, or a saved run, with a scenario. The log is aligned in time. The output "
+        "has the differences of joints, torques and contact force, what explains them, and whether the log's force is "
+        "consistent with its own motion and torques. --SECTION.KEY VALUE changes the scenario.",
         cure="such as: closedloop compare log.csv --scenario wam_slide",
     )
     parser.add_argument("log", metavar="LOG", help=".csv, .parquet, .nc, .mcap, rosbag2, or a run.nc of this simulator")
@@ -39,7 +39,7 @@ def _main(words: list[str]) -> int:
         help="which columns are time, q, torque (with {} for the joint), and force: one, or three with commas between",
     )  # fmt: skip
     parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
-    parser.add_argument("--gain", type=float, default=1.0, metavar="N", help="what the log's torques are multiplied by")
+    parser.add_argument("--gain", type=float, default=1.0, metavar="N", help="factor of the log's torques")
     parser.add_argument("--shift", type=float, metavar="S", help="the instant of the log at which the run begins, s")
     parser.add_argument("--cutoff", type=float, metavar="HZ", help="cut-off of the filters in the audit of the force")
     parser.add_argument("--out", metavar="DIR", help="where comparison.json and comparison.svg go (default: nowhere)")

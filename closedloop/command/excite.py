@@ -44,25 +44,33 @@ def _main(words: list[str]) -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="closedloop excite",
-        description="Design a motion of all joints, within their limits and from rest to rest, whose log makes the "
-        "parameters asked for can be identified best, and print half of the 95 % interval of each base parameter.",
+        description="Design a motion of all joints, within their limits and from rest to rest, from whose log "
+        "parameters can be identified best, and print half of the 95 % interval of each base parameter.",
         cure="such as: closedloop excite --robot ur10 --for dry_shoulder_pan_joint",
     )
     parser.add_argument("--robot", required=True, metavar="NAME|FILE", help="a robot, a URDF or an MJCF")
     parser.add_argument("--for", dest="target", default="", metavar="P,...", help="base parameters (default: all)")
-    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="of the motion, s (default: 10)")
-    parser.add_argument("--harmonics", type=int, default=5, metavar="N", help="of its Fourier series (default: 5)")
-    parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the log (default: 100)")
+    parser.add_argument(
+        "--duration", type=float, default=10.0, metavar="S", help="duration of the motion, s (default: 10)"
+    )
+    parser.add_argument(
+        "--harmonics", type=int, default=5, metavar="N", help="harmonics of its Fourier series (default: 5)"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=100.0, metavar="HZ", help="sampling rate of the log (default: 100)"
+    )
     parser.add_argument(
         "--noise",
         metavar="N,...",
-        help="of the torques, N m, one or a joint each (default: a hundredth of the effort limit)",
+        help="noise of the torques, N m, one or one for each joint (default: a hundredth of the effort limit)",
     )
     parser.add_argument(
-        "--acceleration", metavar="A,...", help="largest, rad/s², one or a joint each (default: top speed in 0.25 s)"
+        "--acceleration",
+        metavar="A,...",
+        help="largest acceleration, rad/s², one or one for each joint (default: top speed in 0.25 s)",
     )
-    parser.add_argument("--share", type=float, default=0.9, help="of the limits that is used (default: 0.9)")
-    parser.add_argument("--seed", type=int, default=0, help="of the motions that the search begins with")
+    parser.add_argument("--share", type=float, default=0.9, help="share of the limits that is used (default: 0.9)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the initial motions of the search")
     parser.add_argument("--out", metavar="DIR", default="out/excite", help="where results go (default: out/excite)")
     return parser
 

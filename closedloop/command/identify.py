@@ -116,9 +116,7 @@ def _parser() -> Parser:
         help="which columns are time, q, v, torque, with {} for the joint: torque='effort_{}'; or all, with commas",
     )  # fmt: skip
     parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
-    parser.add_argument(
-        "--gain", default="1", metavar="N,...", help="what torques are multiplied by, one or a joint each"
-    )
+    parser.add_argument("--gain", default="1", metavar="N,...", help="factor of the torques, one or one for each joint")
     parser.add_argument("--terms", default="viscous,dry,offset,drive_inertia", help=f"of {', '.join(TERMS)}")
     parser.add_argument(
         "--coupled", action="append", default=[], type=_pair, metavar="A,B",

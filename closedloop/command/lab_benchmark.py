@@ -3,7 +3,8 @@
 A slider is moved as a browser would, and the time is taken until the run is computed and the new curves have been
 handed to the page. With --drag it is moved sixty times a second, for so many seconds. With --map a map of 40 by 40 runs
 is computed and drawn. With --browser the same is measured in a page, from the pointer
-that drags the slider to the plot drawn there.
+that drags the slider to the plot drawn there. With --pictures FOLDER pictures of the page are written instead, in three
+sizes and both themes.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import resource
 import sys
 import time as clock
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,10 +119,14 @@ def benchmark_command(arguments: list[str]) -> int:
     parser.add_argument("--drag", type=float, default=0.0, metavar="SECONDS", help="move the slider all the time")
     parser.add_argument("--browser", action="store_true", help="measure in a page too, where Chromium is installed")
     parser.add_argument("--map", action="store_true", help="compute a map as well")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="write pictures of the page instead")
     options = parser.parse_args(rest)
     lab = Lab(History(load_scenario(options.scenario, overrides), options.scenario, overrides))
     try:
         lab.wait(600.0)
+        if options.pictures:
+            print(*in_browser.pictures(lab, options.pictures), sep="\n")
+            return DONE
         latencies(lab, 20)  # warm
         walls, processor = (1e3 * times for times in latencies(lab, options.changes))
         p50, p95 = np.percentile(walls, [50, 95])

@@ -16,7 +16,7 @@ from closedloop.command.border import DONE, Parser, run_command
 STUDIES = {
     "drift": "closure drift against step, speed and stabiliser; Baumgarte's limit",
     "controllers": "every controller on every kind of friction: force and path error",
-    "surfaces": "every controller on a surface that breathes, and against its stiffness",
+    "surfaces": "every controller on an oscillating surface, and for several stiffnesses",
 }
 
 

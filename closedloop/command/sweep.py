@@ -200,7 +200,7 @@ def _sweep_parser() -> Parser:
         "closedloop sweep",
         "SCENARIO",
         description="Run a scenario many times with some keys changed, into a table with a row for\n"
-        "each run. A sweep that was killed goes on with the same command.\n"
+        "each run. The same command continues a sweep that was killed.\n"
         "closedloop sweep plot FILE draws maps of the table.",
         epilog=list_of_sections(names_only=True)
         + "\n\nexit status: 0 done, runs stopped or refused are rows that say why; 2 the input is\n"
@@ -222,7 +222,7 @@ def _sweep_parser() -> Parser:
     number = {"type": int, "metavar": "N"}
     drawn.add_argument("--random", **number, help="draw N runs from the ranges instead of a grid")  # type: ignore[arg-type]
     drawn.add_argument("--latin", **number, help="draw a Latin hypercube of N runs")  # type: ignore[arg-type]
-    add("--seed", type=int, default=0, metavar="N", help="of the draws (default 0)")
+    add("--seed", type=int, default=0, metavar="N", help="seed of the draws (default 0)")
     add("--out", metavar="FILE", help="the .parquet file (default: out/SCENARIO/sweep.parquet)")
     add("--overwrite", action="store_true", help="replace another sweep in that file")
     add(

@@ -42,7 +42,7 @@ COMMANDS = (
     Command("tune", "find the gains that minimise a value of the runs", "closedloop.command.tune:main", "scenario"),
     Command("identify", "find a robot's parameters from a log", "closedloop.command.identify:main"),
     Command("excite", "design a motion that identifies parameters", "closedloop.command.excite:main"),
-    Command("compare", "lay a log or a saved run over a scenario", "closedloop.command.compare:main"),
+    Command("compare", "compare a log or a saved run with a scenario", "closedloop.command.compare:main"),
     Command("validate", "compare the simulator with other engines", "validation.run:main"),
     Command("robots", "list the robots, or show one: joints, frames", "closedloop.command.robots:main", "robot"),
     Command("scenarios", "list the scenarios of the package", "closedloop.command.lists:scenarios"),

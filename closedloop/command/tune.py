@@ -85,10 +85,10 @@ def _parser() -> Parser:
         "--robust", choices=("worst", "mean"), default="worst", help="minimise the worst or the mean of all variations"
     )
     parser.add_argument("--starts", type=int, default=4, metavar="N", help="searches from different points (4)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of these points (0)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of these points (0)")
     parser.add_argument(
         "--out", metavar="DIR",
-        help="where tuned.toml, tune.json and a figure go; an interrupted tuning goes on from its runs.jsonl",
+        help="where tuned.toml, tune.json and a figure go; an interrupted tuning continues from its runs.jsonl",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     return parser

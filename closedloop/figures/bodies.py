@@ -70,9 +70,13 @@ def bodies(run: Run) -> Figure:
     drawn = [({name: 1e3 * motions[name][0][:, 2] for name in shown}, "Height", HEIGHT)]
     if furthest > AT_REST:
         label = f"√(Δx² + Δy²) [{unit}]"
-        drawn.append(({name: factor * each for name, each in across.items()}, "Distance from the start, across", label))
+        drawn.append(
+            ({name: factor * each for name, each in across.items()}, "Horizontal distance from the start", label)
+        )
     if most > AT_REST:
-        drawn.append(({name: np.degrees(each) for name, each in angles.items()}, "Turn from the start", "angle [°]"))
+        drawn.append(
+            ({name: np.degrees(each) for name, each in angles.items()}, "Rotation from the start", "angle [°]")
+        )
     figure = new_figure(height=1.6 + 1.6 * len(drawn))
     panels = np.atleast_1d(figure.subplots(len(drawn), 1, sharex=True))
     those = f"the {len(shown)} of {len(motions)} bodies that move most" if len(shown) < len(motions) else ""

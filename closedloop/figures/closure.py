@@ -33,7 +33,7 @@ def closure_error(run: Run) -> Figure:
     touching = run.mode != FREE
     how = _STABILISED[run.scenario.stabiliser.kind]
     soft = run.scenario.compliance.kind != "none"
-    what = "Place of the tip in the soft surface, e < 0 inside" if soft else f"Closure error, {how}"
+    what = "Position of the tip relative to the soft surface; e < 0: inside" if soft else f"Closure error, {how}"
     both = bool(np.any(touching) and not np.all(touching))
     figure = new_figure(height=4.8 if both else 3.4)
     panels = figure.subplots(2 if both else 1, 1, sharex=True, squeeze=False)[:, 0]

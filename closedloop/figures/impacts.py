@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Values that span more than this ratio are drawn on a logarithmic axis; what is below this share of the largest is
-# rounding.
+# Values that span more than this ratio are drawn on a logarithmic axis; what is below this share of the largest, or
+# of the impulse of the largest force in a step, is rounding.
 WIDE, ROUNDING = 20.0, 1e-12
 
 
@@ -34,8 +34,13 @@ class _Series(NamedTuple):
 
 
 def hits(run: Run) -> NDArray[np.bool_]:
-    """Return which events are meetings with the surface (M,). A touchdown without an impulse does not count."""
-    return np.isin(run.event_kind, (IMPACT, TOUCHDOWN)) & (run.event_compression > 0.0)
+    """Return which events are meetings with the surface (M,).
+
+    A touchdown without an impulse does not count, nor one whose impulse is the rounding of the forces times a step.
+    """
+    forces = run.link_forces if run.scenario.contact else run.contact_force
+    least = ROUNDING * run.scenario.time.step * float(np.max(np.abs(forces), initial=0.0))
+    return np.isin(run.event_kind, (IMPACT, TOUCHDOWN)) & (run.event_compression > least)
 
 
 def has_impacts(run: Run) -> bool:
@@ -81,7 +86,7 @@ def impacts(run: Run) -> Figure:
     middle.set_title("Impulse" if np.any(run.event_contact[hit] > 0) else "Impulse on the tip")
     middle.set_ylabel("impulse [N s]")
     _draw(below, time, [_Series(lost, "", "o", COLOURS[0])])
-    below.set_title(f"Kinetic energy lost, {np.sum(lost):.3g} J in all")
+    below.set_title(f"Kinetic energy lost, {np.sum(lost):.3g} J in total")
     below.set_ylabel("energy [J]")
     below.set_xlabel("time [s]")
     margin = max(0.04 * float(np.ptp(time)), 2.0 * run.scenario.time.step)

@@ -120,17 +120,18 @@ def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units:
     """Return how near the joints come to their limits, in words; `units` has that of each."""
     known = np.isfinite(low) & np.isfinite(high) & (high > low)
     if not np.any(known):
-        return "no limits known"
+        return "no limits in the robot's file"
     if positions:
         room = np.minimum(np.min(values, axis=0) - low, high - np.max(values, axis=0))[known]
         j = int(np.argmin(room))
         which = np.flatnonzero(known)[j]
-        where = "past" if room[j] < 0.0 else "from"
-        return f"{abs(room[j]):.2g} {units[which]} {where} a limit at the nearest ({names[which]})"
+        distance = f"{abs(room[j]):.2g} {units[which]}"
+        told = f"at least {distance} from every limit" if room[j] >= 0.0 else f"{distance} past a limit"
+        return f"{told}: {names[which]}"
     share = np.max(np.abs(values), axis=0)[known] / high[known]
     j = int(np.argmax(share))
     which = np.flatnonzero(known)[j]
-    return f"up to {float(f'{100.0 * share[j]:.2g}'):g} % of a limit ({names[which]}, ±{high[which]:g} {units[which]})"
+    return f"up to {float(f'{100.0 * share[j]:.2g}'):g} % of a limit: {names[which]}, ±{high[which]:g} {units[which]}"
 
 
 def _name_joints(figure: Figure, axes: Axes, count: int) -> None:

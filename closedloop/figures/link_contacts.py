@@ -64,7 +64,7 @@ def link_contacts(run: Run) -> Figure:
     dress(above, run, f"Contact forces{those}", "f [N]", show_events=False)
     for axes in (times, above):
         axes.set_xlabel("")
-    dress(below, run, "Friction of the contacts; dashed: the edge of the cone", "|friction| [N]", label_marks=False)
+    dress(below, run, "Friction of the contacts; dashed: its limit μ f", "|friction| [N]", label_marks=False)
     figure.legend(loc="outside upper center", ncols=min(4, len(shown)), fontsize=8, columnspacing=1.5)
     explain_contact(figure, run)
     return figure

@@ -23,6 +23,7 @@ from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.actions import act
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.controls import Control
+from closedloop.lab.curves import panels
 from closedloop.lab.details import Details
 from closedloop.lab.drawn import Message, curves, frames, run_message
 from closedloop.lab.gallery import cards, pictures
@@ -45,6 +46,7 @@ from robot_models import RobotModel
 logger = logging.getLogger(__name__)
 
 Asked = tuple[Answers, Changes, str]
+Window = tuple[float, float] | None
 
 # The order in which a page that opens is sent what there is.
 FIRST = (
@@ -115,7 +117,7 @@ class Lab:
         self.folder: Path | None = None
         self.pins, self.front = Pins(), front
         self.clients: list[Client] = []
-        self._last: dict[str, bytes] = {}
+        self._last: dict[str, bytes | Callable[[], bytes]] = {}
         self._lock, self._count, self._dark = threading.RLock(), 0, dark
         self._switch = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH, self._switch))
@@ -279,27 +281,28 @@ class Lab:
             self._send_run(run, partial=True, total=run.scenario.time.duration)
 
     def _send_run(self, run: Run, **more: Any) -> None:
+        """Send the curves of a run to every page, then the robot at the instant that each page shows."""
         self._count += 1
+        there, more = panels(run), more | {"n": self._count}
         made: dict[Any, bytes] = {}
-        scene = scene_of(run, self.ghosts)
 
-        def message(client: Client | None) -> bytes:
-            window, columns, time = (None, (), 0.0) if client is None else (client.window, client.columns, client.time)
-            key = window, columns, time
-            if key not in made:
-                found = run_message(run, curves(run, window, columns), n=self._count, **more)
-                row = min(round(time / run.scenario.time.step), len(run) - 1)
-                if not more["partial"]:
-                    found["frame"] = frames(scene, [row]) | {"robot": self.details.robot_of(scene)}
-                made[key] = pack(found)
-            return made[key]
+        def message(window: Window = None, columns: tuple[str, ...] = ()) -> bytes:
+            if (window, columns) not in made:
+                made[window, columns] = pack(run_message(run, curves(run, window, columns, there=there), **more))
+            return made[window, columns]
 
-        kept = message(None)
         with self._lock:
-            self._last[RUN] = kept
+            self._last[RUN] = message
             open_now = list(self.clients)
         for client in open_now:
-            client.put(RUN, message(client))
+            client.put(RUN, message(client.window, client.columns))
+        if more["partial"]:
+            return
+        scene = scene_of(run, self.ghosts)
+        if robot := self.details.robot_of(scene):
+            for client in open_now:
+                row = min(round(client.time / run.scenario.time.step), len(run) - 1)
+                client.put("frame", pack({"kind": "frame", "robot": robot, **frames(scene, [row])}))
 
     def show_again(self, client: Client) -> None:
         """Send the run to one page again, whose window or columns are others now."""
@@ -349,7 +352,8 @@ class Lab:
         with self._lock:
             for slot in FIRST:
                 if slot in self._last:
-                    client.put(slot, self._last[slot])
+                    kept = self._last[slot]
+                    client.put(slot, kept if isinstance(kept, bytes) else kept())
             if self.answer is not None and self.answer.run is not None:  # the map may be newer than the run
                 client.put("point", pack(self.map.where(self.answer.run.scenario)))
             self.clients.append(client)

@@ -46,12 +46,13 @@ NEAR, FAR_PATH = 0.22, 0.65
 
 
 def curves(
-    run: Run, window: tuple[float, float] | None = None, more: Sequence[str] = (), cells: int = CELLS
-) -> list[Message]:
-    """Return the panels of a run, and of the further columns `more`, within a window of time, s."""
+    run: Run, window: tuple[float, float] | None = None, more: Sequence[str] = (), cells: int = CELLS,
+    there: Sequence[Panel] | None = None,
+) -> list[Message]:  # fmt: skip
+    """Return the panels of a run, `there` if they are known, and of the columns `more`, within a window of time, s."""
     begin, end = (float(run.time[0]), float(run.time[-1])) if window is None else window
     columns = set(column_names(run))
-    found = [*panels(run), *(column_panel(run, name) for name in more if name in columns)]
+    found = [*(panels(run) if there is None else there), *(column_panel(run, name) for name in more if name in columns)]
     return [_panel(reduced(panel, begin, end, cells)) for panel in found]
 
 

@@ -6,7 +6,8 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import reduce
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ PROGRAMS = "chromium", "chromium-browser", "google-chrome"
 # As where somebody works; without a graphics processor Chromium draws space in software only if it is allowed to.
 OPTIONS = ["--enable-unsafe-swiftshader", "--no-sandbox", "--enable-precise-memory-info"]
 SIZE = 1440, 900  # px
+PICTURED = (900, 700), SIZE, (2560, 1440)  # px, sizes of which pictures are made
 PATIENCE = 120_000  # ms
 # Notes when the pointer is moved with its button down, and when the curves of a whole run have been drawn after that:
 # then, and in the frame after that, which shows them.
@@ -79,14 +81,14 @@ def why_not() -> str:
 
 
 @contextmanager
-def page_of(lab: Lab) -> Iterator[Any]:
+def page_of(lab: Lab, size: tuple[int, int] = SIZE, theme: Literal["light", "dark"] = "light") -> Iterator[Any]:
     """Open the page of a lab whose run is shown, and close it in the end."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program(), args=OPTIONS)
         try:
-            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+            page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=theme)
             page.set_default_timeout(PATIENCE)
             page.goto(lab.url)
             page.get_by_text("steps in").wait_for()
@@ -95,6 +97,22 @@ def page_of(lab: Lab) -> Iterator[Any]:
             yield page
         finally:
             browser.close()
+
+
+def pictures(lab: Lab, folder: Path) -> list[Path]:
+    """Write a picture of the page in each size and theme, half way through the run; return their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    made = []
+    for size in PICTURED:
+        for theme in ("light", "dark"):
+            with page_of(lab, size, theme) as page:
+                page.evaluate("seek(0.5 * (state.begin + state.end))")
+                lab.map.wait(PATIENCE / 1e3)
+                lab.wait(PATIENCE / 1e3)
+                page.wait_for_timeout(1000)
+                made.append(folder / f"{lab.history.base.name}-{size[0]}-{theme}.png")
+                page.screenshot(path=made[-1])
+    return made
 
 
 def page_latencies(page: Any, key: str, changes: int) -> tuple[Array, Array]:

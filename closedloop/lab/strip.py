@@ -65,8 +65,10 @@ def tiles(
     found = [
         _verdict("numbers", summary["verdict"]["problems"], names_of(summary["verdict"]["problems"]),
                  "whether the numbers of this run can be trusted"),
-        _verdict("control", control["problems"], told(summary), "whether the arm did what was commanded"),
     ]  # fmt: skip
+    if run.scenario.has_law or control["problems"]:  # without a law nothing is commanded
+        why = "whether the arm did what was commanded"
+        found.append(_verdict("control", control["problems"], told(summary), why))
     for label, (key, unit, hint, less, factor) in NUMBERS.items():
         number = numbers[key]
         needless = {"energy_lost_to_friction": 0.0, "time_in_contact": run.time[-1] - run.time[0]}.get(key)

@@ -148,10 +148,17 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
     elif kind == "less_than_equal":
         cure = f"must be at most {problem['ctx']['le']:g}"
     elif kind == "value_error":
-        cure = str(problem["ctx"]["error"])
+        cure = str(problem["ctx"]["error"]) + (_by_kind(section, data) if isinstance(value, list | tuple) else "")
     else:
         cure = CURES.get(kind, problem["msg"])
     return name, f"{name} = {shown}: {cure}"
+
+
+def _by_kind(section: str, data: dict[str, Any]) -> str:
+    """Return which kind of a section decides whether a key of it is a number or a list, "" where it names none."""
+    given = data.get(section)
+    kind = given.get("kind") if isinstance(given, dict) else None
+    return f" with {section}.kind = {kind!r}" if isinstance(kind, str) else ""
 
 
 def _dotted(path: list[str]) -> str:

@@ -50,7 +50,7 @@ class _Now:
 
 
 class Simulator:
-    """A simulation that is driven from outside, to the same bits as `closedloop.simulate`.
+    """A simulation that the caller steps; its rows equal those of `closedloop.simulate` to the last bit.
 
     Parameters
     ----------

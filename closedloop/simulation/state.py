@@ -20,7 +20,7 @@ MODE_NAMES = {FREE: "free", PRESSED: "pressed", STUCK: "stuck"}
 
 
 class StepState:
-    """The state at an instant, as `closedloop.Simulator` returns it: copies, which later steps leave as they are.
+    """The state at an instant, as `closedloop.Simulator` returns it: copies, which later steps do not change.
 
     `f`, `torque` and `acceleration` belong together. With the scenario's own law, or a user's, the torque is the law's
     at this instant. After a step with a torque from outside it is that torque, which has acted until this instant; the

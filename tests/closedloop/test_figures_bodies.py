@@ -26,7 +26,7 @@ def test_figures_are_of_the_body_and_its_contacts_and_of_no_tip(toss, tmp_path):
     """No figure of a tip that nothing leads, of joints that there are not, or of quaternions."""
     names = [path.stem for path in draw_figures(toss, tmp_path)]
     assert names == ["fig_bodies", "fig_link_contacts", "fig_impacts"]
-    assert [axes.get_title(loc="left") for axes in toss.plot().axes][1] == "Distance from the start, across"
+    assert [axes.get_title(loc="left") for axes in toss.plot().axes][1] == "Horizontal distance from the start"
 
 
 def test_what_is_drawn_is_the_run(toss):

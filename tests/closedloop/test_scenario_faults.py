@@ -196,6 +196,13 @@ def test_a_robot_that_is_only_in_the_current_folder(deep, command_line, tmp_path
     assert "mine.urdf" in command_line("deep/study.toml", *short).refusal()
 
 
+def test_a_list_where_a_law_takes_a_number_names_the_law():
+    """A list of the scenario's may be right for its own law, and wrong for the one that was chosen."""
+    with pytest.raises(cl.ScenarioError) as caught:
+        cl.load_scenario("wam_slide", {"law.kind": "impedance", "law.stiffness": [1, 2]})
+    assert str(caught.value) == "wam_slide: law.stiffness = [1, 2]: must be a number with law.kind = 'impedance'"
+
+
 def test_a_run_is_repeated_without_its_robots_file(deep, command_line, short):
     """run.nc has the robot's text."""
     assert command_line("deep/study.toml", *short, "--out", "a").status == 0

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from bounded import MOST_SECONDS, judged
 from combinations import combinations
-from judged import FAULTY, HELD, judge, judge_halved
+from judged import FAULTY, HELD, STOPPED, judge, judge_halved
 from scenario_cases import SEED, Case, all_cases, tables
 from shipped_cases import shipped_cases, shipped_tables
 
@@ -75,6 +75,8 @@ def main() -> None:
             if options.keep:
                 with open(options.keep, "a", encoding="utf-8") as file:
                     file.write(json.dumps([case.name, case.content]) + "\n")
+        elif outcome == STOPPED and options.halved:  # whether the cause it names is true is for a reader
+            print(f"{case.name[:300]}\n    {words}", flush=True)
         elif spent > options.slow:
             print(f"{case.name[:300]}\n    {spent:.1f} s: {words}", flush=True)
         if counts.total() % 500 == 0:

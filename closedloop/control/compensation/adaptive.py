@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 class AdaptiveCompensation(Compensation):
-    """[compensation] kind = "adaptive": the surface's Coulomb and viscous coefficients learned while sliding."""
+    """[compensation] kind = "adaptive": the surface's Coulomb and viscous coefficients, estimated while sliding."""
 
     gain: Annotated[Positive, gain_in("1/m")] = Field(
         100.0, description="γ, 1/m: growth of the Coulomb coefficient per metre of path error"
@@ -44,10 +44,10 @@ class AdaptiveCompensation(Compensation):
         20.0, description="c, 1/s: weight of the path error beside its rate; below motion_damping"
     )
     speed_scale: Annotated[Positive, SPEED_SCALE] = Field(
-        0.02, description="v_0, m/s: the speed at which both coefficients learn alike"
+        0.02, description="v_0, m/s: speed at which both coefficients adapt at the same rate"
     )
     smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
-        0.001, description="wanted speed below which nothing is learned, m/s"
+        0.001, description="desired speed below which nothing is adapted, m/s"
     )
 
     states: ClassVar = ("coulomb", "viscous")  # θ, without unit and N s/m

@@ -33,7 +33,7 @@ class ObserverCompensation(Compensation):
     """[compensation] kind = "observer": friction in joints and at the tip estimated from the joints' motion."""
 
     rate: Annotated[Positive, RATE] = Field(
-        100.0, description="K_o, 1/s: the estimate follows what disturbs the arm within 1/K_o"
+        100.0, description="K_o, 1/s: the estimate follows a disturbance with the time constant 1/K_o"
     )
 
     joint_states: ClassVar = ("observed_velocity",)  # ξ, rad/s

@@ -199,7 +199,8 @@ class Scene:
     def kinds(self) -> list[str]:
         """The kinds of arrows that this run has."""
         there = self.ground.there
-        some = {LOOP: self.joined.loops, TOUCH: self.touching, "contact force": there, "friction": there}
+        some = {LOOP: self.joined.loops, TOUCH: self.touching, "contact force": there}
+        some["friction"] = there and self.run.scenario.friction.kind != "none"
         some["commanded force"] = there and bool(np.any(self.run.reference_force))
         return [kind for kind in ARROWS if some.get(kind, True)]
 

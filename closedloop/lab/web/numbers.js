@@ -21,7 +21,7 @@ function make(tag, given = {}, ...children) {
 }
 
 // Colours of curves, which are made for white paper, as they are seen on dark paper.
-const ON_DARK = { "#0072B2": "#4fb0ea", "#009E73": "#2fc796", "#D55E00": "#ff8a3d", "#8A8A8A": "#a5adb5", "#7B61C4": "#a48cf0" };
+const ON_DARK = { "#0072B2": "#4fb0ea", "#009E73": "#2fc796", "#D55E00": "#ff8a3d", "#56B4E9": "#b5e0ff", "#8A8A8A": "#a5adb5", "#7B61C4": "#a48cf0" };
 let dark = false;
 const tint = (colour) => (dark && ON_DARK[colour]) || colour;
 const rgb = (colour) => `rgb(${colour.map((c) => Math.round(255 * c))})`;
@@ -50,6 +50,8 @@ function ticks(low, high, wanted) {
   for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) + 1e-300 && found.length < 30; k++) found.push(Number((k * step).toPrecision(12)) || 0);
   return found.length < 2 && wanted < 16 ? ticks(low, high, 2 * wanted) : found; // one value alone shows no scale
 }
+// Of ticks along so many px those whose numbers have room one above the other: all, or the first and the last.
+const few = (found, height) => (found.length > 2 && 13 * found.length > height ? [found[0], found[found.length - 1]] : found);
 function logTicks(low, high) {
   const found = [];
   for (let p = Math.floor(Math.log10(low)); p <= Math.ceil(Math.log10(high)); p++) {

@@ -59,7 +59,6 @@ const on = {
     plots.show(m);
     show_stopped(m);
     if (!m.partial) space.answered();
-    if (m.frame && m.frame.robot && m.frame.robot === space.about?.robot) { still = m.frame; frames = null; draw_space(); }
     $("time").max = m.end;
     $("time").min = m.begin;
     $("event").disabled = !m.marks.length;
@@ -71,6 +70,7 @@ const on = {
     send({ do: "shown", n: m.n });
     document.dispatchEvent(new CustomEvent("drawn", { detail: { n: m.n, partial: m.partial } }));
   },
+  frame(m) { if (m.robot === space.about?.robot) { still = m; frames = null; draw_space(); } },
   strip(m) {
     $("strip").replaceChildren(...m.tiles.map(tile));
   },
@@ -153,7 +153,8 @@ function legend(m) {
     row.classList.toggle("off", space.hidden.has(name));
     row.onclick = () => { row.classList.toggle("off", space.toggle(name)); draw_space(); };
     return row;
-  }), make("span", { id: "scale" }), m.passing ? make("span", { className: "passing", textContent: m.passing.text }) : "");
+  }), make("span", { id: "scale" }), m.passing ? make("span", { className: "passing", textContent: m.passing.text.split(":")[0], title: m.passing.text }) : "");
+  space.covered = [$("legend").offsetHeight + 4, $("legend").offsetLeft + $("legend").offsetWidth];
 }
 
 // The scene between the two frames around an instant: places of joints, and forces.

@@ -182,7 +182,7 @@ class Plot {
     g.lineWidth = 1;
     const line = (xa, ya, xb, yb) => { g.beginPath(); g.moveTo(xa, ya); g.lineTo(xb, yb); g.stroke(); };
     g.textAlign = "right";
-    for (const v of ticks(low, high, Math.max(2, height / 34))) { line(x0, y(v), x0 + width, y(v)); g.fillText(short(v), x0 - 6, y(v) + 4); }
+    for (const v of few(ticks(low, high, Math.max(2, height / 34)), height)) { line(x0, y(v), x0 + width, y(v)); g.fillText(short(v), x0 - 6, y(v) + 4); }
     g.textAlign = "center";
     for (const t of ticks(a, b, Math.max(3, width / 90))) {
       line(x(t), y0, x(t), y0 + height);
@@ -286,7 +286,7 @@ class Plot {
     while (k < high) { const m = (k + high + 1) >> 1; if (time[m] <= at) k = m; else high = m - 1; }
     this.panel.traces.forEach((t, i) => {
       const span = this.spans[i];
-      const text = this.name.startsWith("torque") && t.limit ? "limit" : `${t.limit ? t.label : t.label.slice(this.shared)} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k])}`;
+      const text = this.name.startsWith("torque") && t.limit ? "limit" : `${t.limit ? t.label : t.label.slice(this.shared)} ${short(Math.abs(t.values[k]) < 1e-6 * this.largest ? 0 : t.values[k], innerWidth > 1100 ? 4 : 3)}`;
       if (span.textContent !== text) span.textContent = text;
       span.style.color = tint(t.colour);
       span.classList.toggle("off", this.all.hidden.has(`${this.name} ${t.label}`));

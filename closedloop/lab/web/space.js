@@ -18,6 +18,7 @@ class Space {
     this.gl = this.drawing.gl;
     this.whole = false;
     this.clear = true;
+    this.covered = [0, 0]; // px, height and right end of the legend
     this.views = null;
     if (this.gl) this.listen();
     canvas.addEventListener("webglcontextlost", (e) => e.preventDefault()); // the browser gives another one later
@@ -221,9 +222,10 @@ class Space {
       if (name === null || norm(d) < 0.04 * v.radius) return;
       const [x, y, , k] = [0, 1, 2, 3].map((r) => [...plus(tail, d), 1].reduce((sum, e, j) => sum + camera[4 * j + r] * e, 0));
       if (k <= 0) return;
-      const text = `${name} ${short(norm(this.frame.arrows[i].force), 3)} N`, wide = 8 * text.length + 7;
+      const text = `${name} ${short(norm(this.frame.arrows[i].force), 3)} N`, wide = 8 * text.length + 14;
       let [left, top] = [(50 * (x / k + 1) * w) / 100, (50 * (1 - y / k) * h) / 100];
       if (left + wide > w) left -= wide + 7; // beside the arrow on its other side
+      if (left < this.covered[1]) top = Math.min(top, h - this.covered[0] - 9); // above the legend
       if (taken.some(([l, t, r]) => Math.abs(t - top) < 13 && left < r && l < left + wide)) return; // one on another is unreadable
       taken.push([left, top, left + wide]);
       const span = make("span", { textContent: text.trim() });

@@ -53,7 +53,7 @@ function bode(canvas, m, which, unit, marks) {
   g.strokeStyle = ink("--line");
   g.fillStyle = ink("--faint");
   g.textAlign = "right";
-  for (const v of ticks(low, high, h / 36)) { line(44, y(v), w - 10, y(v)); g.fillText(short(v), 40, y(v) + 4); }
+  for (const v of few(ticks(low, high, h / 36), h)) { line(44, y(v), w - 10, y(v)); g.fillText(short(v), 40, y(v) + 4); }
   g.textAlign = "center";
   for (const f of logTicks(a, b)) { line(x(f), 6, x(f), h - 20); g.fillText(short(f), x(f), h - 7); }
   g.textAlign = "right";
@@ -159,7 +159,7 @@ class Events {
       cell.firstChild.style.background = tint(EVENT[m.kind] ?? "#8A8A8A");
       return cell;
     };
-    const rows = run.marks.map((m) => [`${m.time.toFixed(4)} s`, kind(m), m.of, m.place.map((x) => short(x, 4)).join("  ")]);
+    const rows = run.marks.map((m) => [`${m.time.toFixed(4)} s`, kind(m), m.of, m.place.map((x) => Number(x.toFixed(4))).join("  ")]);
     const more = run.events > run.marks.length ? make("p", { className: "hint", textContent: `the first ${run.marks.length} of ${run.events} events` }) : "";
     this.element.replaceChildren(...(rows.length
       ? [table(["time", "event", "of", "where [m]"], rows, (k) => this.seek(this.marks[k].time)), more]

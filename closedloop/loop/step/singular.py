@@ -9,6 +9,10 @@ There A = nᵀJᵣ vanishes and Eq. 24 has no row: whatever f is, the arm does n
 Between two states on either side of the pose (A has turned round), or before it, g is linear in ℓ up to the square of
 the step. A start in such a pose has no way along which a limit could be taken, and a tip that stays there has no force:
 SINGULAR.
+
+Before the pose is reached the row says nothing more. A tip that is ε off the surface, and ε is at least rounding, is on
+a way that turns as ε/ℓ: its acceleration along n is 2 ε (ℓ̇/ℓ)² off, and f by 2 ε ℓ̇²/ℓ⁴. Where that is more than f can
+be told on the way (ROUNDING), f is its limit, as in the pose itself.
 """
 
 from __future__ import annotations
@@ -35,6 +39,8 @@ NEAR = 1e-4
 # torques and the weight do to the arm. So 1e-3 rad from the pose f is off by no more than these loads would need at the
 # tip, and what is left out of q̈ in the pose acts for one stage of a step.
 NO_PUSH = 1e-3
+# Of the tip's position, as a share of the arm's reach.
+ROUNDING = 2.0**-52
 # A tip that has not left the pose after so many times the time which the way to it foretells stays there.
 PATIENCE = 4.0
 
@@ -93,7 +99,32 @@ def pushed_on_the_way(C: Array, w: Work, constants: Constants, rigid: float) -> 
     pushed = (way.push[0] * lever - rigid * lever * way.lever[0]) / (way.lever[0] + lever)
     elapsed = w.time - way.time[0]
     rate = (way.lever[0] + lever) / elapsed if elapsed > 0.0 else 0.0
-    return not abs(pushed) <= no_push(C, w, constants, rate)
+    off = rounding_of_push(constants, rate, min(lever, way.lever[0]))
+    return not abs(pushed) <= no_push(C, w, constants, rate) + off
+
+
+@kernel
+def rounding_of_push(constants: Constants, rate: float, lever: float) -> float:
+    """Return by how much g is off at a distance ℓ from the pose, N/√kg, where ℓ changes at a rate, 1/(s √kg)."""
+    return float(2.0 * ROUNDING * math.sqrt(constants.reach) * rate * rate / (lever * lever * lever))
+
+
+@kernel
+def row_is_rounding(C: Array, w: Work, constants: Constants, state: State) -> bool:
+    """Whether the tip is so near the pose that rounding decides over f by Eq. 24, and it came from where it does not.
+
+    There g counts as none that gives f an error of what the loads need at the tip, see `no_push`.
+    """
+    way, trace = Approach(w.approach, C.shape[0]), w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
+    if state.approached < 2 or not way.lever[1] > way.lever[0] or not w.tip.S[0, 0] > 0.0:
+        return False
+    rate = (way.lever[1] - way.lever[0]) / (way.time[0] - way.time[1])
+    if not (w.time - way.time[0]) * rate <= PATIENCE * way.lever[0]:
+        return False
+    most, lever = no_push(C, w, constants, rate) / math.sqrt(trace), math.sqrt(w.tip.S[0, 0])
+    if not rounding_of_push(constants, rate, lever) > most * lever:
+        return False
+    return bool(rounding_of_push(constants, rate, way.lever[0]) <= most * way.lever[0])
 
 
 @kernel
@@ -119,7 +150,8 @@ def force_in_singular_pose(C: Array, w: Work, constants: Constants, state: State
     pushed = (way.push[0] * way.lever[1] - way.push[1] * way.lever[0]) / nearer
     along = w.tip.a[0] - w.tip.S[0, 1] * w.friction.viscous[0] - w.tip.S[0, 2] * w.friction.viscous[1]
     most = no_push(C, w, constants, rate)
-    if not (abs(pushed) <= most and abs(along) <= most * math.sqrt(trace)):
+    off = rounding_of_push(constants, rate, way.lever[0]) * (way.lever[0] + way.lever[1]) / nearer
+    if not (abs(pushed) <= most + off and abs(along) <= most * math.sqrt(trace)):
         return PUSHED
     f = (way.push[1] - way.push[0]) / nearer
     if state.settings.unilateral != 0:

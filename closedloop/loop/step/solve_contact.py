@@ -11,7 +11,7 @@ from closedloop.loop.step.contacts import FORCE
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, ask_contacts, ask_loops
-from closedloop.loop.step.singular import force_in_singular_pose, pushed_on_the_way
+from closedloop.loop.step.singular import force_in_singular_pose, pushed_on_the_way, row_is_rounding
 from closedloop.loop.step.soft_contact import soft_contact_force
 from closedloop.loop.step.tip_friction import rub_without_pressure, turn_with_slip
 from closedloop.mechanics.closure.contact_force import (
@@ -51,6 +51,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     if state.compliance.entry != 0 and state.mode != FREE:
         soft_contact_force(w, constants, state)
         return OK
+    if state.mode == PRESSED and state.approached > 1 and row_is_rounding(C, w, constants, state):
+        return force_in_singular_pose(C, w, constants, state)
     if state.mode == PRESSED or (state.mode == STUCK and state.friction.sticking == SPRING_STICK):
         b = baumgarte_acceleration(constants.s_v, constants.s_p, w.tip.rate, w.tip.gap)
         status, share = rubbed_force(b, w, state)

@@ -96,7 +96,7 @@ def compare(
     engine: str = COMPILED,
     workers: int | None = None,
 ) -> Comparison:
-    """Run several scenarios under the same variations and return what came of them.
+    """Run several scenarios under the same variations and return their values side by side.
 
     Parameters
     ----------

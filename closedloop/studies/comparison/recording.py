@@ -31,7 +31,7 @@ FEWEST = 50
 @dataclass(frozen=True, eq=False)
 @fields_checked
 class Recording:
-    """N rows of what was recorded.
+    """A recording of N rows, to compare with a scenario.
 
     Attributes
     ----------

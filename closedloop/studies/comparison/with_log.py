@@ -1,4 +1,4 @@
-"""A log, or a run, over a scenario: aligned in time, with what differs and what explains it."""
+"""A log, or a run, compared with a scenario: aligned in time, with the differences and what explains them."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def compare_log(
     shift: float | None = None,
     cutoff: float | None = None,
 ) -> LogComparison:
-    """Simulate a scenario and lay a log over it.
+    """Simulate a scenario and compare a log with it.
 
     Parameters
     ----------

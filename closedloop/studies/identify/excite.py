@@ -120,7 +120,7 @@ def excite(
     drive_inertia: bool = True,
     seed: int = 0,
 ) -> Excitation:
-    """Design a motion that makes parameters of a robot known best.
+    """Design a motion from whose log parameters of a robot can be identified best.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class LogError(ModelError):
 @dataclass(frozen=True, eq=False)
 @fields_checked
 class Log:
-    """What was measured, N rows of n joints.
+    """Measurements of a robot: N rows of n joints.
 
     Attributes
     ----------

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Circle(Path):
-    """The tip goes round in the surface, from rest to rest with minimum jerk.
+    """The tip moves on a circle in the surface, from rest to rest with minimum jerk.
 
     Positive turns go counter-clockwise seen from off the surface: by the right-hand rule about the normal.
     """

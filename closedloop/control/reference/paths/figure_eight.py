@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class FigureEight(Path):
-    """The tip runs an eight in the surface, a Lissajous figure, from rest to rest with minimum jerk.
+    """The tip moves along a figure eight in the surface, a Lissajous figure, from rest to rest with minimum jerk.
 
     The tip starts at the crossing.
     """

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Line(Path):
-    """The tip runs straight along the surface.
+    """The tip moves straight along the surface.
 
     Its length is speed · (stop − start) for either timing; with minimum jerk the highest speed is 1.875 times `speed`.
     """

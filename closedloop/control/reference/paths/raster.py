@@ -34,7 +34,7 @@ def _passes(value: Any) -> Any:
 
 
 class Raster(Path):
-    """The tip runs to and fro in the surface, as in polishing or scanning.
+    """The tip moves back and forth in parallel passes along the surface, as in polishing or scanning.
 
     Each pass and each step to the next is a minimum-jerk motion from rest to rest, so the corners are sharp and the
     path is C2 in time.

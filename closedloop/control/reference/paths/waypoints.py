@@ -25,12 +25,13 @@ class Waypoints(Path):
 
     on_surface: Literal["projected", "geodesic", "no"] = Field(
         "no",
-        description="whether they are laid onto the surface, and how: projected along the normal at the start; "
+        description="whether and how they are mapped onto the surface: projected along the normal at the start; "
         "geodesic: with their lengths and angles; no: they are points in space",
     )
     times: MotionInstants = Field(description="instants at which the tip is at the points, s, increasing")
     points: Points = Field(
-        description="displacements of the tip from its start, m, base frame, one an instant; the first is [0, 0, 0]"
+        description="displacements of the tip from its start, m, base frame, one for each instant; "
+        "the first is [0, 0, 0]"
     )
     timing: Literal["minimum_jerk", "linear"] = Field(
         "minimum_jerk", description="minimum_jerk: at rest at every point; linear: constant velocity between points"

@@ -30,7 +30,7 @@ CLEAR = 20
 
 
 class Polyhedron(Placed):
-    """Half spaces that meet: the one below the face z = 0, at whose point the origin is, and those of `faces`."""
+    """The intersection of half spaces: z ≤ 0, with the surface's origin on this face, and those of `faces`."""
 
     faces: tuple[tuple[Number, Number, Number, Annotated[Number, PLACE]], ...] = Field(
         description="the other faces: lists [nx, ny, nz, d] of a normal out of the body, of any length, and d, m, "

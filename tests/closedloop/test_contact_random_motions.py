@@ -35,7 +35,8 @@ def test_a_random_motion_goes_on(tmp_path, seed):
 # step was taken again without end (20261838).
 MENDED = [1041, 1084, 1119, 1131, 1144, 1195]
 MENDED += [20261206, 20261377, 20261488, 20261722, 20261838, 20261842, 20261989, 20262085]
-QUICK = {1084, 20261838, 20261842, 20261989}
+MENDED += [20261214, 20261340, 20261770, 20261783, 20261862]
+QUICK = {1084, 20261340, 20261770, 20261838, 20261842, 20261862, 20261989}
 
 
 @pytest.mark.parametrize("seed", [pytest.param(s, marks=() if s in QUICK else pytest.mark.slow) for s in MENDED])

@@ -132,7 +132,7 @@ def test_a_motion_that_diverges_names_the_gains_that_the_law_has_and_what_it_rea
     changes = {
         "encoder.quantisation": 2.687, "law.posture_stiffness": 191.0, "compliance.kind": "none", "time.duration": 0.3,
     }  # fmt: skip
-    with pytest.raises(cl.DivergenceError, match="law.motion_stiffness.* encoder") as caught:
+    with pytest.raises(cl.DivergenceError, match=r"law\.motion_stiffness.*encoder") as caught:
         cl.simulate(cl.load_scenario("panda_polish", changes))
     assert "law.kp" not in str(caught.value)
 

@@ -135,6 +135,10 @@ def test_a_motion_that_diverges_names_the_gains_that_the_law_has_and_what_it_rea
     with pytest.raises(cl.DivergenceError, match=r"law\.motion_stiffness.*encoder") as caught:
         cl.simulate(cl.load_scenario("panda_polish", changes))
     assert "law.kp" not in str(caught.value)
+    with pytest.raises(cl.DivergenceError, match=r"law\.kp and law\.kd, .*transmission\.stiffness, and at time\.step"):
+        cl.simulate(
+            cl.load_scenario("wam_slide", {"transmission.stiffness": 823.8, "encoder.noise": 0.0, "time.duration": 1.0})
+        )
 
 
 REFUSED = {

@@ -127,6 +127,8 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     ]
     if law is None and problem.scenario.reads_encoders:
         causes.append("what the law reads of the joints (encoder, transmission.measured)")
+    if law is None and problem.scenario.transmission.elastic:
+        causes.append("transmission.stiffness")
     if problem.tolerance is None:
         causes.append("time.step")
     cure = "look at " + ", and at ".join(causes)

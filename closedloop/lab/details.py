@@ -111,8 +111,7 @@ class Details:
         lab, held = self._lab, self._lab.pins.held
         margins = self._margins
         if self._began is None or self._began[0] != lab.history.base.name:
-            self._began = (lab.history.base.name, values(run, summary), None)
-            self._margins = margins = None
+            self._began = (lab.history.base.name, values(run, summary), margins)  # the analysis may come before
         name, before, known = "the start", self._began[1], self._began[2]
         if held:
             name, before = held[-1].name, values(held[-1].run, held[-1].run.summary())
@@ -144,6 +143,8 @@ class Details:
                 found = overview(loop)
             except ClosedLoopError as error:
                 line = one_line(str(error))
+        if run.scenario.name != lab.history.base.name:
+            return  # of a scenario that was left meanwhile
         if line:
             self._margins = None
             lab.tell("analysis", {"kind": "analysis", "line": line})

@@ -127,6 +127,20 @@ def test_encoders_go_with_events_inside_a_step():
     assert np.allclose(run.measured_velocity[1:], raw, rtol=0, atol=1e-12)
 
 
+def test_a_motion_that_diverges_names_the_gains_that_the_law_has_and_what_it_reads():
+    """Not those of another law: this one has no kp, and reads angles that are off by radians."""
+    changes = {
+        "encoder.quantisation": 2.687, "law.posture_stiffness": 191.0, "compliance.kind": "none", "time.duration": 0.3,
+    }  # fmt: skip
+    with pytest.raises(cl.DivergenceError, match=r"law\.motion_stiffness.*encoder") as caught:
+        cl.simulate(cl.load_scenario("panda_polish", changes))
+    assert "law.kp" not in str(caught.value)
+    with pytest.raises(cl.DivergenceError, match=r"law\.kp and law\.kd, .*transmission\.stiffness, and at time\.step"):
+        cl.simulate(
+            cl.load_scenario("wam_slide", {"transmission.stiffness": 823.8, "encoder.noise": 0.0, "time.duration": 1.0})
+        )
+
+
 REFUSED = {
     "negative": ({"encoder.noise": -1e-5}, "encoder.noise = -1e-05: must not be negative"),
     "length": ({"encoder.quantisation": [1e-5, 1e-5]}, "encoder.quantisation has 2 entries: the robot has 4 joints"),

@@ -14,6 +14,7 @@ import closedloop as cl
 import robot_models
 from closedloop.lab import groups, strip
 from closedloop.lab.answers import Answers
+from closedloop.lab.app import Lab
 from closedloop.lab.controls import TABS, controls
 from closedloop.lab.history import History, in_words
 from closedloop.lab.keeping import save
@@ -349,6 +350,20 @@ def test_the_strip_says_what_is_better_than_before():
     assert before["torque_share"] == pytest.approx(shares.max())
     off = np.abs(start.contact_force - start.reference_force)
     assert before["peak_force_error"] == pytest.approx(off.max())
+
+
+def test_margins_stay_where_the_analysis_is_done_before_the_first_strip(monkeypatch):
+    """As for a run whose summary takes long: the first strip has them."""
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
+    monkeypatch.setattr("closedloop.lab.details.REST", 1.0)
+    monkeypatch.setattr("closedloop.lab.details.OFTEN", 1.0)
+    monkeypatch.setattr("closedloop.lab.details.LATER", 0.0)
+    lab = Lab(History(cl.load_scenario("planar2_slide", {"time.duration": 0.2}), "planar2_slide"), port=8471)
+    try:
+        assert lab.wait(120.0)
+        assert "phase margin" in [tile["name"] for tile in unpack(lab._last["strip"])["tiles"]]
+    finally:
+        lab.close()
 
 
 def test_messages_hold_trees_and_arrays():

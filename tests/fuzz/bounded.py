@@ -69,7 +69,7 @@ def judged(
                 used += spent
                 at += 1
                 yield cases[at - 1], outcome, words, spent
-        except (EOFError, ConnectionError, TimeoutError):
+        except (EOFError, ConnectionError, TimeoutError) as error:
             worker.kill()
             worker.join()
             if at >= len(cases):
@@ -78,6 +78,7 @@ def judged(
             used += min(spent, most)
             at += 1
             why = "more processor time than allowed" if worker.exitcode == -signal.SIGPROF else f"{worker.exitcode}"
+            why = f"more than {LONGEST:g} s, whatever it waited for" if isinstance(error, TimeoutError) else why
             yield cases[at - 1], faulty, f"ended its process: {why}", spent
         finally:
             ours.close()

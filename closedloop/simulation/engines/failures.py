@@ -41,7 +41,8 @@ from closedloop.mechanics.closure.solve import (
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.verdict import DIVERGES
-from closedloop.scenario.gains import gains_fault
+from closedloop.scenario.gains import feedbacks, gains_fault
+from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import families_in
 from closedloop.simulation.engines.problem import Problem, contact_members
 
@@ -121,14 +122,27 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         )
     fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
     name = robot.joint_names[fast]
-    cure = "look at the signs and sizes " + ("of law.kp and law.kd" if law is None else "in the law")
+    causes = [
+        f"the signs and sizes of {_gains(problem.scenario, robot)}" if law is None else "the signs and sizes in the law"
+    ]
+    if law is None and problem.scenario.reads_encoders:
+        causes.append("what the law reads of the joints (encoder, transmission.measured)")
+    if law is None and problem.scenario.transmission.elastic:
+        causes.append("transmission.stiffness")
     if problem.tolerance is None:
-        cure += ", and at time.step"
+        causes.append("time.step")
+    cure = "look at " + ", and at ".join(causes)
     if law is None:
         cure = gains_fault(problem.scenario, robot) or cure
     return DivergenceError(
         f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
     )
+
+
+def _gains(scenario: Scenario, robot: Robot) -> str:
+    """Return the keys of the feedback of a scenario's law."""
+    keys = list(dict.fromkeys(key for each in feedbacks(scenario, robot) for key in (each.spring, each.damper)))
+    return " and ".join(filter(None, (", ".join(keys[:-1]), *keys[-1:]))) or "the law's gains"
 
 
 def _rubs_without_end(status: int, t: float) -> SimulationError:

@@ -120,7 +120,7 @@ class SimulationError(ClosedLoopError):
 
 
 class SingularClosureError(SimulationError):
-    """Eq. 24 has no trustworthy solution: the tip cannot move along the surface normal."""
+    """Eq. 24 has no reliable solution: the tip cannot move along the surface normal."""
 
 
 class DivergenceError(SimulationError):
@@ -128,7 +128,7 @@ class DivergenceError(SimulationError):
 
 
 class ChatterError(SimulationError):
-    """The contact changes its mode without end at one instant."""
+    """The contact changes its mode again and again at one instant."""
 
 
 class PainleveError(SimulationError):
@@ -140,7 +140,7 @@ class NoNormalError(SimulationError):
 
 
 class LawError(SimulationError):
-    """A user's law raised an exception, which is the cause, or returned something that is no torque."""
+    """A user's law raised an exception, which is the cause, or returned something that is not a torque."""
 
 
 class InterruptedRunError(SimulationError, KeyboardInterrupt):

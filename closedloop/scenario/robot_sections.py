@@ -155,7 +155,7 @@ class ModelErrorSection(Section):
         0.0, description="angle between the controller's normal and the true normal of the surface, rad"
     )
     normal_towards: Annotated[Number, ANGLE] = Field(
-        0.0, description="direction in which it is tilted, rad from the first tangent t1 to the second"
+        0.0, description="direction of the tilt, rad from the first tangent t1 to the second"
     )
     friction: Annotated[NotNegative, FACTOR] = Field(
         1.0, description="factor of the friction values of [compensation], as the controller uses them"

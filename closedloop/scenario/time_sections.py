@@ -56,6 +56,6 @@ class TimeSection(Section):
     )
     tolerance: Tolerance | None = Field(
         None,
-        description="relative error that dop853 allows itself in each of its own steps; if left out 1e-12, and 1e-9 "
+        description="largest relative error of dop853 in each of its own steps; if left out 1e-12, and 1e-9 "
         "with friction at the tip",
     )

@@ -26,7 +26,7 @@ from pydantic import Field
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import RATE, SPEED_SCALE, Positive, gain_in
-from closedloop.control.compensation.model import wanted_direction
+from closedloop.control.compensation.model import desired_direction
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import TipMotion, surface_mobility
@@ -65,7 +65,7 @@ class AdaptiveCompensation(Compensation):
         """Add −AᵀF̂_t, N m."""
         if x.pressed == 0.0:
             return
-        d1, d2, _ = wanted_direction(x, par.smoothing_speed)
+        d1, d2, _ = desired_direction(x, par.smoothing_speed)
         push1 = z.coulomb * x.f_des * d1 + z.viscous * x.u_des[1]
         push2 = z.coulomb * x.f_des * d2 + z.viscous * x.u_des[2]
         for j in range(torque.shape[0]):
@@ -86,7 +86,7 @@ class AdaptiveCompensation(Compensation):
         e1 = x.u_des[1] - x.u[1] + par.corner * (x.p_des[1] - x.p[1])
         e2 = x.u_des[2] - x.u[2] + par.corner * (x.p_des[2] - x.p[2])
         s1, s2 = (p11 * e1 + p12 * e2) / mean, (p12 * e1 + p22 * e2) / mean
-        d1, d2, _ = wanted_direction(x, par.smoothing_speed)
+        d1, d2, _ = desired_direction(x, par.smoothing_speed)
         rate = par.gain * (d1 * s1 + d2 * s2)
         dz.coulomb = rate if z.coulomb > 0.0 or rate > 0.0 else 0.0
         scale = par.speed_scale

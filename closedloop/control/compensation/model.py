@@ -3,7 +3,7 @@
 Surface, against F_t:  F̂_t = −[f_des (μ_k + (μ_s − μ_k) exp(−(|u|/v_s)²)) + b |u|] û
 Joints:                τ̂_j = c_j v̂_j + b_j v_j
 
-u and v are the wanted velocities, which carry no noise and do not chatter about zero; the unit vectors are smoothed,
+u and v are the desired velocities, which carry no noise and do not chatter about zero; the unit vectors are smoothed,
 û = u/√(|u|² + ε²), so that the torque does not jump where the motion begins.
 
 Source: the Stribeck curve in the form of Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30(7), 1994.
@@ -37,8 +37,8 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def wanted_direction(x: LawInput, smoothing: float) -> tuple[float, float, float]:
-    """Return the two components of û, without unit, and |u|, m/s, of the wanted motion along the surface."""
+def desired_direction(x: LawInput, smoothing: float) -> tuple[float, float, float]:
+    """Return the two components of û, without unit, and |u|, m/s, of the desired motion along the surface."""
     speed = math.hypot(x.u_des[1], x.u_des[2])
     scale = math.hypot(speed, smoothing)
     if scale == 0.0:
@@ -47,31 +47,31 @@ def wanted_direction(x: LawInput, smoothing: float) -> tuple[float, float, float
 
 
 class ModelCompensation(Compensation):
-    """[compensation] kind = "model": friction as it is believed to be, fed forward along the wanted motion."""
+    """[compensation] kind = "model": assumed friction, fed forward along the desired motion."""
 
     kinetic: Annotated[NotNegative, COEFFICIENT] = Field(
-        0.0, description="believed kinetic coefficient of the surface's friction, 1"
+        0.0, description="assumed kinetic coefficient of the surface's friction, 1"
     )
     static: Annotated[NotNegative, COEFFICIENT] | None = Field(
-        None, description="believed static coefficient, 1; the kinetic one if left out"
+        None, description="assumed static coefficient, 1; the kinetic one if left out"
     )
     stribeck_speed: Annotated[Positive, SPEED_SCALE] = Field(
-        0.01, description="believed slip speed of the fall from static to kinetic, m/s (Gaussian)"
+        0.01, description="assumed Stribeck speed, between static and kinetic friction, m/s (Gaussian)"
     )
     viscous: Annotated[NotNegative, viscous_in("N s/m")] = Field(
-        0.0, description="believed viscous coefficient of the surface's friction, N s/m"
+        0.0, description="assumed viscous coefficient of the surface's friction, N s/m"
     )
     smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
-        0.001, description="wanted speed below which the feed-forward fades, m/s"
+        0.001, description="desired speed below which the feed-forward fades, m/s"
     )
     joint_coulomb: Annotated[GainNotNegative, TORQUE] = Field(
-        0.0, description="believed Coulomb torque, N m, one per joint or one for all"
+        0.0, description="assumed Coulomb torque, N m, one per joint or one for all"
     )
     joint_viscous: Annotated[GainNotNegative, viscous_in("N m s/rad")] = Field(
-        0.0, description="believed viscous coefficient, N m s/rad, one per joint or one for all"
+        0.0, description="assumed viscous coefficient, N m s/rad, one per joint or one for all"
     )
     joint_smoothing_speed: Annotated[Positive, JOINT_SPEED_SCALE] = Field(
-        0.001, description="wanted joint speed below which its feed-forward fades, rad/s (m/s)"
+        0.001, description="desired joint speed below which its feed-forward fades, rad/s (m/s)"
     )
 
     friction_values: ClassVar = ("kinetic", "static", "viscous", "joint_coulomb", "joint_viscous")
@@ -89,10 +89,10 @@ class ModelCompensation(Compensation):
 
     @staticmethod
     def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
-        """Add the torque that overcomes friction as it is believed to be, N m."""
+        """Add the torque that overcomes the assumed friction, N m."""
         n = torque.shape[0]
         if x.pressed != 0.0:
-            d1, d2, speed = wanted_direction(x, par.smoothing_speed)
+            d1, d2, speed = desired_direction(x, par.smoothing_speed)
             mu = par.kinetic
             if par.stribeck_speed > 0.0:
                 ratio = speed / par.stribeck_speed

@@ -44,7 +44,7 @@ class SineForceSection(Section):
 
 
 class WaypointForceSection(Section):
-    """[force_profile] kind = "waypoints": straight in time from force to force; law.force before the first instant."""
+    """[force_profile] kind = "waypoints": linear in time between given forces; law.force before the first instant."""
 
     kind: Literal["waypoints"] = "waypoints"
     times: Instants = Field(description="instants at which the desired force is as given, s, increasing")

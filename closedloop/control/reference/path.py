@@ -37,7 +37,7 @@ class Path(Parameters):
 
     on_surface: Literal["projected", "geodesic", "no"] = Field(
         "projected",
-        description="how it is laid onto a surface that is curved or moves: projected along the normal at the start; "
+        description="how it is mapped onto a curved or moving surface: projected along the normal at the start; "
         "geodesic: with its lengths and angles, at the speed that it says; no: it stays in space",
     )
 

@@ -21,7 +21,7 @@ WEIGHTS = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285
 
 
 class Compliance(Parameters):
-    """[compliance]: how soft the surface is."""
+    """[compliance]: stiffness and damping of the surface."""
 
     folder: ClassVar[str] = "closedloop.mechanics.surface.compliances"
 

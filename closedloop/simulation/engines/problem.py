@@ -47,7 +47,7 @@ def as_it_is(entry: Any) -> Any:
 
 
 class Problem(ScenarioNumbers):
-    """A scenario as numbers, and the loop's memory made of them.
+    """The numbers of a scenario, and the memory of the simulation loop.
 
     Its attributes are those of `closedloop.simulation.engines.scenario_numbers.ScenarioNumbers`.
     """

@@ -154,7 +154,7 @@ class SurfaceLuGre(LuGre, SurfaceFriction):
 
     kinetic: PositiveCoefficient = Field(description="kinetic coefficient of friction μ_k, 1")
     static: PositiveCoefficient = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
-    stribeck_speed: SlipSpeed = Field(description="slip speed v_s of the fall from static to kinetic, m/s")
+    stribeck_speed: SlipSpeed = Field(description="Stribeck speed v_s, between static and kinetic friction, m/s")
     exponent: Exponent = Field(2.0, description="exponent δ of the Stribeck curve; 2 as published")
     stiffness: Stiffness = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
     damping: Damping = Field(description="bristle damping σ_1 per newton of normal force, s/m")
@@ -169,7 +169,7 @@ class JointLuGre(LuGre, JointFriction):
 
     kinetic: PositiveTorque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
     static: PositiveTorque = Field(description="static (break-away) torque, N m; not below kinetic")
-    stribeck_speed: JointSpeed = Field(description="joint speed of the fall from static to kinetic, rad/s")
+    stribeck_speed: JointSpeed = Field(description="Stribeck speed of the joint, rad/s")
     exponent: JointExponent = Field(2.0, description="exponent δ of the Stribeck curve; 2 as published")
     stiffness: JointStiffness = Field(description="bristle stiffness σ_0, N m/rad")
     damping: JointViscous = Field(description="bristle damping σ_1, N m s/rad")

@@ -73,7 +73,7 @@ class SurfaceStribeck(Stribeck, SurfaceFriction):
 
     kinetic: Coefficient = Field(description="kinetic coefficient of friction μ_k, 1")
     static: Coefficient = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
-    stribeck_speed: SlipSpeed = Field(description="slip speed v_s of the fall from static to kinetic, m/s")
+    stribeck_speed: SlipSpeed = Field(description="Stribeck speed v_s, between static and kinetic friction, m/s")
     exponent: Exponent = Field(2.0, description="exponent δ of the Stribeck curve; 2: Gaussian, 1: exponential")
     viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
 
@@ -83,6 +83,6 @@ class JointStribeck(Stribeck, JointFriction):
 
     kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
     static: Torque = Field(description="static (break-away) torque, N m; not below kinetic")
-    stribeck_speed: JointSpeed = Field(description="joint speed of the fall from static to kinetic, rad/s")
+    stribeck_speed: JointSpeed = Field(description="Stribeck speed of the joint, rad/s")
     exponent: JointExponent = Field(2.0, description="exponent δ of the Stribeck curve; 2: Gaussian, 1: exponential")
     viscous: JointViscous = Field(0.0, description="viscous coefficient, N m s/rad")

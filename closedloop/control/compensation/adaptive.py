@@ -1,6 +1,6 @@
 """Adaptive compensation of the surface's friction: its Coulomb and viscous coefficients, learned while sliding.
 
-    F̂_t = −(θ₁ f_des û + θ₂ u)                     û, u: of the wanted motion, see `compensation.model`
+    F̂_t = −(θ₁ f_des û + θ₂ u)                     û, u: of the desired motion, see `compensation.model`
     θ̇₁ = γ û·s,   θ̇₂ = γ f_des/v₀² u·s            s = P/(½ tr P) (ė + c e),   e = p_des − p along the surface
 
 P is the tip's mobility along the surface. With a motion law ë + K_v ė + K_p e = P (F̂_t − F_t) and c < K_v the

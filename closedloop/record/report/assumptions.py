@@ -89,9 +89,9 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
 
 def _stiffest(run: Record) -> int:
     """Return the row at which the tip moves least along the normal; the middle of those of a pose that it passes."""
-    least = np.flatnonzero(run.normal_mobility == np.min(run.normal_mobility))
-    first = least[least - least[0] == np.arange(least.size)]
-    return int(first[first.size // 2])
+    first = int(np.argmin(run.normal_mobility))
+    alike = np.cumprod(run.normal_mobility[first:] == run.normal_mobility[first])
+    return first + int(np.sum(alike)) // 2
 
 
 def _judge(run: Record, held: NDArray[np.bool_], measured: str) -> dict[str, Any]:

@@ -50,7 +50,7 @@ class HybridLaw(Approach):
     kd: Annotated[GainNotNegative, gain_in("N m s/rad")] = Field(
         description="velocity gain K_d, N m s/rad, one per joint or one for all"
     )
-    approach_damping: Annotated[Positive, RATE] = Field(40.0, description="how firmly the approach speed is held, 1/s")
+    approach_damping: Annotated[Positive, RATE] = Field(40.0, description="gain of the approach speed, 1/s")
 
     @staticmethod
     def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:

@@ -136,8 +136,8 @@ def nothing_earlier(state: State) -> bool:
 def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> int:
     """Return RETRY_SUBSTEP, with half the length, if contacts sink, slips turn or forces multiply in it; else `todo`.
 
-    Of a stage, where `todo` is not BEGIN_SUBSTEP, only the forces count. Without a stabiliser contacts sink all the
-    time: nothing is held against that. Where forces multiply after all halvings a time step goes on.
+    At a stage, where `todo` is not BEGIN_SUBSTEP, only slips and forces count. Without a stabiliser contacts sink all
+    the time, which does not count. Where forces multiply after all halvings a time step goes on.
     """
     if state.together == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
         return todo

@@ -169,7 +169,7 @@ class State(Block):
     status: int
     sampled: int  # 1 if the law is evaluated with these terms
     raised: int  # 1 once a user's member has raised something
-    divided: int  # 1 in a substep that ends before the step for joints that turn fast
+    divided: int  # 1 in a substep that ends before the step
     after_event: int  # 1 in the remainder of a step after an event
     past_edge: int  # 1 while the tip is not above the surface because it has gone beyond its edge
     cleared: int  # 1 if the tip has been clear of the surface since it lifted off

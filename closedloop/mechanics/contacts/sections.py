@@ -123,7 +123,7 @@ class ContactSection(Section):
         None, description="its motion in the frame against, with the keys of [surface_motion]; at rest if left out"
     )
     compliance: Annotated[Compliance, COMPLIANCES] | None = Field(
-        None, description="how soft it is, as [compliance] says it; rigid if left out"
+        None, description="its stiffness and damping, with the keys of [compliance]; rigid if left out"
     )
     friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
     friction_law: Annotated[SurfaceFriction, SURFACE_LAWS] | None = Field(

@@ -122,21 +122,28 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         )
     fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
     name = robot.joint_names[fast]
-    causes = [
-        f"the signs and sizes of {_gains(problem.scenario, robot)}" if law is None else "the signs and sizes in the law"
-    ]
-    if law is None and problem.scenario.reads_encoders:
-        causes.append("what the law reads of the joints (encoder, transmission.measured)")
-    if law is None and problem.scenario.transmission.elastic:
-        causes.append("transmission.stiffness")
-    if problem.tolerance is None:
-        causes.append("time.step")
-    cure = "look at " + ", and at ".join(causes)
-    if law is None:
-        cure = gains_fault(problem.scenario, robot) or cure
+    cure = _cure(problem, robot, law)
     return DivergenceError(
         f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
     )
+
+
+def _cure(problem: Problem, robot: Robot, law: Any) -> str:
+    """Return what to change, or to look at, where a motion diverges."""
+    scenario = problem.scenario
+    if law is not None:
+        causes = ["the signs and sizes in the law"]
+    elif fault := gains_fault(scenario, robot):
+        return fault
+    else:
+        causes = [f"the signs and sizes of {_gains(scenario, robot)}"]
+        if scenario.reads_encoders:
+            causes.append("what the law reads of the joints (encoder, transmission.measured)")
+        if scenario.transmission.elastic:
+            causes.append("transmission.stiffness")
+    if problem.tolerance is None:
+        causes.append("time.step")
+    return "look at " + ", and at ".join(causes)
 
 
 def _gains(scenario: Scenario, robot: Robot) -> str:

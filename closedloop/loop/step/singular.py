@@ -110,16 +110,26 @@ def rounding_of_push(constants: Constants, rate: float, lever: float) -> float:
 
 
 @kernel
+def rate_of_way(w: Work, state: State, way: Approach, left: float) -> float:
+    """Return how fast ℓ became less on the way to the pose, 1/(s √kg), where at most `left` was left; zero without one.
+
+    There is none either of a tip that stays: see PATIENCE.
+    """
+    if state.approached < 2 or not way.lever[1] > way.lever[0]:
+        return 0.0 * way.lever[0]
+    rate = (way.lever[1] - way.lever[0]) / (way.time[0] - way.time[1])
+    return float(rate if (w.time - way.time[0]) * rate <= PATIENCE * left else 0.0 * rate)
+
+
+@kernel
 def row_is_rounding(C: Array, w: Work, constants: Constants, state: State) -> bool:
     """Whether the tip is so near the pose that rounding decides over f by Eq. 24, and it came from where it does not.
 
     There g counts as none that gives f an error of what the loads need at the tip, see `no_push`.
     """
     way, trace = Approach(w.approach, C.shape[0]), w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
-    if state.approached < 2 or not way.lever[1] > way.lever[0] or not w.tip.S[0, 0] > 0.0:
-        return False
-    rate = (way.lever[1] - way.lever[0]) / (way.time[0] - way.time[1])
-    if not (w.time - way.time[0]) * rate <= PATIENCE * way.lever[0]:
+    rate = rate_of_way(w, state, way, way.lever[0])
+    if not (rate > 0.0 and w.tip.S[0, 0] > 0.0):
         return False
     most, lever = no_push(C, w, constants, rate) / math.sqrt(trace), math.sqrt(w.tip.S[0, 0])
     if not rounding_of_push(constants, rate, lever) > most * lever:
@@ -141,12 +151,10 @@ def force_in_singular_pose(C: Array, w: Work, constants: Constants, state: State
     state : State
     """
     way, trace = Approach(w.approach, C.shape[0]), w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
-    if state.approached < 2 or not way.lever[1] > way.lever[0]:
+    rate = rate_of_way(w, state, way, max(way.lever[0], math.sqrt(SINGULAR_MOBILITY * trace)))
+    if not rate > 0.0:
         return SINGULAR
     nearer = way.lever[1] - way.lever[0]
-    rate = nearer / (way.time[0] - way.time[1])
-    if not (w.time - way.time[0]) * rate <= PATIENCE * max(way.lever[0], math.sqrt(SINGULAR_MOBILITY * trace)):
-        return SINGULAR
     pushed = (way.push[0] * way.lever[1] - way.push[1] * way.lever[0]) / nearer
     along = w.tip.a[0] - w.tip.S[0, 1] * w.friction.viscous[0] - w.tip.S[0, 2] * w.friction.viscous[1]
     most = no_push(C, w, constants, rate)

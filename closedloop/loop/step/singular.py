@@ -116,7 +116,7 @@ def rate_of_way(w: Work, state: State, way: Approach, left: float) -> float:
     There is none either of a tip that stays: see PATIENCE.
     """
     if state.approached < 2 or not way.lever[1] > way.lever[0]:
-        return 0.0 * way.lever[0]
+        return float(0.0 * way.lever[0])
     rate = (way.lever[1] - way.lever[0]) / (way.time[0] - way.time[1])
     return float(rate if (w.time - way.time[0]) * rate <= PATIENCE * left else 0.0 * rate)
 

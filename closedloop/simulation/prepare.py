@@ -35,7 +35,7 @@ from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache
-from closedloop.simulation.engines.bind_contacts import check_contacts
+from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.packed import PackedLaw, pack_compliance, pack_friction, pack_law
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.start_memory import STICK_SPEED
@@ -96,8 +96,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
-    if scenario.contact:
-        check_contacts(scenario, robot, q)
+    placed = placed_contacts(scenario, robot, q) if scenario.contact else None
     h, period = scenario.time.step, scenario.law.sample_period
     steps, hold = steps_and_hold(scenario, n)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
@@ -119,7 +118,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     return Problem(
         scenario=scenario, robot=robot, surface=surface, frame=now.frame, integrator=integrator, tolerance=tolerance,
         q=q, v=v, mode=mode, h=h, steps=steps, hold=hold, nodes=integrator.parts, table=table, wanted=wanted,
-        pd_start=start, law=pack_law(law, n, model.joint_names), friction=friction,
+        pd_start=start, law=pack_law(law, n, model.joint_names), friction=friction, placed=placed,
         compensation=packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
         joint_friction=packed("joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)),
         compliance=packed("compliance", scenario.compliance, lambda: pack_compliance(scenario.compliance, n)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from difflib import get_close_matches
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_c
 from closedloop.mechanics.contacts.modes import HOVERING
 from closedloop.mechanics.contacts.rolling import roll_on_plane, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.contacts.shapes import EDGE, SHAPE, ShapeMemory, make_shape_memory, shape_of
+from closedloop.mechanics.contacts.shapes import EDGE, SHAPE, Shapes, make_shape_memory, shape_of
 from closedloop.mechanics.contacts.soft import compliances_of, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.mechanics.friction.contact import Contact
@@ -42,10 +43,35 @@ Array = NDArray[np.float64]
 MOST = 256
 
 
-def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
+class ContactPlaces(NamedTuple):
+    """Where the contacts of a scenario are on the links, and at the start.
+
+    Attributes
+    ----------
+    bound : Bound
+        The rows of each contact: n, t1, t2 of a plane at rest; x, y, z of the frame that carries another surface. They
+        say where the point is, in axes fixed to the link that has the surface.
+    shapes, edges : (k, SHAPE), (k, EDGE) arrays
+        The shapes of the contacts, those of the sections from the second on; see `make_shape_memory`.
+    start : tuple
+        The gap of each section's contact at the start, m, and how far inside the edge of its surface it is, m.
+    """
+
+    bound: Bound
+    shapes: Array
+    edges: Array
+    start: tuple[tuple[float, float], ...]
+
+    @property
+    def starts_closed(self) -> bool:
+        """Whether a contact of a link is closed at the start."""
+        return any(gap <= HOVERING and inside >= 0.0 for gap, inside in self.start)
+
+
+def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> ContactMemory:
     """Return a new memory of a scenario's contacts, the tip's the first of them."""
     sections = scenario.contact or ()
-    rows, points = rows_of(sections, robot), len(sections) + 1
+    rows, points = make_loop_memory(robot.tree, placed.bound), len(sections) + 1
     stops = np.flatnonzero(np.isfinite(stop_limits(scenario, robot.model)).any(axis=0))
     held = robot.n if joint_friction_of(scenario, robot.model).sticks == "rigid" else 0
     turns = resistances_of(sections)
@@ -70,13 +96,14 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
         links.compliances = address_of(compliances.addresses)
         links.keep_alive(compliances=compliances)
     if turns or any(section.rolls or section.edge for section in sections):
-        shapes = shapes_of(sections, robot, k)
+        more = ((0, k - points), (0, 0))
+        shapes = make_shape_memory(robot.n, np.pad(placed.shapes, more), np.pad(placed.edges, more))
         links.shapes = shapes.address
         links.keep_alive(shapes=shapes)
     if surfaces := surfaces_of(sections, names):
-        placed = contact_surfaces(surfaces, k)
-        links.surfaces = address_of(placed.addresses)
-        links.keep_alive(surfaces=placed)
+        given = contact_surfaces(surfaces, k)
+        links.surfaces = address_of(given.addresses)
+        links.keep_alive(surfaces=given)
     return memory
 
 
@@ -127,10 +154,10 @@ def place_states(contacts: Contacts, tip_at: int, at: int) -> int:
     return at
 
 
-def rest_states(scenario: Scenario, robot: Robot, q: Array, v: Array, memory: ContactMemory, z: Array) -> None:
-    """Write into z the states of the laws of friction of contacts that are closed and at rest at q and q̇ (n,)."""
+def rest_states(scenario: Scenario, placed: ContactPlaces, v: Array, memory: ContactMemory, z: Array) -> None:
+    """Write into z the states of the laws of friction of contacts that are closed and, as q̇ (n,), at rest."""
     c, laws = memory.contacts, laws_of(scenario, names_of(scenario.contact or ()))
-    for i, (gap, inside) in enumerate(start_places(scenario.contact or (), robot, q), 1):
+    for i, (gap, inside) in enumerate(placed.start, 1):
         c.past_edge[i] = 1.0 if gap <= HOVERING and inside < 0.0 else 0.0
         if i in laws and c.friction.states[i] > 0.0 and gap <= HOVERING and inside >= 0.0 and not np.any(v):
             at = int(c.friction.states_at[i])
@@ -138,11 +165,8 @@ def rest_states(scenario: Scenario, robot: Robot, q: Array, v: Array, memory: Co
                 z[at : at + int(c.friction.states[i])] = law_at(*laws[i]).rested()
 
 
-def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
-    """Return the rows of each contact: n, t1, t2 of a plane at rest; x, y, z of the frame that carries another surface.
-
-    They say where the point is, in axes fixed to the link that has the surface.
-    """
+def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
+    """Return the rows of each contact, see `ContactPlaces`."""
     poses = link_poses(robot.tree, robot.model.loop_home)
     sides: list[tuple[int, int]] = []
     at_a, at_b, along = [], [], []
@@ -162,14 +186,14 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
         [*[POSITION] * m, *(a for a, _ in sides), *(b for _, b in sides), *[0, 1, 1] * len(sections)], dtype=np.int64
     )
     none = np.zeros((m, 3))
-    bound = Bound(
+    return Bound(
         kinds, np.array(at_a), np.array(at_b), none, np.array(along), np.zeros((m, 5)), np.ones(m), np.zeros(robot.n)
     )
-    return make_loop_memory(robot.tree, bound)
 
 
-def shapes_of(sections: tuple[ContactSection, ...], robot: Robot, k: int) -> ShapeMemory:
-    """Return a new memory of the shapes of k contacts, those of the sections from the second on."""
+def shapes_of(sections: tuple[ContactSection, ...], robot: Robot) -> tuple[Array, Array]:
+    """Return the shapes and the edges of the contacts, see `ContactPlaces`."""
+    k = len(sections) + 1
     poses, found, edges = link_poses(robot.tree, robot.model.loop_home), np.zeros((k, SHAPE)), np.zeros((k, EDGE))
     for i, (section, name) in enumerate(zip(sections, names_of(sections), strict=True), 1):
         if section.rolls or section.edge is not None:
@@ -179,7 +203,7 @@ def shapes_of(sections: tuple[ContactSection, ...], robot: Robot, k: int) -> Sha
             edges[i, PARTNER] = partner_of(sections, i)
         elif section.rolls:
             found[i] = shape_of(section, turn)
-    return make_shape_memory(robot.n, found, edges)
+    return found, edges
 
 
 def partner_of(sections: tuple[ContactSection, ...], i: int) -> int:
@@ -210,8 +234,8 @@ def placed_on_link(
     return link, axes.T @ rotation, axes.T @ (origin + rotation @ np.array(at) - place)
 
 
-def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
-    """Refuse contacts that cannot be, that start inside their planes, and what does not go with several contacts.
+def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces:
+    """Return where the contacts are at q (n,); refuse those that cannot be, or that start inside their planes.
 
     Raises
     ------
@@ -228,8 +252,9 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
     for name, section in zip(names, sections, strict=True):
         if section.link == section.against:
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
-    sides = rows_of(sections, robot).links.kept["bound"].sides.reshape(4, -1)[:, ::3]
-    places = start_places(sections, robot, q)
+    bound, shapes = bind_rows(sections, robot), shapes_of(sections, robot)
+    sides = bound.sides.reshape(4, -1)[:, ::3]
+    places = start_places(sections, make_loop_memory(robot.tree, bound), make_shape_memory(robot.n, *shapes).shapes, q)
     for i, (name, section, (gap, inside)) in enumerate(zip(names, sections, places, strict=True)):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
@@ -239,15 +264,17 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
                 f"contact {name!r}: the {what} starts {-gap:.4g} m inside the surface: "
                 "start it outside, or move the surface with through"
             )
+    return ContactPlaces(bound, *shapes, tuple(places))
 
 
-def start_places(sections: tuple[ContactSection, ...], robot: Robot, q: Array) -> list[tuple[float, float]]:
+def start_places(
+    sections: tuple[ContactSection, ...], rows: LoopMemory, shapes: Shapes, q: Array
+) -> list[tuple[float, float]]:
     """Return the gap of each contact at q (n,), m, and how far inside the edge of its surface it is, m."""
-    rows, names = rows_of(sections, robot), names_of(sections)
+    names = names_of(sections)
     rows.rows.q[:] = q
     interpreted(locate_rows)(rows.links, rows.rows)
     surfaces, places = surfaces_of(sections, names), []
-    shapes = shapes_of(sections, robot, len(sections) + 1).shapes
     for i, (name, section) in enumerate(zip(names, sections, strict=True)):
         place, surface = rows.rows.error[3 * i : 3 * i + 3], surfaces.get(i + 1)
         if section.edge is not None:
@@ -260,8 +287,3 @@ def start_places(sections: tuple[ContactSection, ...], robot: Robot, q: Array) -
         now = None if surface is None else check_surface(surface, place, name)
         places.append((float(place[0]), math.inf) if now is None else (now.gap, now.inside))
     return places
-
-
-def starts_closed(scenario: Scenario, robot: Robot, q: Array) -> bool:
-    """Whether a contact of a link is closed at the start."""
-    return any(gap <= HOVERING and inside >= 0.0 for gap, inside in start_places(scenario.contact or (), robot, q))

@@ -34,7 +34,7 @@ from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.simulation.engines.bind_ball import ball_memory
-from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, starts_closed
+from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states
 from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
@@ -68,7 +68,7 @@ class Problem(ScenarioNumbers):
         surface, joints = self.friction.states, self.joint_friction.states
         motors = 2 * n if self.scenario.transmission.elastic else 0
         rubbed = both + self.sensor.states + surface + n * joints
-        contacts = contact_memory(self.scenario, self.robot) if self.scenario.contact else None
+        contacts = contact_memory(self.scenario, self.robot, self.placed) if self.placed else None
         tip = both + self.sensor.states
         extra = (rubbed if contacts is None else place_states(contacts.contacts, tip, rubbed)) + motors
         loop = make_loop(
@@ -96,13 +96,13 @@ class Problem(ScenarioNumbers):
             loop.w.keep_alive(seen_loops=seen)
         write_constants(self, loop.constants)
         write_start(self, state, loop.w)
-        if contacts is not None:
-            rest_states(self.scenario, self.robot, self.q, self.v, contacts, loop.w.z)
+        if contacts is not None and self.placed is not None:
+            rest_states(self.scenario, self.placed, self.v, contacts, loop.w.z)
             state.contacts.at, contacts.links.loop = contacts.address, state.address
             points = len(self.scenario.contact or ())
             contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(points)
             contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
-            state.together = starts_closed(self.scenario, self.robot, self.q)
+            state.together = self.placed.starts_closed
             contacts.links.undecided = contacts.links.fresh = state.together
             loop.w.keep_alive(contacts=contacts)
         if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:

@@ -21,6 +21,7 @@ from closedloop.record.columns.added import recorded_states
 from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.stabiliser_sections import BaumgarteGains
+from closedloop.simulation.engines.bind_contacts import ContactPlaces
 from closedloop.simulation.engines.needs import arm_columns, needs_general_form
 from closedloop.simulation.engines.packed import PackedLaw
 
@@ -68,6 +69,8 @@ class ScenarioNumbers:
         The parameters of the encoders.
     wanted : Desired
         The reference at any instant.
+    placed : ContactPlaces or None
+        Where the contacts of [[contact]] are; None without any.
     tolerance : float or None
         Relative tolerance of an adaptive integrator; None: the step is fixed.
     """
@@ -98,6 +101,7 @@ class ScenarioNumbers:
     transmission: Array
     encoder: Array
     wanted: Desired
+    placed: ContactPlaces | None
     tolerance: float | None
 
     @property

@@ -24,7 +24,7 @@ from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.given_modes import mobility_of
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub
-from closedloop.mechanics.contacts.modes import near
+from closedloop.mechanics.contacts.modes import HOVERING, near
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
 from closedloop.mechanics.contacts.rolling import roll_on_plane, roll_on_surface
@@ -73,7 +73,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         c.near[i] = 1.0 if takes_part else 0.0
     mobility_of(c, k)
     for i in range(links.joints):
-        for j in range(3 * i, 3 * i + 3):
+        for j in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
             off = c.located[j]
             if j > 3 * i and i > 0 and not asked(links, i):
                 c.at[j] = c.located[j]
@@ -94,6 +94,8 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     joints, rows = loops_at(links.rows)
     for j in range(links.n):
         rows.q[j], rows.v[j] = w.q[j], w.v[j]
+    for i in range(1, links.points):
+        rows.clear[3 * (i - 1)] = clear_gap(links, c, i)
     locate_rows(joints, rows)
     for i in range(1, links.points if links.shapes != 0 else 0):
         shapes = shapes_at(links.shapes)
@@ -102,7 +104,10 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     n, G, given = links.n, c.G, rows.G
     for r in range(joints.m):
         i = r + 3
-        c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
+        c.located[i], c.u[i] = rows.error[r], rows.rate[r]
+        if rows.error[r - r % 3] > rows.clear[r - r % 3]:
+            continue
+        c.drift[i] = rows.drift[r]
         to, of = row_of(G, i), row_of(given, r)
         for j in range(n):
             to[j] = of[j]
@@ -115,6 +120,14 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     if links.joints > links.points + links.stops:
         write_resistances(joints, rows, shapes_at(links.shapes), links, c)
     return int(OK)
+
+
+@kernel
+def clear_gap(links: ContactLinks, c: Contacts, i: int) -> float:
+    """Return the gap above which contact i, of a point with a plane, is open: its rows are then not needed, only it."""
+    if c.mode[i] != FREE or c.friction.pulls[i] != 0.0 or asked(links, i):
+        return math.inf
+    return math.inf if links.shapes != 0 and wanders(links, i) else HOVERING
 
 
 @kernel

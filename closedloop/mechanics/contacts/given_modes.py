@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.mechanics.contacts.friction import slide, write_limits
@@ -32,6 +31,7 @@ from closedloop.mechanics.contacts.memory import (
 from closedloop.mechanics.contacts.resistance import add_turning, has_resistance, is_resistance, moved_by_turning
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, SAME_ROW, independent_rows, shortest_solutions
 from closedloop.mechanics.contacts.soft_friction import write_shared
+from closedloop.mechanics.contacts.sticking import all_stick, shortest_sticking
 from closedloop.mechanics.loops.solve import orthonormal_rows
 
 Array = NDArray[np.float64]
@@ -43,23 +43,25 @@ ON_EDGE = 1e-3
 @kernel
 def mobility_of(c: Contacts, k: int) -> None:
     """Write W = X Xᵀ, of the contacts that are near: elsewhere both are zero."""
-    n, X, W, columns = c.X.shape[1], c.X, c.W, c.scratch.Y_columns
-    for i in range(3 * k):
-        for m in range(n):
-            columns[m, i] = X[i, m]
-    for i in range(3 * k):
-        if c.near[i // 3] == 0.0:
-            continue
-        row = row_of(W, i)
-        for j in range(i + 1):
-            row[j] = 0.0
+    n, p, X, W, columns, rows, s = c.X.shape[1], 0, c.X, c.W, c.scratch.Y_columns, c.scratch.unknown, c.scratch.trial
+    for i in range(k):
+        for r in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
+            rows[p] = r
+            for m in range(n):
+                columns[m, p] = X[r, m]
+            p += 1
+    for q in range(p):
+        i = int(rows[q])
+        for t in range(q + 1):
+            s[t] = 0.0
         for m in range(n):
             share = X[i, m]
             if share != 0.0:
-                for j in range(i + 1):
-                    row[j] += share * columns[m, j]
-        for j in range(i):
-            W[j, i] = row[j]
+                for t in range(q + 1):
+                    s[t] += share * columns[m, t]
+        for t in range(q + 1):
+            j = int(rows[t])
+            W[i, j], W[j, i] = s[t], s[t]
 
 
 @kernel
@@ -115,9 +117,13 @@ def solve_modes(c: Contacts, k: int) -> int:
         return OK
     if p == 1 and pulled_in(c, int(c.scratch.unknown[0]) // 3):
         return PAINLEVE
-    asked = write_system(c, k, p)
-    rank = independent_rows(c, p)
-    if rank < p and shortest_solutions(c, p, rank, asked):
+    asked = shortest_sticking(c, p) if all_stick(c, k, p) else 0.0 * most - 1.0
+    found = asked >= 0.0
+    if not found:
+        asked = write_system(c, k, p)
+        rank = independent_rows(c, p)
+        found = rank < p and shortest_solutions(c, p, rank, asked)
+    if found:
         write_forces(c, p)
         if inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F):
             c.problem.rounding = rounding_of(c, k, asked / most)
@@ -125,6 +131,7 @@ def solve_modes(c: Contacts, k: int) -> int:
         for i in range(3 * k):
             c.rigid[i] = 0.0 - c.viscous[i]
             c.F[i] = c.rigid[i]
+        asked = write_system(c, k, p)
     for i in range(p):
         for j in range(p):
             c.scratch.unknowns[i, j] = c.scratch.system[i, j]

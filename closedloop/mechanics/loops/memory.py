@@ -61,6 +61,7 @@ class LoopRows(Block, sizes=("n", "m")):
     scale: Annotated[Array, M]  # one over the usual length of each row
     undriven: Annotated[Array, N]  # 1 for a joint without a drive
     held: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
+    clear: Annotated[Array, M]  # of a point whose first error is above this, m, only errors and rates are written
     G: Annotated[Array, M, N]  # written, as all that follow: the rows, their drift, error and its rate
     drift: Annotated[Array, M]
     error: Annotated[Array, M]  # m, or the sine of an angle
@@ -177,5 +178,6 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     links.scratch, links.scratch_size = address_of(scratch), scratch.size
     for name in ("at_a", "at_b", "along_a", "along_b", "value", "scale", "undriven"):
         getattr(rows, name)[:] = getattr(bound, name)
+    rows.clear[:] = np.inf
     links.keep_alive(tree=tree, bound=bound, scratch=scratch, order=order)
     return LoopMemory(links, rows)

@@ -22,7 +22,17 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of, vector_at
-from closedloop.mechanics.loops.memory import DISTANCE, GEAR, IDLE, ROTATION, STOP, LoopLinks, LoopRows, tree_at
+from closedloop.mechanics.loops.memory import (
+    DISTANCE,
+    GEAR,
+    IDLE,
+    POSITION,
+    ROTATION,
+    STOP,
+    LoopLinks,
+    LoopRows,
+    tree_at,
+)
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.angles import sines
@@ -59,6 +69,13 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
         kind, one, other = sides[k], sides[links.m + k], sides[2 * links.m + k]
         if sides[3 * links.m + k] != 0:  # located with the row before it
             continue
+        if kind == POSITION:
+            count = 1
+            while k + count < links.m and sides[3 * links.m + k + count] != 0:
+                count += 1
+            if not (rows.clear[k] < math.inf and _is_clear(tree, work, rows, k, count, (one, other))):
+                _positions(tree, work, rows, k, count, (one, other), moving)
+            continue
         for j in range(links.n):
             rows.G[k, j] = 0.0
         if kind == GEAR:
@@ -79,14 +96,34 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
             _rotation(tree, work, rows, k, one, other, moving)
         elif kind == DISTANCE:
             _distance(tree, work, rows, k, one, other, moving)
-        else:
-            count = 1
-            while k + count < links.m and sides[3 * links.m + k + count] != 0:
-                count += 1
-            for i in range(k + 1, k + count):
-                for j in range(links.n):
-                    rows.G[i, j] = 0.0
-            _positions(tree, work, rows, k, count, (one, other), moving)
+
+
+@kernel
+def _is_clear(tree: Tree, work: Array, rows: LoopRows, k: int, count: int, ends: tuple[int, int]) -> bool:
+    """Write error and rate of rows k, k + 1, ... as `_positions` does; return whether the first error is above `clear`.
+
+    The rate is u·(ṗ_a − ṗ), with ṗ the velocity of that point of the other link that lies at a.
+    """
+    a, b, u = row_of(rows.motions, 0), row_of(rows.motions, 1), rows.directions
+    one, other = ends
+    _move_point(tree, work, one, row_of(rows.at_a, k), a, False)
+    _move_point(tree, work, other, row_of(rows.at_b, k), b, False)
+    for r in range(count):
+        _turn(tree, work, other, row_of(rows.along_b, k + r), row_of(u, r), 0, False)
+        c, error = row_of(u, r), 0.0
+        for i in range(3):
+            error += c[i] * (a[POINT + i] - b[POINT + i])
+        rows.error[k + r] = error
+    if not rows.error[k] > rows.clear[k]:
+        return False
+    _along_joints(tree, work, one, a, 1.0, rows, k, 0)
+    x, y, z = a[VELOCITY], a[VELOCITY + 1], a[VELOCITY + 2]
+    _along_joints(tree, work, other, a, -1.0, rows, k, 0)
+    x, y, z = x - a[VELOCITY], y - a[VELOCITY + 1], z - a[VELOCITY + 2]
+    for r in range(count):
+        c = row_of(u, r)
+        rows.rate[k + r] = c[0] * x + c[1] * y + c[2] * z
+    return True
 
 
 @kernel
@@ -96,6 +133,9 @@ def _positions(
     """Write rows k, k + 1, ... of one point of either link, along so many directions of the other link."""
     a, b, u = row_of(rows.motions, 0), row_of(rows.motions, 1), rows.directions
     one, other = ends
+    for r in range(k, k + count):
+        for j in range(tree.n):
+            rows.G[r, j] = 0.0
     _move_point(tree, work, one, row_of(rows.at_a, k), a, moving)
     _move_point(tree, work, other, row_of(rows.at_b, k), b, moving)
     for r in range(count):

@@ -159,7 +159,7 @@ def moved_joints(c: Contacts, p: int, side: int) -> float:
 @kernel
 def spread(c: Contacts, p: int, side: int) -> bool:
     """Write the shortest F with XᵀF = z, of `sum`, as row `side` of `solution`; return whether they are exact."""
-    n, z, left, change = c.X.shape[1], c.scratch.sum, c.scratch.sum_trial, c.scratch.residuals
+    n, z, left, change = c.X.shape[1], c.scratch.sum, c.scratch.sum_trial, c.scratch.multiples
     F = row_of(c.scratch.solution, side)
     size, worst = 0.0, 0.0
     for j in range(n):

@@ -1,16 +1,21 @@
 """Derivatives of whole runs: closed forms, events, kinks, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import closedloop as cl
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient import differences, exact, guard
 from closedloop.studies.gradient.keys import SHARE, Keys
+from closedloop.studies.gradient.outputs import output
 from closedloop.studies.gradient.seeds import seeds_of
+from closedloop.studies.gradient.several import SHARE_OFF, not_unique
 from closedloop.studies.gradient.variants import Happening, Sample
 from tests.closedloop.linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
@@ -306,6 +311,40 @@ def test_a_motion_that_is_none_by_symmetry_has_derivatives():
             cl.simulate(cl.load_scenario("panda_scan", {**short, "start.q": q.tolist()}), progress=False).torque
         )
     np.testing.assert_allclose(found, (ends[0] - ends[1]) / 2e-5, atol=1e-5)
+
+
+def pushed(**changes):
+    """Return a block that slides on four feet, to which the tip begins to stick at 0.492 s."""
+    return cl.load_scenario("push_block", {"time.duration": 0.5, "reference.start": 0.0} | changes)
+
+
+def test_an_end_of_slip_that_forces_without_a_unique_solution_decide_over_is_found():
+    """Four normal forces of feet that slide are one more than unique ones; three are unique."""
+    run = cl.simulate(pushed(), engine="compiled")
+    found = not_unique(run)
+    assert found.instant == pytest.approx(0.492223, abs=1e-5)
+    assert found.event == "stick of pusher"
+    assert "forces of contacts are not unique" in found.problem
+    for name, count in (("v@0.49", 0), ("v@end", run.v.shape[1]), ("event_time", 1), ("max_kinetic_energy", 1)):
+        assert np.count_nonzero(found.follows(output(name, run), run)) == count
+    for lifted in (1, 4):
+        modes = run.link_modes.copy()
+        modes[:, :lifted] = FREE
+        assert not_unique(replace(run, columns=dict(run.columns) | {"link_modes": modes})) is None
+    assert not_unique(cl.simulate(pushed(**{"contact.*.friction": 0.0}), engine="compiled")) is None
+    assert not_unique(cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.1}), engine="compiled")) is None
+
+
+@pytest.mark.slow
+def test_derivatives_after_such_an_end_of_slip_say_how_exact_they_are():
+    """Those before it are exact to rounding."""
+    found = cl.gradient(pushed(), ["law.force"], of=["v@0.49", "v@end", "event_time"])
+    assert found.problems[0].startswith("not smooth at 0.492223 s (stick of pusher)")
+    error, largest = found.error["v@end"]["law.force"], np.max(np.abs(found.derivative["v@end"]["law.force"]))
+    assert np.all(error >= SHARE_OFF * largest)
+    assert np.all(found.error["v@0.49"]["law.force"] < 1e-9)
+    assert np.all(found.error["event_time"]["law.force"][:-1] < 1e-9)
+    assert found.error["event_time"]["law.force"][-1] > 1e-7
 
 
 def test_whole_columns():

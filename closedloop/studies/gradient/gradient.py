@@ -169,7 +169,8 @@ def differentiated(
                 rest = [d for d in directions if d not in found]
                 found = found | along(varied, rest, base, partial(_read, some), model, report, workers)
                 made.append(_gathered(varied, run, some, base.values, {d: found[d] for d in directions}))
-    return _joined(made, [each.name for each in outputs])
+    joined = _joined(made, [each.name for each in outputs])
+    return replace(joined, problems=(*by_duals.problems, *joined.problems))
 
 
 def _read(outputs: Sequence[Output], run: Run) -> Array:

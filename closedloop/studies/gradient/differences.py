@@ -78,7 +78,7 @@ class Along:
     why : str
         Why there are no two-sided ones.
     count : int
-        How many quantities there are, M.
+        Number of quantities, M.
     method : str
         How they were found.
     settled : bool

@@ -56,7 +56,8 @@ Array = NDArray[np.float64]
 # third. Where joints are elastic the motors take the jump, and the rows of f do not show it.
 LATE = 1.0 / 3.0
 # Where friction is in joints, f comes in as many steps to what it is as joints come to rest or begin to move: each in a
-# step of its own with a scheme of order one.
+# step of its own with a scheme of order one. Where the tip strikes, what friction was before decides over the next
+# flight with any scheme: f and the tip are late by a step for each strike.
 IN_TURN = 2.0
 # A touchdown on a soft surface is found within its step, and f begins at nothing there. What is left of its steepest
 # change, after a jump that a damper makes, is the tip's own error.
@@ -147,7 +148,7 @@ class Beside(NamedTuple):
 
     off_at_the_end: bool  # whether the tip is off the surface, and was on it in the last `BOUNCED` rows before
     bounces_on: bool  # whether its bounces go on
-    struck: bool  # whether it struck
+    struck: int  # how often it struck
     links_struck: bool  # whether other contacts struck
     starts_again: int  # how often the joint that did so most came to rest, and moved again
     asked: float  # the largest change of f_des from row to row, N
@@ -177,7 +178,7 @@ def beside_of(
     return Beside(
         bool(mode == FREE and np.any(late)),
         bounces_on(np.abs(rates[struck])),
-        bool(np.any(struck)),
+        int(np.count_nonzero(struck)),
         bool(np.any(np.isin(kinds, (IMPACT, TOUCHDOWN)) & (contacts != 0))),
         starts_again(v) if scenario.rubs_in_joints else 0,
         float(np.max(np.abs(np.diff(wanted)), initial=0.0)) if fed_back(scenario) else 0.0,
@@ -210,6 +211,7 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
         more -= max(0.0, (1.0 - LOCATED) * swings.steepest - moved)
     if scenario.rubs_in_joints:
         more += 0.0 if higher else IN_TURN * swings.steepest
+        more += min(beside.struck * swings.steepest, force.highest - force.lowest)
     if scenario.friction.kind != "none" and higher:
         more += BENT * force.error
     ranges = [each.highest - each.lowest for each in map(Swing, swings.each[1:])]
@@ -234,6 +236,9 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
         values.step_error_position *= OLD
     if swings.sticks or (beside.struck and scenario.transmission.elastic):
         values.step_error_position *= 1.0 + AGAIN
+    if beside.struck and scenario.rubs_in_joints:
+        late = beside.struck * scenario.time.step * values.max_tip_speed
+        values.step_error_position += min(late, math.hypot(*ranges))
     if beside.links_struck:
         values.step_error_position += IN_A_ROW * scenario.time.step * values.max_tip_speed
     rubs = scenario.friction.kind != "none" or scenario.rubs_in_joints

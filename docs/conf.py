@@ -61,8 +61,14 @@ def leave_out_missing(app: Any, page: str, source: list[str]) -> None:
                 source[0] = source[0].replace(f"\n{name}\n", "\n")
 
 
+def names_in(text: str) -> list[str] | None:
+    """Return the names in a list that commas part, None if it is empty."""
+    return text.split(",") if text else None
+
+
 def setup(app: Any) -> None:
     """Connect the functions above, and write the pages that follow from the code."""
     app.connect("autodoc-process-docstring", plain_docstring)
     app.connect("source-read", leave_out_missing)
-    app.connect("config-inited", lambda app, config: write(HERE / "generated"))
+    app.add_config_value("simulated", "", "env")  # -D simulated=NAME,NAME: only these are in gallery and verdicts
+    app.connect("config-inited", lambda app, config: write(HERE / "generated", names_in(config.simulated)))

@@ -4,7 +4,7 @@ import reprlib
 
 
 class ClosedLoopError(Exception):
-    """Root of every error that the project raises on purpose: catching it catches them all."""
+    """Base class of every error that the project raises on purpose."""
 
 
 # Characters of a message. Long enough for two paths and a list of names.
@@ -12,10 +12,10 @@ _LONG = 600
 
 
 class ModelError(ClosedLoopError, ValueError):
-    """A robot model is at fault, or the request for one is.
+    """A robot model is wrong, or the request for one.
 
-    The text is one line: what is wrong, where (link or joint, and file), and what would be right. Of a text that
-    quotes something very long the middle is left out.
+    The text is one line: what is wrong, where (link or joint, and file), and what would be right. If it quotes a very
+    long text, the middle of the quotation is left out.
     """
 
     def __init__(self, text: str) -> None:

@@ -48,19 +48,19 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
         the path of a URDF (.urdf) or MJCF (.xml). A file may have a sidecar of the same name, `my.toml`
         beside `my.urdf` (see `robot_models.sidecar`).
     drive_inertia
-        Whether the inertia of the drives, seen at the joints, adds to the mass matrix: what a sidecar, an
-        MJCF or the rotor parameters of example-robot-data say. Zero where none of them says anything.
+        Whether the mass matrix includes the inertia of the drives, as a sidecar, an MJCF or the rotor parameters of
+        example-robot-data give it. It is zero where none of them gives it.
     lock
         Joints to hold rigid: a mapping to their values (rad, m), or names alone, which are locked at the
-        robot's home posture. Where it is empty the robot's own default holds (the fingers of "panda" are
-        locked); a lock that is given replaces the default.
+        robot's home posture. If it is empty, the robot's own default applies (the fingers of "panda" are locked); if
+        not, it replaces the default.
 
     Raises
     ------
     ModelError
-        There is no such robot, or it cannot be simulated; the message says what is wrong, where, and the
-        cure. A file may have 16 MB and 100 000 elements, a robot 2000 links and 128 joints that move
-        (`robot_models.mechanism`); what is beyond is refused before it is built.
+        There is no such robot, or it cannot be simulated; the message says what is wrong, where, and what would be
+        right. A file may have 16 MB and 100 000 elements, a robot 2000 links and 128 joints that move
+        (`robot_models.mechanism`); a larger one is refused before it is built.
     """
     if isinstance(name, str) and not lock and not names_a_file(name):
         return _load_packaged(name, bool(drive_inertia))
@@ -111,10 +111,9 @@ def from_text(
     loops: Sequence[Mapping[str, object]] = (),
     drives: Sequence[str] = (),
 ) -> RobotModel:
-    """Rebuild a robot from what a run stored: the very same dynamics, to the last bit, without reading a
-    file.
+    """Rebuild a robot from the text that a run stored, without reading a file.
 
-    The text is a stranger's as much as a file is, and is inspected as one.
+    Its dynamics are the same to the last bit. The text is checked in the same way as a file.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def from_text(
     gravity : (3,), optional
         m/s² in the base frame; what the text says, or (0, 0, −9.81), if not given.
     loops : sequence of tables, optional
-        What closes its loops, see `robot_models.loop_joint`.
+        Its loop joints, see `robot_models.loop_joint`.
     drives : sequence of str, optional
         Joints with a drive; all if left out.
 

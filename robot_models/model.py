@@ -23,10 +23,11 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A tree of links on a base, moved by n velocities: one of a hinge or slider, three of a ball joint, six of a free.
+    """A tree of links on a base, moved by n velocities.
 
-    A robot without ball and free joints has as many positions nq as velocities, and where (nq,) stands it is (n,). A
-    free joint stands here as three sliders and a ball joint, see `robot_models.coordinates`.
+    A hinge or a slider has one of them, a ball joint three, a free joint six. A robot without ball joints and free
+    joints has as many positions as velocities, nq = n. A free joint is represented by three sliders and a ball joint,
+    see `robot_models.coordinates`.
 
     All arrays are read-only. Angles are in rad, lengths in m; for a prismatic joint read m, m/s, N and kg
     where rad, rad/s, N m and kg m² stand. The columns of every array are `joint_names`, in that order,

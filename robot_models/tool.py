@@ -44,7 +44,8 @@ class Tool:
         Raises
         ------
         ModelError
-            If no body has such a tensor: its principal moments must be >= 0, none larger than the other two together.
+            If no body has such a tensor: its principal moments must be >= 0, and none may exceed the sum of the other
+            two.
         """
         xx, yy, zz, xy, xz, yz = self.inertia
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -58,7 +59,7 @@ class Tool:
         return tensor
 
     def mount(self, model: "pin.Model") -> None:
-        """Fix it to its frame of a Pinocchio model, which is changed."""
+        """Fix the tool to its frame in a Pinocchio model, which is modified."""
         import pinocchio as pin
 
         index = model.getFrameId(self.frame)

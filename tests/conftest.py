@@ -33,9 +33,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a suite that a sh
 
 
 # Files that take longest, in either suite: begun first, so that no process is left with one of them at the end. The
-# others follow by their numbers of tests, as xdist would have them.
+# others follow by their numbers of tests, as xdist would have them. `test_gradient` compiles the loop of dual numbers,
+# which others need later; two processes that need it at the same time would both compile it.
 LONGEST = (
-    "test_pages", "test_environments", "test_notebooks", "test_sweep_killed", "test_lab_browser", "test_scenarios",
+    "test_gradient", "test_pages", "test_environments", "test_notebooks", "test_sweep_killed", "test_lab_browser",
+    "test_scenarios",
     "test_sweep_signals", "test_control_compensation", "test_engines_agree", "test_contact_energy",
     "test_integrator_choice", "test_compile_command", "test_run_files", "test_sweep_disk", "test_sweep_fuzz",
     "test_background", "test_break_away", "test_impact_spatial", "test_robot_files", "test_contact_random",

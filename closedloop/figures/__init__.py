@@ -10,8 +10,8 @@
     friction_force    friction in its cone, and the slip
     tool              force and moment at the wrist, and how the tool is turned to the surface
 
-Each function takes a run and returns a matplotlib figure that nothing else holds; `draw_figures` writes all that the
-run has something for as files, and `STYLE` is their style, for ``matplotlib.rcParams.update``.
+Each function takes a run and returns a matplotlib figure that nothing else holds; `draw_figures` writes as files the
+figures for which the run has data. `STYLE` is their style, for ``matplotlib.rcParams.update``.
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ SLOW, AWAY = 2e-3, 2e-3
 class Now:
     """The state of N environments at a control instant, with n joints and k numbers of an action.
 
-    Joint quantities are (N, n), vectors in space (N, 3) in the base frame, others (N,); SI units. Everything is the
-    truth but `measured`. The arrays are views: copy what is to be kept.
+    Joint quantities are (N, n), vectors in space (N, 3) in the base frame, others (N,); SI units. All values are true
+    ones except `measured`. The arrays are views: copy what you want to keep.
 
     Attributes
     ----------
@@ -54,10 +54,10 @@ class Now:
     touched : (N,) array of bool
         Whether it has been in contact since the reset.
     on_target : (N,) array
-        For how long the force has been within the task's tolerance, s.
+        Time for which the force has been within the task's tolerance, s.
     jammed : (N,) array
-        For how long a `[[contact]]` has been closed and the tip slower than 2 mm/s, though it is wanted more than 2 mm
-        away, s.
+        Time for which a `[[contact]]` has been closed and the tip slower than 2 mm/s, although the desired position is
+        more than 2 mm away, s.
     force_sum : (N,) array
         ∫ (wanted_force − measured) dt while in contact, N s.
     force_square : (N,) array
@@ -110,7 +110,7 @@ class Now:
         self._known: dict[str, Any] = {}
 
     def changed(self) -> None:
-        """Discard what was computed from the arrays: they have been written."""
+        """Discard the values computed from the arrays, because the arrays were written."""
         self._known.clear()
 
     def _once(self, name: str, compute: Callable[[], Any]) -> Any:
@@ -135,12 +135,12 @@ class Now:
 
     @property
     def force_error(self) -> Array:
-        """True force less the wanted one, N."""
+        """True force minus the desired one, N."""
         return cast(Array, self._once("force_error", lambda: self.force - self.wanted_force))
 
     @property
     def held(self) -> Flags:
-        """Whether a contact of a link is closed, and the tip slow and not where it is wanted."""
+        """Whether a contact of a link is closed, and the tip is slow and not at the desired position."""
         off, speed = self.tip - self.wanted_tip, self.tip_velocity
         slow = (speed * speed).sum(axis=1) < SLOW * SLOW
         touching = (self.link_forces > 0.0).any(axis=1)

@@ -30,7 +30,7 @@ class Range:
     low, high : float
         Ends, in the unit of the key; of a posture also a tuple each, one number for each joint.
     log : bool
-        Whether its logarithm is distributed evenly, instead of the number.
+        Whether the logarithm is uniformly distributed, instead of the number.
     """
 
     low: float | tuple[float, ...]

@@ -38,14 +38,14 @@ class Task:
     endings : mapping of str to callable
         For each reason for which an episode ends as failed a function of `closedloop.gym.Now`, (N,) truths.
     ranges : mapping
-        By dotted keys of the scenario (low, high) or `Range`: what is drawn for each episode.
+        Dotted keys of the scenario whose values are drawn for each episode, each with (low, high) or a `Range`.
     worlds : int or None
-        Episodes are drawn from so many worlds, each drawn once from the ranges, the same for any seed: a world that is
-        met again takes a fraction of the time. None: each episode is drawn anew.
+        Number of worlds, each drawn once from the ranges, the same for any seed; each episode takes one of them. A
+        world that is used again takes a fraction of the time. None: each episode is drawn anew.
     control_rate : float
-        Actions a second, Hz.
+        Actions per second, Hz.
     tolerance : float
-        The force is on target within it, N.
+        Largest error with which the force is on target, N.
     hold : float or None
         An episode succeeds once the force has been on target for so long, s; None: if it is so at its end, with a mean
         square of the force's error within the tolerance, and the tip on its path within 5 mm.

@@ -66,7 +66,7 @@ _LATER_COLUMNS = {
 
 @arguments_checked()
 def load_run(path: str | Path) -> Run:
-    """Read a run that `save_run` wrote, now or in an earlier version with this format: a column it lacks is NaN.
+    """Read a run that `save_run` wrote, in this or an earlier version of this format; a missing column is NaN.
 
     A user's class that its scenario picks is not imported: the run can be looked at, and repeated once the class is
     named, as ``load_scenario`` and ``--reference.kind my_module:MyPath`` do.

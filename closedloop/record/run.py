@@ -62,10 +62,11 @@ class Run:
     """The record of a simulation, and what produced it.
 
     Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute: `run.time` (N,),
-    `run.q` (N, nq), `run.position` (N, 3), `run.contact_force` (N,) ... Those of `SURFACE_COLUMNS` exist without a
-    surface too, but are in no file then. So is every column of the table of events
-    (`closedloop.loop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
-    `closedloop.record.columns.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
+    `run.q` (N, nq), `run.position` (N, 3), `run.contact_force` (N,) ... The columns of `SURFACE_COLUMNS` exist without
+    a surface too, but the file then does not have them. Every column of the table of events
+    (`closedloop.loop.events.table.EVENT_COLUMNS`) is an attribute too; `run.events` reads that table row by row. So are
+    the columns that are computed from the others, `closedloop.record.columns.derived.DERIVED`, such as
+    `run.wrist_wrench` (N, 6). All are read-only.
 
     Attributes
     ----------
@@ -84,12 +85,12 @@ class Run:
     wall_seconds : float
         Time the simulation took, s.
     engine : "pinocchio" or "compiled"
-        Who computed the terms; the last bits of a run depend on it.
+        The source of the terms; the last bits of a run depend on it.
     law_digest : str
         SHA-256 of the text of the user's law, see `closedloop.simulation.engines.law_source.law_digest`; "" if it is
         not known.
     member_digests : mapping of str to str
-        Name, MODULE:CLASS, of each user's class that the scenario picks, to the same of its text.
+        For each user's class that the scenario names, MODULE:CLASS, the SHA-256 of its text.
     added : mapping of str to Column
         Dimensions, unit and meaning of the columns that not every run has: states of its law, ``law_NAME``, and what
         `record` of `closedloop.simulate` asked for.
@@ -244,7 +245,8 @@ class Run:
     def plot(self) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.
 
-        Jupyter shows it inline; nothing else holds it, and pyplot is not involved. `closedloop.figures` has the others.
+        Jupyter shows it inline. It is not registered with pyplot, so it is freed when you delete it.
+        `closedloop.figures` has the other figures.
 
         Raises
         ------

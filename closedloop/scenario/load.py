@@ -49,15 +49,14 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
     overrides : mapping, optional
         Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``; of a contact by
         its name or number, or of all: ``{"contact.0.friction": 0.3, "contact.*.restitution": 0.0}``. Overriding a
-        `kind` drops the keys of the old kind that the new one does not know, if the file has them: of those given here
-        none is dropped. A user's class is named here, as ``{"reference.kind": "my_module:MyPath"}`` or by the class
-        itself.
+        `kind` drops the file's keys that the new kind does not have; keys given here are never dropped. A user's class
+        is named here, as ``{"reference.kind": "my_module:MyPath"}`` or by the class itself.
 
     Raises
     ------
     ScenarioError
-        If there is no such scenario, or the file or an override is at fault; names the key, the value and the cure,
-        of each fault on a line of its own.
+        If there is no such scenario, or the file or an override is at fault; it names the key, the value and the remedy
+        of each fault, one line each.
     """
     text, stem, where, folder = scenario_text(name)
     return parse_scenario(text, stem, where, overrides, folder=folder)

@@ -47,7 +47,7 @@ def halve(
     """Simulate a scenario as `simulate` does, and again at half its step; return the first run, with the comparison.
 
     The run's ``halved``, which is in its summary, its report and its file, says by how much each value and each main
-    column differ (`closedloop.record.report.halved`), and the error of the step that it states is the measured one.
+    column differ (`closedloop.record.report.halved`). The step error in the summary is then the measured one.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def halve(
     ScenarioError, ModelError
         As by `simulate`, and if the integrator chooses its steps.
     SimulationError
-        As by `simulate`, of the first run. That the second could not go on is in the verdict.
+        As by `simulate`, if the first run stops early. If the second run does, the verdict says so.
     """
     check_engine(scenario, engine, law)
     half_step(scenario)

@@ -119,15 +119,15 @@ class Simulator:
         return self._now is not None and (self._failure is not None or self._now.row == self.problem.steps)
 
     def step(self, torque: ArrayLike | None = None) -> StepState:
-        """Go one step on and return the state after it.
+        """Advance by one step and return the state after it.
 
         Parameters
         ----------
         torque : (n,) array, optional
             Torque Q on the joints, N m (N of a joint that slides), that acts from the present state on and is held over
-            the step, in place of the law's. None: the scenario's own law acts, as often as it says. Its states, and
-            those of its compensation, go on beside a torque from outside. A joint without a drive gives none, see
-            `closedloop.mechanics.loops.drives`.
+            the step, in place of the law's. None: the scenario's own law acts, as often as it says. The states of this
+            law and of its compensation are integrated also while a torque from outside acts. A joint without a drive
+            has no torque, see `closedloop.mechanics.loops.drives`.
 
         Raises
         ------
@@ -158,7 +158,8 @@ class Simulator:
             Time, s, not before the present one nor after the end. At the present row nothing is done.
         law : callable, optional
             A user's law, as for `closedloop.simulate`, in place of the scenario's until then. It is evaluated as often
-            as the scenario's law would be. If it has a `reset`, that is called first, unless it drove the step before.
+            as the scenario's law would be. If it has a `reset`, that is called first, unless the same law computed the
+            step before.
 
         Raises
         ------

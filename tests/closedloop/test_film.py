@@ -69,4 +69,4 @@ def test_faces_are_drawn_from_outside_and_from_far_to_near():
     run = cl.simulate(cl.load_scenario("cube_toss", {"time.duration": 0.002}))
     picture = picture_of(run)
     seen = picture._solid.seen(picture._space, *picture.scene.joint_places(0))
-    assert 2 <= len(seen.get_paths()) <= 6
+    assert 2 <= len(seen.corners) <= 6

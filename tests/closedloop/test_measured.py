@@ -66,7 +66,7 @@ def row_by_row(run):
     interpreted(end_stretch)(held, order, Swings(tally.swings, n))
     interpreted(write_values)(row, n, len(run), tally, values)
     events = run.event_kind, run.event_time, run.event_rate_before, run.event_contact
-    beside = beside_of(run.scenario, events, run.mode[-1], run.v, run.reference_force)
+    beside = beside_of(run.scenario, events, run.mode[-1], run.v, (run.contact_force, run.reference_force))
     write_beside(run.scenario, Swings(tally.swings, n), values, beside)
     return values
 

@@ -44,7 +44,7 @@ def assert_stepped_the_same(scenario, engine):
 
 
 LONGEST = budget(4.0, np.inf)  # s of a scenario, in the longer tests
-SHORTER = budget({"stewart": 1.0, "delta": 1.0}, {})  # of those whose terms cost most; they move from 0.5 s on
+SHORTER = budget({"stewart": 0.6, "delta": 0.6}, {})  # of those whose terms cost most; they move from 0.5 s on
 BRIEF = {"wam_slide": 0.6, "wam_bounce": 0.6, "panda_wipe": 0.8, "wam_edge": 3.0, "joint_friction": 1.0}
 
 

@@ -31,19 +31,19 @@ class Event(NamedTuple):
     tangential : (3,) array
         Impulse on the tip along the surface, N s, base frame.
     energy_lost : float
-        Kinetic energy lost, J; at an edge that of the spring of a soft surface.
+        Kinetic energy lost, J; at an edge the energy of the spring of a soft surface.
     energy_rested : float
-        Part of it that was taken so that what parts too slowly rests, J.
+        Part of `energy_lost` that was removed so that a contact which separates too slowly comes to rest, J.
     position : (3,) array
         Where the tip is, m, base frame.
     slip_before, slip_after : float
         Speed of the tip along the surface, m/s.
     restitution : float
-        What an impact gave: what `impact.restitution` asks for, but where Newton's law would have created energy; 0 of
-        all other events.
+        Coefficient of restitution of an impact: `impact.restitution`, or less where Newton's law would have created
+        energy. It is 0 for all other events.
     contact : int
-        Of which contact: 0 the tip, then the scenario's sections [[contact]] in their order; in a run with such, then
-        the joints that have stops in theirs, and 0 of a stop in any other.
+        Number of the contact: 0 is the tip; the scenario's sections [[contact]] follow in their order, and then the
+        joints that have stops. In a run without sections [[contact]] the number of a stop is 0.
     """
 
     time: float

@@ -72,7 +72,7 @@ def run_values(run: Record) -> Any:
     last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in _LAST})
     interpreted(write_values)(last, n, count, tally, values)
     events = run.event_kind, run.event_time, run.event_rate_before, run.event_contact
-    beside = beside_of(run.scenario, events, run.mode[-1], run.v, run.reference_force)
+    beside = beside_of(run.scenario, events, run.mode[-1], run.v, (run.contact_force, run.reference_force))
     write_beside(run.scenario, Swings(tally.swings, n), values, beside)
     if "torque_limited" in run.columns:
         count_limited(run.torque_limited, h, values)

@@ -45,7 +45,7 @@ from closedloop.loop.events.table import IMPACT, LIFTOFF, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
-from closedloop.record.report.growth import AT_REST, bounces_on, grows, starts_again
+from closedloop.record.report.growth import AT_REST, bounces_on, comes_out, grows, starts_again
 from closedloop.record.report.step_columns import resolution_of
 from closedloop.record.report.step_variation import Swing, Swings
 from closedloop.scenario.scenario import Scenario
@@ -56,7 +56,8 @@ Array = NDArray[np.float64]
 # third. Where joints are elastic the motors take the jump, and the rows of f do not show it.
 LATE = 1.0 / 3.0
 # Where friction is in joints, f comes in as many steps to what it is as joints come to rest or begin to move: each in a
-# step of its own with a scheme of order one.
+# step of its own with a scheme of order one. Where the tip strikes, what friction was before decides over the next
+# flight with any scheme: f and the tip are late by a step for each strike.
 IN_TURN = 2.0
 # A touchdown on a soft surface is found within its step, and f begins at nothing there. What is left of its steepest
 # change, after a jump that a damper makes, is the tip's own error.
@@ -71,6 +72,9 @@ BENT = 3.0
 # times more is assumed each time, up to the range. (4.4 times in all was seen, of a joint that sticks and slips ever
 # farther.)
 AGAIN = 4.0
+# What comes out of rounding so many times is no path, and the error of f is as large as what comes out, up to `AGAIN`
+# times: it grows faster at another step.
+COME_OUT = 100.0
 # What stages leave the surface by, a stabiliser takes back, and a law with a memory of f keeps: up to so many times the
 # stabiliser's part of f. (49 times was seen, of an admittance near a singular pose.)
 FED_BACK = 60.0
@@ -144,13 +148,16 @@ class Beside(NamedTuple):
 
     off_at_the_end: bool  # whether the tip is off the surface, and was on it in the last `BOUNCED` rows before
     bounces_on: bool  # whether its bounces go on
-    struck: bool  # whether it struck
+    struck: int  # how often it struck
     links_struck: bool  # whether other contacts struck
     starts_again: int  # how often the joint that did so most came to rest, and moved again
     asked: float  # the largest change of f_des from row to row, N
+    comes_out: bool  # whether f − f_des grows out of rounding
 
 
-def beside_of(scenario: Scenario, events: Sequence[Array], mode: float, v: Array, wanted: Array) -> Beside:
+def beside_of(
+    scenario: Scenario, events: Sequence[Array], mode: float, v: Array, forces: tuple[Array, Array]
+) -> Beside:
     """Return what events and rows say besides.
 
     Parameters
@@ -162,19 +169,20 @@ def beside_of(scenario: Scenario, events: Sequence[Array], mode: float, v: Array
         Of contact, in the last row.
     v : (N, n) array
         Velocities of the joints, rad/s (m/s).
-    wanted : (N,) array
-        f_des, N.
+    forces : two (N,) arrays
+        f and f_des, N.
     """
-    kinds, times, rates, contacts = events
+    (kinds, times, rates, contacts), (force, wanted) = events, forces
     struck = np.isin(kinds, (IMPACT, TOUCHDOWN)) & (contacts == 0)
     late = (struck | ((kinds == LIFTOFF) & (contacts == 0))) & (times > scenario.time.step * (len(v) - 1 - BOUNCED))
     return Beside(
         bool(mode == FREE and np.any(late)),
         bounces_on(np.abs(rates[struck])),
-        bool(np.any(struck)),
+        int(np.count_nonzero(struck)),
         bool(np.any(np.isin(kinds, (IMPACT, TOUCHDOWN)) & (contacts != 0))),
         starts_again(v) if scenario.rubs_in_joints else 0,
         float(np.max(np.abs(np.diff(wanted)), initial=0.0)) if fed_back(scenario) else 0.0,
+        comes_out(force - wanted) >= COME_OUT,
     )
 
 
@@ -203,6 +211,7 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
         more -= max(0.0, (1.0 - LOCATED) * swings.steepest - moved)
     if scenario.rubs_in_joints:
         more += 0.0 if higher else IN_TURN * swings.steepest
+        more += min(beside.struck * swings.steepest, force.highest - force.lowest)
     if scenario.friction.kind != "none" and higher:
         more += BENT * force.error
     ranges = [each.highest - each.lowest for each in map(Swing, swings.each[1:])]
@@ -216,6 +225,8 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
     if higher and (scenario.law.kind == "admittance" or scenario.law.force_integral):
         more += min(FED_BACK * values.max_stabiliser_force, force.highest - force.lowest)
     more += fed_back(scenario) * beside.asked
+    if beside.comes_out:
+        more += AGAIN * (force.highest - force.lowest)
     if beside.bounces_on:  # f and the tip may be anywhere in their ranges
         more = max(more, values.peak_contact_force - min(values.min_contact_force, 0.0) - values.step_error_force)
         values.step_error_position = max(values.step_error_position, math.hypot(*ranges))
@@ -225,6 +236,9 @@ def write_beside(scenario: Scenario, swings: Swings, values: Any, beside: Beside
         values.step_error_position *= OLD
     if swings.sticks or (beside.struck and scenario.transmission.elastic):
         values.step_error_position *= 1.0 + AGAIN
+    if beside.struck and scenario.rubs_in_joints:
+        late = beside.struck * scenario.time.step * values.max_tip_speed
+        values.step_error_position += min(late, math.hypot(*ranges))
     if beside.links_struck:
         values.step_error_position += IN_A_ROW * scenario.time.step * values.max_tip_speed
     rubs = scenario.friction.kind != "none" or scenario.rubs_in_joints

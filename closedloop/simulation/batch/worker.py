@@ -258,7 +258,8 @@ class Worker:
                 Values(values, n).energy_lost_to_friction += lost_to_slips(time, *rubbed)
             last = Row(rows[-1], n)
             happened = [events[:, EventRow.place(name)] for name in ("kind", "time", "rate_before", "contact")]
-            beside = beside_of(problem.scenario, happened, last.mode, recorded(rows, n, "v"), signals[1])
+            forces = signals[0], signals[1]
+            beside = beside_of(problem.scenario, happened, last.mode, recorded(rows, n, "v"), forces)
             write_beside(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n), beside)
             forget_absent(problem.scenario, values, self.law is not None)
             why = why_force_not_known(

@@ -112,7 +112,7 @@ class LinearLoop:
         return tuple(sorted(found, key=lambda pole: (-abs(pole.z), -pole.z.real, -pole.z.imag)))
 
     def poles(self) -> tuple[Pole, ...]:
-        """Return the poles, the slowest to decay first; those of Baumgarte's stabiliser are `closure`."""
+        """Return the poles, the slowest to decay first. Those of Baumgarte's stabiliser are in `closure`."""
         return self._poles
 
     @property
@@ -187,14 +187,14 @@ class LinearLoop:
     def margins(self, cut: str = "sensor") -> Margins:
         """Return how far the loop is from instability, cut at the sensor, or at the torque of a joint.
 
-        See `Margins`; of a loop that is unstable, or open at that place, they say so.
+        See `Margins`. They also say whether the loop is unstable, or open at that place.
         """
         return margins_of(lambda f: self.loop_transfer(f, cut), self.grid, cut, self.stable)
 
     def bandwidth(self) -> float:
         """Return up to which frequency, Hz, f follows the command: |f/f_des| within 3 dB of its value at rest.
 
-        Infinite if it does so up to half of the sampling rate, as where the command acts on f at once.
+        It is infinite if f follows up to half of the sampling rate, for example if the command acts on f directly.
         """
         f = self.grid
         T = np.abs(self.frequency_response("force command", "contact force", f))
@@ -202,21 +202,21 @@ class LinearLoop:
         return float(f[low[0]]) if low.size else math.inf
 
     def peak_sensitivity(self, cut: str = "sensor") -> float:
-        """Return max |S| = max |1/(1 + L)|, by which the loop makes a disturbance worse at the most."""
+        """Return max |S| = max |1/(1 + L)|, the largest factor by which the loop amplifies a disturbance."""
         return self.margins(cut).peak_sensitivity
 
     def response(
         self, input: str = "force command", output: str = "contact force", duration: float = 0.5, rise: float = 0.01
     ) -> tuple[Array, Array]:
-        """Return the times, s, and what an output does after a step of 1 of an input.
+        """Return the times, s, and the response of an output to a unit step of an input.
 
         Parameters
         ----------
         input, output : str
-            Names of `inputs` and `outputs`; "surface": the surface moves by 1 mm along n, within `rise`, for no
-            surface jumps. A step of another input is 1 of its unit at t = 0.
+            Names of `inputs` and `outputs`. For the input "surface" the surface moves by 1 mm along n in the time
+            `rise`, because no surface jumps. A step of another input is 1 of its unit at t = 0.
         duration, rise : float
-            How long, and the time in which the surface moves, s.
+            Length of the response, and the time in which the surface moves, s.
 
         Raises
         ------

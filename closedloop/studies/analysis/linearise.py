@@ -40,7 +40,7 @@ def linearise(
     model : RobotModel, optional
         The robot to use instead of loading `scenario.robot.model`.
     cache : Cache, optional
-        For one call after another: the robot and the path that they share are prepared once.
+        For repeated calls: the robot and the path that they share are prepared once.
 
     Returns
     -------

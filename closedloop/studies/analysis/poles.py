@@ -22,14 +22,14 @@ class Pole:
     Attributes
     ----------
     z, s : complex
-        From sample to sample, and the continuous equivalent ln(z)/dt, 1/s; −∞ for one that is over at once.
+        From sample to sample, and the continuous equivalent ln(z)/dt, 1/s; −∞ for a pole at z = 0.
     frequency : float
         Natural frequency |s|, Hz.
     damping : float
         Damping ratio −Re s/|s|; 1 for a real pole that decays.
     participation : dict of str to float
         Share of each part: arm, contact, law, compensation, filter, sensor, delay, hold, transmission, friction,
-        encoder; the sum is 1. Of a state it is |l_k r_k| with the left and the right eigenvector, normalised.
+        encoder; the sum is 1. The share of a state is |l_k r_k| with the left and the right eigenvector, normalised.
     """
 
     z: complex
@@ -54,7 +54,7 @@ class Pole:
         return not self.at_rest and abs(self.z) >= 1.0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain numbers; one that is over at once has no s."""
+        """Return it as plain numbers; a pole at z = 0 has no s."""
         over = not math.isfinite(self.s.real)
         return {
             "z": [self.z.real, self.z.imag], "s": None if over else [self.s.real, self.s.imag],

@@ -42,11 +42,11 @@ class Audit:
     size : float
         RMS of the expected force, N.
     usual : float
-        RMS of the difference if it is read as this simulator has it: along the normal, on the robot, N.
+        RMS of the difference if the force is read by this simulator's convention, along the normal and on the robot, N.
     explained : float
         Share of the joint torque, beyond that of motion and drives, that a force at the tip explains.
     reasons : list of Reason
-        What explains the difference that is left: bias, gain, delay.
+        Explanations of the remaining difference: bias, gain, delay.
     rows : int
     cutoff : float
         Of the filters, Hz.
@@ -63,7 +63,7 @@ class Audit:
 
     @property
     def consistent(self) -> bool:
-        """Whether the force, as this simulator has it, is what motion and torques say."""
+        """Whether the force, read by this simulator's convention, agrees with motion and torques."""
         return self.usual <= max(CONSISTENT * self.size, SMALL)
 
     def lines(self) -> list[str]:

@@ -103,10 +103,10 @@ def compare(
     scenarios : mapping, or sequence
         Scenarios by the names that they are to have, or scenarios and names for `load_scenario`.
     over : mapping of str to sequence, optional
-        Keys and their values, every one with every other, such as ``{"friction.coefficient": [0.2, 0.4, 0.6],
-        "sensor.seed": [0, 1, 2]}``; once as they are if left out.
+        Keys and their values, combined in all ways, such as ``{"friction.coefficient": [0.2, 0.4, 0.6], "sensor.seed":
+        [0, 1, 2]}``; if left out, each scenario runs once, unchanged.
     of : sequence of str
-        Values of `Run.summary`; of one that is a number for each joint, the largest in size is compared.
+        Values of `Run.summary`. If a value has a number for each joint, the largest magnitude is compared.
     engine, workers
         See `simulate_batch`.
 

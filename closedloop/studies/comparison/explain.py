@@ -63,7 +63,7 @@ class Reason:
     left : float
         Share that is left with it and the reasons before it.
     as_well : tuple of str
-        Hypotheses that would have done as well in its place: the log does not tell them apart.
+        Hypotheses that explain it equally well: the log does not distinguish them.
     """
 
     name: str

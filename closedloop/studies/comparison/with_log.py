@@ -67,7 +67,7 @@ class Difference:
 
 @dataclass(frozen=True, eq=False)
 class LogComparison:
-    """What came of a comparison.
+    """The result of a comparison with a log.
 
     Attributes
     ----------
@@ -76,15 +76,15 @@ class LogComparison:
     shift : float
         The instant t of the run is t + `shift` of the log, counted from the log's first row, s.
     shift_from : str
-        What told the shift: "q", "force", or "" where nothing moves and the shift is 0.
+        The quantity from which the shift was found: "q", "force", or "" where nothing moves and the shift is 0.
     overlap : float
-        Length that both have, s.
+        Length of time that both cover, s.
     differences : dict of str to Difference
         "q", and "torque" and "force" where the log has them.
     audit : Audit or None
-        What the log's force is; None without torque, force or surface.
+        Audit of the log's force; None without torque, force or surface.
     notes : list of str
-        What could not be compared.
+        Quantities that could not be compared, and why.
     """
 
     run: Run
@@ -174,7 +174,7 @@ def compare_log(
     shift : float, optional
         The instant of the log, s from its first row, at which the run begins; found if left out.
     cutoff : float, optional
-        Of the filters that the audit of the log's force uses, Hz.
+        Cutoff of the filters in the audit of the log's force, Hz.
 
     Returns
     -------

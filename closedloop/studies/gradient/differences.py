@@ -16,9 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
-from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, one_sided, two_sided
+from closedloop.simulation.prepare import prepare
+from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, floor, one_sided, two_sided
 from closedloop.studies.gradient.keys import Direction, Keys
 from closedloop.studies.gradient.variants import PAST_A_ROW, Sample, difference, samples
 from robot_models import RobotModel
@@ -31,6 +33,10 @@ DIFFERENCES = "central differences, Richardson"
 TABLES, SHORTER = 4, 16.0
 # An estimate is good enough at this share of the derivative, or of the quantity's largest entry over the key's size.
 ENOUGH = 1e-8
+# Integrators that choose their steps choose others beside, so a run scatters: by so large a share of the largest entry
+# of a quantity, of which the first is rounding, and the second a multiple of the tolerance. (1e-12 was seen at a
+# tolerance of 1e-13.)
+SCATTER, OF_TOLERANCE = 5e3 * float(np.finfo(float).eps), 3.0
 # Where an event is at a row, however short the steps, a quantity that is counted in rows jumps: it has no derivative if
 # the estimate of the error is more than this share.
 AT_A_ROW = 1e-3
@@ -72,7 +78,7 @@ class Along:
     why : str
         Why there are no two-sided ones.
     count : int
-        How many quantities there are, M.
+        Number of quantities, M.
     method : str
         How they were found.
     settled : bool
@@ -129,6 +135,9 @@ def along(
         Gets (runs done, runs in all) of the table at hand.
     """
     found = {direction: Along(count=base.values.size) for direction in directions}
+    scatter = (LOCATED if base.happened else ROUNDING) * np.abs(base.values)
+    if keys.scenario.time.integrator in ADAPTIVE and directions:
+        scatter = max(SCATTER, OF_TOLERANCE * (prepare(keys.scenario, model).tolerance or 0.0)) * base.scale
     for table in range(1 if base.happened else 0, TABLES):
         todo = [direction for direction in directions if not found[direction].settled]
         if not todo:
@@ -140,7 +149,7 @@ def along(
         ran = samples([variant(keys, *point) for point in points], read, model, report, workers)
         for i, d in enumerate(todo):
             mine = ran[2 * LEVELS * i : 2 * LEVELS * (i + 1)]
-            _take(found[d], steps[d], d.step, base, mine[:LEVELS], mine[LEVELS:])
+            _take(found[d], steps[d], d.step, base, mine[:LEVELS], mine[LEVELS:], scatter)
     for d, known in found.items():
         if known.best is None and known.at_a_row is not None:
             estimate = known.at_a_row
@@ -156,30 +165,33 @@ def variant(keys: Keys, direction: Direction, change: float) -> Callable[[], Sce
     return lambda: keys.scenario_at({direction: change})
 
 
-def _take(known: Along, h: float, size: float, base: Sample, minus: list[Sample], plus: list[Sample]) -> None:
-    """Take a table of runs into what is known of a direction."""
-    rounding = LOCATED if base.happened else ROUNDING
+def _take(
+    known: Along, h: float, size: float, base: Sample, minus: list[Sample], plus: list[Sample], scatter: Array
+) -> None:
+    """Take a table of runs, whose values scatter by `scatter`, into what is known of a direction."""
     whys = [_first_difference(base, side) for side in (minus, plus)]
     below, above = (
         np.array([each.values for each in side]) if why in ("", PAST_A_ROW) else None
         for side, why in zip((minus, plus), whys, strict=True)
     )
     if below is not None and above is not None:
-        estimate = two_sided(h, base.values, below, above, rounding)
+        estimate = two_sided(h, base.values, below, above, scatter)
         if PAST_A_ROW in whys:
             known.at_a_row = estimate if known.at_a_row is None else better(known.at_a_row, estimate)
             return
         known.best = estimate if known.best is None else better(known.best, estimate)
         enough = ENOUGH * np.maximum(np.abs(known.best.value), base.scale / (100.0 * size))
+        # Where half of the error is rounding, that of shorter steps is larger.
+        enough = np.maximum(enough, 2.0 * floor(h, scatter))
         known.settled = bool(np.all((known.best.error <= enough) & ~known.best.kink))
         return
     known.why = " and ".join(
         f"{side} it, {why}" for side, why in zip(("below", "above"), whys, strict=True) if why not in ("", PAST_A_ROW)
     )
     if below is not None:
-        known.below = _better_side(known.below, one_sided(-h, base.values, below, rounding))
+        known.below = _better_side(known.below, one_sided(-h, base.values, below, scatter))
     if above is not None:
-        known.above = _better_side(known.above, one_sided(h, base.values, above, rounding))
+        known.above = _better_side(known.above, one_sided(h, base.values, above, scatter))
 
 
 def _first_difference(base: Sample, side: list[Sample]) -> str:

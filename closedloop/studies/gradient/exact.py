@@ -40,6 +40,7 @@ from closedloop.studies.gradient.guard import NOISE, agreeing, rounded
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys
 from closedloop.studies.gradient.outputs import Output, slices_of
 from closedloop.studies.gradient.seeds import Seeds, seeds_of
+from closedloop.studies.gradient.several import SHARE_OFF, not_unique
 from closedloop.studies.gradient.variants import Sample
 from robot_models import RobotModel
 
@@ -64,13 +65,15 @@ class Exact:
         Of the outputs in `outputs`, one after the other.
     outputs : list of Output
         Those that have all their derivatives, in order; there may be none.
+    problems : list of str
+        Why some are less exact.
     """
 
-    def __init__(self, found: dict[Direction, Along], outputs: list[Output]) -> None:
-        self.found, self.outputs = found, outputs
+    def __init__(self, found: dict[Direction, Along], outputs: list[Output], problems: list[str]) -> None:
+        self.found, self.outputs, self.problems = found, outputs, problems
 
 
-NOTHING = Exact({}, [])
+NOTHING = Exact({}, [], [])
 
 
 def exact(
@@ -132,12 +135,15 @@ def _exact(
     kept = [i for i, good in enumerate(agree) if good]
     rounding = LOCATED if base.happened else ROUNDING
     slices = slices_of(outputs, run)
-    found = {}
+    found, less = {}, not_unique(run)
+    late = np.concatenate([np.zeros(0, dtype=bool), *(less.follows(outputs[i], run) for i in kept if less)])
     for d, parts in rows.items():
         value = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(parts[i])) for i in kept)])
         scale = np.concatenate([np.zeros(0), *(base.scale[slices[i]] for i in kept)])
         of_columns = [np.broadcast_to(errors.get(d, {}).get(i, 0.0), base.scale[slices[i]].shape) for i in kept]
         error = rounding * (np.abs(value) + scale * SHARE / d.step) + np.concatenate([np.zeros(0), *of_columns])
+        if less:
+            error[late] = np.maximum(error, SHARE_OFF * _largest(value, [outputs[i].of(run).size for i in kept]))[late]
         method = DUALS if known[d].linear else f"{DUALS}, {PREPARED}"
         methods = [f"{method}, {OF_COLUMNS}" if _by_columns(outputs[i], run) else method for i in kept]
         none = np.zeros(value.size, dtype=bool)
@@ -145,7 +151,15 @@ def _exact(
             Estimate(value, error, value, value, none), count=value.size, method=method, settled=True,
             methods=np.repeat(methods, [slices[i].stop - slices[i].start for i in kept]) if kept else None,
         )  # fmt: skip
-    return Exact(found, [outputs[i] for i in kept])
+    return Exact(found, [outputs[i] for i in kept], [less.problem] if less and np.any(late) else [])
+
+
+def _largest(values: Array, sizes: Sequence[int]) -> Array:
+    """Return for each of the values of some quantities, one after the other, the largest of the same quantity."""
+    ends = np.cumsum(sizes)[:-1]
+    return np.concatenate(
+        [np.zeros(0), *(np.full_like(x, np.max(np.abs(x), initial=0.0)) for x in np.split(values, ends))]
+    )
 
 
 def _tree_constants(start: Prepared) -> int:

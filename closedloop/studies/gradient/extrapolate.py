@@ -45,29 +45,32 @@ class Estimate:
     kink: NDArray[np.bool_]
 
 
-def two_sided(h: float, at: Array, minus: Array, plus: Array, rounding: float = ROUNDING) -> Estimate:
-    """Return the derivatives from values at 0, (M,), and at −h, −h/2, −h/4 and h, h/2, h/4, (3, M)."""
+def two_sided(h: float, at: Array, minus: Array, plus: Array, scatter: Array | None = None) -> Estimate:
+    """Return the derivatives from values at 0, (M,), and at −h, −h/2, −h/4 and h, h/2, h/4, (3, M).
+
+    The values scatter by `scatter`, (M,), and by `ROUNDING` of themselves if it is left out.
+    """
     steps = h * 0.5 ** np.arange(LEVELS)[:, None]
     value, error = _extrapolated((plus - minus) / (2.0 * steps), 2)
-    floor = _floor(h, at, rounding)
-    below, off_below = one_sided(-h, at, minus, rounding)
-    above, off_above = one_sided(h, at, plus, rounding)
+    scatter = ROUNDING * np.abs(at) if scatter is None else scatter
+    below, off_below = one_sided(-h, at, minus, scatter)
+    above, off_above = one_sided(h, at, plus, scatter)
     apart = np.abs(above - below)
     kink = (apart > SURE * (off_below + off_above)) & (apart > KINK * np.maximum(np.abs(above), np.abs(below)))
-    return Estimate(value, error + floor, below, above, kink)
+    return Estimate(value, error + floor(h, scatter), below, above, kink)
 
 
-def one_sided(h: float, at: Array, beside: Array, rounding: float = ROUNDING) -> tuple[Array, Array]:
+def one_sided(h: float, at: Array, beside: Array, scatter: Array) -> tuple[Array, Array]:
     """Return the derivatives on the side of h, which may be negative, and the estimates of their errors, (M,)."""
     steps = h * 0.5 ** np.arange(LEVELS)[:, None]
     value, error = _extrapolated((beside - at) / steps, 1)
-    return value, error + 2.0 * _floor(h, at, rounding)
+    return value, error + 2.0 * floor(h, scatter)
 
 
-def _floor(h: float, at: Array, rounding: float) -> Array:
-    """Return what rounding alone makes of the smallest difference."""
-    floor: Array = rounding * np.abs(at) / (abs(h) * 0.5 ** (LEVELS - 1))
-    return floor
+def floor(h: float, scatter: Array) -> Array:
+    """Return what the scatter of the values alone makes of the smallest difference."""
+    least: Array = scatter / (abs(h) * 0.5 ** (LEVELS - 1))
+    return least
 
 
 def _extrapolated(differences: Array, order: int) -> tuple[Array, Array]:

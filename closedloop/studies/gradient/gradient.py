@@ -47,15 +47,17 @@ class Gradient:
     units : dict of str to str
         Their units.
     derivative : dict of str to dict of str to float or array
-        ``derivative[of][key]``, in the quantity's unit over the key's; NaN where there is none, which `problems` names.
+        ``derivative[of][key]``, in the quantity's unit over the key's; NaN where there is no derivative; `problems`
+        gives the reason.
     error : dict of str to dict of str to float or array
         Estimates of their errors.
     method : dict of str to dict of str to str
         How each was found.
     one_sided : dict of str to dict of str to pair
-        Where there is no derivative, those below and above; NaN on a side that has none. Empty for others.
+        Where there is no derivative, the one-sided derivatives below and above; NaN on a side without one. Empty
+        elsewhere.
     problems : tuple of str
-        What has no derivative, or an uncertain one, and why.
+        The quantities that have no derivative, or an uncertain one, and the reason.
     """
 
     value: dict[str, Entry]
@@ -167,7 +169,8 @@ def differentiated(
                 rest = [d for d in directions if d not in found]
                 found = found | along(varied, rest, base, partial(_read, some), model, report, workers)
                 made.append(_gathered(varied, run, some, base.values, {d: found[d] for d in directions}))
-    return _joined(made, [each.name for each in outputs])
+    joined = _joined(made, [each.name for each in outputs])
+    return replace(joined, problems=(*by_duals.problems, *joined.problems))
 
 
 def _read(outputs: Sequence[Output], run: Run) -> Array:

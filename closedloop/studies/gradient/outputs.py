@@ -52,7 +52,7 @@ class Output:
         Takes a run, and returns the quantity as a number or an array.
     units : str
     column : str
-        The column that it is, or an entry of; "" of a value of the summary.
+        The column to which it belongs; "" for a value of the summary.
     """
 
     name: str

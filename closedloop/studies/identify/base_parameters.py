@@ -27,7 +27,7 @@ ROUNDING = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """Which columns of W are independent, and what the others add to them.
+    """The columns of W that are independent, and the contributions of the others to them.
 
     Attributes
     ----------

@@ -49,7 +49,7 @@ UNTOLD = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A motion, and how well a log of it would tell the parameters.
+    """A motion, and how accurately a log of it would identify the parameters.
 
     Attributes
     ----------
@@ -61,11 +61,11 @@ class Excitation:
     names, units : tuple of str
         Of the base parameters.
     half : (b,)
-        Expected half of the 95 % interval of each; infinite if the motion does not tell it.
+        Expected half of the 95 % interval of each; infinite if the motion does not identify it.
     target : tuple of str
-        Those that the motion is for.
+        Parameters for which the motion is designed.
     drawn : (b,)
-        The same as `half`, of the median random motion within the same limits.
+        The same as `half`, for the median of random motions within the same limits.
     condition : float
         Of the regressor with columns of length one.
     """
@@ -93,7 +93,7 @@ class Excitation:
         return pandas.DataFrame(columns)
 
     def lines(self) -> list[str]:
-        """Return what the motion tells, in words."""
+        """Return what the motion identifies, in words."""
         told = [
             f"{self.robot.name}: {self.time[-1]:.4g} s, from rest to rest; condition {self.condition:.3g}",
             "expected half of the 95 % interval (of the median random motion within the same limits)",
@@ -130,19 +130,19 @@ def excite(
     duration : float
         s, one period.
     harmonics : int
-        Of the series, at least 3.
+        Number of harmonics of the series, at least 3.
     rate : float
         Rows per second of the log that is expected, and of the motion returned, Hz.
     noise : float or (n,), optional
         Standard deviation of the white noise of the torques in a row, N m (N); 1 % of the effort limit if left out.
     acceleration : float or (n,), optional
-        Largest acceleration, rad/s²; the top speed within 0.25 s if left out.
+        Largest acceleration, rad/s²; if left out, that which reaches the top speed in 0.25 s.
     share : float
-        Of the limits of position and speed that is used.
+        Share of the limits of position and speed that the motion uses.
     friction, drive_inertia
-        What each joint has, as in `closedloop.identify`.
+        Friction and drive inertia of each joint, as in `closedloop.identify`.
     seed : int
-        Of the random motions that the search begins with.
+        Seed of the random motions with which the search begins.
 
     Raises
     ------

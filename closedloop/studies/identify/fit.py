@@ -40,18 +40,19 @@ TINY = 1e-100
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Parameters, and what is left of the torques.
+    """Parameters, and the residual of the torques.
 
     Attributes
     ----------
     value, deviation : (b,)
-        The parameters and their standard deviations; 0 and ∞ of those that are not told from others.
+        The parameters and their standard deviations; 0 and ∞ for those that cannot be distinguished from others.
     covariance : (b, b)
-        Of the parameters that are told apart; rows and columns of others are 0.
+        Covariance of the parameters that can be distinguished; the rows and columns of others are 0.
     told : (b,) bool
-        Which parameters the rows tell apart.
+        Which parameters the rows distinguish.
     alike : tuple of (int, ...)
-        For each parameter that is not told, the others that it looks like; empty where its column is zero.
+        For each parameter that cannot be distinguished, the others with which it is confused; empty where its column is
+        zero.
     residual : (R, n)
         Torque less W χ, N m, in all windows, used or not.
     sigma : (n,)

@@ -43,12 +43,12 @@ class Estimate(NamedTuple):
     Attributes
     ----------
     name : str
-        Its first parameter; `grouping` has all that it is made of.
+        Its first parameter; `grouping` has all parameters that it combines.
     value, low, high : float
-        And its interval; NaN, −∞ and ∞ if the log does not tell it.
+        The value and its interval; NaN, −∞ and ∞ if it is not identifiable from the log.
     unit, grouping : str
     why : str
-        Why it is not identifiable from this log, and which motion would do; "" if it is.
+        Why it is not identifiable from this log, and which motion would identify it; "" if it is identifiable.
     """
 
     name: str
@@ -62,23 +62,24 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What a log says of a robot.
+    """Parameters of a robot that a log identifies.
 
     Attributes
     ----------
     robot : RobotModel
     regressor, base, solution, motion : Regressor, BaseParameters, Fit, Motion
-        What it was made with.
+        The parts of the computation.
     measured, predicted : (R, n)
         Torques of all windows, N m, at `time` (R,), s; prediction by the parameters of the whole log.
     used : (R, n) bool
         Torques that count: where friction has one sure sign.
     tested : (R,) bool
-        Windows that were held out when `held_out` was found; none if another log judged.
+        Windows that were held out when `held_out` was computed; none if another log was used.
     held_out : (n,)
-        RMS of the error over RMS of the torque where it was not fitted and torques count. NaN without such a part.
+        RMS of the error over RMS of the torque in the windows that were held out, where torques count. NaN without such
+        windows.
     noise_bias : (b,)
-        What instruments change, least squares less instrumental variables; NaN with "ls".
+        Least squares minus instrumental variables; NaN with "ls".
     confidence : float
         Of the intervals, 0.95.
     """
@@ -108,7 +109,7 @@ class Identification:
 
     @property
     def predicted(self) -> Array:
-        """The same by the parameters found, N m, (R, n)."""
+        """Torque of each window as the identified parameters give it, N m, (R, n)."""
         return self.motion.torque - self.solution.residual
 
     def __getitem__(self, name: str) -> Estimate:
@@ -127,7 +128,7 @@ class Identification:
 
     @property
     def not_identifiable(self) -> tuple[Estimate, ...]:
-        """The base parameters that this log does not tell, each with its reason."""
+        """The base parameters that are not identifiable from this log, each with the reason."""
         return tuple(entry for entry in self.estimates if entry.why)
 
     @property
@@ -148,12 +149,12 @@ class Identification:
 
     @property
     def misses(self) -> tuple[str, ...]:
-        """The joints of which the model misses something: their residual is no white noise."""
+        """The joints that the model does not explain fully: their residual is not white noise."""
         bad = self.whiteness < WHITENESS_LEVEL
         return tuple(name for name, wrong in zip(self.robot.joint_names, bad, strict=True) if wrong)
 
     def summary(self) -> dict[str, Any]:
-        """Return all of it as a dictionary of numbers, lists and texts; what is not known is None."""
+        """Return the result as a dictionary of numbers, lists and texts; unknown values are None."""
 
         def number(x: float) -> float | None:
             return float(x) if np.isfinite(x) else None
@@ -208,27 +209,28 @@ def identify(
     log : Log, or several
         Time, positions and torques, see `closedloop.studies.identify.log.Log` and `read_log`.
     robot : RobotModel, or what `robot_models.load` takes
-        Its kinematics are used, and what its file says of inertia is not.
+        Its kinematics are used; the inertias in its file are not.
     friction : of "viscous", "dry", "offset"
         What each joint has, see `closedloop.studies.identify.regressor`.
     drive_inertia : bool
         Whether each joint has an inertia of its drive.
     coupled : pairs of joint names
-        Joints whose second motor turns with both.
+        Two joints each: the motor of the second turns with both.
     stribeck_speed : float, (n,) or "fit", optional
-        v_s, rad/s, of a Stribeck term in each joint; "fit" takes that of `STRIBECK_SPEEDS` that leaves least.
+        v_s, rad/s, of a Stribeck term in each joint; "fit" takes the one of `STRIBECK_SPEEDS` with the smallest
+        residual.
     extra : mapping of names to functions, optional
-        Columns of your own: q, v, a (N, n) to the torque per unit of the parameter (N, n).
+        Columns of your own. Each function takes q, v, a (N, n) and returns the torque per unit of the parameter (N, n).
     slow : float
-        Where a joint is slower than this share of its largest speed, its torque does not count: the sign of its dry
-        friction is not sure.
+        Rows in which a joint is slower than this share of its largest speed are left out for that joint: the sign of
+        its dry friction is not certain there.
     cutoff : float, optional
         Of the zero-phase low-pass, Hz; ten times the bandwidth of the motion if left out.
     held_out : float
-        Share of the log that judges parameters of the rest: the ends of ten equal pieces of it. The parameters returned
-        are of the whole log.
+        Share of the log on which parameters identified from the rest are tested: the end of each of ten equal pieces.
+        The parameters returned are identified from the whole log.
     test : Log, optional
-        Another log that judges in its place.
+        Another log, used for this test instead.
     method : "ls" or "iv"
         Least squares, or instrumental variables: the regressor of every other row of the positions, with that of the
         rows between them as instruments.

@@ -40,9 +40,10 @@ class Log:
     q, torque : (N, n)
         Joint positions, rad (m), and torques of the drives at the joints, N m (N).
     joint_names : tuple of str
-        Of the columns; empty if they are those of the robot, in its order.
+        Joints of the columns; empty if they are those of the robot, in its order.
     v : (N, n), optional
-        Joint velocities, rad/s (m/s). They only check the positions: the velocities used are differences.
+        Joint velocities, rad/s (m/s). They are used only to check the positions; the identification differentiates the
+        positions.
     source : str
         Named in messages.
     """

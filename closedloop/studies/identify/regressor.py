@@ -163,8 +163,8 @@ class Regressor:
     def certain(self, x: Motion) -> NDArray[np.bool_]:
         """Return (R, n) whether the friction of a joint has one sign, that is sure, throughout a window.
 
-        Near a change of sign the joint may stick, and what the filter makes of the velocity has another sign for a
-        moment: either pulls the dry friction towards zero, and the viscous up.
+        Near a change of sign the joint may stick, and the filtered velocity has the wrong sign for a moment. Both
+        reduce the estimate of the dry friction and raise that of the viscous friction.
         """
         R, D = len(x.time), x.size
         good = np.ones((R, self.n), dtype=bool)

@@ -50,7 +50,7 @@ class Runs:
     some : sequence of Varied
         What varies.
     minimise : mapping of str to float
-        Values of the summary and their weights: their weighted sum is made least.
+        Values of the summary and their weights: their weighted sum is minimised.
     limits : sequence of Limit
     over : mapping of str to sequence
         Variations, every value of a key with every value of the others.

@@ -34,7 +34,7 @@ class Tuning:
     vary : list of Varied
         What varied, with ranges.
     numbers : list of float
-        What was found for each.
+        The number found for each.
     minimised : mapping of str to float
         Values and their weights.
     limits : list of Limit
@@ -42,7 +42,7 @@ class Tuning:
     robust : str
         "worst" or "mean".
     value, value_before : float
-        What was made least, and what it was; NaN if the run as it was stops.
+        The minimised value, now and before the tuning; NaN if the run stops early.
     values, values_before : dict of str to (V,) array
         Each value under each variation.
     found : Found
@@ -50,7 +50,7 @@ class Tuning:
     sensitivity : dict of str to (float, float)
         By how much the value changes if a number is moved down and up by a tenth of its range; NaN beyond its end.
     runs : int
-        How many were made.
+        Number of runs.
     """
 
     scenario: Scenario
@@ -76,11 +76,11 @@ class Tuning:
 
     @property
     def optimal(self) -> bool:
-        """Whether no small change is better."""
+        """Whether no small change of the numbers improves the value."""
         return self.found.optimal
 
     def binds(self) -> list[str]:
-        """Return what binds, in words, with what would be gained if it were moved."""
+        """Return the constraints and bounds that bind, in words, and the gain if each were moved."""
         lines = []
         name = " + ".join(self.minimised)
         for k, limit in enumerate(self.limits):

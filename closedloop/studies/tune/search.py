@@ -49,8 +49,7 @@ class Found:
     violations : (V, K) array
         Of the constraints, as shares of their limits; negative where they are met.
     slope : float
-        By how much the value would still fall over the whole range, as a share of it: what no constraint or bound
-        explains.
+        Share by which the value would still fall over the whole range, where no constraint or bound prevents it.
     multipliers : (V, K) array
         By how much the value falls if a limit is moved by its own size.
     lower, upper : (n,) array
@@ -91,7 +90,7 @@ class Search:
         Numbers that vary.
     robust : "worst" or "mean"
     iterations : int
-        The most of each start.
+        Largest number of iterations of each start.
     """
 
     def __init__(self, evaluate: Evaluate, n: int, robust: str = WORST, iterations: int = 60) -> None:
@@ -110,7 +109,7 @@ class Search:
         return [self._points[x.tobytes()] for x in points]
 
     def merit(self, values: Array) -> float:
-        """Return the number that is made least; infinite without a run."""
+        """Return the number that is minimised; infinite without a run."""
         if np.any(np.isnan(values)):
             return np.inf
         return float(np.max(values) if self.robust == WORST else np.mean(values))

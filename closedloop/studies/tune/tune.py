@@ -53,8 +53,8 @@ def tune(
     vary : mapping of str to (low, high)
         Keys and ranges, ``{"law.kp": (100, 2000), "law.kd[1]": (5, 100)}``; each entry of a list varies alone.
     minimise : str, or mapping of str to float
-        A value of `Run.summary`, or values and weights, of which the weighted sum is made least. Of a value for each
-        joint the largest in size counts.
+        A value of `Run.summary`, or values and weights, whose weighted sum is minimised. If a value has a number for
+        each joint, the largest magnitude is taken.
     subject_to : sequence of str
         Constraints, ``["peak_contact_force<=12", "modulus_margin@3>=0.5"]``: values of the summary, or margins of the
         force loop at an instant (`linearise`): gain_margin (dB), phase_margin (°), delay_margin (s), modulus_margin.
@@ -62,17 +62,18 @@ def tune(
         Variations, ``{"friction.coefficient": [0.2, 0.4, 0.6]}``, every value with every other. Constraints
         hold for all.
     robust : "worst" or "mean"
-        What is made least of all variations.
+        Which value over the variations is minimised: the largest or the mean.
     log : sequence of str
         Keys whose ranges are searched evenly in their logarithms.
     starts : int
-        Searches: from the scenario's numbers, and from the best of points drawn from the ranges.
+        Number of searches: one starts from the scenario's numbers, the others from the best of points drawn from the
+        ranges.
     seed : int
-        Of these points.
+        Seed of these points.
     iterations : int
-        The most of each search.
+        Largest number of iterations of each search.
     kept : path, optional
-        File in which all runs are kept; a tuning that was interrupted goes on from it.
+        File in which all runs are kept; an interrupted tuning continues from it.
     progress : bool or callable
         True shows the number of runs on standard error; a callable gets it.
     workers : int, optional
@@ -81,7 +82,7 @@ def tune(
     Returns
     -------
     Tuning
-        Also where no point meets the constraints: `feasible` is then False, and the point is the nearest found.
+        If no point meets the constraints, `feasible` is False, and the point is the nearest that was found.
 
     Raises
     ------

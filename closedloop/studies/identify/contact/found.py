@@ -30,7 +30,7 @@ class Part:
     ----------
     estimates : list of Estimate
     misses : list of str
-        What the law lacks, in words.
+        Effects that the law does not have, in words.
     time, measured, predicted : (R,)
         Of the windows that were used; empty if there are none.
     what : str

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ContactIdentification:
-    """What a log says of a contact.
+    """Parameters of a contact that a log identifies.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class ContactIdentification:
         Of the sensor, friction, surface and restitution: estimates, what the law misses, measured and predicted.
     source : str
     closed, free : float
-        Shares of the rows in which the tip surely touches, and surely does not.
+        Shares of the rows in which the tip certainly touches, and certainly does not.
     confidence : float
         Of the intervals.
     """
@@ -63,7 +63,7 @@ class ContactIdentification:
 
     @property
     def misses(self) -> tuple[str, ...]:
-        """What the laws of the contact lack."""
+        """Effects that the laws of the contact do not have."""
         return tuple(text for part in self.parts for text in part.misses)
 
     def __getitem__(self, name: str) -> Estimate:
@@ -89,7 +89,7 @@ class ContactIdentification:
         return told + [f"  the model misses, in {text}" for text in self.misses]
 
     def summary(self) -> dict[str, Any]:
-        """Return it as a dictionary; what is not known is None."""
+        """Return it as a dictionary; unknown values are None."""
 
         def number(x: float) -> float | None:
             return float(x) if np.isfinite(x) else None
@@ -106,7 +106,7 @@ class ContactIdentification:
         }  # fmt: skip
 
     def figure(self) -> Figure:
-        """Return a figure: measured and predicted of each part, and what is left."""
+        """Return a figure of the measured and the predicted values of each part, and the residual."""
         from closedloop.figures.style import COLOURS, new_figure, styled
 
         drawn = [part for part in self.parts if len(part.time)]
@@ -141,16 +141,16 @@ def identify_contact(
     ----------
     log : Recording, Run or path
         Joint positions and, but for restitution, the contact force: along the normal, or three components in the base's
-        axes, on the robot. With the torques of the drives, the sensor's gain and delay too. Of a run its own surface,
-        sensor and encoders are taken.
+        axes, on the robot. With the torques of the drives, the sensor's gain and delay too. If it is a run, the run's
+        own surface, sensor and encoders are used.
     robot : RobotModel, or what `robot_models.load` takes
-        Its kinematics tell where the tip is. Of a run its own.
+        Its kinematics give the position of the tip. If the log is a run, the run's own robot is used.
     normal : (3,)
-        Of the plane, out of it, base axes.
+        Normal of the plane, pointing out of it, base axes.
     tip : str, optional
         The frame that touches; the robot's own tip if left out.
     delay : float, optional
-        How late the force is recorded, s, if it is known; it is looked for otherwise.
+        Delay of the recorded force, s; if left out, it is identified.
     cutoff : float, optional
         Of the zero-phase low-pass, Hz; ten times the bandwidth of the tip's motion if left out.
     confidence : float

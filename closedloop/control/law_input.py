@@ -16,8 +16,8 @@ class LawInput(NamedTuple):
     Contact frame: axes n (out of the surface), t1, t2; the three numbers of every (3,) array are in that order, unless
     it is said to be in base axes.
 
-    With `[encoder]` all of the state is that of the readings, with `[model_error]` it is of the controller's own model,
-    and with `[transmission]` H has the motors in it: see docs/real_arm.md.
+    With `[encoder]` the state is computed from the encoders' readings. With `[model_error]` the terms are those of the
+    controller's own model. With `[transmission]` H includes the motors. See docs/real_arm.md.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class LawInput(NamedTuple):
     f_des : float
         Desired contact force, N, of the surface on the tip along +n.
     f_measured : float
-        Latest reading of the force sensor, N, as modelled by [sensor]: of an earlier instant.
+        Latest reading of the force sensor, N, as modelled by [sensor]; it belongs to an earlier instant.
     pressed : float
         1 while the tip is in contact, else 0.
     scratch : array

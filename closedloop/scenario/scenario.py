@@ -116,7 +116,7 @@ class Scenario(Section):
 
     @property
     def has_law(self) -> bool:
-        """Whether the scenario says a law of control."""
+        """Whether the scenario has a control law."""
         return self.law.kind != "none"
 
     @property

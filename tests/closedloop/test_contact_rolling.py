@@ -7,6 +7,7 @@ import closedloop as cl
 import robot_models
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.contact_rows import locate_points
+from closedloop.mechanics.closure.contact_force import PRESSED
 from closedloop.record.columns.touching import contact_torques
 from closedloop.simulation.prepare import prepare
 
@@ -39,7 +40,7 @@ def located(contact, q, v, t, name="wam_slide"):
     loop = problem.loop()
     problem.connect(loop, compiled=False)
     links, c = loop.w.kept["contacts"]
-    loop.w.q[:], loop.w.v[:], loop.w.time = q, v, t
+    loop.w.q[:], loop.w.v[:], loop.w.time, c.mode[1] = q, v, t, PRESSED
     assert interpreted(locate_points)(links, c, loop.w, loop.constants, loop.state) == 0
     return [np.array(x[3:6]) for x in (c.located, c.u, c.drift, c.G, c.carried)]
 

@@ -120,7 +120,8 @@ class Robot:
         Raises
         ------
         ModelError
-            If a joint is of another type than `closedloop.mechanics.robot.tree.layout` has: one that no file gives.
+            If a joint has a type that `closedloop.mechanics.robot.tree.layout` does not have; no file gives such a
+            type.
         """
         return _tree_of(self.model, self.tip)
 
@@ -284,9 +285,9 @@ class Robot:
         return found
 
     def frame_at(self, name: str, q: Array) -> tuple[int, Array, Array]:
-        """Return the velocity that carries a frame, −1 for the base, and at q its axes, as columns, and its origin, m.
+        """Return the number of the velocity that moves a frame, and the frame's axes, as columns, and origin, m, at q.
 
-        Of a joint with several velocities it is the last.
+        For the base the number is −1; for a joint with several velocities it is that of the last.
         """
         number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
         pin.framesForwardKinematics(self._pin, self._data, self.pinocchios(q))
@@ -305,7 +306,7 @@ class Robot:
         return self.poses_of([name], q)[name]
 
     def poses_of(self, names: Iterable[str], q: Array) -> dict[str, tuple[Array, Array]]:
-        """Return what `frame_poses` does of several frames, by their names."""
+        """Return the poses of several frames by their names, each as `frame_poses` returns it."""
         numbers = {name: 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name)) for name in names}
         found = {name: (np.empty((len(q), 3, 3)), np.empty((len(q), 3))) for name in numbers}
         for k, row in enumerate(self._rows(q)):

@@ -26,7 +26,7 @@ class Compliance(Parameters):
     folder: ClassVar[str] = "closedloop.mechanics.surface.compliances"
 
     def static_depth(self, force: float) -> float:
-        """Return the depth at which a tip at rest is pushed with a force >= 0, N; m."""
+        """Return the depth, m, at which the surface pushes a tip at rest with a force >= 0, N."""
         return 0.0
 
     def tangent(self, depth: float) -> tuple[float, float]:

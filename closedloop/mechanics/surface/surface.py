@@ -74,7 +74,7 @@ class Surface(Parameters):
         return None
 
     def bounds(self) -> tuple[float, float]:
-        """Return half-lengths along x and y, m, inf without an edge; of a round edge its radius and 0.
+        """Return the half-lengths along x and y, m: inf without an edge, the radius and 0 for a round edge.
 
         Raises
         ------

@@ -149,7 +149,7 @@ class Problem(ScenarioNumbers):
         compiled: bool = True,
         form: Callable[[Any], Any] = as_it_is,
     ) -> None:
-        """Write into a loop's memory where what it calls is: machine code, or what an interpreted loop calls.
+        """Write into a loop's memory the addresses of what it calls: of machine code, or for an interpreted loop.
 
         Parameters
         ----------

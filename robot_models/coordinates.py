@@ -112,7 +112,9 @@ def with_rotation_vectors(q: Array, types: Sequence[str]) -> Array:
         w, x = q[..., at : at + 1], q[..., at + 1 : at + 4]
         sine = np.sqrt(np.sum(x * x, axis=-1, keepdims=True))
         turn = 2.0 * np.arctan2(sine, np.abs(w)) * np.where(w < 0.0, -1.0, 1.0)
-        parts += [q[..., done:at], np.where(sine > 1e-8, turn / np.where(sine > 1e-8, sine, 1.0), 2.0 / w) * x]
+        turned = sine > 1e-8  # else w is ±1
+        share = np.where(turned, turn / np.where(turned, sine, 1.0), 2.0 / np.where(turned, 1.0, w))
+        parts += [q[..., done:at], share * x]
         done = at + 4
     return np.concatenate([*parts, q[..., done:]], axis=-1)
 

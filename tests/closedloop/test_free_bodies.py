@@ -84,6 +84,13 @@ def test_quaternions_and_rotation_vectors_are_each_others_inverse(tree):
     assert np.allclose(with_quaternions(turned, model.joint_types)[:, 4], np.sin(turned[:, 3] / 2), rtol=1e-15)
 
 
+def test_half_a_turn_is_a_rotation_vector_too():
+    """About any axis: of such a quaternion w is 0."""
+    for axis in np.vstack([np.eye(3), [0.6, 0.0, 0.8]]):
+        theta = with_rotation_vectors(np.array([0.0, *axis]), ("ball",) * 3)
+        np.testing.assert_allclose(np.pi * axis, theta, rtol=1e-15)
+
+
 def test_a_turn_upon_a_turn_is_the_product_of_rotations():
     """θ ∘ u is what the matrices' product says."""
     rng = np.random.default_rng(3)

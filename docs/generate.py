@@ -18,7 +18,6 @@ from PIL import Image
 import closedloop
 from closedloop.command.table import COMMANDS, imported, overview
 from closedloop.figures.scene.scene import scene_of
-from closedloop.lab.curves import main_panel
 from closedloop.lab.film_picture import Picture
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.derived import DERIVED
@@ -44,8 +43,8 @@ API = {
     ),
 }
 
-# Pictures in a row; the instant of a picture, as a share of the run; and the part of a film's frame that is space.
-ACROSS, SHOWN, SPACE, TITLE = 3, 0.6, 0.52, 20
+# Pictures in a row, and the instant of a picture, as a share of the run.
+ACROSS, SHOWN = 3, 0.6
 HOME = Path(closedloop.__file__).parent
 # Letters for the lengths of the dimensions of columns.
 SIZES = {"time": "N", "joint": "n", "axis": "3", "event": "E", "contact": "K", "contact_tangent": "2 K"}
@@ -207,10 +206,8 @@ def gallery(names: Iterable[str]) -> Iterator[str]:
 
 def picture(run: closedloop.Run) -> Image.Image:
     """Return a picture of the bodies, forces and paths of a run, at `SHOWN` of its time."""
-    drawn = Picture(scene_of(run), main_panel(run))
-    pixels = drawn.pixels(round(SHOWN * (len(run) - 1)))
-    height, width = pixels.shape[:2]
-    return Image.fromarray(pixels[..., :3]).crop((0, TITLE, round(SPACE * width), height)).quantize(64)
+    pixels = Picture(scene_of(run), None).pixels(round(SHOWN * (len(run) - 1)))
+    return Image.fromarray(pixels[..., :3])
 
 
 def verdicts_of(facts: dict) -> tuple[str, str, str]:

@@ -24,8 +24,8 @@ from closedloop.lab.curves import Panel
 
 Array = NDArray[np.float64]
 
-# Inches, and dots for each: 1000 by 500 pixels.
-SIZE, DOTS = (10.0, 5.0), 100
+# Inches, and dots for each: 1000 by 500 pixels; without curves 560 by 460.
+SIZE, ALONE, DOTS = (10.0, 5.0), (5.6, 4.6), 100
 # Triangles that are drawn in each frame at most. An arm of more, of meshes, is drawn as a line along its joints.
 MOST_TRIANGLES = 6000
 # The axis of the curves shows at least this share of the largest value.
@@ -40,14 +40,14 @@ LIGHT, DARKEST = np.array([0.4, -0.5, 0.77]), 0.55
 
 
 class Picture:
-    """The figure of a film, whose parts move."""
+    """The figure of a film, whose parts move; without a panel of curves that of space alone, without title or clock."""
 
-    def __init__(self, scene: Scene, panel: Panel) -> None:
+    def __init__(self, scene: Scene, panel: Panel | None) -> None:
         self.scene, run = scene, scene.run
-        self._figure = figure = Figure(figsize=SIZE, dpi=DOTS, layout="constrained")
+        self._figure = figure = Figure(figsize=SIZE if panel else ALONE, dpi=DOTS, layout="constrained")
         canvas: Any = FigureCanvasAgg  # its methods have no annotations
         self._canvas = canvas(figure)
-        grid = figure.add_gridspec(1, 2, width_ratios=[1.1, 1.0])
+        grid = figure.add_gridspec(1, 2, width_ratios=[1.1, 1.0]) if panel else figure.add_gridspec(1, 1)
         self._space: Any = figure.add_subplot(grid[0], projection="3d")
         self._as_rods = sum(len(shape.faces) for shape in scene.shapes) > MOST_TRIANGLES
         self._solid = Solids([s for s in scene.shapes if s.joint in scene.body_frames or not self._as_rods])
@@ -67,10 +67,12 @@ class Picture:
             self._space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
         self._frame_view()
         self._draw_legend()
-        self._cursor = self._draw_curves(figure.add_subplot(grid[1]), panel)
-        figure.suptitle(self._title())
-        self._clock = figure.text(0.985, 0.965, "", ha="right", family="monospace")
-        self._moving = [self._rod, self._done, *self._arrows.values(), self._cursor, self._clock]
+        self._moving, self._cursor = [self._rod, self._done, *self._arrows.values()], None
+        if panel:
+            self._cursor = self._draw_curves(figure.add_subplot(grid[1]), panel)
+            figure.suptitle(self._title())
+            self._clock = figure.text(0.985, 0.965, "", ha="right", family="monospace")
+            self._moving += [self._cursor, self._clock]
         for part in self._moving:
             part.set_animated(True)  # left out of what is drawn once
         self._canvas.draw()
@@ -87,8 +89,9 @@ class Picture:
         for kind, line in self._arrows.items():  # one line for all of a kind, with a gap after each
             ends = [(a.tail, a.tail + scene.metres_per_newton * a.force, GAP) for a in arrows if a.kind == kind]
             line.set_data_3d(*np.reshape(ends, (-1, 3)).T)
-        self._cursor.set_xdata([run.time[row]] * 2)
-        self._clock.set_text(f"t = {run.time[row]:.3f} s")
+        if self._cursor:
+            self._cursor.set_xdata([run.time[row]] * 2)
+            self._clock.set_text(f"t = {run.time[row]:.3f} s")
         ghosts = [(solids, ghost.place(float(run.time[row]))) for ghost, solids in self._ghosts]
         faces = [self._solid.seen(self._space, *there)]
         faces += [solids.seen(self._space, turn[None], origin[None]) for solids, (turn, origin) in ghosts]

@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.figures.scene.ghost import Ghost
-from closedloop.figures.scene.scene import scene_of
+from closedloop.figures.scene.scene import ARROWS, scene_of
 from closedloop.lab import film_picture
 from closedloop.lab.curves import main_panel
 from closedloop.lab.film_picture import Picture
@@ -70,3 +70,14 @@ def test_faces_are_drawn_from_outside_and_from_far_to_near():
     picture = picture_of(run)
     seen = picture._solid.seen(picture._space, *picture.scene.joint_places(0))
     assert 2 <= len(seen.corners) <= 6
+
+
+def test_a_picture_without_curves_is_space_alone():
+    """It has the colours of its arrows, and nothing is cut off at its edges."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.1}))
+    scene = scene_of(run)
+    pixels = Picture(scene, None).pixels(len(run) - 1)[..., :3]
+    for kind in ("contact force", "commanded force"):
+        assert np.any(np.all(np.abs(pixels - 255.0 * np.array(ARROWS[kind])) < 2.0, axis=-1))
+    edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
+    assert all(np.all(edge == 255) for edge in edges)

@@ -157,7 +157,7 @@ def _towards(z: Array) -> Array:
 def _unit(given: dict[str, str], key: str, vector: Array) -> Array:
     length = float(np.linalg.norm(vector))
     if not LEAST_LENGTH < length < np.inf:
-        raise ModelError(f"{key} is {given[key]!r}: it turns nothing: it must be of a length above {LEAST_LENGTH:g}")
+        raise ModelError(f"{key} is {given[key]!r}: must have a length above {LEAST_LENGTH:g}")
     return vector / length
 
 

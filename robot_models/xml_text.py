@@ -153,7 +153,7 @@ def tidy(root: ET.Element) -> bool:
     return changed
 
 
-#: An angle beyond this, rad or degrees, is no turn that anyone means, and its sine is noise.
+#: The largest angle that is read, rad or degrees: of a larger one the sine is rounding.
 MAX_ANGLE = 1e6
 
 
@@ -167,7 +167,7 @@ def angles(value: str, count: int, what: str) -> list[float]:
     """
     found = numbers(value, count, what)
     if max(map(abs, found)) > MAX_ANGLE:
-        raise ModelError(f"{what} is {value!r}: an angle beyond {MAX_ANGLE:g} is no turn")
+        raise ModelError(f"{what} is {value!r}: an angle must be at most {MAX_ANGLE:g}")
     return found
 
 

@@ -88,7 +88,7 @@ def write_film(
 ) -> Path:
     """Write a film of a scene beside the curves of a panel; see `animate`, which checks what it is given."""
     if path.suffix.lower() not in FORMATS:
-        raise ScenarioError(f"{path}: a film is {' or '.join(FORMATS)}")
+        raise ScenarioError(f"{path}: the name of a film must end in {' or '.join(FORMATS)}")
     run = scene.run
     if len(run) < 2:
         raise ScenarioError(f"{run.scenario.name}: the run has {len(run)} rows: there is nothing to show")

@@ -244,7 +244,7 @@ def test_a_film_has_a_frame_for_each_instant(tmp_path):
     for wanted, frame in zip(pictures, frames, strict=True):  # each is whole, but for the palette
         off = np.abs(wanted - frame).max(axis=2)
         assert np.mean(off > 60) < 2e-3
-    with pytest.raises(cl.ScenarioError, match=r"a film is \.gif or \.mp4"):
+    with pytest.raises(cl.ScenarioError, match=r"must end in \.gif or \.mp4"):
         run.animate(tmp_path / "drop.avi")
     with pytest.raises(cl.ScenarioError, match="speed = 0"):
         run.animate(tmp_path / "drop.gif", speed=0.0)

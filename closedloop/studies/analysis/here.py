@@ -92,7 +92,8 @@ class Here:
             if lag > 0.0:
                 kind = getattr(problem.scenario, key).kind
                 raise ScenarioError(
-                    f"linearise: {key}.kind = {kind!r} answers to the slip of {lag:g} s ago; take another"
+                    f"linearise: {key}.kind = {kind!r} depends on the slip {lag:g} s earlier, which is not linearised; "
+                    "take another law"
                 )
         constants.s_v = constants.s_p = 0.0
         self.contacts = ClosedContacts(problem, loop) if self.instant.contacts else None

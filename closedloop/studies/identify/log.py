@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# A turn of a joint beyond this, in rad, is no turn: it is an angle in degrees.
+# A joint angle above this, in rad, is taken for one in degrees.
 LARGEST_TURN = 30.0
 # So far beyond the limit of its file no joint turns, rad: the angle is another joint's, or has another unit or zero.
 BEYOND = 1.0

@@ -217,7 +217,7 @@ MJCF = {
     "limits reversed": (mjcf(joint='<joint name="shoulder" range="1 -1"/>'), ["'shoulder'", "lower limit 1"]),
     "negative armature": (mjcf(joint='<joint name="shoulder" armature="-1"/>'), ["'shoulder'", "armature"]),
     "joint without a name": (mjcf(joint="<joint/>"), ["'upper'", "joint has no name"]),
-    "quaternion of length zero": (mjcf(base='<body name="base" quat="0 0 0 0">'), ["'base'", "quat", "must have a length"]),
+    "quaternion of length zero": (mjcf(base='<body name="base" quat="0 0 0 0">'), ["'base'", "quat", "a length"]),
     "axis of a turn of length zero": (mjcf(base='<body name="base" axisangle="0 0 0 1">'), ["'base'", "axisangle"]),
     "parallel axes": (mjcf(base='<body name="base" xyaxes="1 0 0 2 0 0">'), ["'base'", "xyaxes"]),
     "zaxis of length zero": (mjcf(base='<body name="base" zaxis="0 0 0">'), ["'base'", "zaxis"]),

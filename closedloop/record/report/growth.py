@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # A path that starts smoothly leaves an error as t⁵ at most. Its changes grow by (k + 1)⁴ from the first to the part
-# k after it; of growth it is so many times that, in so many successive parts, in each
-# of which it rises by so much.
+# k after it; of growth it is so many times that, in so many successive parts, in each of which it rises by so much.
 PARTS, GROWING, GROWTH, RISE = 20, (8, 11, 15), 1.5, 1.25
 # What is no more than rounding at first, N from row to row, and a growth from it, of which each quarter of the run has
 # a share within these.
@@ -53,12 +52,16 @@ def grows(off: Array) -> bool:
         steep = (total >= count * least) & (total - largest >= (count - 1) * least)
         if np.any((np.min(parts, axis=1) >= math.log(RISE)) & steep):
             return True
-    return comes_out(off) >= GROWN
+    return _comes_out(most, steps) >= GROWN
 
 
 def comes_out(off: Array) -> float:
     """Return how many times an error (N,) grows steadily from what a stabiliser makes of rounding; 1 if it does not."""
-    most, steps = _parts(off)
+    return _comes_out(*_parts(off))
+
+
+def _comes_out(most: Array, steps: Array) -> float:
+    """Do `comes_out` for the parts of an error, see `_parts`."""
     found = 0.0
     rises = steps[1:] + steps[:-1] >= 2.0 * math.log(RISE)
     may = np.count_nonzero(rises) >= GROWING[0] - 1 and np.any((most > 0.0) & (most <= STABILISED))

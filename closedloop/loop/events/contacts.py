@@ -29,7 +29,7 @@ from closedloop.loop.events.phases import (
 )
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
 from closedloop.loop.events.table import EDGE, LIFTOFF, RELEASE, STOP, EventRow
-from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED, open_margin
+from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED
 from closedloop.loop.step.entries import RESTART
 from closedloop.loop.step.evaluate import call_law
 from closedloop.loop.step.memory import Constants, State, Work, ask_contacts
@@ -37,7 +37,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
-from closedloop.mechanics.contacts.modes import HOVERING, TOUCHING, touches
+from closedloop.mechanics.contacts.modes import HOVERING, TOUCHING, open_margin, touches
 from closedloop.mechanics.contacts.soft import stored_in
 
 Array = NDArray[np.float64]

@@ -57,7 +57,7 @@ from closedloop.mechanics.contacts.memory import (
     contacts_at,
     joints_rub,
 )
-from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, SINKING, decide, touches
+from closedloop.mechanics.contacts.modes import HOVERING, decide, open_margin, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.slips_end import stop_slips
@@ -317,14 +317,6 @@ def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
                 end = FADED * start
             least = min(least, along - end)
     return float(least)
-
-
-@kernel
-def open_margin(c: Contacts, i: int) -> float:
-    """Return what is left until contact i, which is open, closes, m: beside its surface it does not."""
-    if c.past_edge[i] != 0.0:
-        return math.inf
-    return float(c.located[3 * i] - c.floor[i] + (CLOSED_GAP if c.cleared[i] != 0.0 else SINKING))
 
 
 @kernel

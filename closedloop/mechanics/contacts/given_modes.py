@@ -95,10 +95,11 @@ def kinds_of_modes(links: ContactLinks, c: Contacts) -> None:
 
 
 @kernel
-def solve_modes(c: Contacts, k: int) -> int:
+def solve_modes(c: Contacts, k: int, inside: bool = True) -> int:
     """Write `rigid`, the force of the contacts in their modes, F with the stabiliser's part, and `rounding`.
 
-    X, W, a, b, viscous, kind and along are read.
+    X, W, a, b, viscous, kind and along are read. Forces that are not unique are those of least norm inside the cones,
+    if there are such. Where only the motion that they make is of use, `inside` is False: no cones are looked at.
 
     Returns
     -------
@@ -125,7 +126,7 @@ def solve_modes(c: Contacts, k: int) -> int:
         found = rank < p and shortest_solutions(c, p, rank, asked)
     if found:
         write_forces(c, p)
-        if inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F):
+        if not inside or (inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F)):
             c.problem.rounding = rounding_of(c, k, asked / most)
             return OK
         for i in range(3 * k):
@@ -144,7 +145,8 @@ def solve_modes(c: Contacts, k: int) -> int:
                 left += c.scratch.unknowns[i, j] * c.scratch.solution[0, j]
             if not abs(left) <= CONTRADICTS * asked:
                 return SINGULAR
-        share_forces(c, k, p)
+        if inside:
+            share_forces(c, k, p)
     c.problem.rounding = rounding_of(c, k, asked / most)
     return OK
 
@@ -226,6 +228,8 @@ def keep_in_cones(c: Contacts, k: int) -> None:
     if share < 1.0:
         for i in range(3 * k):
             c.F[i] = c.rigid[i] + share * (c.F[i] - c.rigid[i])
+            if i % 3 == 0 and c.rigid[i] >= 0.0 > c.F[i] and c.friction.pulls[i // 3] == 0.0:
+                c.F[i] = 0.0  # rounding
 
 
 @kernel
@@ -293,7 +297,7 @@ def stopping_impulses(c: Contacts, k: int) -> None:
     for i in range(3 * k):
         c.problem.q[i], c.problem.after[i] = c.viscous[i], c.a[i]
         c.a[i], c.b[i], c.viscous[i] = c.before[i], 0.0, 0.0
-    status = solve_modes(c, k)
+    status = solve_modes(c, k, False)
     for i in range(3 * k):
         c.a[i], c.viscous[i] = c.problem.after[i], c.problem.q[i]
         c.F[i] = c.rigid[i] if status == OK else 0.0

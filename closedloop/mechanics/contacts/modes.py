@@ -63,6 +63,14 @@ def touches(links: ContactLinks, c: Contacts, i: int) -> bool:
 
 
 @kernel
+def open_margin(c: Contacts, i: int) -> float:
+    """Return what is left until contact i, which is open, closes, m: beside its surface it does not."""
+    if c.past_edge[i] != 0.0:
+        return math.inf
+    return float(c.located[3 * i] - c.floor[i] + (CLOSED_GAP if c.cleared[i] != 0.0 else SINKING))
+
+
+@kernel
 def near(c: Contacts, i: int) -> bool:
     """Whether a contact is closed, or so near that it may close."""
     return bool(c.mode[i] != FREE or c.located[3 * i] <= HOVERING)
@@ -100,7 +108,9 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
             mode = mode_after(c, i, NO_ACCELERATION * size, links.chattering != 0)
-            if is_resistance(c, i) and mode_of_resistance(c, i) == FREE:
+            if is_resistance(c, i):
+                mode = FREE if mode_of_resistance(c, i) == FREE else mode
+            elif carries_nothing(links, c, i):
                 mode = FREE
             told = links.fresh == 0 and not is_resistance(c, i)
             c.event.happened[i] = happened_to(c, i, mode) if told else 0.0
@@ -175,6 +185,20 @@ def hold_by_spring(links: ContactLinks, c: Contacts, i: int, slow: bool, turned:
 
 
 @kernel
+def carries_nothing(links: ContactLinks, c: Contacts, i: int) -> bool:
+    """Whether contact i presses with no more than rounding, and is open or has to be.
+
+    Where a force has just become zero there is hardly any acceleration. That the mode would have it pull, or leave its
+    cone, says more, and what is open stays so: something else may hold the body, as the friction of a joint does.
+    """
+    if c.friction.pulls[i] != 0.0 or c.F[3 * i] > c.problem.rounding:
+        return False
+    if c.mode[i] != FREE:
+        return bool(c.event.pulled[i] != 0.0 or c.event.outside[i] != 0.0)
+    return bool(links.fresh == 0 and c.soft[i] == 0.0 and c.event.struck[i] == 0.0 and open_margin(c, i) > 0.0)
+
+
+@kernel
 def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
     """Return the mode that goes with force and acceleration of contact i, and write that of a slip that begins.
 
@@ -184,9 +208,6 @@ def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
     at = 3 * i
     leaves = c.problem.after[at] > nothing and not is_resistance(c, i)
     if c.friction.pulls[i] == 0.0 and (c.problem.form[i] == OFF or leaves):
-        return FREE
-    # Where a force has just become zero there is hardly any acceleration; that the mode would have it pull says more.
-    if c.friction.pulls[i] == 0.0 and c.event.pulled[i] != 0.0 and c.F[at] <= c.problem.rounding:
         return FREE
     if c.friction.sticks[i] == SPRING_STICK:
         return STUCK if c.friction.held[i] != 0.0 else PRESSED

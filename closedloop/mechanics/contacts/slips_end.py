@@ -7,10 +7,22 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.contacts.memory import Contacts
-from closedloop.mechanics.contacts.turning import left_of_slips, pack_problem, solve_within, unpack_problem
+from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, Contacts
+from closedloop.mechanics.contacts.resistance import is_resistance
+from closedloop.mechanics.contacts.turning import (
+    left_of_slips,
+    level_of,
+    pack_problem,
+    solve_within,
+    unpack_problem,
+)
+
+Array = NDArray[np.float64]
 
 # Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then;
 # and by which share of 1/τ before it derivatives are taken.
@@ -34,10 +46,21 @@ def stop_slips(c: Contacts, k: int, h: float) -> float:
     if count > 1 and solve_within(c, count, 1.0 / h):
         rate = shorten(c, count, h)
     unpack_problem(c, k, count)
+    for i in range(k):
+        if c.problem.form[i] != OFF and not is_resistance(c, i):
+            into_friction(c.F[3 * i : 3 * i + 3], level_of(c, i) if c.problem.form[i] in (RAY, LINE) else c.mu[i])
     for r in range(3 * k):
         c.step.force[r] = c.F[r] - c.viscous[r]
         c.F[r] = c.before[r]
     return float(1.0 / rate) if rate > 0.0 else math.inf
+
+
+@kernel
+def into_friction(F: Array, mu: float) -> None:
+    """Shorten the friction of a force F (3,) that exceeds μ|f|, by what the solution of the problem is off."""
+    size, most = math.hypot(F[1], F[2]), mu * abs(F[0])
+    if size > most:
+        F[1], F[2] = F[1] * (most / size), F[2] * (most / size)
 
 
 @kernel

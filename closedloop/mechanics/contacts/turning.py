@@ -33,6 +33,7 @@ from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.packed import pack, unpack
 from closedloop.mechanics.contacts.soft_friction import drop_contradictions, shared_friction, some_share
+from closedloop.mechanics.friction.turning import not_driving
 
 # Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
 # how often it may be no less than before: where forces are not unique it need not become less.
@@ -255,17 +256,18 @@ def left_of_slips(c: Contacts, k: int) -> float:
 
 @kernel
 def turn(c: Contacts, i: int, x1: float, x2: float) -> float:
-    """Write `along` of contact i, with its `rub` x, and return its change, of μ; it stays where slip turns round.
+    """Write `along` of contact i, with its `rub` x, and return its change, of μ.
 
-    So it does where a slip that has only begun does not go on: friction is against what pulls.
+    It stays where a slip that has only begun does not go on: friction is against what pulls.
     """
     n = 3 * i
-    level, f = level_of(c, i), c.F[n]
+    level, f, shared = level_of(c, i), c.F[n], c.friction.shared[i] > 0.0
     size, speed = math.hypot(x1, x2), math.hypot(c.u[n + 1], c.u[n + 2])
     d1, d2 = (c.u[n + 1], c.u[n + 2]) if speed > STILL else (c.direction[i, 0], c.direction[i, 1])
-    shared = c.friction.shared[i] > 0.0
-    if not size > 0.0 or (-x1 * d1 - x2 * d2 < 0.0 and not shared):
+    if not size > 0.0 or (speed <= STILL and x1 * d1 + x2 * d2 > 0.0 and not shared):
         return 0.0
+    if not shared:
+        x1, x2 = not_driving(x1, x2, -d1, -d2)
     within = size <= level * abs(f)
     if speed <= STILL and within and not shared:
         return 0.0

@@ -230,7 +230,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             status = solve_modes(c, k)
         begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
         if status == OK and (fixed or some_share(c, k)):
-            status = turn_and_solve(c, k, c.step.span)
+            status = turn_and_solve(c, k, c.step.span, begins)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if joints_rub(links):
@@ -244,7 +244,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                     c.F[i] = c.rigid[i] = c.step.force[i]
             elif left < math.inf:
                 c.step.span = MOST_OF * left
-                status = turn_and_solve(c, k, c.step.span)
+                status = turn_and_solve(c, k, c.step.span, begins)
                 keep_in_cones(c, k)
         wedges = links.stepped == 0 and force_over_load(links, c) > WEDGED
         if (status != OK or wedges) and w.time > 0.0:  # these modes end here: others, or a time step, go on

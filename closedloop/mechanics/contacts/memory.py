@@ -176,6 +176,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     pulls: Annotated[Array, K]  # 1 of a contact that cannot part
     sense: Annotated[Array, K]  # sign of f that is tried of a DOUBLE whose force is not unique
     start_slip: Annotated[Array, K]  # speed of slip at the beginning of the substep, m/s
+    against: Annotated[Array, K]  # 1 if friction is against the slip all the substep, not turned
     start_u: Annotated[Array, K, 2]  # and its velocity
     stage_u: Annotated[Array, K, 2]  # and that at the first stage in the middle of the substep
     delayed: Annotated[Array, K]  # speed of slip that friction with memory answers to, m/s

@@ -33,7 +33,6 @@ from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.packed import pack, unpack
 from closedloop.mechanics.contacts.soft_friction import drop_contradictions, shared_friction, some_share
-from closedloop.mechanics.friction.turning import not_driving
 
 # Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
 # how often it may be no less than before: where forces are not unique it need not become less.
@@ -48,21 +47,24 @@ SWEEPS, NEAR = 100, 1e-7
 
 
 @kernel
-def turn_and_solve(c: Contacts, k: int, h: float) -> int:
+def turn_and_solve(c: Contacts, k: int, h: float, begins: bool) -> int:
     """Turn the friction of slow slips to where they go in the step h, s, until it agrees with the forces.
 
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
-    that is turned round with the force would drive the slip. `ends` says whether a slip ends within the step.
+    that is turned round with the force would drive the slip. `ends` says whether a slip ends within the step, `begins`
+    is whether the step begins here.
     """
     c.problem.ends = 0.0
+    for i in range(k if begins else 0):
+        c.friction.against[i] = 0.0
     if some_pull(c, k) or not some_slip_slowly(c, k, h):
         return int(OK)
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     c.problem.steps, last, stalled = 0.0, math.inf, 0
     for _ in range(TURNS):
-        change = turn_slips(c, k, h)
+        change = turn_slips(c, k, h, begins)
         if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k):
             break
         stalled += 1 if change >= last else 0
@@ -120,7 +122,7 @@ def level_of(c: Contacts, i: int) -> float:
 
 
 @kernel
-def turn_slips(c: Contacts, k: int, h: float) -> float:
+def turn_slips(c: Contacts, k: int, h: float, begins: bool) -> float:
     """Write `along` of the contacts that slip slowly; return its largest change, of μ, negative if none was found."""
     change, count = -1.0, pack_problem(c, k, h, False)
     found = solve_within(c, count, 1.0 / h)
@@ -134,7 +136,7 @@ def turn_slips(c: Contacts, k: int, h: float) -> float:
     for j in range(count):
         i = int(c.scratch.packed.contact[j])
         if found and c.scratch.turned[i] != 0.0:
-            change = max(change, turn(c, i, c.scratch.best[3 * j], c.scratch.best[3 * j + 1]))
+            change = max(change, turn(c, i, c.scratch.best[3 * j], c.scratch.best[3 * j + 1], begins))
     return change
 
 
@@ -255,19 +257,25 @@ def left_of_slips(c: Contacts, k: int) -> float:
 
 
 @kernel
-def turn(c: Contacts, i: int, x1: float, x2: float) -> float:
+def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     """Write `along` of contact i, with its `rub` x, and return its change, of μ.
 
-    It stays where a slip that has only begun does not go on: friction is against what pulls.
+    It stays where a slip that has only begun does not go on: friction is against what pulls. It stays too where slip
+    turns by more than a right angle: friction is against the slip until that ends. The beginning of a step decides for
+    all its stages, for two forces in one step are the mean of none. Friction that would drive the slip at a later stage
+    is reflected in the line across it, which is continuous.
     """
     n = 3 * i
     level, f, shared = level_of(c, i), c.F[n], c.friction.shared[i] > 0.0
     size, speed = math.hypot(x1, x2), math.hypot(c.u[n + 1], c.u[n + 2])
-    d1, d2 = (c.u[n + 1], c.u[n + 2]) if speed > STILL else (c.direction[i, 0], c.direction[i, 1])
-    if not size > 0.0 or (speed <= STILL and x1 * d1 + x2 * d2 > 0.0 and not shared):
+    d1, d2 = (c.u[n + 1] / speed, c.u[n + 2] / speed) if speed > STILL else (c.direction[i, 0], c.direction[i, 1])
+    drives = 0.0 * size if shared else x1 * d1 + x2 * d2
+    if begins:
+        c.friction.against[i] = 1.0 if drives > 0.0 else 0.0
+    if not size > 0.0 or c.friction.against[i] != 0.0 or (drives > 0.0 and speed <= STILL):
         return 0.0
-    if not shared:
-        x1, x2 = not_driving(x1, x2, -d1, -d2)
+    if drives > 0.0:
+        x1, x2 = x1 - 2.0 * drives * d1, x2 - 2.0 * drives * d2
     within = size <= level * abs(f)
     if speed <= STILL and within and not shared:
         return 0.0

@@ -6,9 +6,9 @@ the direction d is that of the slip u⁺ at the end of the step,
 
     u⁺ + h μ|f| S_t d = u + h (a_t + S_tn f − S_t w),    d = u⁺/|u⁺|
 
-as in time stepping (J. J. Moreau, 1988): one equation for |u⁺|, by bisection. If friction is enough to stop the
-contact within the step, d is such that it goes straight to rest. Friction drives no slip (`not_driving`). A slip that
-has only just broken away is u = 0: what rounding has left of it has no direction, and must decide nothing.
+as in time stepping (J. J. Moreau, 1988): one equation for |u⁺|, by bisection. If friction is enough to stop the contact
+within the step, d is such that it goes straight to rest. A slip that has only just broken away is u = 0: what rounding
+has left of it has no direction, and must decide nothing.
 """
 
 from __future__ import annotations
@@ -82,26 +82,11 @@ def turn_friction(S: Array, a1: float, a2: float, u: Array, direction: Array, f:
             d1, d2 = slowed(s, (g11, g12, g22), x1, x2)
             d1, d2 = slowed(settled(s, math.hypot(d1, d2), slope), (g11, g12, g22), x1, x2)
     size = math.hypot(d1, d2)
-    if not size > 0.0 or (speed <= STILL and d1 * before1 + d2 * before2 < 0.0):
-        return False
-    d1, d2 = not_driving(d1, d2, before1, before2)
+    if not size > 0.0 or d1 * before1 + d2 * before2 < 0.0:
+        return False  # slip ends within the step; until then friction is against it
     turned = math.copysign(level / size, f)
     c[0], c[1] = turned * d1, turned * d2
     return True
-
-
-@kernel_inlined
-def not_driving(d1: float, d2: float, u1: float, u2: float) -> tuple[float, float]:
-    """Return d, reflected in the line across the slip u if it points against u: friction −d then drives no slip.
-
-    Of a slip that turns by more than a right angle within the step d changes continuously with the state all the same,
-    and friction is against one that turns round.
-    """
-    drives = d1 * u1 + d2 * u2
-    if not drives < 0.0:
-        return d1, d2
-    back = 2.0 * drives / (u1 * u1 + u2 * u2)
-    return d1 - back * u1, d2 - back * u2
 
 
 @kernel_inlined

@@ -103,3 +103,17 @@ def test_what_is_symmetric_slips_symmetrically(mu, force):
     assert np.max(np.abs(sideways_and_turning)) < 1e-9
     assert np.max(np.ptp(run.link_modes[:, :8], axis=1)) == 0
     assert np.min(run.link_gaps) > -1e-9
+
+
+def test_a_block_is_lifted_by_joints_with_dry_friction():
+    """As the floor no longer carries the block, friction of the joints holds it until the drive exceeds it."""
+    changes = {"joint_friction.kind": "coulomb", "joint_friction.kinetic": [3.0] * 3 + [0.0] * 6, "time.duration": 0.16}
+    run = cl.simulate(cl.load_scenario("gripper_block", changes))
+    kinds = [event.kind for event in run.events]
+    assert kinds.count("liftoff") - kinds.count("touchdown") == 4
+    assert len(kinds) <= 60
+    held = (run.time > 0.144) & (run.time < 0.148)
+    assert np.all(np.abs(run.joint_friction[held, 0]) < 3.0)
+    assert np.abs(run.v[held]).max() < 1e-12
+    np.testing.assert_allclose(run.joint_friction[-1, 0], -3.0, rtol=1e-12)
+    np.testing.assert_allclose(run.v[-1, [0, 5]], run.v[-1, 0], rtol=1e-9)

@@ -24,6 +24,7 @@ from closedloop.mechanics.contacts.modes import (
     SLIPPED,
     STUCK_NOW,
     TURNED_ROUND,
+    carries_nothing,
     choose_kinds,
     decide,
     happened_to,
@@ -86,17 +87,13 @@ def test_what_is_told_of_a_contact(memory):
 
 
 def test_mode_and_direction_by_force_and_acceleration(memory):
-    """It parts where it accelerates away, or its mode had it pull and it presses no more; else it slips or sticks."""
+    """It parts where it accelerates away; else it slips or sticks."""
     c = memory.contacts
     after = interpreted(mode_after)
     c.problem.form[:], c.F[3], c.problem.rounding = [OFF, CONE], 1.0, 1e-9
     assert after(c, 0, NOTHING) == FREE
     assert after(c, 1, NOTHING) == STUCK
-    c.event.pulled[1] = 1.0
-    assert after(c, 1, NOTHING) == STUCK
-    c.F[3] = 0.5e-9
-    assert after(c, 1, NOTHING) == FREE
-    c.event.pulled[1], c.problem.after[3] = 0.0, 2 * NOTHING
+    c.problem.after[3] = 2 * NOTHING
     assert after(c, 1, NOTHING) == FREE
     c.problem.after[3] = 0.0
     for slip, turned in (([3.0, -4.0], 1.0), ([4.0, -2.9], 0.0), ([-5.0, 3.0], 1.0), ([-1.0, 1.0], 0.0)):
@@ -283,3 +280,22 @@ def test_what_a_substep_begins_with_is_kept(memory):
         slides = mode == PRESSED and speed > STICK_SPEED
         np.testing.assert_allclose(c.direction[1], np.array(slip) / speed if slides else [1.0, 0.0])
         assert (c.cleared[1], c.floor[1]) == ((1.0, 0.0) if clear else (0.0, -0.5))
+
+
+def test_a_contact_that_carries_nothing_is_open(memory):
+    """One that its mode had pull or leave its cone, and one that was open and has not come closer; no other."""
+    links, c = memory.links, memory.contacts
+    nothing = interpreted(carries_nothing)
+    c.mode[1], c.F[3], c.problem.rounding, links.fresh = STUCK, 0.5e-9, 1e-9, 0
+    assert not nothing(links, c, 1)
+    for flag in (c.event.pulled, c.event.outside):
+        flag[1], c.F[3] = 1.0, 0.5e-9
+        assert nothing(links, c, 1)
+        c.F[3] = 1.0
+        assert not nothing(links, c, 1)
+        flag[1] = 0.0
+    c.mode[1], c.F[3], c.cleared[1], c.floor[1] = FREE, 0.0, 0.0, 0.0
+    cases = ((0.0, 0, 0, True), (-2 * SINKING, 0, 0, False), (0.0, 1, 0, False), (0.0, 0, 1, False))
+    for gap, struck, fresh, opened in cases:
+        c.located[3], c.event.struck[1], links.fresh = gap, struck, fresh
+        assert nothing(links, c, 1) == opened

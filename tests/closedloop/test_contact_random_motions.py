@@ -32,11 +32,13 @@ def test_a_random_motion_goes_on(tmp_path, seed):
 # 20262085); friction was turned round with a force that would pull (1131); a time step had impulses of 2e4 N s of
 # contacts that are wedged (20261842, 20261488), or none were found (20261206, 20261722); a slip of 1e-4 m/s was at the
 # edge of Painlevé's paradox in one stage (20261989); no forces were found in a stage of a step of length zero, and the
-# step was taken again without end (20261838).
+# step was taken again without end (20261838); friction of a slow slip that turns by more than a right angle was another
+# at each stage of a step, and drove it (20261771, 20262102); forces until a slip ends were outside their cones by 2e-8
+# (20261660, 20262484).
 MENDED = [1041, 1084, 1119, 1131, 1144, 1195]
 MENDED += [20261206, 20261377, 20261488, 20261722, 20261838, 20261842, 20261989, 20262085]
-MENDED += [20261214, 20261340, 20261770, 20261783, 20261862]
-QUICK = {1084, 20261340, 20261770, 20261838, 20261842, 20261862, 20261989}
+MENDED += [20261214, 20261340, 20261660, 20261770, 20261771, 20261783, 20261862, 20262102, 20262484]
+QUICK = {1084, 20261340, 20261660, 20261771, 20262102, 20261770, 20261838, 20261842, 20261862, 20261989}
 
 
 @pytest.mark.parametrize("seed", [pytest.param(s, marks=() if s in QUICK else pytest.mark.slow) for s in MENDED])

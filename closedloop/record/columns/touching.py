@@ -75,7 +75,9 @@ class Touching(NamedTuple):
             place = place + reach
         return place, force
 
-    def forces(self, normals: Array, frictions: Array, axes: Array, origins: Array, times: Array) -> tuple[Array, Array]:
+    def forces(
+        self, normals: Array, frictions: Array, axes: Array, origins: Array, times: Array
+    ) -> tuple[Array, Array]:
         """Return what `force` does of N rows; of one that bears nothing both are zero if it is not `flat`."""
         if self.flat:
             return self.force(normals, frictions, axes, origins)
@@ -134,7 +136,6 @@ def contact_torques(
     rolling, pivoting : (N, 2 k) and (N, k) arrays, optional
         Moments about the tangents and the normals, N m, on the same links.
     """
-    import pinocchio as pin
 
     contacts, n = contacts_of(scenario, mechanism), mechanism.nv
     torques = np.zeros((len(q), n))

@@ -147,7 +147,7 @@ def test_shares_that_are_not_determined_are_told(tmp_path):
 
 
 def test_what_soft_contacts_bear_is_determined():
-    """It follows from how deep they are: of a tower on soft feet the report said that 10 of 28 forces are not unique."""
+    """It follows from how deep they are: of a tower on soft feet 10 of 28 forces were told not unique."""
     soft = {"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 40.0}
     for among, found in (("*", None), (0, (0.0, 57, 30))):
         tower = cl.load_scenario("tower", {"time.duration": 0.004, f"contact.{among}.compliance": soft})

@@ -77,9 +77,7 @@ def turn_friction(S: Array, a1: float, a2: float, u: Array, direction: Array, f:
             if high - low <= 1e-14 * high:
                 break
         if has_derivatives(x1):
-            # What is given may have the derivatives of another unknown, the instant of an event.
-            fixed = sought(g11), sought(g12), sought(g22)
-            d1, d2 = slowed(along(s), fixed, sought(x1), sought(x2))
+            d1, d2 = slowed(along(s), (g11, g12, g22), x1, x2)
             slope, s = slope_of(math.hypot(d1, d2)), sought(s)
             d1, d2 = slowed(s, (g11, g12, g22), x1, x2)
             d1, d2 = slowed(settled(s, math.hypot(d1, d2), slope), (g11, g12, g22), x1, x2)

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 
-from closedloop.jit.dual8 import has_derivatives, sought
+from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.turning import left_of_slips, pack_problem, solve_within, unpack_problem
 
-# Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then.
-SEARCHES, WIDER, ON_EDGE = 30, 4.0, 1e-12
+# Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then;
+# and by which share of 1/τ before it derivatives are taken.
+SEARCHES, WIDER, ON_EDGE, BESIDE_EDGE = 30, 4.0, 1e-12, 1e-8
 
 
 @kernel
@@ -68,7 +69,24 @@ def shorten(c: Contacts, k: int, h: float) -> float:
             low, at_low, at_high, side = rate, now, at_high * (0.5 if side < 0 else 1.0), -1
         else:
             high, at_high, at_low, side = rate, now, at_low * (0.5 if side > 0 else 1.0), 1
-    if has_derivatives(rate):  # of the forces at this τ; the length of a step needs none
-        rate = sought(rate)
-        return rate if solve_within(c, k, rate) else 0.0 * rate
-    return rate
+    return settle(c, k, rate) if has_derivatives(rate) else rate
+
+
+@kernel
+def settle(c: Contacts, k: int, rate: float) -> float:
+    """Return the 1/τ that was found with its derivatives, s⁻¹, and solve the problem there once more.
+
+    Its equation is asked a little before slip ends: at the edge itself rounding would decide between two slopes.
+    """
+    beside = (1.0 + BESIDE_EDGE) * sought(rate)
+    for r in range(3 * k):
+        c.path.point[r] = c.F[r]
+    if not solve_within(c, k, along(beside)):
+        return 0.0 * rate
+    slope = slope_of(left_of_slips(c, k))
+    for r in range(3 * k):
+        c.F[r] = c.path.point[r]
+    if not solve_within(c, k, beside):
+        return 0.0 * rate
+    rate = settled(sought(rate), left_of_slips(c, k), slope)
+    return rate if solve_within(c, k, rate) else 0.0 * rate

@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from forks import command, load_what_pages_need, program
+from forks import command, load_for_forks, program
 from pages import DOCS, PAGES, ROOT, blocks, broken_links, commands, left_out, session
 
 import closedloop
@@ -54,7 +54,7 @@ def test_both_verdicts_are_tabled(generate, generated):
 @pytest.fixture(scope="module")
 def loaded():
     """Have here what the forks of the tests below need."""
-    load_what_pages_need()
+    load_for_forks()
 
 
 def run_all(commands, folder):

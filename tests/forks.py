@@ -1,4 +1,4 @@
-"""What a page tells its reader to run, in a fork of the tests' process: another one would import and load for 3 s."""
+"""What pages and notebooks tell their reader to run, in forks of the tests' process, which has loaded it all."""
 
 import os
 import runpy
@@ -18,8 +18,8 @@ from closedloop.run import main as run
 PROGRAMS = {("closedloop",): main, ("python", "-m", "closedloop.run"): run}
 
 
-def load_what_pages_need():
-    """Import and load here what nearly every page needs; its forks have it then."""
+def load_for_forks():
+    """Import and load here what nearly every page and notebook needs; forks have it then."""
     for name in ("wam_slide", "cube_toss"):
         cl.simulate(cl.load_scenario(name, {"time.duration": 0.02}), progress=False)
 

@@ -6,6 +6,7 @@ The box is a body on three prismatic and three revolute joints, the block one on
 import numpy as np
 import pytest
 from boxes import FEET, FOUR, HALF, G, drop_in_any_pose, simulate
+from budget import budget
 from scipy.integrate import quad
 
 import closedloop as cl
@@ -98,7 +99,7 @@ def draw(rng, feet):
     )
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 30))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, budget(12, 30)))])
 @pytest.mark.parametrize("feet", FEET)
 def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
     """With whatever pose, velocity, friction and restitution; without friction it may go on along the floor.
@@ -122,8 +123,8 @@ def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
         (5, 82, 0.06),  # one foot slides until pressing harder pulls it in: its force grows, and stops it before
         (8, 224, 0.06),  # ... and an impulse stops it
         (8, 86, 1.0),  # rates of its joints of thousands of rad/s, near a pose in which two have one axis
-        *(pytest.param(4 + (k % 2), k, 4.0, marks=pytest.mark.slow) for k in range(20)),
-        *(pytest.param(8, k, 4.0, marks=pytest.mark.slow) for k in range(20)),
+        *(pytest.param(4 + (k % 2), k, 4.0, marks=pytest.mark.slow) for k in range(budget(10, 20))),
+        *(pytest.param(8, k, 4.0, marks=pytest.mark.slow) for k in range(budget(10, 20))),
     ],
 )
 def test_a_box_dropped_in_any_pose_goes_on(tmp_path, feet, seed, duration):

@@ -80,8 +80,8 @@ def normalised(q: ArrayLike, types: Sequence[str], what: str) -> Array:
         length = largest * float(np.linalg.norm(found[at : at + 4] / largest)) if largest > 0.0 else 0.0
         if not LEAST_LENGTH < length < np.inf:
             raise ModelError(
-                f"{what}[{at}:{at + 4}] = {found[at : at + 4].tolist()}: a quaternion w, x, y, z of length zero turns "
-                "nothing: [1, 0, 0, 0] does not turn"
+                f"{what}[{at}:{at + 4}] = {found[at : at + 4].tolist()}: a quaternion w, x, y, z of length zero is no "
+                "rotation; [1, 0, 0, 0] leaves the joint as it is"
             )
         if abs(length - 1.0) > ROUNDING:  # what has been normalised once stays as it is
             found[at : at + 4] /= length

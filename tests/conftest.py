@@ -36,13 +36,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a suite that a sh
 # others follow by their numbers of tests, as xdist would have them. `test_gradient` compiles the loop of dual numbers,
 # which others need later; two processes that need it at the same time would both compile it.
 LONGEST = (
-    "test_gradient", "test_pages", "test_environments", "test_notebooks", "test_sweep_killed", "test_lab_browser",
-    "test_scenarios",
-    "test_sweep_signals", "test_control_compensation", "test_engines_agree", "test_contact_energy",
-    "test_integrator_choice", "test_compile_command", "test_run_files", "test_sweep_disk", "test_sweep_fuzz",
-    "test_background", "test_break_away", "test_impact_spatial", "test_robot_files", "test_contact_random",
-    "test_mutate", "test_tree_kernels", "test_compiled_law", "test_friction_lugre", "test_user_law",
-    "test_friction_own", "test_solve", "test_speed", "test_compiled", "test_batch_memory", "test_scipy_later",
+    "test_gradient", "test_lab_browser", "test_pages", "test_environments", "test_step_error", "test_notebooks",
+    "test_sweep_killed", "test_untouched_contact", "test_simulator", "test_scenarios", "test_gradients",
+    "test_compiled_engine", "test_contacts", "test_bodies_known", "test_integrator_choice", "test_sweep_signals",
+    "test_break_away", "test_contact_energy", "test_control_compensation", "test_engines_agree", "test_compile_command",
+    "test_run_files", "test_identify_contact", "test_gym", "test_tune", "test_background", "test_study_surfaces",
+    "test_killed", "test_contact_events", "test_tree_kernels", "test_lab_command", "test_batch_memory", "test_loops",
+    "test_robot_files", "test_mutate", "test_study_controllers", "test_adaptive_order", "test_peer_slides",
+    "test_impact_random", "test_impact_spatial", "test_sweep_disk", "test_sweep_fuzz", "test_contact_random",
+    "test_compiled_law", "test_friction_lugre", "test_user_law", "test_friction_own", "test_solve", "test_speed",
+    "test_compiled", "test_scipy_later",
 )  # fmt: skip
 
 

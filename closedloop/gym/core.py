@@ -173,7 +173,9 @@ class Core:
             self._variants[keys] = Variants(self.scenario, keys)
         problem = prepare(self._variants[keys].scenario(tuple(values.values())), None, self._cache)
         if problem.steps != self.instants * self.steps or problem.row_width != self.now_width:
-            raise ScenarioError("options: arm, step and duration are those of the environment: make another one")
+            raise ScenarioError(
+                "options: the arm, time.step and time.duration of an environment cannot be changed: make another"
+            )
         # The cache's table is overwritten for the next scenario of the same path.
         return problem if self.task.worlds is None else replace(problem, table=problem.table.copy())
 

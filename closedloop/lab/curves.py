@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8A8A8A", "#B8A500")
 # Parts of the time shown; each gives two points of every trace.
 CELLS = 160
+# Rows in which the errors of loops are evaluated.
+MOST_LOOPS = 1000
 # Numbers of a column of which curves are drawn at most.
 MOST_WIDE = 16
 # What the name of a column's panel begins with.
@@ -133,8 +135,12 @@ def _closure(run: Run) -> Panel:
 
 
 def _loops(run: Run) -> Panel:
-    """Return how far each loop joint is from closed: the largest error of its rows, be it a length or an angle."""
-    errors = np.abs(errors_in(run))
+    """Return how far each loop joint is from closed: the largest error of its rows, be it a length or an angle.
+
+    In `MOST_LOOPS` rows at most: an error of positions has no jumps, and all rows take longer than the screen shows.
+    """
+    rows = np.unique(np.linspace(0, len(run) - 1, min(MOST_LOOPS, len(run))).round().astype(np.int64))
+    errors = np.abs(errors_in(run, rows))
     parts = np.split(errors, np.cumsum([loop.rows for loop in run.model.loops])[:-1], axis=1)
     factor, name = length_unit(_largest(errors))
     traces = tuple(
@@ -142,7 +148,7 @@ def _loops(run: Run) -> Panel:
         for k, (loop, part) in enumerate(zip(run.model.loops, parts, strict=True))
     )
     turning = any("N m" in (unit for _, unit in parts_of(run.model, loop)) for loop in run.model.loops)
-    return Panel("loops", f"{name}, {name[:-1]}rad" if turning else name, run.time, traces)
+    return Panel("loops", f"{name}, {name[:-1]}rad" if turning else name, run.time[rows], traces)
 
 
 def _tip(run: Run) -> Panel:

@@ -96,7 +96,10 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
-    placed = placed_contacts(scenario, robot, q) if scenario.contact else None
+    placed = None if not scenario.contact else cache.get(
+        ("contacts", *_contacts_key(scenario), q.tobytes()), lambda: placed_contacts(scenario, robot, q),
+        lambda placed: SECTION_BYTES * len(placed.start),
+    )  # fmt: skip
     h, period = scenario.time.step, scenario.law.sample_period
     steps, hold = steps_and_hold(scenario, n)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
@@ -171,6 +174,12 @@ def _surface_key(scenario: Scenario) -> tuple[Hashable, ...]:
     if not isinstance(scenario.compliance, Rigid):  # the tip starts as deep as the force presses it
         sections += [scenario.force_profile, scenario.law]
     return robot_key(scenario), *((type(section), section.model_dump_json()) for section in sections)
+
+
+def _contacts_key(scenario: Scenario) -> tuple[Hashable, ...]:
+    """Return what the places of contacts depend on, but for the state."""
+    sections = scenario.contact or ()
+    return robot_key(scenario), *((type(x.surface), type(x.motion), x.model_dump_json()) for x in sections)
 
 
 def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:

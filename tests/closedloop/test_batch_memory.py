@@ -15,7 +15,7 @@ import closedloop as cl
 scenario = cl.load_scenario("wam_slide")
 cl.simulate_batch(scenario, {"law.force": [5.0] * 8}, keep=KEEP, workers=1)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-table = cl.simulate_batch(scenario, {"law.force": np.linspace(5.0, 15.0, 125)}, keep=KEEP, workers=1)
+table = cl.simulate_batch(scenario, {"law.force": np.linspace(5.0, 15.0, 63)}, keep=KEEP, workers=1)
 after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 print(json.dumps([1024 * (after - before), table.nbytes, sum(table[name].nbytes for name in KEEP)]))
 """
@@ -35,5 +35,5 @@ def test_a_batch_that_keeps_columns_peaks_at_its_table(keep):
     script = MEASURE.replace("KEEP", repr(keep))
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=300)
     grew, table, kept = json.loads(done.stdout)
-    assert kept > 60e6  # large against what a thread needs to run at all
+    assert kept > 30e6  # large against what a thread needs to run at all
     assert grew < 1.5 * table

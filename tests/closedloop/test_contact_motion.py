@@ -6,8 +6,10 @@ The box is a body on three prismatic and three revolute joints, the block one on
 import numpy as np
 import pytest
 from boxes import FEET, FOUR, HALF, G, drop_in_any_pose, simulate
+from budget import budget
 from scipy.integrate import quad
 
+import closedloop as cl
 from closedloop.record.report.link_contacts import contact_rows, share_not_determined
 
 
@@ -97,7 +99,7 @@ def draw(rng, feet):
     )
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 30))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, budget(12, 30)))])
 @pytest.mark.parametrize("feet", FEET)
 def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
     """With whatever pose, velocity, friction and restitution; without friction it may go on along the floor.
@@ -121,8 +123,8 @@ def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
         (5, 82, 0.06),  # one foot slides until pressing harder pulls it in: its force grows, and stops it before
         (8, 224, 0.06),  # ... and an impulse stops it
         (8, 86, 1.0),  # rates of its joints of thousands of rad/s, near a pose in which two have one axis
-        *(pytest.param(4 + (k % 2), k, 4.0, marks=pytest.mark.slow) for k in range(20)),
-        *(pytest.param(8, k, 4.0, marks=pytest.mark.slow) for k in range(20)),
+        *(pytest.param(4 + (k % 2), k, 4.0, marks=pytest.mark.slow) for k in range(budget(10, 20))),
+        *(pytest.param(8, k, 4.0, marks=pytest.mark.slow) for k in range(budget(10, 20))),
     ],
 )
 def test_a_box_dropped_in_any_pose_goes_on(tmp_path, feet, seed, duration):
@@ -143,6 +145,14 @@ def test_shares_that_are_not_determined_are_told(tmp_path):
     three = [[0.1, 0.0, -0.05], [-0.1, 0.05, -0.05], [-0.1, -0.05, -0.05]]
     three = simulate(tmp_path, HALF, three, start, 0.0, **{"time.duration": 0.005})
     assert share_not_determined(three) is None
+
+
+def test_what_soft_contacts_bear_is_determined():
+    """It follows from how deep they are: of a tower on soft feet 10 of 28 forces were told not unique."""
+    soft = {"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 40.0}
+    for among, found in (("*", None), (0, (0.0, 57, 30))):
+        tower = cl.load_scenario("tower", {"time.duration": 0.004, f"contact.{among}.compliance": soft})
+        assert share_not_determined(cl.simulate(tower, engine="compiled")) == found
 
 
 def falling(angle, alpha, p):

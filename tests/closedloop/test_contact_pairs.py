@@ -8,7 +8,7 @@ joints, dry friction in them, and any stabiliser, or without.
 import numpy as np
 import pinocchio as pin
 import pytest
-from budget import seeds
+from budget import budget, seeds
 
 import closedloop as cl
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
@@ -129,7 +129,7 @@ def examine(seed):
     assert {problem["name"] for problem in run.summary()["verdict"]["problems"]} <= {"step", "resolution"}
 
 
-@pytest.mark.parametrize("seed", seeds(4, 150))
+@pytest.mark.parametrize("seed", seeds(4, budget(60, 150)))
 def test_pairs_of_features(seed):
     """Some are quick, more are slow."""
     examine(seed)

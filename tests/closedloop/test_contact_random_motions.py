@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from budget import seeds
+from budget import budget, seeds
 
 import closedloop as cl
 
@@ -14,7 +14,7 @@ from boxes import no_torque
 from drops import examine
 
 
-@pytest.mark.parametrize("seed", seeds(6, 40))
+@pytest.mark.parametrize("seed", seeds(6, budget(20, 40)))
 def test_a_random_motion_goes_on(tmp_path, seed):
     """Nothing stops it, pulls or leaves its cone; impacts gain no energy, and steps no more than is said."""
     text, known = motions.draw(seed, tmp_path)

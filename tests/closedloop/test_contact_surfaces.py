@@ -7,7 +7,7 @@ from test_contacts import G, body, total_energy
 import closedloop as cl
 import robot_models
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.record.columns.touching import contact_torques
+from closedloop.record.columns.touching import Touching, contact_torques
 from closedloop.scenario.arm import robot_of
 from validation.loops.mechanisms import joint, point
 
@@ -98,6 +98,26 @@ def test_body_strikes_and_slides_in_a_bowl_that_another_carries(friction):
     needed = robot.needed_torque(run.q, run.v, run.acceleration, np.zeros((len(run), 3)))
     missing = needed - run.torque - given
     assert np.max(np.abs(missing)) < 1e-11
+
+
+@pytest.mark.parametrize(("name", "flat"), [("tower", True), ("ball_on_turntable", False)])
+def test_torques_of_all_rows_are_those_of_each_and_points_on_planes_are_asked_once(monkeypatch, name, flat):
+    """Row by row in Python, the summary of 22 000 rows with six contacts took 24 s, and the run itself 3 s."""
+    run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.02}), engine="compiled")
+    mechanism, robot = run.model.pinocchio_model(), robot_of(run.scenario, run.model)
+    of = run.scenario, mechanism
+    q = robot.pinocchios(run.q)
+    rows = run.link_forces + 0.1 * np.arange(len(run))[:, None], run.link_frictions + 0.3
+    one_by_one = [contact_torques(*of, *(part[k : k + 1] for part in (run.time, q, *rows))) for k in range(len(run))]
+    asked, force = [], Touching.force
+
+    def counted(touching, *arguments):
+        asked.append(touching.name)
+        return force(touching, *arguments)
+
+    monkeypatch.setattr(Touching, "force", counted)
+    np.testing.assert_array_equal(contact_torques(*of, run.time, q, *rows), np.concatenate(one_by_one))
+    assert len(asked) == rows[0].shape[1] * (1 if flat else len(run))
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,9 @@ LAWS = {
     "hybrid": HybridLaw(kp=(900.0, 900.0, 400.0, 300.0), kd=(60.0, 60.0, 30.0, 20.0)),
 }
 
+EITHER = (("observer", "circle"), ("adaptive", "line"))
+MATRIX = [(kind, *EITHER[k]) for n, kind in enumerate(LAWS) for k in budget([n % 2], [0, 1])]
+
 
 def line(t, start=0.1, direction=(0.0, 0.0, 1.0)):
     """Return displacement, velocity, acceleration of a line at constant speed."""
@@ -84,10 +87,9 @@ def test_wam_keeps_force_and_path_on_unknown_friction(path, compensation):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("compensation", "path"), [("observer", "circle"), ("adaptive", "line")])
-@pytest.mark.parametrize("kind", LAWS)
+@pytest.mark.parametrize(("kind", "compensation", "path"), MATRIX)
 def test_every_law_reaches_the_aim_with_either_compensation(kind, compensation, path):
-    """The aim of the test above, for all laws on the WAM."""
+    """The aim of the test above, for all laws on the WAM, with the compensations in turn; the full budget has all."""
     force, way, _, _ = slide("wam4", LAWS[kind], UNKNOWING[compensation], PATHS[path], duration=2.5, settled=1.5)
     assert force < 0.05
     assert way < 1e-4

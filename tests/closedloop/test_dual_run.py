@@ -153,7 +153,7 @@ def test_an_instant_that_a_stage_decides_has_the_derivatives_of_that_stage(monke
     monkeypatch.setattr(locate, "settled", lambda tau, value, slope: (value, slope))
     search = SimpleNamespace(tau=0.1, value=at_end, at_stage=0.0, at_low=0.0)
     trial, settings = SimpleNamespace(settling=1, purpose=0), SimpleNamespace(stages=4)
-    w, state = SimpleNamespace(search=search), SimpleNamespace(trial=trial, settings=settings, together=1)
+    w, state = SimpleNamespace(search=search), SimpleNamespace(trial=trial, settings=settings, together=0)
     margins = iter([3e-4, -1e-11, 2e-4])
     monkeypatch.setattr(locate, "event_function", lambda *_: next(margins))
     for state.stage in (1, 2, 3):
@@ -163,3 +163,26 @@ def test_an_instant_that_a_stage_decides_has_the_derivatives_of_that_stage(monke
     value = -1e-11 if used == "stage" else at_end
     assert search.tau == (value, value)
     assert (trial.settling, trial.purpose) == (0, REACH_EVENT)
+
+
+def test_an_instant_at_which_the_slip_of_the_tip_ends_has_the_derivatives_of_the_stage_that_decides():
+    """A probe comes to rest on a cylinder: friction turns round at a stage, and slip at the end jumps past zero.
+
+    The derivative of the instant was that of the end, and 4.9e-5 off.
+    """
+    changes = {"time.duration": 0.145, "surface_motion.kind": "none", "friction.coefficient": 0.111}
+    scenario = cl.load_scenario("panda_scan", changes)
+    found = cl.gradient(scenario, ["friction.coefficient"], of=["event_time"])
+    assert found.method["event_time"]["friction.coefficient"].startswith(DUALS)
+
+    def stops(coefficient):
+        run = cl.simulate(
+            cl.load_scenario("panda_scan", changes | {"friction.coefficient": coefficient}), engine="compiled"
+        )
+        assert [event.kind for event in run.events] == ["touchdown", "stick"]
+        return run.event_time[1]
+
+    h = 1e-5
+    near, wide = ((stops(0.111 + k * h) - stops(0.111 - k * h)) / (2 * k * h) for k in (1, 2))
+    expected = (4.0 * near - wide) / 3.0
+    assert found.derivative["event_time"]["friction.coefficient"][1] == pytest.approx(expected, rel=3e-6)

@@ -116,3 +116,10 @@ def test_a_run_that_diverges_does_not_hang_a_pool(method):
     assert stopped.value.time > 0.0
     assert len(stopped.value.run) > 10
     assert stopped.value.run.model.name == "wam4"
+
+
+def test_divergence_of_joints_that_rub_is_not_laid_to_a_law():
+    """The friction of a ball takes its spin many times in a step; it has no law whose gains could be looked at."""
+    rubs = {"kind": "coulomb_viscous", "kinetic": 0.1, "viscous": 700.0}
+    with pytest.raises(cl.DivergenceError, match=r"look at joint_friction\.viscous, and at time\.step$"):
+        cl.simulate(cl.load_scenario("ball_on_turntable", {"joint_friction": rubs, "time.duration": 0.01}))

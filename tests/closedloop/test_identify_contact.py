@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from budget import budget
 
 import closedloop as cl
 import robot_models
@@ -75,15 +76,15 @@ def recorded(seed=0, noise=(3e-6, 0.1), true=TRUE, law=None, torque=True, **movi
 
 @pytest.mark.slow
 def test_biases_are_below_a_third_of_the_intervals_that_hold():
-    """Of 40 logs with noise and delay: every parameter of contact and sensor, and 95 % intervals that cover."""
-    found = [cl.identify_contact(recorded(seed), point()) for seed in range(40)]
+    """Of logs with noise and delay: every parameter of contact and sensor, and 95 % intervals that cover."""
+    found = [cl.identify_contact(recorded(seed), point()) for seed in range(budget(20, 40))]
     for name, true in TRUE.items():
         value, low, high = np.array([[getattr(x[name], k) for k in ("value", "low", "high")] for x in found]).T
         half = (high - low).mean() / 2.0
         assert abs(value.mean() - true) < half / 3.0, name
         assert np.mean((low <= true) & (true <= high)) >= 0.85, name
         assert half < 0.15 * abs(true) + 0.02 * (true == 0.0) or name == "sensor_delay", name
-    assert sum(bool(x.misses) for x in found) <= 4
+    assert sum(bool(x.misses) for x in found) <= len(found) // 10
 
 
 def test_without_torques_the_delay_is_told_from_the_damping():

@@ -14,6 +14,7 @@ from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.joined import Joined
 from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
 from closedloop.figures.scene.shapes import Shape
+from closedloop.lab import curves
 from closedloop.lab.animate import CELLS, OWN
 from closedloop.lab.curves import main_panel, panels, reduced
 from closedloop.lab.drawn import frames, robot_message
@@ -95,6 +96,20 @@ def test_the_drawn_forces_of_loops_do_the_work_that_the_torques_lack(name):
     errors = next(panel for panel in panels(run) if panel.name == "loops")
     assert [trace.label for trace in errors.traces] == [loop.name for loop in run.model.loops]
     assert all(trace.values.max() < 1e-6 for trace in errors.traces)
+
+
+def test_the_errors_of_loops_are_those_of_some_rows(monkeypatch):
+    """Of a long run not all rows are evaluated, but the first and the last; each point is the error of its row."""
+    run = short_run("four_bar", **{"time.duration": 0.02})
+    every = next(panel for panel in panels(run) if panel.name == "loops")
+    monkeypatch.setattr(curves, "MOST_LOOPS", 7)
+    some = next(panel for panel in panels(run) if panel.name == "loops")
+    assert (every.time.size, some.time.size) == (21, 7)
+    rows = np.searchsorted(run.time, some.time)
+    assert rows[[0, -1]].tolist() == [0, 20]
+    scale = some.traces[0].values[-1] / every.traces[0].values[-1]  # the unit may be another
+    for few, all_ in zip(some.traces, every.traces, strict=True):
+        np.testing.assert_allclose(few.values, scale * all_.values[rows], rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["two_arms_bar", "gripper_gear"])

@@ -1,7 +1,6 @@
 """Sweeps: axes and designs, the table and where it came from, and that nothing is lost, doubled or overwritten."""
 
 import json
-import os
 import re
 import tomllib
 from pathlib import Path
@@ -12,6 +11,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 from sweeps import SMALL, refusal, sweep
+from test_sweep_axes import values_of
 
 import closedloop as cl
 from closedloop.base import files
@@ -20,15 +20,9 @@ from closedloop.command import sweep as sweep_command
 from closedloop.studies.sweep import join as join_module
 from closedloop.studies.sweep import store as store_module
 from closedloop.studies.sweep.axes import parse_axis
-from closedloop.studies.sweep.design import BLOCK, Design
+from closedloop.studies.sweep.design import Design
 from closedloop.studies.sweep.run import run_sweep
 from closedloop.studies.sweep.sweep import Sweep
-
-
-def values_of(text, drawn=False):
-    """Return all values of an axis in a grid."""
-    axis = parse_axis(text, drawn)
-    return [axis.at(i) for i in range(len(axis))]
 
 
 def small(keep=(), runs=6):
@@ -44,97 +38,6 @@ def same_columns(a, b):
             np.array_equal(first.variables[name][...], second.variables[name][...], equal_nan=True)
             for name in first.variables
         )
-
-
-def test_axes_are_what_they_say():
-    """Ends are exact, a logarithmic range has a constant ratio, a list is of numbers, words or lists."""
-    np.testing.assert_allclose(values_of("law.force=5:15:11"), np.arange(5.0, 16.0), rtol=1e-15)
-    values = values_of("stabiliser.time_constant=log:1e-4:1e-2:5")
-    assert (values[0], values[-1]) == (1e-4, 1e-2)
-    np.testing.assert_allclose(np.diff(np.log(values)), np.log(100) / 4, rtol=1e-12)
-    assert values_of("law.force=15:5:3") == [15.0, 10.0, 5.0]
-    assert values_of("law.force=5,10") == [5.0, 10.0]
-    assert values_of("time.integrator=rk4, explicit_euler") == ["rk4", "explicit_euler"]
-    assert values_of("robot.drive_inertia=true,false") == [True, False]
-    assert values_of("law.kp=[1, 2, 3, 4],5") == [[1, 2, 3, 4], 5]
-    assert values_of('stabiliser.time_constant="auto",0.001') == ["auto", 0.001]
-    assert values_of("sensor.seed=0:4:5") == [0, 1, 2, 3, 4]
-    assert all(isinstance(seed, int) for seed in values_of("sensor.seed=0:4:5"))
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("law.force", "must be KEY=VALUES with a key such as law.force"),
-        ("force=1,2", "must be KEY=VALUES with a key such as law.force"),
-        ("law.force=", "has no values; they are 5:15:11"),
-        ("law.force=,", "has no values"),
-        ("law.force=5:15:0", "0 values: must be a whole number from 2 on"),
-        ("law.force=5:15:2.5", "2.5 values: must be a whole number from 2 on"),
-        ("law.force=5,,6", "has a comma too many: a value is missing"),
-        ("time.integrator=,rk4", "has a comma too many: a value is missing"),
-        ("law.force=5:5:3", "is empty: it ends where it begins; a single value is written law.force=5"),
-        ("law.force=5:15", "how many values? such as 5:15:11"),
-        ("law.force=5:15:3:4", "a range has two ends and how many values it has"),
-        ("law.force=5:inf:3", "both ends must be finite"),
-        ("law.force=log:0:1:3", "both ends of a logarithmic range must be above 0"),
-        ("law.force=log:a:1:3", "not a range of numbers"),
-        ("law.force=a:b:c", "not a range of numbers"),
-        ("law.force=5,5.0", "the same value twice"),
-        ("law.force=5:15:1e12", "1e12 values: must be a whole number from 2 on, up to 1000000000"),
-        ("law.force=5:15:nan", "nan values: must be a whole number from 2 on"),
-        ("law.force=1:1e400:3", "both ends must be finite"),
-        ("law.force=nan:1:3", "both ends must be finite"),
-        ("law.force=-1e308:1e308:3", "is wider than numbers go"),
-        ("stabiliser.time_constant=log:1e-300:1e300:3", "is wider than numbers go"),
-        ("sensor.seed=0:1e30:3", "whole numbers of a range may go to 2^53"),
-        ("law.force=\udcff", "has characters that cannot be printed"),
-        ("sensor.seed=0:1:5", "sensor.seed takes whole numbers only; name them"),
-    ],
-)
-def test_axes_at_fault(text, said):
-    """Each is refused with the word that is wrong and what would be right."""
-    with pytest.raises(cl.ScenarioError, match=re.escape(said)) as refused:
-        parse_axis(text)
-    assert str(refused.value).startswith(f"--over {text}: ")
-
-
-def test_grid_has_every_pair_once_the_last_axis_fastest():
-    """Every value goes with every other, once."""
-    design = Design([parse_axis("law.force=1,2,3"), parse_axis("law.kp=4,5")])
-    assert list(design) == [(f, k) for f in (1.0, 2.0, 3.0) for k in (4.0, 5.0)]
-    assert design[2:4] == [(2.0, 4.0), (2.0, 5.0)]
-
-
-def test_random_draws_depend_on_seed_and_number_alone():
-    """Run i is the same whoever asks for it and in whatever order, and another with another seed; all are in range."""
-    axes = [parse_axis("law.force=5:15", drawn=True), parse_axis("stabiliser.time_constant=log:1e-4:1e-2", drawn=True)]
-    design, again = Design(axes, "random", 3000, 7), Design(axes, "random", 3000, 7)
-    backwards = [again[i] for i in reversed(range(3000))][::-1]
-    assert list(design) == backwards
-    assert Design(axes, "random", 3000, 8)[0] != design[0]
-    values = np.array(list(design))
-    assert len(set(map(tuple, values))) == 3000 > 2 * BLOCK
-    assert np.all((values[:, 0] >= 5.0) & (values[:, 0] < 15.0))
-    # Even in its logarithm: half are below the geometric mean; 3000 draws miss that by 1 % (one standard deviation).
-    assert np.mean(values[:, 1] < 1e-3) == pytest.approx(0.5, abs=0.05)
-
-
-def test_latin_hypercube_has_one_run_in_each_interval():
-    """Each axis, cut into as many equal intervals as there are runs, has exactly one run in each."""
-    axes = [parse_axis("law.force=5:15", drawn=True), parse_axis("law.kp=log:1:100", drawn=True)]
-    values = np.array(list(Design(axes, "latin", 50, 3)))
-    force = np.floor((values[:, 0] - 5.0) / 10.0 * 50)
-    stiffness = np.floor(np.log(values[:, 1]) / np.log(100.0) * 50)
-    assert sorted(force) == sorted(stiffness) == list(range(50))
-
-
-def test_whole_numbers_are_drawn_whole_and_words_evenly():
-    """Both ends of a range of whole numbers are drawn, and every word of a list."""
-    axes = [parse_axis("sensor.seed=1:3", drawn=True), parse_axis("time.integrator=rk4,explicit_euler", drawn=True)]
-    drawn = list(Design(axes, "random", 200, 0))
-    assert {seed for seed, _ in drawn} == {1, 2, 3}
-    assert {word for _, word in drawn} == {"rk4", "explicit_euler"}
 
 
 def test_a_sweep_is_the_batch_of_its_points(capsys, tmp_path):
@@ -332,53 +235,6 @@ def test_a_key_that_must_be_given_may_be_one_that_changes(capsys, tmp_path):
     assert parquet.read_table(tmp_path / "t.parquet")["status"].to_pylist() == ["done"] * 4
 
 
-def test_what_is_not_this_sweeps_is_never_overwritten(capsys, tmp_path):
-    """A text, another table, another sweep's table, another folder, another NetCDF file: each stays as it is."""
-    out = tmp_path / "t.parquet"
-    small_with_columns = (*SMALL, "--keep", "f")
-
-    def refused_with(*content, arguments=SMALL):
-        for path, text in content:
-            path.parent.mkdir(exist_ok=True)
-            path.write_bytes(text)
-        line = refusal(capsys, *arguments, "--out", out)
-        for path, text in content:
-            assert path.read_bytes() == text
-            path.unlink()
-        return line
-
-    cure = "name another file with --out, or replace it with --overwrite"
-    assert f"exists and is not a sweep; {cure}" in refused_with((out, b"my notes"))
-    parquet.write_table(pa.table({"a": [1]}), out)
-    assert "exists and is not a sweep" in refused_with((out, out.read_bytes()))
-    assert sweep(capsys, *SMALL, "--out", out)[0] == 0
-    line = refused_with((out, out.read_bytes()), arguments=(*SMALL, "--law.kd", "30"))
-    assert f"holds another sweep: law.kd is [60.0, 60.0, 30.0, 20.0] there and 30.0 here; {cure}" in line, line
-    assert "exists and is not a sweep" in refused_with((out.with_suffix(".nc"), b"data"), arguments=small_with_columns)
-    folder = tmp_path / "t.parquet.parts"
-    assert "is there and holds no sweep" in refused_with((folder / "mine.txt", b"mine"))
-    other = json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}).encode()
-    assert "holds another sweep: the scenario differs, " in refused_with((folder / "sweep.json", other))
-
-
-def test_another_sweep_is_replaced_where_that_is_asked_for(capsys, tmp_path):
-    """Its table and its columns go, parts of a third one too; the new table is what it would be in an empty folder."""
-    out, brief = tmp_path / "t.parquet", ("wam_slide", "--time.duration", "0.002", "--workers", "1")
-    assert sweep(capsys, *brief, "--over", "law.force=5,6,7", "--keep", "f", "--out", out)[0] == 0
-    folder = tmp_path / "t.parquet.parts"
-    folder.mkdir()
-    (folder / "sweep.json").write_text(json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}))
-    (folder / "part-00000000.arrow").write_text("of the other")
-    for over in ("law.force=8,9", "law.kd=8,9", "law.kd=8,9"):
-        words = (*brief, "--over", over, "--out", out)
-        assert sweep(capsys, *words, "--overwrite")[0] == 0
-        assert parquet.read_table(out)[over.partition("=")[0]].to_pylist() == [8.0, 9.0]
-        assert list(tmp_path.iterdir()) == [out]
-    out.write_text("my notes")
-    assert sweep(capsys, *words, "--overwrite")[0] == 0
-    assert parquet.read_table(out).num_rows == 2
-
-
 def test_no_value_that_was_given_is_dropped(capsys, tmp_path):
     """Beside kinds that change, a key that one of them does not know is refused; one that all know is in every run."""
     out = tmp_path / "t.parquet"
@@ -527,79 +383,3 @@ def test_strict_takes_bad_verdicts_and_ends_for_a_failure(
         status, out, err = sweep(capsys, *arguments, *options)
         assert (status, err) == (expected, "")
         assert f"{said}2 in " in out or f"{said}all were there before" in out  # and nothing in between
-
-
-def test_what_is_somebody_elses_stays(capsys, tmp_path):
-    """A user's files in the folder of parts, and what a link in it leads to, outlive the sweep; ours go."""
-    out, folder, elsewhere = tmp_path / "t.parquet", tmp_path / "t.parquet.parts", tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    (elsewhere / "part-00000001.arrow").write_text("theirs")
-    for path in (elsewhere / "target", elsewhere / "note"):
-        path.write_text("theirs")
-    identity = small().identity
-    with store_module.Store(identity, out):
-        (folder / "notes.txt").write_text("mine")
-        (folder / "part-1.arrow").write_text("mine")
-        (folder / "deep").mkdir()
-        (folder / "deep" / "part-00000001.arrow").write_text("mine")
-        (folder / "part-00000999.arrow").symlink_to(elsewhere / "target")
-        (folder / "part-00000998.arrow").mkdir()
-        (folder / ".unfinished").write_text("mine")
-    run_sweep(small(), out, workers=1)
-    left = {"notes.txt", "part-1.arrow", "deep", "part-00000999.arrow", "part-00000998.arrow", ".unfinished"}
-    assert {path.name for path in folder.iterdir()} == left
-    assert (folder / "deep" / "part-00000001.arrow").read_text() == "mine"
-    assert (elsewhere / "target").read_text() == "theirs"
-    assert run_sweep(small(), out, workers=1).counts == {"done": 6}  # done, whatever lies about
-    assert {path.name for path in folder.iterdir()} == left
-
-
-def test_links_are_not_written_through(tmp_path):
-    """A folder, a lock, a table that is a link to somewhere: refused, and what it leads to is as it was."""
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    out = tmp_path / "a" / "t.parquet"
-    out.parent.mkdir()
-    folder = tmp_path / "a" / "t.parquet.parts"
-    folder.symlink_to(elsewhere)
-    with pytest.raises(cl.OutputError, match="is a link, and nothing is written through it"):
-        run_sweep(small(), out)
-    folder.unlink()
-    out.symlink_to(elsewhere / "table")
-    with pytest.raises(cl.OutputError, match="is a link to nothing; nothing was overwritten"):
-        run_sweep(small(), out)
-    out.unlink()
-    folder.mkdir()
-    (folder / "lock").symlink_to(elsewhere / "lock")
-    with pytest.raises(cl.OutputError, match="cannot be written"):
-        run_sweep(small(), out)
-    assert list(elsewhere.iterdir()) == []
-
-
-def test_pipes_and_folders_where_a_table_or_a_part_should_be(tmp_path):
-    """None is waited for: a pipe as the table or its description is refused, as a part it is said."""
-    out, folder = tmp_path / "t.parquet", tmp_path / "t.parquet.parts"
-    os.mkfifo(out)
-    with pytest.raises(cl.OutputError, match="exists and is not a sweep"):
-        run_sweep(small(), out)
-    out.unlink()
-    folder.mkdir()
-    os.mkfifo(folder / "sweep.json")
-    with pytest.raises(cl.OutputError, match="is there and holds no sweep"):
-        run_sweep(small(), out)
-    (folder / "sweep.json").unlink()
-    with store_module.Store(small().identity, out):
-        os.mkfifo(folder / "part-00000002.arrow")
-    with pytest.raises(cl.OutputError, match=r"part-00000002.arrow: cannot be written: there is a pipe of that name"):
-        run_sweep(small(), out, workers=1)
-
-
-def test_a_damaged_table_is_not_taken_for_a_sweep(tmp_path):
-    """Cut short, or with its pages overwritten: one line, and it stays."""
-    out = run_sweep(small(), tmp_path / "t.parquet", workers=1).table
-    text = out.read_bytes()
-    for damaged in (text[: len(text) // 2], text[:4] + bytes(len(text) // 2) + text[4 + len(text) // 2 :]):
-        out.write_bytes(damaged)
-        with pytest.raises(cl.OutputError, match=r"exists and is not a sweep|is damaged"):
-            run_sweep(small(), out)
-        assert out.read_bytes() == damaged

@@ -133,7 +133,7 @@ def assert_goes_on(capsys, folder, status, err):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [0, 500, *range(4000, 20000, 4000), *range(20_000, 210_000, 20_000)])
+@pytest.mark.parametrize("size", [0, 500, 4000, 12_000, 20_000, 60_000, 120_000, 180_000, 200_000])
 def test_a_limit_on_files_at_any_size_is_one_line(capsys, tmp_path, size):
     """From nothing at all, as with ``ulimit -f``, to just too little for the columns: it was a segmentation fault."""
     run = Forked(tmp_path, *KEPT, most_bytes=size)

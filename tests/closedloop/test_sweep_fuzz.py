@@ -18,9 +18,9 @@ SPEC.loader.exec_module(fuzz)
 @pytest.mark.parametrize("seed", range(budget(1, 4)))
 def test_hostile_sweeps_and_tables_are_clean(seed):
     """Some tens of each, hundreds with the full budget; some sweeps are right, or nothing would have been tried."""
-    assert fuzz.sweeps(budget(60, 150), seed) == []
-    assert fuzz.plots(budget(40, 100), seed) == []
-    assert fuzz.parts(budget(24, 60), seed) == []
+    assert fuzz.sweeps(budget(30, 150), seed) == []
+    assert fuzz.plots(budget(20, 100), seed) == []
+    assert fuzz.parts(budget(12, 60), seed) == []
 
 
 def test_what_is_not_clean_is_found(monkeypatch):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 import pytest
+from forks import command, load_for_forks, program
 from pages import DOCS, PAGES, ROOT, blocks, broken_links, commands, left_out, session
 
 import closedloop
@@ -50,17 +51,17 @@ def test_both_verdicts_are_tabled(generate, generated):
     assert generate.verdicts_of(facts) == ("good", "bouncing", "3 touchdowns")
 
 
-def run(command, folder):
-    """Run a command in a folder as a user would, and return what came of it."""
-    return subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+@pytest.fixture(scope="module")
+def loaded():
+    """Have here what the forks of the tests below need."""
+    load_for_forks()
 
 
-def shell(commands, folder):
-    """Run the words of a page in a folder, as they stand there."""
-    python = f'"{sys.executable}"'
-    head = f'set -eu\nclosedloop() {{ {python} -m closedloop "$@"; }}\npython() {{ {python} "$@"; }}\n'
-    done = run(["bash", "-c", head + commands], folder)
-    assert done.returncode == 0, done.stderr
+def run_all(commands, folder):
+    """Run the commands of a page one after the other, as they stand there."""
+    for line in commands.splitlines():
+        status, said = command(line, folder)
+        assert status == 0, f"{line}\n{said}"
 
 
 def undrawn(commands):
@@ -191,24 +192,33 @@ def test_every_public_name_has_an_example_that_is_run():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.stem)
-def test_the_code_of_a_page_runs(page, tmp_path):
+def test_the_code_of_a_page_runs(page, loaded, tmp_path):
     """All Python blocks of a page, in order, as one session in an empty folder, and then its commands."""
-    (tmp_path / "session.py").write_text(session(page.read_text(encoding="utf-8")), encoding="utf-8")
-    done = run([sys.executable, "session.py"], tmp_path)
-    assert done.returncode == 0, done.stderr
+    text = page.read_text(encoding="utf-8")
+    status, said = program(session(text), tmp_path)
+    assert status == 0, said
     if page.stem in WITH_COMMANDS:
-        shell(undrawn(commands(page.read_text(encoding="utf-8"))), tmp_path)
+        run_all(undrawn(commands(text)), tmp_path)
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_quickstart_run(tmp_path):
+@pytest.mark.parametrize("text", ["1 / 0", "import my_module", "raise SystemExit(2)"])
+def test_code_that_fails_is_seen(text, loaded, tmp_path):
+    """A program that raises or ends with another status, and a command that is refused."""
+    assert program(f"print('so far')\n{text}\n", tmp_path)[0] != 0
+    with pytest.raises(AssertionError, match=r"nosuch\n.*no scenario named"):
+        run_all("closedloop version\nclosedloop run nosuch", tmp_path)
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_quickstart_run(loaded, tmp_path):
     """As they stand there, one after the other, in an empty folder; the first ones with their figures."""
     text = (DOCS / "quickstart.md").read_text(encoding="utf-8")
     (_, first), (_, more) = blocks(text, "sh")
     assert (first.count("closedloop run"), more.count("closedloop run")) == (1, 3)
-    shell(first, tmp_path)
+    run_all(first, tmp_path)
     assert (tmp_path / "out" / "wam_slide" / "fig5_contact_force.png").exists()
-    shell(undrawn(more), tmp_path)
+    run_all(undrawn(more), tmp_path)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"wam_slide", "my_slide"}
     assert all((tmp_path / name / "run.nc").exists() for name in ("stronger", "tilted"))
 
@@ -219,7 +229,9 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     pytest.importorskip("sphinx", reason="the extra `docs` is not installed")
     few = f"simulated={','.join(SIMULATED)}"
     words = ["-q", "-W", "--keep-going", "-b", "html", "-D", few, DOCS, tmp_path]
-    done = run([sys.executable, "-m", "sphinx", *words], tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", *words], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     html = {
         page.relative_to(tmp_path).as_posix(): page.read_text(encoding="utf-8") for page in tmp_path.rglob("*.html")

@@ -17,7 +17,7 @@ import robot_models
 def test_every_file_is_refused_in_one_line_or_is_the_robot_of_its_text(seed):
     """No traceback, no noise, no hang, no other robot; blanks and remarks change nothing; the count is what ran."""
     pytest.importorskip("mujoco")
-    files = budget(160, 400)
+    files = budget(96, 400)
     outcomes = robot_files.run(robot_files.generate(seed, files))
     wrong = [f"{outcome.kind}: {outcome.case.name}\n{outcome.text}" for outcome in outcomes if not outcome.clean]
     assert not wrong, "\n".join(wrong)

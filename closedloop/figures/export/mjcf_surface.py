@@ -33,11 +33,14 @@ def add_surface(assets: ElementTree.Element, world: ElementTree.Element, scene: 
     Raises
     ------
     ScenarioError
-        If it is a user's class that is not named in this process.
+        If it is of a class of the user that has not been imported here.
     """
     placed = scene.ground.placed
     if placed is None:
-        raise ScenarioError(f"surface.kind = {scene.run.scenario.surface.kind}: is not named in this process")
+        raise ScenarioError(
+            f"surface.kind = {scene.run.scenario.surface.kind}: this class has not been imported here, so that its "
+            "shape is not known; import its module first, or use --to csv or --to mcap"
+        )
     turned = placed.frame[[1, 2, 0]].T  # columns: the tangents t1, t2 and the normal
     section, origin, n = placed.section, _origin(placed), placed.normal
     look: dict[str, Any] = {"name": "surface", "rgba": COLOUR, "mass": 0.0}

@@ -168,12 +168,12 @@ def robot_in(run: Run, whole: bool = False) -> Robot:
     return _robots.get_shared(key, lambda: robot_of(run.scenario, model), lambda robot: 1)
 
 
-def errors_in(run: Run) -> Array:
-    """Return the errors (N, m) of a mechanism's loops in all rows of its run, m or sines of angles."""
+def errors_in(run: Run, rows: NDArray[np.int64]) -> Array:
+    """Return the errors (k, m) of a mechanism's loops in some rows (k,) of its run, m or sines of angles."""
     robot = robot_in(run)
     compile_rows(robot)
     with _one_at_a_time:
-        return loop_rows(robot, run.q, run.v)[1]
+        return loop_rows(robot, run.q[rows], run.v[rows])[1]
 
 
 def compile_rows(robot: Robot) -> None:

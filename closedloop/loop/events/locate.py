@@ -164,7 +164,7 @@ def settle_instant(w: Work, state: State) -> None:
     Where friction that stops turning at a stage lets the event function jump past zero, it is zero at that stage.
     """
     value = w.search.value
-    if state.together != 0 and state.settings.stages > 1 and abs(w.search.at_stage) < JUMP * abs(value):
+    if state.settings.stages > 1 and abs(w.search.at_stage) < JUMP * abs(value):
         value = w.search.at_stage
     if state.trial.settling == 1:
         w.search.at_low, w.search.tau = slope_of(value), sought(w.search.tau)

@@ -37,8 +37,17 @@ class Touching(NamedTuple):
     shape: Array
     edge: Array | None = None  # see `closedloop.mechanics.contacts.edges`
 
-    def force(self, normal: float, friction: Array, axes: Array, origins: Array, t: float = 0.0) -> tuple[Array, Array]:
+    @property
+    def flat(self) -> bool:
+        """Whether a point touches a plane, so that `force` takes any number of rows at once."""
+        return self.surface is None and self.edge is None and not np.any(self.shape)
+
+    def force(
+        self, normal: Array | float, friction: Array, axes: Array, origins: Array, t: float = 0.0
+    ) -> tuple[Array, Array]:
         """Return where the contact is (3,), m, and the force (3,), N, on the link that has the point, base frame.
+
+        If it is `flat`, all of these may have the same further axes before theirs.
 
         Parameters
         ----------
@@ -51,19 +60,31 @@ class Touching(NamedTuple):
         t : float
             The instant, s, of a surface that moves.
         """
-        place, turn = origins[self.point_frame] + axes[self.point_frame] @ self.point, axes[self.plane_frame]
-        frame = self.axes
+        place = origins[..., self.point_frame, :] + axes[..., self.point_frame, :, :] @ self.point
+        turn, frame = axes[..., self.plane_frame, :, :], self.axes
         if self.edge is not None:
-            return self._of_edges(place, normal, friction, axes, origins)
+            return self._of_edges(place, float(normal), friction, axes, origins)
         if self.surface is not None:
             within = self.axes @ (turn.T @ (place - origins[self.plane_frame]) - self.origin)
             frame = self.surface.touching(within, t=t).frame @ self.axes
-        force = turn @ (np.array([normal, *friction]) @ frame)
+        along = np.concatenate([np.asarray(normal)[..., None], friction], axis=-1) @ frame
+        force = (turn @ along[..., None])[..., 0]
         if np.any(self.shape):
             reach = np.zeros(3)
             interpreted(lowest_point)(self.shape, axes[self.point_frame], turn @ frame[0], reach)
             place = place + reach
         return place, force
+
+    def forces(
+        self, normals: Array, frictions: Array, axes: Array, origins: Array, times: Array
+    ) -> tuple[Array, Array]:
+        """Return what `force` does of N rows; of one that bears nothing both are zero if it is not `flat`."""
+        if self.flat:
+            return self.force(normals, frictions, axes, origins)
+        places, forces = np.zeros((2, len(normals), 3))
+        for k in np.flatnonzero((normals != 0.0) | np.any(frictions != 0.0, axis=1)):
+            places[k], forces[k] = self.force(float(normals[k]), frictions[k], axes[k], origins[k], float(times[k]))
+        return places, forces
 
     def _of_edges(
         self, place: Array, normal: float, friction: Array, axes: Array, origins: Array
@@ -115,26 +136,41 @@ def contact_torques(
     rolling, pivoting : (N, 2 k) and (N, k) arrays, optional
         Moments about the tangents and the normals, N m, on the same links.
     """
+
+    contacts, n = contacts_of(scenario, mechanism), mechanism.nv
+    torques = np.zeros((len(q), n))
+    frames = sorted({frame for each in contacts for frame in (each.point_frame, each.plane_frame)} - {0})
+    axes, origins, jacobians = _frames_in_rows(mechanism, np.ascontiguousarray(q), frames)
+    for i, touching in enumerate(contacts):
+        at = axes, origins, times
+        both = slice(2 * i, 2 * i + 2)
+        place, force = touching.forces(forces[:, i], frictions[:, both], *at)
+        moment = np.zeros(3)
+        if rolling is not None and pivoting is not None:
+            moment = touching.forces(pivoting[:, i], rolling[:, both], *at)[1]
+        for frame, sign in ((touching.point_frame, 1.0), (touching.plane_frame, -1.0)):
+            if frame > 0:
+                wrench = np.concatenate([force, np.cross(place - origins[:, frame], force) + moment], axis=1)
+                torques += sign * np.einsum("kij,ki->kj", jacobians[frame], wrench)
+    return torques
+
+
+def _frames_in_rows(mechanism: Any, q: Array, frames: list[int]) -> tuple[Array, Array, dict[int, Array]]:
+    """Return the axes (N, n + 1, 3, 3) and origins (N, n + 1, 3), m, of these joints' frames in N rows, and their
+    Jacobians (N, 6, n); the base has its own, the others zeros.
+    """
     import pinocchio as pin
 
-    torques, contacts, data = np.zeros((len(q), mechanism.nv)), contacts_of(scenario, mechanism), mechanism.createData()
-    for k, posture in enumerate(np.ascontiguousarray(q) if contacts else ()):
+    data = mechanism.createData()
+    axes, origins = np.zeros((len(q), mechanism.njoints, 3, 3)), np.zeros((len(q), mechanism.njoints, 3))
+    axes[:, 0] = np.eye(3)
+    jacobians = {frame: np.zeros((len(q), 6, mechanism.nv)) for frame in frames}
+    for k, posture in enumerate(q if frames else ()):
         pin.computeJointJacobians(mechanism, data, posture)
-        axes = np.array([place.rotation for place in data.oMi])
-        origins = np.array([place.translation for place in data.oMi])
-        for i, touching in enumerate(contacts):
-            rub, t = frictions[k, 2 * i : 2 * i + 2], float(times[k])
-            place, force = touching.force(float(forces[k, i]), rub, axes, origins, t)
-            moment = np.zeros(3)
-            if rolling is not None and pivoting is not None:
-                moment = touching.force(float(pivoting[k, i]), rolling[k, 2 * i : 2 * i + 2], axes, origins, t)[1]
-            for joint, sign in ((touching.point_frame, 1.0), (touching.plane_frame, -1.0)):
-                if joint > 0:
-                    J = pin.getJointJacobian(mechanism, data, joint, pin.LOCAL_WORLD_ALIGNED)
-                    torques[k] += sign * (
-                        J[:3].T @ force + J[3:].T @ (np.cross(place - origins[joint], force) + moment)
-                    )
-    return torques
+        for frame in frames:
+            axes[k, frame], origins[k, frame] = data.oMi[frame].rotation, data.oMi[frame].translation
+            jacobians[frame][k] = pin.getJointJacobian(mechanism, data, frame, pin.LOCAL_WORLD_ALIGNED)
+    return axes, origins, jacobians
 
 
 def contacts_of(scenario: Scenario, mechanism: Any) -> tuple[Touching, ...]:

@@ -67,7 +67,8 @@ def share_not_determined(run: Record) -> tuple[float, int, int] | None:
     """Return from when on rigid bodies do not determine the share of each contact; None if they do, or there are loops.
 
     That is where the rows of the contacts that are closed, along their normals and, where they stick, along the
-    surface, depend on each other. Looked at is the first row of each set of modes, of at most `MOST_SETS` of them.
+    surface, depend on each other; what soft contacts bear follows from how deep they are. Looked at is the first row of
+    each set of modes, of at most `MOST_SETS` of them.
 
     Returns
     -------
@@ -79,11 +80,12 @@ def share_not_determined(run: Record) -> tuple[float, int, int] | None:
         return None
     mechanism, k = run.model.pinocchio_model(), len(sections)
     held = [coulomb_of(each) > 0.0 or getattr(each.friction_law, "sticks", "") == "rigid" for each in sections]
+    rigid = np.array([not is_soft(each) for each in sections])
     firsts = np.sort(np.unique(run.link_modes, axis=0, return_index=True)[1])
     for row in firsts[:MOST_SETS]:
         modes = run.link_modes[row]
-        units = [(i, 0) for i in np.flatnonzero(modes != FREE)]
-        units += [(i, j) for i in np.flatnonzero(modes == STUCK) if held[i] for j in (1, 2)]
+        units = [(i, 0) for i in np.flatnonzero(rigid & (modes != FREE))]
+        units += [(i, j) for i in np.flatnonzero(rigid & (modes == STUCK)) if held[i] for j in (1, 2)]
         forces, frictions = np.zeros((len(units), k)), np.zeros((len(units), 2 * k))
         for at, (i, j) in enumerate(units):
             if j == 0:

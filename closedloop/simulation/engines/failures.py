@@ -136,14 +136,16 @@ def _cure(problem: Problem, robot: Robot, law: Any) -> str:
     elif fault := gains_fault(scenario, robot):
         return fault
     else:
-        causes = [f"the signs and sizes of {_gains(scenario, robot)}"]
+        causes = [f"the signs and sizes of {_gains(scenario, robot)}"] if scenario.has_law else []
         if scenario.reads_encoders:
             causes.append("what the law reads of the joints (encoder, transmission.measured)")
         if scenario.transmission.elastic:
             causes.append("transmission.stiffness")
+    if np.any(getattr(scenario.joint_friction, "viscous", 0.0)):
+        causes.append("joint_friction.viscous")
     if problem.tolerance is None:
         causes.append("time.step")
-    return "look at " + ", and at ".join(causes)
+    return "look at " + ", and at ".join(causes or ["start.v"])
 
 
 def _gains(scenario: Scenario, robot: Robot) -> str:

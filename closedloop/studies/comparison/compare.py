@@ -128,7 +128,9 @@ def compare(
         except ScenarioError as error:
             raise ScenarioError(f"compare: {error}") from None
         if lacking := [each for each in of if each not in table.column_names]:
-            raise ScenarioError(f"compare: of = {', '.join(lacking)}: no value of a run's summary")
+            raise ScenarioError(
+                f"compare: of = {', '.join(lacking)}: no value of a run's summary, such as rms_force_error"
+            )
         units |= {each: ((table.schema.field(each).metadata or {}).get(b"units") or b"").decode() for each in of}
         frame = table.select([*(over or ()), "status", "verdict", "control_verdict", "reason", *of]).to_pandas()
         for each in of:

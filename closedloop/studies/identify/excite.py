@@ -269,7 +269,7 @@ def _asked(target: Sequence[str], names: Sequence[str], base: BaseParameters, re
             continue
         within = [text for text in base.names if name in text.split()]
         if within:
-            raise ModelError(f"{name} acts only together with others, whatever the motion: {within[0]}; ask for it")
+            raise ModelError(f"{name} acts only together with others, whatever the motion: ask for {within[0]!r}")
         if name in regressor.names:
             raise ModelError(f"{name}: no torque depends on it")
         raise ModelError(f"{name!r} is no parameter of {regressor.robot.name}: they are {', '.join(names)}")

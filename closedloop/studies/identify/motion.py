@@ -135,7 +135,7 @@ def motion(log: Log, cutoff: float, rows: slice | None = None) -> Motion:
     if count < 50:
         raise LogError(
             f"{log.source}: {N} rows are {max(count, 0)} windows of {size * stride} at a cutoff of {cutoff:.4g} Hz: "
-            "50 are needed"
+            "50 are needed; take a longer log, or a higher cutoff"
         )
     q = log.q
     if rows is not None:

@@ -134,7 +134,7 @@ def _range(text: str, key: str, spec: str, numbers: list[float], log: bool, draw
     if not (math.isfinite(low) and math.isfinite(high)):
         raise ScenarioError(f"--over {text}: both ends must be finite")
     if not math.isfinite(high - low):
-        raise ScenarioError(f"--over {text}: is wider than numbers go, 1.8e308")
+        raise ScenarioError(f"--over {text}: is wider than a double can hold, 1.8e308")
     if low == high:
         raise ScenarioError(
             f"--over {text}: is empty: it ends where it begins; a single value is written {key}={low:g}"
@@ -146,7 +146,7 @@ def _range(text: str, key: str, spec: str, numbers: list[float], log: bool, draw
     if log and not (low > 0.0 and high > 0.0):
         raise ScenarioError(f"--over {text}: both ends of a logarithmic range must be above 0")
     if log and not 0.0 < high / low < math.inf:
-        raise ScenarioError(f"--over {text}: is wider than numbers go: the ratio of its ends is beyond 1e308")
+        raise ScenarioError(f"--over {text}: is wider than a double can hold: the ratio of its ends is beyond 1e308")
     whole = takes_whole_numbers(key)
     axis = Axis(key, spec, (), low, high, int(count), log, whole)
     if whole and max(abs(low), abs(high)) > LARGEST_WHOLE:

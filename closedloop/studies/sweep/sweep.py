@@ -79,7 +79,9 @@ class Sweep:
         check_engine(Variants(scenario, design.keys).look(design), engine, own)
         for name in sweep.keep:
             if "joint" in ALL_COLUMNS[name].dims and any(key.startswith("robot.") for key in design.keys):
-                raise ScenarioError(f"keep: {name} has a number a joint, and the robot changes from run to run")
+                raise ScenarioError(
+                    f"keep: {name} has a number a joint, and the robot changes from run to run; keep other columns"
+                )
         return sweep
 
     @cached_property

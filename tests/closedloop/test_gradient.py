@@ -1,9 +1,8 @@
 """Derivatives of whole runs: closed forms, events, kinks, and what is refused."""
 
+import re
 from dataclasses import replace
 from itertools import pairwise
-
-import re
 
 import numpy as np
 import pytest

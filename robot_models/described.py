@@ -47,7 +47,11 @@ def find(name: "str | PathLike[str]") -> Description:
     if name not in example_robots.example_names():
         known = (*shipped.shipped_names(), *example_robots.example_names())
         near = get_close_matches(name.lower(), known, n=3)
-        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else "wam4, panda and ur5 are some"
+        hint = (
+            f"did you mean {' or '.join(map(repr, near))}?"
+            if near
+            else "`closedloop robots` lists them, such as wam4, panda and ur5"
+        )
         if not example_robots.installed():
             hint = f"robots of other makers, as panda and ur5, need {example_robots.NEEDS}"
         raise ModelError(f"no robot is named {name!r}: {hint} (or give the path of a .urdf or MJCF .xml)")

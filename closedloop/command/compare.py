@@ -36,7 +36,7 @@ def _main(words: list[str]) -> int:
     parser.add_argument("--scenario", required=True, help="a scenario that ships, or a .toml")
     parser.add_argument(
         "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",
-        help="which columns are time, q, torque (with {} for the joint), and force: one, or three with commas between",
+        help="columns of time, q, torque ({} for the joint) and force (one, or three with commas); repeat it for each",
     )  # fmt: skip
     parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
     parser.add_argument("--gain", type=float, default=1.0, metavar="N", help="factor of the log's torques")

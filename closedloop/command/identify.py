@@ -113,7 +113,7 @@ def _parser() -> Parser:
     parser.add_argument("--out", metavar="DIR", default="out/identify", help="where results go (default: out/identify)")
     parser.add_argument(
         "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",
-        help="which columns are time, q, v, torque, with {} for the joint: torque='effort_{}'; or all, with commas",
+        help="columns of time, q, v, torque, {} for the joint: torque='effort_{}'; or a list; repeat it for each",
     )  # fmt: skip
     parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
     parser.add_argument("--gain", default="1", metavar="N,...", help="factor of the torques, one or one for each joint")

@@ -45,7 +45,8 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
     q = start_posture(scenario, model)
     v = start_velocities(scenario, model)
     if faults := [
-        f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}]"
+        f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}] "
+        + ("m" if model.joint_types[j] == "prismatic" else "rad")
         for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True))
         if not low <= q[j] <= high
     ]:

@@ -144,8 +144,8 @@ def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
         return np.array(way.q[1])
     nearest = f"start.q = {[float(f'{x:.9g}') for x in way.q[1]]}" if outcome[ENDED] == REACHED else "another posture"
     raise ScenarioError(
-        f"{held.said}: the tool is turned {math.degrees(angle):.4g} degrees away from it at the start, and may be "
-        f"{math.degrees(ASKEW):g}: start with {nearest}"
+        f"{held.said}: the tool is turned {math.degrees(angle):.4g} degrees away from it at the start, and "
+        f"{math.degrees(ASKEW):g} degree is the most: start with {nearest}"
     )
 
 

@@ -236,7 +236,9 @@ def _energy(facts: Facts) -> dict[str, Any] | None:
         return None
     if left == math.inf:
         return _problem("energy", "the energy that is unaccounted for is not known: it is not a number in the record")
-    return _problem("energy", f"{left:.3g} J are unaccounted for, more than {bound:.2g} J, what this step may leave")
+    return _problem(
+        "energy", f"{left:.3g} J are unaccounted for, more than {bound:.2g} J: try a shorter step or lower gains"
+    )
 
 
 def _chatter(facts: Facts) -> dict[str, Any] | None:

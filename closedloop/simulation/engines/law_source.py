@@ -24,7 +24,8 @@ NUMBERS = ("t", "f_des", "f_measured", "pressed")
 def law_failure(law: Any, error: BaseException, t: float) -> LawError:
     """Return what a law raised at t, s, as the error of the run: file, line, type and message in one line."""
     what = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
-    return LawError(f"stopped at t = {t:.6g} s: the law failed: {_where(law, error)}{what}", t)
+    names = "; help(closedloop.LawInput) lists its attributes" if "'LawInput' object has no" in what else ""
+    return LawError(f"stopped at t = {t:.6g} s: the law failed: {_where(law, error)}{what}{names}", t)
 
 
 def fresh(law: Any) -> Any:

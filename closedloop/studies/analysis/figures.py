@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from closedloop.studies.analysis.linear_loop import LinearLoop
+    from closedloop.studies.analysis.margins import Margins
 
 # |L| beyond which Nyquist's curve is not drawn.
 NYQUIST = 3.0
@@ -36,6 +37,11 @@ def draw_page(page: Page, folder: Path) -> list[Path]:
 def written(figure: Figure, path: Path) -> Path:
     """Write a figure, and return the path of its PNG."""
     return write_figure(figure, path)
+
+
+def _unless_unstable(margins: Margins, said: str) -> str:
+    """Return what a title says of the margins; those of an unstable loop are no distance from instability."""
+    return said if margins.stable else "the loop is unstable"
 
 
 @styled()
@@ -56,7 +62,8 @@ def bode(page: Page) -> Figure:
     for at, axes in ((margins.gain_at, upper), (margins.phase_at, lower)):
         if math.isfinite(at):
             axes.axvline(at, color=COLOURS[1], linewidth=0.9)
-    upper.set_title(f"loop cut at {margins.cut}; lines: where the gain and the phase margin are")
+    lines = _unless_unstable(margins, "lines: where the gain and the phase margin are")
+    upper.set_title(f"loop cut at {margins.cut}; {lines}")
     return figure
 
 
@@ -79,7 +86,7 @@ def nyquist(page: Page) -> Figure:
     axes.set_aspect("equal")
     axes.set_xlabel("Re L")
     axes.set_ylabel("Im L")
-    axes.set_title(f"loop cut at {margins.cut}; modulus margin {margins.modulus:.2f}")
+    axes.set_title(f"loop cut at {margins.cut}; " + _unless_unstable(margins, f"modulus margin {margins.modulus:.2f}"))
     return figure
 
 
@@ -90,8 +97,7 @@ def poles(page: Page) -> Figure:
     axes, slow = figure.subplots(1, 2)
     _unit_circle(axes)
     slow.axvline(0.0, color="0.6", linewidth=0.8)
-    finite = sorted((pole for pole in page.loop.poles() if math.isfinite(pole.s.real)), key=lambda pole: abs(pole.s))
-    shown = finite[:SLOWEST]
+    shown = [pole for pole in page.loop.poles() if math.isfinite(pole.s.real)][:SLOWEST]  # what grows comes first
     parts = sorted({pole.part for pole in page.loop.poles()})
     for part, colour in zip(parts, MANY * 2, strict=False):
         mine = [pole.z for pole in page.loop.poles() if pole.part == part]
@@ -105,7 +111,7 @@ def poles(page: Page) -> Figure:
         axes.plot(z.real, z.imag, "+", color="0.5", label="stabiliser")
     axes.legend(loc="lower left", fontsize=8)
     axes.set_title(f"poles, from sample to sample ({page.loop.dt:g} s)")
-    slow.set(xlabel="Re s [1/s]", ylabel="Im s [Hz]", title=f"the {len(shown)} slowest")
+    slow.set(xlabel="Re s [1/s]", ylabel="Im s [Hz]", title=f"the {len(shown)} slowest to decay")
     return figure
 
 
@@ -113,6 +119,7 @@ def _unit_circle(axes: Axes) -> None:
     turn = np.linspace(0.0, 2.0 * math.pi, 300)
     axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
     axes.set_aspect("equal")
+    axes.locator_params(axis="x", nbins=5)  # else the numbers of a narrow panel touch
     axes.set_xlabel("Re z")
     axes.set_ylabel("Im z")
 
@@ -133,7 +140,9 @@ def sensitivity(page: Page) -> Figure:
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel("size")
     axes.legend(fontsize=8)
-    axes.set_title(f"sensitivity at {margins.cut}: at most {margins.peak_sensitivity:.2f}")
+    axes.set_title(
+        f"sensitivity at {margins.cut}: " + _unless_unstable(margins, f"at most {margins.peak_sensitivity:.2f}")
+    )
     return figure
 
 

@@ -77,6 +77,10 @@ class LinearLoop:
     normal: Array
     held_force: bool
 
+    def __repr__(self) -> str:
+        kind = "stable" if self.stable else "unstable"
+        return f"LinearLoop(t = {self.time:g} s, {len(self.states)} states, every {self.dt:g} s, {kind})"
+
     def __post_init__(self) -> None:
         for array in (self.A, self.B, self.C, self.D, self.closure, self.normal):
             array.flags.writeable = False

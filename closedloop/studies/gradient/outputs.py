@@ -103,7 +103,9 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
         known = "a column, such as contact_force" if whole else "a value of the summary, COLUMN@T or event_time"
         raise ScenarioError(f"of: {name}: no such quantity of this run; it must be {known}")
     if value is None or (isinstance(value, list) and any(each is None for each in value)):
-        raise ScenarioError(f"of: {name}: this run has no such value")
+        raise ScenarioError(
+            f"of: {name}: is not defined in this run; force_settled_at needs a force that settles within it"
+        )
     flat = value if isinstance(value, list) else [value]
     if name in NOT_OF_THE_SCENARIO or not all(isinstance(each, float) for each in flat):
         raise ScenarioError(f"of: {name} = {value!r}: has no derivative: it is no real number that the scenario gives")

@@ -137,7 +137,7 @@ def check_positions(q: Array, robot: RobotModel, where: str) -> None:
     for joint in map(int, np.flatnonzero(turns & (largest > LARGEST_TURN))):
         raise LogError(
             f"{where}: joint {robot.joint_names[joint]} reaches {largest[joint]:.4g}: angles look like degrees, and "
-            "must be in rad"
+            "must be in rad: convert them, or give --degrees"
         )
     beyond = np.maximum(q.max(axis=0) - robot.position_upper, robot.position_lower - q.min(axis=0))
     for joint in map(int, np.flatnonzero(turns & (beyond > BEYOND))):

@@ -78,7 +78,7 @@ def read_log(
         if x is None:
             raise LogError(
                 f"{path}: no columns for {name} of the joints {', '.join(robot.joint_names)}: name them, as in "
-                f"--columns {name}='{name}_{{}}'; it has {listed(table)}"
+                f"--columns {name}='{name}_{{}}' or {name}=NAME,NAME; {{}} is the joint; it has {listed(table)}"
             )
     assert q is not None
     assert torque is not None
@@ -150,7 +150,8 @@ def table_of(path: Path) -> dict[str, Array]:
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {reason_of(error)}") from None
     except Exception as error:  # whatever pyarrow and HDF5 raise
-        raise LogError(f"{path}: cannot be read: {str(error).splitlines()[0] if str(error) else 'damaged'}") from None
+        hint = "; commas separate columns, and a decimal has a point" if kind in (".csv", ".txt") else ""
+        raise LogError(f"{path}: cannot be read: {(str(error) or 'damaged').splitlines()[0]}{hint}") from None
     found = {}
     for name in read.column_names:
         try:

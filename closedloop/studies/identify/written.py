@@ -134,7 +134,7 @@ def torque_figure(found: Identification) -> Figure:
         axes[j].plot(found.time, found.solution.residual[:, j], color=COLOURS[0], lw=0.8, label="residual")
         axes[j].plot(found.time, unsure[:, j] * found.measured[:, j], color="0.75", lw=2.5, label="not counted")
         axes[j].set_ylabel("torque, N m")
-        axes[j].set_title(f"{name}: {100 * found.held_out[j]:.1f} % where not fitted")
+        axes[j].set_title(f"{name}: {100 * found.held_out[j]:.1f} % RMS error where held out")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncol=4, fontsize=8)
     axes[-1].set_xlabel("time, s")
     return figure
@@ -146,6 +146,7 @@ def interval_figure(found: Identification) -> Figure:
 
     known = [e for e in found.estimates if not e.why]
     figure = new_figure(0.16 * len(known) + 1.0)
+    figure.set_layout_engine("constrained", w_pad=0.12)  # small text is wider in the PNG than where it is laid out
     axes = figure.subplots()
     for k, e in enumerate(known):
         size = max(abs(e.value), (e.high - e.low) / 2.0)
@@ -153,7 +154,7 @@ def interval_figure(found: Identification) -> Figure:
         axes.plot(e.value / size, k, "o", ms=3, color=COLOURS[1])
     axes.axvline(0.0, color="0.5", lw=0.8)
     axes.set_yticks(range(len(known)), [e.name for e in known], fontsize=6)
-    axes.set_xlabel("value and interval, over the larger of both")
+    axes.set_xlabel("estimate and interval; 1 is the larger of |estimate| and half the interval")
     axes.invert_yaxis()
     return figure
 

@@ -41,6 +41,19 @@ def test_mass_in_a_bowl_is_the_tip_in_a_bowl():
     assert np.max(np.abs(one.link_gaps)) < 1e-8
 
 
+@pytest.mark.parametrize(("normal", "axis"), [([0, -1, 0], [0, 0, 1]), ([0, -1, 0], [1, 0, 0]), ([1, 0, 0], [0, 3, 4])])
+def test_the_axis_of_a_surface_is_in_the_axes_of_the_frame_that_carries_it(normal, axis):
+    """A mass that flies past a cylinder is as far from it as from its axis, less the radius."""
+    pipe = {"kind": "cylinder", "radius": 0.3, "axis": axis}
+    run = thrown(
+        [{"link": "tip", "normal": normal, "surface": pipe}], np.array([0.1, 0.2, 0.3]) + normal, [0.2, 0.1, 0.3]
+    )
+    along = np.array(axis) / np.linalg.norm(axis)
+    from_axis = run.q + 0.3 * np.array(normal)
+    distance = np.linalg.norm(from_axis - np.outer(from_axis @ along, along), axis=1)
+    np.testing.assert_allclose(run.link_gaps[:, 0], distance - 0.3, atol=1e-12)
+
+
 def test_belt_takes_a_mass_along_and_a_turntable_holds_it():
     """v/(μ g) until it sticks; on the disc friction is m ω² r towards the axis. A bounce on a belt gains its speed."""
     belt = [{"link": "tip", "friction": 0.3, "motion": {"kind": "conveyor", "velocity": [0.5, 0, 0]}}]
@@ -116,7 +129,9 @@ def test_torques_of_all_rows_are_those_of_each_and_points_on_planes_are_asked_on
         return force(touching, *arguments)
 
     monkeypatch.setattr(Touching, "force", counted)
-    np.testing.assert_array_equal(contact_torques(*of, run.time, q, *rows), np.concatenate(one_by_one))
+    np.testing.assert_allclose(
+        contact_torques(*of, run.time, q, *rows), np.concatenate(one_by_one), rtol=1e-12, atol=1e-12
+    )
     assert len(asked) == rows[0].shape[1] * (1 if flat else len(run))
 
 

@@ -81,6 +81,7 @@ def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:
         if getattr(surface, key) != type(surface).model_fields[key].default:
             raise ScenarioError(f"{where}: surface.{key}: must be left out: normal and through say where it is")
     frame = contact_frame(unit(section.normal, f"{where}: normal"))
+    surface = surface.model_copy(update={"normal": section.normal})  # its axis is at right angles to it
     placed = PlacedSurface(surface, motion, frame, np.array(section.through), False, section.radius)
     if placed.fixed_plane:
         return None

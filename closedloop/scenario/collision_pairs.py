@@ -11,7 +11,6 @@ from closedloop.mechanics.contacts.sections import EdgeSection
 from closedloop.mechanics.surface.kinds.box import Box
 from closedloop.mechanics.surface.kinds.capsule import Capsule
 from closedloop.mechanics.surface.kinds.sphere import Sphere
-from closedloop.mechanics.surface.plane import contact_frame
 from closedloop.mechanics.surface.surface import Surface
 from robot_models.collision import CollisionShape
 
@@ -54,11 +53,11 @@ def surface_of_shape(shape: CollisionShape) -> dict[str, Any]:
         normal, depth, surface = turn[:, 2], a, Sphere(radius=float(a))
     else:
         normal, along, depth = (turn[:, 2], turn[:, 0], c) if shape.kind == "box" else (turn[:, 0], turn[:, 2], a)
-        x, y = (contact_frame(normal)[1:] @ along).tolist()
+        axis = float(along[0]), float(along[1]), float(along[2])
         if shape.kind == "box":
-            surface = Box(edges=(2.0 * float(a), 2.0 * float(b), 2.0 * float(c)), axis=(x, y, 0.0))
+            surface = Box(edges=(2.0 * float(a), 2.0 * float(b), 2.0 * float(c)), axis=axis)
         else:
-            surface = Capsule(radius=float(a), length=float(2.0 * b), axis=(x, y, 0.0))
+            surface = Capsule(radius=float(a), length=float(2.0 * b), axis=axis)
     return {"surface": surface, "normal": _numbers(normal), "through": _numbers(origin + depth * normal)}
 
 

@@ -16,7 +16,7 @@ ROLLING, PIVOTING = 0.002, 0.001
 SURFACES = {
     "plane": {"through": [0.0, 0.0, -2.0]},
     "cylinder that turns": {
-        "surface": {"kind": "cylinder", "radius": 0.4},
+        "surface": {"kind": "cylinder", "radius": 0.4, "axis": [1.01, 0.02, -0.2]},
         "motion": {"kind": "turntable", "speed": 3.0},
         "through": [0.1, 0.2, -2.0],
     },

@@ -25,7 +25,7 @@ SURFACES = {
     "bowl": {"surface": {"kind": "sphere", "radius": 4.0, "inside": True}, "through": [0.1, 0.2, -2.0]},
     "ellipsoid below": {"surface": {"kind": "ellipsoid"}, "through": [0.1, 0.2, -2.0]},
     "cylinder that turns": {
-        "surface": {"kind": "cylinder", "radius": 0.4},
+        "surface": {"kind": "cylinder", "radius": 0.4, "axis": [1.01, 0.02, -0.2]},
         "motion": {"kind": "turntable", "speed": 3.0},
         "through": [0.1, 0.2, -2.0],
     },

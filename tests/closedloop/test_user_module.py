@@ -35,7 +35,7 @@ def test_module_that_cannot_be_imported(case, command_line, short, tmp_path):
 
 
 def test_module_that_is_no_text(command_line, short, tmp_path):
-    """A file of other bytes is refused as what is no Python is: by a ValueError in Python 3.11.2, a SyntaxError later."""
+    """A file of other bytes is refused as what is no Python is: by a ValueError in 3.11.2, by a SyntaxError later."""
     (tmp_path / "mine.py").write_bytes(b"\xff\xfe\x00")
     line = command_line("wam_slide", "--law", "mine:f", *short).refusal()
     assert line.startswith(("--law mine:f: mine.py: SyntaxError", "--law mine:f: mine.py: ValueError"))

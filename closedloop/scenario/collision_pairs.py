@@ -53,11 +53,11 @@ def surface_of_shape(shape: CollisionShape) -> dict[str, Any]:
         normal, depth, surface = turn[:, 2], a, Sphere(radius=float(a))
     else:
         normal, along, depth = (turn[:, 2], turn[:, 0], c) if shape.kind == "box" else (turn[:, 0], turn[:, 2], a)
-        axis = float(along[0]), float(along[1]), float(along[2])
+        x, y, z = _numbers(along)
         if shape.kind == "box":
-            surface = Box(edges=(2.0 * float(a), 2.0 * float(b), 2.0 * float(c)), axis=axis)
+            surface = Box(edges=(2.0 * float(a), 2.0 * float(b), 2.0 * float(c)), axis=(x, y, z))
         else:
-            surface = Capsule(radius=float(a), length=float(2.0 * b), axis=axis)
+            surface = Capsule(radius=float(a), length=float(2.0 * b), axis=(x, y, z))
     return {"surface": surface, "normal": _numbers(normal), "through": _numbers(origin + depth * normal)}
 
 

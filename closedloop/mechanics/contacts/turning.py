@@ -262,7 +262,7 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
 
     It stays where a slip that has only begun does not go on: friction is against what pulls. It stays too where slip
     turns by more than a right angle: friction is against the slip until that ends. The beginning of a step decides for
-    all its stages, for two forces in one step are the mean of none. Friction that would drive the slip at a later stage
+    all its stages: a step that mixed both directions gained energy. Friction that would drive the slip at a later stage
     is reflected in the line across it, which is continuous.
     """
     n = 3 * i

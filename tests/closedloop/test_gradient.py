@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 import closedloop as cl
-from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
 from closedloop.simulation.prepare import prepare
@@ -370,6 +370,13 @@ def test_an_end_of_slip_that_forces_without_a_unique_solution_decide_over_is_fou
         modes = run.link_modes.copy()
         modes[:, :lifted] = FREE
         assert not_unique(replace(run, columns=dict(run.columns) | {"link_modes": modes})) is None
+    modes = run.link_modes.copy()
+    modes[:, :1] = FREE
+    modes[:, 1:2] = STUCK  # one that sticks beside two that slide: three normal forces, and two along the floor
+    assert not_unique(replace(run, columns=dict(run.columns) | {"link_modes": modes})) is None
+    modes = modes.copy()
+    modes[:, :1] = PRESSED  # and three: four normal forces of which three are independent
+    assert not_unique(replace(run, columns=dict(run.columns) | {"link_modes": modes})).event == "stick of pusher"
     assert not_unique(cl.simulate(pushed(**{"contact.*.friction": 0.0}), engine="compiled")) is None
     assert not_unique(cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.1}), engine="compiled")) is None
 

@@ -291,6 +291,41 @@ def test_another_order_of_events_is_named():
         assert beside.derivative[of][key] == pytest.approx(power * speed * (share * turn) ** (power - 1), rel=1e-6)
 
 
+def test_a_graze_is_named():
+    """A mass on the law's spring comes near the plane, touches it, or strikes it, by the speed at which it starts.
+
+    Beside the graze, on either side, it has the derivatives of the closed form, which grow without bound towards it
+    where there is an impact. At the graze the side without an impact has one, the other none.
+    """
+    rate, end, of = 10.0, 0.25, "q@end"
+    graze = GAP * rate
+
+    def at(share):
+        start = {"start__v": [0.0, 0.0, -(1.0 + share) * graze], "law__kp": [0.0, 0.0, MASS * rate**2]}
+        spring = ball(**start, law__force=1e-9, impact__rest_speed=1e-6, time__duration=end)
+        found = cl.gradient(spring, ["start.v"], of=[of])
+        return found, found.derivative[of]["start.v"][2, 2]
+
+    def rebound(v):
+        left = rate * end - np.arcsin(graze / v)
+        return GAP * np.cos(left) - RESTITUTION * np.sqrt(v * v - graze * graze) / rate * np.sin(left)
+
+    missed = np.sin(rate * end) / rate
+    for share in (-1e-2, -1e-4, 1e-4, 1e-2):
+        found, mine = at(share)
+        expected = missed if share < 0.0 else complex_step(rebound, (1.0 + share) * graze)
+        assert mine == pytest.approx(expected, rel=1e-6)
+        assert not found.problems
+    for share in (-1e-9, 0.0):
+        found, mine = at(share)
+        assert np.isnan(mine)
+        assert len(found.problems) == 1
+        assert "impact at 0.15" in found.problems[0]
+        below, above = (each[2, 2] for each in found.one_sided[of]["start.v"])
+        assert np.isnan(below)
+        assert np.isnan(above) if share == 0.0 else above == pytest.approx(missed, rel=1e-6)
+
+
 def test_an_event_that_no_longer_happens_is_named_though_another_run_has_it_past_a_row(monkeypatch):
     """Of the runs on one side one has the event between other rows, and the next has none: there are no differences."""
 

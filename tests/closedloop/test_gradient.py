@@ -475,6 +475,22 @@ def test_what_has_no_derivative_is_refused(keys, of, words):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("of", "words"),
+    [
+        ("event_time", "is of the events, not of the rows; cl.gradient has its derivatives"),
+        (
+            "rms_force_error",
+            "it must be a column, such as contact_force; values of the summary are those of cl.gradient",
+        ),
+    ],
+)
+def test_what_is_no_column_of_rows_is_refused(of, words):
+    """In one line that says where it is; the first told to ask for what had been asked for."""
+    with pytest.raises(cl.ScenarioError, match=re.escape(words)):
+        cl.sensitivities(ball(time__duration=0.2), ["law.force"], of=[of])
+
+
 def test_a_run_that_stops_has_no_derivative():
     """What it stops with is raised."""
     scenario = cl.load_scenario("wam_slide", {"law.kd": [1e4] * 4, "time.duration": 1.0})

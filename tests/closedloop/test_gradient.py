@@ -475,6 +475,26 @@ def test_what_has_no_derivative_is_refused(keys, of, words):
     assert "\n" not in str(error.value)
 
 
+def test_several_scenarios_side_by_side():
+    """Each has the derivatives that it has alone, in the order in which they are given; one that stops ends it."""
+    three = [ball(impact__restitution=e) for e in (0.5, 0.6, 0.7)]
+    counts: list[tuple[int, int]] = []
+    found = cl.gradients(
+        three, ["surface.gap"], ["event_time"], progress=lambda *count: counts.append(count), workers=2
+    )
+    assert counts[0] == (0, 3)
+    assert counts[-1] == (3, 3)
+    for each, e in zip(found, (0.5, 0.6, 0.7), strict=True):
+        count = len(each.value["event_time"])
+        expected = complex_step(lambda h, e=e, count=count: bounces(count, e, h, ACCELERATION), GAP)
+        np.testing.assert_allclose(each.derivative["event_time"]["surface.gap"], expected, rtol=1e-7)
+    with pytest.raises(cl.ScenarioError, match="scenarios: must be a list of scenarios"):
+        cl.gradients([], ["surface.gap"], ["event_time"])
+    stops = cl.load_scenario("wam_slide", {"law.kd": [1e4] * 4, "time.duration": 1.0})
+    with pytest.raises(cl.SimulationError):
+        cl.gradients([three[0], stops], ["law.force"], ["max_tip_speed"])
+
+
 @pytest.mark.parametrize(
     ("of", "words"),
     [

@@ -1,4 +1,4 @@
-"""`cl.gradients`: the derivatives of several scenarios, side by side."""
+"""`cl.gradients`: the derivatives of several scenarios, on two cores."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from contextlib import ExitStack
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
+from closedloop.base.second_process import Beside
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import threads_for
-from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.studies.gradient.gradient import Gradient, gradient
 from robot_models import RobotModel
@@ -25,7 +25,9 @@ def gradients(
     progress: bool | Callable[[int, int], None] = False,
     workers: int | None = None,
 ) -> list[Gradient]:
-    """Return what `gradient` returns of each of several scenarios, which run side by side.
+    """Return what `gradient` returns of each of several scenarios, on two cores.
+
+    Half of the time is that of Python, and threads would wait for each other: a second process takes every other one.
 
     Parameters
     ----------
@@ -36,17 +38,17 @@ def gradients(
     progress : bool or callable
         True draws a bar on standard error; a callable gets (scenarios done, scenarios in all).
     workers : int, optional
-        Threads, a scenario each; as many as there are cores if left out. The result is the same for any number.
+        1 leaves all scenarios to this process. The result is the same.
 
     Raises
     ------
     ScenarioError, SimulationError
-        As `gradient`, of the first of the scenarios that it is raised of.
+        As `gradient`, of a scenario that it is raised of.
     """
     if not scenarios:
         raise ScenarioError("scenarios: must be a list of scenarios, such as [load_scenario('wam_slide')]")
-    threads, done = threads_for(COMPILED, workers), Done()
-    found: list[Gradient | None] = [None] * len(scenarios)
+    shared = threads_for(COMPILED, workers) > 1
+    found: dict[int, Gradient] = {}
     with ExitStack() as open_until_done:
         if progress is True:
             from closedloop.base.progress import bar
@@ -54,9 +56,19 @@ def gradients(
             progress = open_until_done.enter_context(bar("derivatives", len(scenarios)))
         report = progress or (lambda *_: None)
 
-        def one(_: None, i: int) -> None:
-            found[i] = gradient(scenarios[i], keys, of, model=model, workers=1)
-            done.add()
+        def take(some: range) -> dict[int, Gradient]:
+            for i in some:
+                report(len(found), len(scenarios))
+                found[i] = gradient(scenarios[i], keys, of, model=model, workers=1)
+            return found
 
-        side_by_side(one, len(scenarios), threads, lambda: None, lambda: report(done.count, len(scenarios)), done)
-    return [each for each in found if each is not None]
+        take(range(1))  # the kernels are compiled now
+        if shared:
+            beside = Beside(lambda: take(range(2, len(scenarios), 2)))
+            open_until_done.callback(beside.stop)
+            take(range(1, len(scenarios), 2))
+            found |= beside.result()
+        else:
+            take(range(1, len(scenarios)))
+        report(len(scenarios), len(scenarios))
+    return [found[i] for i in range(len(scenarios))]

@@ -19,9 +19,9 @@ from robot_models.loop_posture import coordinate_rates, place_coordinates
 
 
 def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
-    """Return a scenario whose start and law have an entry for each joint, if only those without a drive lack one.
+    """Return a scenario whose start, law and friction have an entry for each joint, if only those without one lack it.
 
-    Lists of any other length are left as they are.
+    Of friction these are the free bodies alone, which have none. Lists of any other length are left as they are.
     """
     names, driven = model.loop_coordinates, model.drives or model.joint_names
     given = np.array([name not in names or name in driven for name in model.joint_names]) & ~model.free
@@ -50,7 +50,15 @@ def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
         for name, values in lists_per_joint(scenario.law).items()
         if len(values) == count
     }
-    if not start and not lists:
+    held = np.flatnonzero(~model.of_bodies)
+    rubbing = {
+        name: tuple(np.insert(values, np.searchsorted(held, np.flatnonzero(model.of_bodies)), 0.0).tolist())
+        for name, values in lists_per_joint(scenario.joint_friction).items()
+        if len(values) == len(held) < model.n
+    }
+    if not start and not lists and not rubbing:
         return scenario
-    changes = {"start": scenario.start.model_copy(update=start), "law": scenario.law.model_copy(update=lists)}
-    return scenario.model_copy(update=changes)
+    sections = ("start", start), ("law", lists), ("joint_friction", rubbing)
+    return scenario.model_copy(
+        update={name: getattr(scenario, name).model_copy(update=values) for name, values in sections if values}
+    )

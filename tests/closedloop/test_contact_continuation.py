@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_contacts import faults, filled
+from random_contacts import faults, filled
 
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.contacts.complementarity import LAST_ROUNDS, STARTS, solve_from_here

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_contacts import HEIGHT, MASS, WIDTH, G, block, corners, moved, total_energy
+from box_in_plane import HEIGHT, MASS, WIDTH, G, block, corners, moved, total_energy
 
 import closedloop as cl
 import robot_models

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_contacts import G, body, total_energy
+from box_in_plane import G, body, total_energy
 
 import closedloop as cl
 import robot_models

@@ -9,16 +9,10 @@ from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 from scipy.linalg import expm
 
 import closedloop as cl
-from closedloop.loop.step.record_row import ContactRow
-from closedloop.scenario.contact_names import names_of
-from closedloop.simulation.engines.loops import PINOCCHIO
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.stepper import Stepper
-from closedloop.studies.analysis.closed_contacts import contacts_of
 from closedloop.studies.analysis.derivatives import columns
 from closedloop.studies.analysis.here import Here
-from closedloop.studies.analysis.instant import rows_on, run_on
-from closedloop.studies.analysis.linearise import instant_of, loop_at
+from closedloop.studies.analysis.linearise import instant_of
 
 ALONG_N = ("contact", "law", "sensor", "delay", "filter", "hold")
 
@@ -258,80 +252,6 @@ def test_delay_against_a_delay_differential_equation():
     assert np.max(np.abs(found - early)) > 0.1 * np.max(np.abs(wanted))
 
 
-PULSES = {
-    "wam_slide": ("wam_slide", {}),
-    "soft_table": ("soft_table", {}),
-    "wam_hybrid_friction": ("wam_hybrid_friction", {}),
-    "integral": ("soft_table", {"law.force_integral": 20.0}),
-    "late": ("soft_table", {
-        "law.force_integral": 20.0, "law.force_feedback": 0.2, "sensor.delay": 0.004,
-        "sensor.filter_time_constant": 0.006, "law.sample_period": 0.002,
-    }),
-    "elastic": ("soft_table", {
-        "law.force_integral": 20.0, "transmission.stiffness": 5000.0, "transmission.damping": 10.0,
-    }),
-    "four bars": ("four_bar", {
-        "time.duration": 1.0, "time.integrator": "semi_implicit_euler", "compliance.kind": "kelvin_voigt",
-        "compliance.damping": 400.0, "law.force_integral": 10.0, "sensor.delay": 0.004,
-    }),
-    "delta": ("delta", {"time.duration": 2.0, "compliance.kind": "kelvin_voigt", "compliance.stiffness": 2e4,
-        "encoder.velocity": "difference", "encoder.filter_time_constant": 0.003,
-    }),
-    "stops": ("soft_table", {"robot.stops": True}),
-    "encoders": ("wam_hybrid_friction", {
-        "encoder.velocity": "difference", "encoder.filter_time_constant": 0.003, "compliance.kind": "kelvin_voigt",
-    }),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", PULSES)
-def test_small_steps_of_the_run(case):
-    """After a step of f_des by a millinewton the run's force does what the linear loop's does, within one per cent."""
-    name, changes = PULSES[case]
-    scenario = cl.load_scenario(name, {"time.duration": 7.0} | changes)
-    problem = prepare(scenario)
-    instant = instant_of(scenario, problem, min(3.0, 0.6 * scenario.time.duration))
-    loop = loop_at(problem, instant)
-    rows, hold = 200, max(problem.hold, 1)
-    apart = (run_on(problem, instant, rows, 1e-3) - run_on(problem, instant, rows, -1e-3)) / 2e-3
-    seen = np.cumsum(apart[::hold])  # of a pulse: the sum is the step
-    _, wanted = loop.response("force command", duration=(seen.size - 1) * loop.dt)
-    assert np.max(np.abs(seen - wanted)) <= 0.01 * np.max(np.abs(seen))
-    assert np.max(np.abs(seen)) > 0.5
-
-
-HELD = {
-    "two palms hold a bar": ("two_arms_bar", {}, 0.5),
-    "feet and pusher slide": ("push_block", {}, 1.5),
-    "a soft pusher": ("push_block", {"contact.pusher.compliance": {"kind": "kelvin_voigt", "stiffness": 2e4,
-                                                                   "damping": 100.0}}, 1.0),
-    "more contacts than are needed": ("gripper_block", {}, 0.5),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", HELD)
-def test_small_steps_with_closed_contacts_of_links(case):
-    """After a step of f_des the forces of links that stick, slide or sink do what those of the linear loop do."""
-    name, changes, at = HELD[case]
-    scenario = cl.load_scenario(name, {"time.integrator": "semi_implicit_euler"} | changes)
-    problem = prepare(scenario)
-    instant = instant_of(scenario, problem, at)
-    loop, kick, rows = loop_at(problem, instant), 1e-4, 30
-    apart = (rows_on(problem, instant, rows, kick) - rows_on(problem, instant, rows, -kick)) / (2.0 * kick)
-    names = names_of(scenario.contact)
-    place = ContactRow.place("link_forces", len(names))
-    first = problem.row_width - problem.row_states - ContactRow.count(len(names))
-    seen = np.cumsum(apart[:, first : problem.row_width - problem.row_states][:, place], axis=0)  # of a pulse
-    duration = (rows - 1) * loop.dt
-    outputs = [each.name for each in loop.outputs if each.name.startswith("contact force[")]
-    assert len(outputs) >= 2
-    for output in outputs:
-        mine = seen[:, names.index(output[len("contact force[") : -1])]
-        wanted = loop.response("force command", output, duration)[1]
-        np.testing.assert_allclose(mine, wanted, atol=0.01 * np.max(np.abs(seen)))
-    assert np.max(np.abs(seen)) > 0.01
-
-
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
 def test_a_cube_that_rests_on_four_feet_beside_the_arm_changes_no_pole(integrator):
     """Its feet stick, by more rows than it can move in: it stays where it is, and the loop is that of the arm."""
@@ -375,54 +295,6 @@ def test_a_free_body_beside_the_arm():
     assert len(turning) == 1
 
 
-@pytest.mark.parametrize(("name", "row"), [("soft_table", 1200), ("wam_hybrid_friction", 1200), ("joint_friction", 0)])
-def test_a_run_that_goes_on_is_the_run(name, row):
-    """What is run on from an instant is the rest of the run, to the last bit; at t = 0 the law has started."""
-    scenario = cl.load_scenario(name, {"time.duration": 7.0, "law.force_integral": 10.0})
-    problem = prepare(scenario)
-    on = run_on(problem, instant_of(scenario, problem, row * 0.001), 50)
-    assert np.array_equal(on, cl.simulate(scenario, progress=False).contact_force[row : row + 50])
-
-
-def test_a_tip_that_has_all_but_stopped_has_no_linear_loop():
-    """Friction that is about to turn has no derivative, at a slip of 1e-10 m/s: it is refused, not made up."""
-    with pytest.raises(cl.SimulationError, match="the contact is about to change, or friction to turn"):
-        cl.linearise(cl.load_scenario("wam_hybrid_friction"), at=8.0)
-
-
-def test_a_torque_that_disturbs_the_run():
-    """10 mN m beside the torque of the law, for one step, move f as the linear loop says, within one per cent."""
-    scenario = cl.load_scenario("soft_table", {"law.force_integral": 20.0, "time.duration": 7.0})
-    loop, seen = cl.linearise(scenario, at=3.0), []
-    for sign in (1.0, -1.0):
-        sim = cl.Simulator(scenario)
-        disturbed = sim.run_until(3.0).torque + sign * np.array([0.0, 1e-2, 0.0, 0.0])
-        seen.append([sim.step(disturbed).f, *(sim.step().f for _ in range(149))])
-    apart = np.cumsum((np.array(seen[0]) - seen[1]) / 2e-2)  # of a pulse: the sum is the step
-    _, wanted = loop.response("torque[J2]", duration=0.150)
-    np.testing.assert_allclose(apart, wanted[1:], atol=0.01 * np.max(np.abs(wanted)))
-
-
-@pytest.mark.parametrize(("name", "size"), [("soft_table", 1e-6), ("wam_slide", 1e-7)])
-def test_a_surface_that_breathes(name, size):
-    """The force of a run on a surface that swings at 2 Hz swings as the linear loop's does, within one per cent.
-
-    The desired path is that on the surface at rest: what is asked is how the loop answers, not what a path adds.
-    """
-    still, span = cl.load_scenario(name, {"time.duration": 3.0}), 3000
-    moving = cl.load_scenario(name, {
-        "time.duration": 3.0, "surface_motion.kind": "breathing", "surface_motion.amplitude": 2.0 * size,
-        "surface_motion.frequency": 2.0, "surface_motion.direction": [0, 0, 1],
-    })  # fmt: skip
-    at_rest, problem = prepare(still), prepare(moving)
-    problem.table[:] = at_rest.table
-    f = run_on(problem, instant_of(moving, problem, 0.0), span)
-    apart, t = (f - run_on(at_rest, instant_of(still, at_rest, 0.0), span))[2000:], 0.001 * np.arange(2000, span)
-    seen = -2.0 * np.mean(np.exp(-4j * math.pi * t) * apart) / size  # it swings with −cos
-    wanted = cl.linearise(still, at=2.5).frequency_response("surface", "contact force", 2.0)[0]
-    assert abs(seen - wanted) < 0.01 * abs(wanted)
-
-
 def test_the_torque_of_each_joint_can_be_cut():
     """Each joint has its own margins there; the law of wam_slide reads no force: at the sensor nothing is fed back."""
     loop = cl.linearise(cl.load_scenario("wam_slide"), at=3.0)
@@ -432,90 +304,6 @@ def test_the_torque_of_each_joint_can_be_cut():
     assert loop.stable
     assert loop.peak_sensitivity("torque[J3]") == pytest.approx(1.0 / margins[2].modulus)
     assert loop.bandwidth() == math.inf
-
-
-@pytest.mark.parametrize(
-    ("name", "changes", "at", "why"),
-    [
-        ("wam_touchdown", {}, 0.01, "the tip is in flight at t = 0.01 s"),
-        ("wam_slide", {}, 9.0, "at = 9 s: must be within the run, 0 to time.duration = 8 s"),
-        ("wam_slide", {}, -1.0, "at = -1 s: must be within the run"),
-        ("cube_toss", {}, 0.1, "no \\[surface\\], and no contact of a link is closed at t = 0.1 s: without a contact"),
-        ("push_block", {"contact.foot 2.rolling": 1e-3}, 0.1, "contact 'foot 2' resists rolling or pivoting, which is"),
-        ("push_block", {"contact.foot 2.friction": 0.0, "contact.foot 2.friction_law": {
-            "kind": "dahl", "coefficient": 0.4, "stiffness": 1e4}}, 0.1,
-         "contact 'foot 2' is closed, whose friction has a memory"),
-        ("wam_slide", {"drives.torque_limit": 1.0}, 1.0, "the drive of joint J[1-4] is at its limit at t = 1 s"),
-    ],
-)  # fmt: skip
-def test_where_there_is_no_linear_loop(name, changes, at, why):
-    """It is said in one line."""
-    with pytest.raises(cl.ClosedLoopError, match=why) as caught:
-        cl.linearise(cl.load_scenario(name, changes), at=at)
-    assert "\n" not in str(caught.value)
-
-
-def test_at_an_impact_and_beyond_the_end_of_a_run():
-    """The instant of an event is refused, with the event's name; so is one that the run does not come to."""
-    scenario = cl.load_scenario("wam_touchdown")
-    event = cl.simulate(scenario, progress=False).events[0]
-    with pytest.raises(cl.SimulationError, match=f"within a step of an event \\({event.kind} at"):
-        cl.linearise(scenario, at=event.time)
-    stops = cl.load_scenario("wam_slide", {"law.kd": [-60.0, -60.0, -30.0, -20.0]})
-    with pytest.raises(cl.SimulationError, match="the run stops before t = 7 s"):
-        cl.linearise(stops, at=7.0)
-
-
-def test_at_a_stop_that_holds_a_joint():
-    """A joint at its stop is refused by its name; before it comes there it is not."""
-    scenario = mass_on_a_spring(
-        robot__stops=True, start__q=[9.99, 0.0, 0.0], start__v=[0.5, 0.0, 0.0], law__kp=[0.0] * 3, law__kd=[0.0] * 3
-    )
-    with pytest.raises(
-        cl.SimulationError, match=r"^linearise: joint X is at its stop at t = 0\.09 s, which is not lin"
-    ):
-        cl.linearise(scenario, at=0.09)
-    assert len(cl.linearise(scenario, at=0.01).states) > 0
-
-
-def test_at_a_stop_beside_a_closed_contact_and_beside_an_event():
-    """A stop that is held is refused where links touch, too; within a step of its impact the impact is named."""
-    held = {"robot__stops": True, "start__q": [9.99, 0.0, 0.0], "law__kp": [0.0] * 3, "law__kd": [0.0] * 3}
-    cube = {"name": "cube", "shape": "box", "edges": [0.1, 0.1, 0.1], "mass": 1.0, "position": [2.0, 2.0, 0.05]}
-    foot = {"link": "cube", "at": [[x, y, -0.05] for x in (-0.05, 0.05) for y in (-0.05, 0.05)], "friction": 0.5}
-    beside = {"body": [cube], "contact": [foot], "time__integrator": "rk4", "start__v": [0.5] + [0.0] * 8}
-    scenario = mass_on_a_spring(**held | beside)
-    with pytest.raises(
-        cl.SimulationError, match=r"^linearise: at t = 0\.09 s joint X is at its stop, which is not lin"
-    ):
-        cl.linearise(scenario, at=0.09)
-    impact = next(event for event in cl.simulate(scenario, progress=False).events if event.time > 0.0)
-    with pytest.raises(cl.SimulationError, match=rf"within a step of an event \({impact.kind} at"):
-        cl.linearise(scenario, at=impact.time)
-
-
-def test_contacts_without_modes():
-    """Where the forces of contacts are those of a time step there is no linear loop, and it is said."""
-    problem = prepare(cl.load_scenario("push_block"))
-    stepper = Stepper(problem, PINOCCHIO)
-    stepper.let(None)
-    stepper.to_row()
-    assert contacts_of(problem, stepper.loop, 0.1)
-    stepper.loop.w.kept["contacts"].links.undecided = 1
-    with pytest.raises(cl.SimulationError, match=r"^linearise: at t = 0\.1 s no modes of the contacts are found"):
-        contacts_of(problem, stepper.loop, 0.1)
-
-
-def test_a_contact_that_binds_the_tip_once_more():
-    """Of a tip that a contact of its link holds in the same plane f is not unique: it is refused in one line."""
-    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.2})
-    z = cl.simulate(scenario, progress=False).position[0, 2]
-    again = [{"link": "tip", "at": [0.0, 0.0, 0.0], "through": [0.0, 0.0, float(z)]}]
-    twice = cl.load_scenario("wam_slide", {"time.duration": 0.2, "contact": again})
-    with pytest.raises(
-        cl.SimulationError, match=r"^linearise: the tip's contact binds what other contacts or loops bind"
-    ):
-        cl.linearise(twice, at=0.1)
 
 
 def test_names_are_refused_with_those_that_there_are(spring):

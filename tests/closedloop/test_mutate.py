@@ -52,6 +52,17 @@ def small_tree(folder, test):
     return path
 
 
+def test_every_test_that_is_named_is_there():
+    """A test that is renamed or moved would else be looked for where it is not, only when mutants are made."""
+    named = {name.split()[0] for names in mutate.TESTS.values() for name in names}
+    for name in named:
+        file, _, test = name.partition("[")[0].partition("::")
+        found = {
+            n.name for n in ast.walk(ast.parse((mutate.ROOT / file).read_text())) if isinstance(n, ast.FunctionDef)
+        }
+        assert not test or test in found, name
+
+
 def test_every_mutant_is_one_change_and_compiles():
     """Each differs from the module, and from each other, in one place; the names and annotations stay."""
     found = list(mutate.mutants(SOURCE))

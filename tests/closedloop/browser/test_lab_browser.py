@@ -1,0 +1,260 @@
+"""The lab's page in a browser without a screen: what is dragged there is what runs."""
+
+import shlex
+import threading
+import time
+
+import numpy as np
+import pytest
+from lab_page import plotted, row, settled
+
+import closedloop as cl
+from closedloop.__main__ import main
+from closedloop.lab import in_browser, mapping_work
+from closedloop.studies.analysis.stability import Stability
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
+
+
+def test_a_dragged_slider_redraws_the_run_and_the_last_value_stays(page, lab):
+    """A drag gives many runs, which the picture follows; at its end slider, number box, run, plot and page agree."""
+    shown = []
+    lab.after_show.append(shown.append)
+    box = in_browser.slider_of(page, "law.force")
+    y, right = box["y"] + box["height"] / 2, box["x"] + 0.75 * box["width"]
+    page.mouse.move(right, y)
+    page.mouse.down()
+    for k in range(3000):  # however slow the computer is
+        page.mouse.move(right - 0.5 * (k % 40), y)
+        time.sleep(1 / 60)
+        if k >= 40 and len(shown) > 5:
+            break
+    page.mouse.up()
+    settled(page, lab)
+    force = float(row(page, "law.force").locator("input[type=range]").input_value())
+    assert len(shown) > 5
+    assert page.evaluate("still.robot === space.about.robot && still.time[0] === state.time")
+    assert not any(answer.fault for answer in shown)
+    assert lab.run.scenario.law.force == pytest.approx(force)
+    assert float(row(page, "law.force").locator(".num").input_value()) == pytest.approx(force)
+    assert plotted(page)["commanded"] == pytest.approx(force)
+    page.keyboard.press("Control+z")  # the drag is one step
+    settled(page, lab)
+    assert lab.run.scenario.law.force == 10.0
+
+
+def test_keys_move_the_slider_in_the_focus_else_the_replay(page, lab):
+    """An arrow key raises the force by a step; without a slider in the focus it goes a step of the run on."""
+    row(page, "law.force").locator("input[type=range]").focus()
+    for _ in range(3):
+        page.keyboard.press("ArrowRight", delay=50)
+    settled(page, lab)
+    assert lab.run.scenario.law.force > 10.0
+    assert page.evaluate("state.time") == 0.0
+    page.keyboard.press("Escape")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("state.time") == pytest.approx(1e-3)
+    page.keyboard.press("End")
+    assert page.evaluate("state.time") == pytest.approx(8.0)
+    page.keyboard.press("Home")
+    page.keyboard.press("Space")
+    page.wait_for_function("state.playing && state.time > 0.1")
+    page.keyboard.press("Space")
+    at = page.evaluate("state.time")
+    page.wait_for_timeout(200)
+    assert page.evaluate("state.time") == at
+
+
+def test_a_fault_stands_beside_its_control_and_the_run_stays(page, lab):
+    """A value at fault: one sentence at its slider, and the last good run; a good value takes it away."""
+    before = lab.run
+    page.locator("#search").fill("time_constant")
+    box = row(page, "stabiliser.time_constant").locator(".num")
+    box.fill("1e-5")
+    page.keyboard.press("Enter")
+    fault = row(page, "stabiliser.time_constant").locator(".fault")
+    fault.filter(has_text="unstable").wait_for()
+    assert fault.inner_text().startswith("stabiliser.time_constant = ")
+    assert "\n" not in fault.inner_text()
+    assert lab.wait()
+    assert lab.run is before
+    box.fill("much")
+    page.keyboard.press("Enter")
+    fault.filter(has_text="is no number").wait_for()
+    box.fill("0.002")
+    page.keyboard.press("Enter")
+    settled(page, lab)
+    assert not fault.is_visible()
+    assert lab.run.scenario.stabiliser.time_constant == 0.002
+
+
+def test_all_joints_move_together_or_each_by_itself(page, lab):
+    """The slider of a list keeps the ratios; opened, one joint moves alone; the arrow beside it takes it back."""
+    every = row(page, "law.kp")
+    every.locator(".num").fill("450")
+    page.keyboard.press("Enter")
+    settled(page, lab)
+    assert lab.run.scenario.law.kp == (450.0, 450.0, 200.0, 150.0)
+    every.locator(".open").click()
+    one = page.locator('.row.joint[data-key="law.kp"]').nth(1)
+    one.locator(".num").fill("800")
+    page.keyboard.press("Enter")
+    settled(page, lab)
+    assert lab.run.scenario.law.kp == (450.0, 800.0, 200.0, 150.0)
+    one.locator(".reset").click()
+    settled(page, lab)
+    assert lab.run.scenario.law.kp == (450.0, 900.0, 200.0, 150.0)
+    every.hover()
+    assert "law.kp" in page.locator("#doc").inner_text()
+
+
+def test_the_strip_answers_whether_the_run_is_good(page, lab):
+    """Both verdicts in words, errors, margins; against a pinned run what is better is green, and what worse red."""
+    strip = page.locator("#strip")
+    for words in ("numbers\ngood", "control\ngood", "force RMS", "force peak", "gain margin", "settled"):
+        assert words in strip.inner_text()
+    page.keyboard.press("p")
+    page.locator("#unpin").wait_for()
+    lab.changed("friction.kind", "coulomb")
+    settled(page, lab)
+    worse = strip.locator(".tile", has_text="force RMS").locator(".bad")
+    assert worse.inner_text().strip().startswith("+")
+    assert "pin 1" in worse.get_attribute("title")
+    page.locator("#tab-compare").click()
+    assert "pin 1" in page.locator("#pane").inner_text()
+    assert page.evaluate("plots.pins.length") == 1
+
+
+def test_the_page_is_timed_from_the_pointer_to_the_plot(page, lab):
+    """Each movement gives one time, none shorter than what the run alone takes; the frame comes after the drawing."""
+    page.evaluate(in_browser.WATCH)
+    drawn, shown = in_browser.page_latencies(page, "law.force", 3)
+    assert drawn.shape == shown.shape == (3,)
+    assert np.all(drawn > lab.run.wall_seconds)
+    assert np.all(shown >= drawn)
+    assert page.evaluate("window.lab.largest()") == pytest.approx(lab.run.scenario.law.force)
+    assert page.evaluate("window.lab.largest()") != 10.0
+
+
+def test_the_run_before_is_grey_until_the_new_one_is_there(page, lab, monkeypatch):
+    """While a change is computed that takes long the curves are grey; then they are the new run's, in colour."""
+    look = "() => getComputedStyle(document.getElementById('plots')).filter"
+    assert page.evaluate(look) == "none"
+    go, answer = threading.Event(), lab.answers.answer
+    monkeypatch.setattr(lab.answers, "answer", lambda *request: go.wait(30.0) and answer(*request))
+    before = lab.run
+    row(page, "law.force").locator(".num").fill("12")
+    page.keyboard.press("Enter")
+    page.get_by_text("computing ...; what is shown is the run before").wait_for()
+    assert "grayscale" in page.evaluate(look)
+    assert lab.run is before
+    go.set()
+    settled(page, lab)
+    assert page.evaluate(look) == "none"
+    assert plotted(page)["commanded"] == 12.0
+
+
+def test_the_copied_command_repeats_the_run(page, lab, tmp_path):
+    """The button puts it on the clipboard; pasted, it gives the contact force to the last bit."""
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    lab.changed("law.kp", [900.0, 800.0, 400.0, 300.0])
+    lab.changed("time.duration", 0.5)
+    lab.changed("friction.kind", "coulomb")
+    settled(page, lab)
+    page.locator("#tab-scenario").click()
+    page.get_by_role("button", name="copy command").click()
+    page.get_by_role("button", name="copied").wait_for()
+    program, *words = shlex.split(page.evaluate("navigator.clipboard.readText()"))
+    assert program == "closedloop"
+    assert main([*words, "--out", str(tmp_path / "again")]) == 0
+    again = cl.load_run(tmp_path / "again" / "run.nc")
+    assert again.scenario.friction.kind == "coulomb"
+    assert np.array_equal(again.contact_force, lab.run.contact_force)
+    page.locator("#save").click()
+    page.get_by_text("wrote ").wait_for()
+    (saved,) = tmp_path.glob("wam_slide-lab/1/run.nc")
+    assert np.array_equal(cl.load_run(saved).contact_force, lab.run.contact_force)
+
+
+def test_a_drag_in_the_map_loads_the_runs_below_the_pointer(page, lab, monkeypatch):
+    """The place under the pointer is the run that is shown, the ring goes with it, and the drag is one step of undo."""
+    monkeypatch.setattr(mapping_work, "CELLS", 16)
+    lab.changed("time.duration", 0.2)
+    settled(page, lab)
+    page.locator("#tabs select").nth(0).select_option("law.force")
+    page.locator("#tabs select").nth(1).select_option("law.kp J2")
+    page.locator("#tabs select").nth(2).select_option("peak_contact_force")
+    page.locator("#compute").click()
+    page.wait_for_function("map.m?.complete", timeout=300_000)
+    assert page.evaluate("map.m.grid.every(Number.isFinite)")
+    box = page.locator("#map").bounding_box()
+    left, top, wide, high = page.evaluate("map.area()")
+    page.mouse.move(box["x"] + left + 0.2 * wide, box["y"] + top + 0.5 * high)
+    page.mouse.down()
+    page.mouse.move(box["x"] + left + 0.7 * wide, box["y"] + top + 0.25 * high, steps=8)
+    page.mouse.up()
+    settled(page, lab)
+    found = lab.map.map
+    assert lab.run.scenario.law.force == pytest.approx(found.x.at(0.7), rel=0.02)
+    assert lab.run.scenario.law.kp[1] == pytest.approx(found.y.at(0.75)[1], rel=0.05)
+    assert page.evaluate("map.point") == pytest.approx([lab.run.scenario.law.force, lab.run.scenario.law.kp[1]])
+    again = "() => { const moved = map.canvas.toDataURL(); map.shown(); return moved === map.canvas.toDataURL(); }"
+    assert page.evaluate(again)  # where the ring has moved, the cells below it are those of the map
+    page.keyboard.press("Control+z")
+    settled(page, lab)
+    assert (lab.run.scenario.law.force, lab.run.scenario.law.kp[1]) == (10.0, 900.0)
+
+
+def test_the_map_shows_where_the_loop_becomes_unstable(page, lab, monkeypatch):
+    """It begins by itself, stops for a slider, and says what it lacks; whole, its red line is where a pole leaves."""
+    short = {"reference.start": 0.05, "reference.stop": 0.55, "time.duration": 0.6}
+    cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.1}), {"law.force": [10.0] * 8})
+    lab.ask()  # no map begins by itself until what it needs is compiled, as it is now
+    page.wait_for_function("map.m")
+    monkeypatch.setattr(mapping_work, "AT_MOST", 600.0)
+    monkeypatch.setattr(mapping_work, "POINTS", 8)
+    monkeypatch.setattr(mapping_work, "CELLS", 12)
+    for key, value in short.items():
+        lab.changed(key, value)
+    settled(page, lab)
+    page.wait_for_function("map.m.complete && map.canvas.classList.contains('late')")
+    assert "another reference.start" in page.locator("#pane").inner_text()
+    assert page.locator("#tabs select").nth(0).input_value() == "law.kp, all"
+    assert page.locator("#tabs select").nth(1).input_value() == "law.kd, all"
+    page.evaluate("map.line = null")
+    page.locator("#compute").click()
+    page.wait_for_function("map.line?.x && map.m.complete", timeout=300_000)
+    kps, kds = (page.evaluate(f"[...map.line.{axis}]") for axis in "xy")
+    for k in (0, -1):
+        for share, stable in ((0.98, True), (1.02, False)):
+            values = {"law.kp": [kps[k] * each / 900.0 for each in (900.0, 900.0, 400.0, 300.0)],
+                      "law.kd": [share * kds[k] * each / 60.0 for each in (60.0, 60.0, 30.0, 20.0)]}  # fmt: skip
+            scenario = cl.load_scenario("wam_slide", short)
+            assert (Stability(scenario).growth(values) < 0.0) == stable
+    red = """() => { const c = map.canvas, g = c.getContext('2d'); let n = 0, d;
+        d = g.getImageData(0, 0, c.width, c.height).data;
+        for (let k = 0; k < d.length; k += 4) n += d[k] === 255 && d[k + 1] === 90 && d[k + 2] === 54; return n }"""
+    assert page.evaluate(red) > 50
+    assert page.evaluate("map.point") == [900.0, 60.0]
+
+
+def test_the_label_of_the_vertical_axis_of_a_map_is_whole(page, lab):
+    """It stands within the canvas, left of the numbers; where all values are equal the map says the value."""
+    page.wait_for_function("map.m && map.under")
+    texts = """() => {
+      const found = [], write = CanvasRenderingContext2D.prototype.fillText;
+      CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+        const m = this.getTransform();
+        found.push([text, (m.a * x + m.c * y + m.e) / devicePixelRatio, m.b]);
+        return write.call(this, text, x, y);
+      };
+      map.m.grid = map.m.grid.map(() => 2.5);
+      map.shown();
+      CanvasRenderingContext2D.prototype.fillText = write;
+      return found;
+    }"""
+    found = page.evaluate(texts)
+    turned = [at for _, at, turn in found if turn]
+    assert len(turned) == 1
+    assert 9 <= turned[0] <= 20
+    assert "2.5 N in every run" in [text for text, *_ in found]

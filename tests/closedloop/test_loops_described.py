@@ -1,0 +1,180 @@
+"""Loops as they are described, by MuJoCo's files and by sidecars: what closes, and what is refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from falling_loops import falling, free, null_space_acceleration
+
+import closedloop as cl
+import robot_models
+from closedloop.mechanics.loops import close
+from closedloop.mechanics.loops.assemble import closed_start
+from closedloop.mechanics.loops.bind import bound_by_loops, loop_memory
+from closedloop.mechanics.loops.memory import IDLE, POSITION
+from closedloop.mechanics.loops.reactions import loop_rows as rows_of_loops
+from closedloop.mechanics.robot.pinocchio import Robot
+from validation.loops.mechanisms import four_bar, loop
+
+MJCF = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="crank"><joint name="J1" axis="0 -1 0"/><inertial pos="0.1 0 0" mass="1" diaginertia="0.001 0.0033 0.0033"/>
+ <body name="coupler" pos="0.2 0 0"><joint name="J2" axis="0 -1 0"/>
+  <inertial pos="0.25 0 0" mass="2" diaginertia="0.001 0.04 0.04"/></body></body>
+<body name="rocker" pos="0.5 0 0" euler="0 -1.5707963267948966 0"><joint name="J3" axis="0 -1 0"/>
+ <inertial pos="0.2 0 0" mass="1.5" diaginertia="0.001 0.02 0.02"/></body>
+</worldbody><equality>{}</equality></mujoco>"""
+CONNECT = '<connect name="pin" body1="coupler" body2="rocker" anchor="0.3 0 0.4" {}/>'
+
+
+def from_mjcf(tmp_path, equality):
+    """The mechanism of an MJCF with this section."""
+    (tmp_path / "m.xml").write_text(MJCF.format(equality), encoding="utf-8")
+    return robot_models.load(tmp_path / "m.xml")
+
+
+def test_connect_of_mujoco_is_a_point(tmp_path):
+    """The harder MuJoCo's force is made, the nearer its acceleration comes to ours."""
+    mujoco = pytest.importorskip("mujoco")
+    model = from_mjcf(tmp_path, CONNECT.format(""))
+    q, v = np.zeros(3), np.zeros(3)
+    ours = null_space_acceleration(model, q, v, np.zeros(3))
+    off = []
+    for hard in (1e6, 1e8):
+        text = MJCF.format(CONNECT.format(f'solref="{-hard} {-2 * hard**0.5}" solimp="0.99999 0.99999 0.001"'))
+        theirs = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(theirs)
+        mujoco.mj_forward(theirs, data)
+        off.append(np.max(np.abs(data.qacc - ours)) / np.max(np.abs(ours)))
+    run = falling(model, duration=0.01)
+    np.testing.assert_allclose(run.acceleration[0], ours, atol=1e-10)
+    assert max(off) < 1e-3
+
+
+def test_welds_and_gears_of_mujoco(tmp_path):
+    """A weld at the reference pose locks what it joins; a gear is its polynomial."""
+    welded = from_mjcf(tmp_path, '<weld body1="coupler" body2="crank"/>')
+    run = falling(welded, duration=0.1)
+    assert np.max(np.abs(run.q[:, 1])) < 1e-12
+    assert np.max(np.abs(run.q[:, 0])) > 1e-2
+    geared = from_mjcf(tmp_path, '<joint joint1="J1" joint2="J3" polycoef="0 1 0.2 0 0"/>')
+    run = falling(geared, duration=0.1)
+    np.testing.assert_allclose(run.q[:, 0], run.q[:, 2] + 0.2 * run.q[:, 2] ** 2, atol=1e-13)
+    assert from_mjcf(tmp_path, '<weld body1="coupler" body2="crank" active="false"/>').loops == ()
+
+
+BAD = {
+    "no such type": ({"type": "rope"}, "'rope': it must be 'point' or"),
+    "a type that is no text": ({"type": [1.0]}, "type is [1.0]: it must be 'point' or"),
+    "no length": ({"type": "distance", "length": 1e-300}, "must be at least 1e-06 m; a point has none"),
+    "no such frame": ({"frames": ["a", "bb"]}, "names no frame 'bb': did you mean 'b'?"),
+    "itself": ({"frames": ["a", "a"]}, "binds 'a' to itself"),
+    "no axis": ({"axis": [0, 0, 0]}, "has no direction"),
+    "one number for an axis": ({"axis": 3}, "axis has 3: it must be three numbers"),
+    "three points": ({"points": [[0, 0, 0]]}, "must be 2 vectors"),
+    "not for it": ({"length": 2.0}, "length is not for type 'hinge'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_loop_is_refused_in_one_line(case):
+    """What is wrong, at which loop, and what would be right."""
+    changes, said = BAD[case]
+    own = four_bar()
+    table = loop("pin", "hinge", "ab", axis=[0, 1, 0]) | changes
+    if table["type"] == "distance":
+        del table["axis"]
+    with pytest.raises(robot_models.ModelError) as told:
+        robot_models.from_text(
+            own.text, "urdf", name="x", armature=np.zeros(3), tip="a", home=own.home, locked={}, loops=[table]
+        )
+    assert said in str(told.value)
+    assert "'pin'" in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_open_start_is_refused_or_assembled():
+    """How far it is from closing, at which loop, and the nearest posture that closes."""
+    changes = {"start.q": [1.8, -1.2, 1.6], "start.assemble": False, "time.duration": 0.01}
+    with pytest.raises(cl.ScenarioError, match=r"the loops are open, by 0\.0\d+ m \(rad\) at 'pin'; the nearest"):
+        cl.simulate(cl.load_scenario("four_bar", changes))
+    run = cl.simulate(cl.load_scenario("four_bar", changes | {"start.assemble": True}))
+    assert np.max(np.abs(run.loops.errors)) < 1e-14
+    with pytest.raises(cl.ScenarioError, match="the loops would open"):
+        cl.simulate(cl.load_scenario("four_bar", {"start.v": [1.0, 0.0, 0.0]}))
+
+
+def test_points_that_lie_in_one_place_have_no_distance(recwarn):
+    """A distance between them has no direction: it is said that it is open, and nothing warns of a division."""
+    own = four_bar()
+    table = {"name": "rope", "type": "distance", "frames": [own.frames[1], "world"], "length": 0.3}
+    model = robot_models.from_text(
+        own.text, "urdf", name="x", armature=np.zeros(3), tip="a", home=own.home, locked={}, loops=[table]
+    )
+    with pytest.raises(cl.ScenarioError, match=r"the loops are open, by 0\.3 m \(rad\) at 'rope'"):
+        cl.simulate(free(model, 0.01), model=model)
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
+
+
+def test_loop_that_cannot_close_is_refused():
+    """Rows that contradict each other, or links that are too short: what is left open."""
+    own = four_bar()
+    table = {"name": "rod", "type": "distance", "frames": ["a", "world"], "length": 5.0}
+    model = robot_models.from_text(
+        own.text, "urdf", name="x", armature=np.zeros(3), tip="a", home=own.home, locked={}, loops=[table]
+    )
+    with pytest.raises(cl.ScenarioError, match="no posture near it closes them"):
+        cl.simulate(free(model, **{"start.assemble": True}), model=model)
+
+
+@pytest.mark.parametrize("robot", ["five_bar", "stewart"])
+def test_a_state_is_closed_with_its_velocity(robot):
+    """The error is gone, and is what is returned; the velocity is along the loops; both moved as little as they can."""
+    model = Robot(robot_models.load(robot))
+    memory, rng = loop_memory(model), np.random.default_rng(3)
+    q, v = model.model.home + 1e-4 * rng.normal(size=model.n), rng.normal(size=model.n)
+    at, moving = q.copy(), v.copy()
+    left = close.closed_to(memory.address, at, moving)
+    for each in (at, moving):
+        each.flags.writeable = False  # as the columns of a run are: for other arrays it would be compiled anew
+    rows, errors = (found[0] for found in rows_of_loops(model, at[None], moving[None]))
+    assert np.max(np.abs(errors)) <= 1e-14
+    assert left <= close.TOLERANCE
+    np.testing.assert_allclose(rows @ moving, 0.0, atol=1e-6)  # with the rows before the last step
+    onto = np.linalg.pinv(rows, rcond=1e-9) @ rows
+    np.testing.assert_allclose(onto @ (v - moving), v - moving, atol=2e-3)
+    np.testing.assert_allclose(onto @ (q - at), q - at, atol=1e-6)
+
+
+def test_rows_that_no_joint_can_move_are_found_beforehand():
+    """Three of the five rows of a pin of a planar mechanism; none where the same joint closes a spatial one."""
+    pin_of_five = bound_by_loops(Robot(robot_models.load("four_bar"))).sides[:5]
+    assert list(pin_of_five) == [POSITION, POSITION, IDLE, IDLE, IDLE]
+    assert IDLE not in bound_by_loops(Robot(robot_models.load("delta"))).sides[:18]
+
+
+def test_a_row_that_no_joint_can_move_is_kept_where_it_is_open():
+    """A pin whose sides lie in two planes is refused, with the distance."""
+    model = robot_models.load("four_bar")
+    (pin,) = model.loops
+    points = (pin.points[0], tuple(np.array(pin.points[1]) + 0.01 * np.array(pin.axes[1])))
+    apart = dataclasses.replace(model, loops=(dataclasses.replace(pin, points=points),))
+    assert list(bound_by_loops(Robot(apart)).sides[:5]).count(IDLE) == 2
+    with pytest.raises(cl.ScenarioError, match=r"no posture near it closes them: the remaining error is 0\.01"):
+        closed_start(Robot(apart), np.array(model.home), np.zeros(3), True)
+
+
+@pytest.mark.parametrize(("line", "said"), [
+    ("closed_loop = 3", "closed_loop is 3: it must be one table a loop, each headed [[closed_loop]]"),
+    ('drives = "J1"', "drives is 'J1': it must be the names of joints in [ ]"),
+    ('drives = ["J1", "J1"]', "drives names 'J1' twice"),
+    ('[[closed_loop]]\nname = "a\\nb"\ntype = "hinge"', "it must be a text of one line"),
+    ('[[closed_loop]]\ntype = "hinge"\naxis = [0, 0, 1]\naxes = 1.0', "axis and axes are both given"),
+])  # fmt: skip
+def test_slip_in_a_sidecar_is_named_in_one_line(tmp_path, line, said):
+    """The key as it was given, and what it must be."""
+    (tmp_path / "own.urdf").write_text(four_bar().text, encoding="utf-8")
+    (tmp_path / "own.toml").write_text(line, encoding="utf-8")
+    with pytest.raises(robot_models.ModelError) as told:
+        robot_models.load(tmp_path / "own.urdf")
+    assert said in str(told.value)
+    assert "\n" not in str(told.value)

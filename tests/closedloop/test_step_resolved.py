@@ -1,0 +1,133 @@
+"""What a step does not resolve: bristles, viscous friction, elastic joints, and feedback that is sampled."""
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+import robot_models
+from closedloop.command.cautions import warn_of_gains
+from closedloop.scenario.modes import unresolved, unresolved_feedback, wrong_by
+
+ELASTIC = {"transmission.stiffness": 7e4, "transmission.damping": 3.8, "transmission.motor_inertia": 0.05}
+
+
+@pytest.mark.parametrize(("z", "bad"), [(2.3, True), (1.0, False)])
+def test_rk4_damps_a_swing_that_nothing_damps(z, bad):
+    """With rk4 an undamped swing of hω = 2.3 is wrong by a tenth and more, as its polynomial says; of 1 it is not."""
+    off, rate = wrong_by("rk4", 1e-3, np.array([[(z / 1e-3) ** 2]]), np.zeros((1, 1)))
+    polynomial = sum((1j * z) ** k / f for k, f in enumerate((1, 1, 2, 6, 24)))
+    assert off == pytest.approx(abs(np.log(polynomial) - 1j * z) / z, rel=1e-9)
+    assert rate == pytest.approx(z / 1e-3)
+    assert (off > 0.1) == bad
+
+
+def test_a_step_that_does_not_resolve_elastic_joints_is_bad():
+    """What diverges at every shorter step is not good at 1 ms, alone or in a batch."""
+    changes = {**ELASTIC, "time.integrator": "rk4", "time.duration": 0.02}
+    scenario = cl.load_scenario("wam_slide", changes)
+    summary = cl.simulate(scenario, engine="compiled").summary()
+    (row,) = cl.simulate_batch(scenario, {"law.force": [scenario.law.force]}).to_pylist()
+    assert row["verdict"] == "resolution"
+    assert row["step_error_force"] == pytest.approx(summary["step_error_force"], rel=1e-9)
+    assert [problem["name"] for problem in summary["verdict"]["problems"]] == ["resolution"]
+
+
+def faults_of(changes):
+    """Return what is said of a changed wam_slide before a run: of arm and surface, and of its law's feedback."""
+    scenario = cl.load_scenario("wam_slide", changes)
+    robot = cl.Robot(robot_models.load("wam4"), "tip")
+    return unresolved(scenario, robot, scenario.start.q, np.array([0.0, 0.0, 1.0]), 0.0), unresolved_feedback(
+        scenario, robot
+    )
+
+
+DAHL = {"joint_friction.kind": "dahl", "joint_friction.kinetic": 50.0, "joint_friction.stiffness": 1e5}
+LUGRE = {
+    "friction.kind": "lugre", "friction.kinetic": 0.2, "friction.static": 0.3, "friction.stribeck_speed": 0.01,
+    "friction.stiffness": 1e5, "friction.damping": 316.0,
+}  # fmt: skip
+
+
+def test_bristles_that_the_step_does_not_resolve_are_bad_and_a_shorter_step_is_good():
+    """Dahl's bristles in the joints, undamped, grow from rounding with the semi-implicit scheme; rk4 resolves them."""
+    still = {"reference.kind": "hold", "law.kp": 1e-9, "law.kd": 1e-9, "time.duration": 0.3}
+    (line,), none = faults_of(DAHL)
+    assert line.startswith("joint_friction.stiffness: semi_implicit_euler with time.step = 0.001 s gets a swing")
+    assert not none
+    fast, slow = (
+        cl.simulate(cl.load_scenario("wam_slide", {**DAHL, **still, **more}), engine="compiled")
+        for more in ({}, {"time.integrator": "rk4", "time.step": 1e-4})
+    )
+    assert "resolution" in [problem["name"] for problem in fast.summary()["verdict"]["problems"]]
+    assert np.max(np.abs(fast.v)) > 1e-3 > 1e-9 > np.max(np.abs(slow.v))
+    assert slow.summary()["verdict"]["good"]
+
+
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4", "explicit_euler"])
+def test_bristles_at_the_tip_are_compared_with_every_scheme(integrator):
+    """The published stiffness asks for a shorter step than 1 ms with each; the step that is named is good."""
+    (line,), _ = faults_of({**LUGRE, "time.integrator": integrator, "stabiliser.time_constant": 0.01})
+    short = float(line.rsplit(" ", 2)[1])
+    assert 1e-5 < short < 1e-3
+    finer = {"time.step": short, "time.integrator": integrator, "stabiliser.time_constant": 0.01}
+    assert faults_of({**LUGRE, **finer})[0] == []
+
+
+VISCOUS = {"joint_friction.kind": "coulomb_viscous", "joint_friction.kinetic": 0.68, "joint_friction.viscous": 168.0}
+
+
+def test_viscous_friction_that_the_step_does_not_resolve_is_bad():
+    """The largest rate of H⁻¹B of an arm whose tip is held, by hand; and of the tip itself. A shorter step is good."""
+    fast = {"joint_friction.viscous": 400.0, "time.integrator": "rk4", "law.kp": 0.0, "law.kd": 0.0}
+    (line,), _ = faults_of({**VISCOUS, **fast})
+    scenario = cl.load_scenario("wam_slide")
+    robot = cl.Robot(robot_models.load("wam4"), "tip")
+    terms = robot.terms(np.array(scenario.start.q), np.zeros(4))
+    mobility, along = np.linalg.inv(terms.mass_matrix), terms.jacobian[2]
+    mobility -= np.outer(mobility @ along, along @ mobility) / (along @ mobility @ along)
+    rate = np.max(np.linalg.eigvals(400.0 * mobility).real)
+    assert line.startswith("joint_friction.viscous: rk4 with time.step = 0.001 s gets a decay of")
+    assert float(line.split(" 1/s")[0].rsplit(" ", 1)[1]) == pytest.approx(rate, rel=5e-3)
+    assert faults_of({**VISCOUS, **fast, "time.step": 5e-4})[0] == []
+    (line,), _ = faults_of(
+        {"friction.kind": "coulomb_viscous", "friction.coefficient": 0.1, "friction.viscous": 2000.0}
+    )
+    assert line.startswith("friction.viscous: semi_implicit_euler with time.step = 0.001 s gets a decay of")
+
+
+def test_a_slip_whose_friction_makes_joints_fast_for_the_step_is_bad_in_a_run_and_in_a_batch():
+    """Friction at the tip and in the joints and a law's damping together: with hλ = −2.9 rk4 grew, f was 2 % off."""
+    changes = {**VISCOUS, "time.integrator": "rk4", "time.duration": 1.297, "joint_friction.kinetic": 0.6836}
+    scenarios = [cl.load_scenario("wam_slide_friction", {**changes, "time.step": h}) for h in (1e-3, 5e-4)]
+    coarse, fine = (cl.simulate(scenario, engine="compiled") for scenario in scenarios)
+    assert np.max(np.abs(coarse.contact_force - fine.contact_force[::2])) > 0.1
+    names = [problem["name"] for problem in coarse.summary()["verdict"]["problems"]]
+    assert names == ["resolution"]
+    assert fine.summary()["verdict"]["good"]
+    for scenario, verdict in zip(scenarios, ("resolution", "good"), strict=True):
+        (row,) = cl.simulate_batch(scenario, {"law.force": [scenario.law.force]}, workers=1).to_pylist()
+        assert row["verdict"] == verdict
+
+
+def test_friction_and_a_law_that_damp_joints_together_too_fast_are_said_together():
+    """Each alone is resolved."""
+    both = {**VISCOUS, "joint_friction.viscous": 60.0, "law.kd": [90.0, 90.0, 45.0, 30.0], "time.duration": 0.5}
+    (line,), feedback = faults_of(both)
+    assert line.startswith(
+        "joint_friction.viscous, law.kp, law.kd: semi_implicit_euler with time.step = 0.001 s gets a "
+    )
+    assert feedback == faults_of({**both, "joint_friction.viscous": 1.0})[0] == []
+    assert faults_of({**both, "law.kd": 1.0})[0] == []
+    assert faults_of({**both, "time.duration": 0.3, "law.pd_start": 0.5})[0] == []  # it does not act yet
+
+
+def test_feedback_that_alternates_is_said_before_the_run(capsys):
+    """Where a step makes a decay of the law alternate; not where the torque is held, which is a controller's own."""
+    nothing, (line,) = faults_of({"law.kd": 160.0})
+    assert not nothing
+    assert line.startswith("law.kp, law.kd: semi_implicit_euler with time.step = 0.001 s gets a decay")
+    assert faults_of({"law.kd": 160.0, "time.step": float(line.rsplit(" ", 2)[1])}) == ([], [])
+    assert faults_of({"law.kd": 160.0, "law.sample_period": 0.001})[1] == []
+    assert faults_of({}) == ([], [])
+    warn_of_gains(cl.load_scenario("wam_slide", {"law.kd": 160.0}), robot_models.load("wam4"))
+    assert capsys.readouterr().err == f"closedloop: warning: {line}\n"

@@ -6,6 +6,7 @@ No time is asserted: it belongs to the machine.
 import dataclasses
 import json
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
@@ -107,6 +108,14 @@ def test_ratio_is_of_neighbours_and_spread_of_quartiles():
     assert ratio(a, b) == 4.0
     assert b.processor == 0.5
     assert timing("x", "a", [1.0, 2.0, 3.0, 4.0, 5.0]).spread == pytest.approx(1.0 / 3.0)
+
+
+@pytest.mark.parametrize(("wide", "most"), [(True, 1.8), (False, 3.0)])
+def test_what_seven_derivatives_may_take_depends_on_the_registers(wide, most, monkeypatch):
+    """A register of 256 bits holds half of a dual number: a machine without wider ones was said to miss its target."""
+    monkeypatch.setattr(llvm, "get_host_cpu_features", lambda: {"avx512f": wide})
+    (wanted,) = [each.wanted for each in targets({}) if "seven derivatives" in each.what]
+    assert wanted == most
 
 
 def test_targets_are_judged_on_the_right_side():

@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 import closedloop as cl
+from closedloop.loop.events.table import EventRow
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
@@ -151,6 +152,25 @@ def test_a_fault_in_a_term_of_saltation_is_caught(term, monkeypatch):
     caught = cl.gradient(ball(**asked), ["start.v"], of=["q@end"])
     assert not caught.method["q@end"]["start.v"].startswith(exact.DUALS)
     np.testing.assert_allclose(caught.derivative["q@end"]["start.v"], plain.derivative["q@end"]["start.v"], atol=1e-7)
+
+
+@pytest.mark.parametrize(("share", "caught"), [(0.0, True), (1.001, True), (1.0, False)])
+def test_a_fault_in_the_instant_of_the_end_of_a_slip_is_caught(share, caught, monkeypatch):
+    """An instant that has no derivatives, or has them to a thousandth, is not believed."""
+
+    class Faulty(exact.DualRun):
+        def run(self):
+            went_on = super().run()
+            self.events[:, EventRow.place("time"), 1:] *= share
+            return went_on
+
+    monkeypatch.setattr(exact, "DualRun", Faulty)
+    v, friction = 0.81, 0.4  # between two rows
+    block = point(start__v=[v, 0.0, 0.0], friction__kind="coulomb", friction__coefficient=friction)
+    found = cl.gradient(block, ["friction.coefficient"], of=["event_time"])
+    assert found.method["event_time"]["friction.coefficient"].startswith(exact.DUALS) != caught
+    stop = MASS * v / (friction * FORCE)
+    assert found.derivative["event_time"]["friction.coefficient"] == pytest.approx([-stop / friction], rel=1e-7)
 
 
 def test_what_a_posture_does_to_the_preparation():

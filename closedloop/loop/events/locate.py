@@ -35,7 +35,8 @@ Array = NDArray[np.float64]
 AT_LIMIT = 1e-12
 
 # An event function that at a stage is less than this share of what it is at the end of the step, which ends at an
-# instant that was found, has jumped. So has one that at a stage is no more than a slip that has no direction, mm/s.
+# instant that was found, has jumped. So has one that at a stage is no more than a slip that has no direction: in mm/s
+# at the tip, in m/s at contacts of links, whose slip has none below 1e-9 m/s.
 JUMP, AT_REST = 1e-3, 1.001e3 * STILL
 
 

@@ -259,10 +259,12 @@ class Lab:
         answers, answer = found
         if answers is not self.answers:
             return  # of a scenario that was left meanwhile
-        self.tell("fault", {"kind": "fault", "key": answer.key, "line": answer.fault}, keep=False)
-        if answer.run is not None and len(answer.run):
+        shown = answer.run is not None and len(answer.run) > 0
+        if shown:
             self.answer = answer
             self._show_run(answer.run, answer)
+        self.tell("fault", {"kind": "fault", "key": answer.key, "line": answer.fault}, keep=False)
+        if shown:
             self.details.ask(answer)
         else:
             self.tell_controls()

@@ -166,7 +166,8 @@ def from_text(
 def _with_coordinates(found: Description) -> Description:
     """Return a description in which the loop joints that act have coordinates, see `robot_models.loop_coordinate`."""
     sidecar = found.sidecar
-    text, loops = with_coordinates(found.text, found.format, sidecar.closed_loop, sidecar.drives, found.where)
+    where = sidecar.where or found.where
+    text, loops = with_coordinates(found.text, found.format, sidecar.closed_loop, sidecar.drives, where)
     return replace(found, text=text, sidecar=replace(sidecar, closed_loop=loops))
 
 
@@ -326,7 +327,7 @@ def _finish(
     )
     if robot.loops:
         _refuse_loops(built, found.where)
-    check_loops(robot.loops, robot.drives, robot.frames, joints, found.where)
+    check_loops(robot.loops, robot.drives, robot.frames, joints, found.sidecar.where or found.where)
     if tip is not None:
         robot.require_frame(tip)
     return robot

@@ -167,6 +167,8 @@ def test_a_row_that_no_joint_can_move_is_kept_where_it_is_open():
     ("closed_loop = 3", "closed_loop is 3: it must be one table a loop, each headed [[closed_loop]]"),
     ('drives = "J1"', "drives is 'J1': it must be the names of joints in [ ]"),
     ('drives = ["J1", "J1"]', "drives names 'J1' twice"),
+    ('drives = ["J9"]', "drives names no joint 'J9'"),
+    ('[[closed_loop]]\nname = "pin"\ntype = "hinge"\nframes = ["nowhere", "rocker"]\naxis = [0, 1, 0]', "no frame 'nowhere'"),
     ('[[closed_loop]]\nname = "a\\nb"\ntype = "hinge"', "it must be a text of one line"),
     ('[[closed_loop]]\ntype = "hinge"\naxis = [0, 0, 1]\naxes = 1.0', "axis and axes are both given"),
 ])  # fmt: skip
@@ -178,3 +180,4 @@ def test_slip_in_a_sidecar_is_named_in_one_line(tmp_path, line, said):
         robot_models.load(tmp_path / "own.urdf")
     assert said in str(told.value)
     assert "\n" not in str(told.value)
+    assert str(told.value).startswith(str(tmp_path / "own.toml")), "the file at fault"

@@ -93,7 +93,7 @@ def test_a_tip_that_rests_has_no_path_to_draw():
     still = {"reference.kind": "hold", "time.duration": 0.05}
     figure = cl.simulate(cl.load_scenario("planar2_slide", still)).plot()
     assert [axes.get_title(loc="left") or axes.get_title() for axes in figure.axes][1:] == ["Tip error"]
-    moving = cl.simulate(cl.load_scenario("delta", {"time.duration": 1.0})).plot()
+    moving = cl.simulate(cl.load_scenario("push_block", {"time.duration": 0.3})).plot()
     titles = [axes.get_title(loc="left") or axes.get_title() for axes in moving.axes]
     assert "Path, seen from above" in titles
 

@@ -18,6 +18,7 @@ from closedloop.figures.dress import (
 )
 from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
 from closedloop.figures.force import FLAT, draw_measured
+from closedloop.figures.link_contacts import draw_forces
 from closedloop.figures.style import COLOURS, length_text, length_unit, new_figure, styled
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
@@ -60,12 +61,14 @@ def force_control(run: Run) -> Figure:
     """Draw f − f_des, the tip's errors along the path, across it and along the normal, and the path in the surface.
 
     The path is seen from above the surface: where it should be, and where the tip was, coloured by the contact force.
-    Without a surface there is no force to draw, and without a law nothing that the tip was to do. Of a tip that rests
-    there is no path to draw.
+    Without a surface there are the forces of the links' contacts instead, and without a law nothing that the tip was to
+    do. Of a tip that rests there is no path to draw.
     """
     seen, wanted = _seen_from_above(run)
     wide = float(np.ptp(wanted[:, 1])) > WIDE * float(np.ptp(wanted[:, 0]))
-    over_time = [_draw_force_error] * run.scenario.has_surface + [_draw_tip_errors] * is_led(run)
+    of_links = bool(run.scenario.contact) and not run.scenario.has_surface
+    over_time = [_draw_force_error] * run.scenario.has_surface + [_draw_link_forces] * of_links
+    over_time += [_draw_tip_errors] * is_led(run)
     path = not over_time or max(float(np.ptp(each)) for each in (*seen.T, *wanted.T)) > RESTS
     heights = [*[1.0] * len(over_time), *([1.9 if wide else 0.8] if path else [])]
     figure = new_figure(height=(7.6 if wide else 6.2) - 1.7 * (3 - len(over_time) - path))
@@ -109,6 +112,13 @@ def _draw_force_error(axes: Axes, run: Run) -> None:
     dress(axes, run, told, "f − f_des [N]", show_events=False)
     if len(axes.get_legend_handles_labels()[0]) > 1:
         legend_beside_title(axes)
+
+
+def _draw_link_forces(axes: Axes, run: Run) -> None:
+    count = len(draw_forces(axes, run))
+    axes.get_figure(root=True).legend(  # type: ignore[union-attr]
+        loc="outside upper center", ncols=min(4, count), fontsize=8, columnspacing=1.5
+    )
 
 
 def _draw_tip_errors(axes: Axes, run: Run) -> None:

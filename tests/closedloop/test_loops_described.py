@@ -168,7 +168,7 @@ def test_a_row_that_no_joint_can_move_is_kept_where_it_is_open():
     ('drives = "J1"', "drives is 'J1': it must be the names of joints in [ ]"),
     ('drives = ["J1", "J1"]', "drives names 'J1' twice"),
     ('drives = ["J9"]', "drives names no joint 'J9'"),
-    ('[[closed_loop]]\nname = "pin"\ntype = "hinge"\nframes = ["nowhere", "rocker"]\naxis = [0, 1, 0]', "no frame 'nowhere'"),
+    ('[[closed_loop]]\ntype = "hinge"\nframes = ["nowhere", "rocker"]\naxis = [0, 1, 0]', "no frame 'nowhere'"),
     ('[[closed_loop]]\nname = "a\\nb"\ntype = "hinge"', "it must be a text of one line"),
     ('[[closed_loop]]\ntype = "hinge"\naxis = [0, 0, 1]\naxes = 1.0', "axis and axes are both given"),
 ])  # fmt: skip

@@ -104,6 +104,10 @@ def main() -> None:
             run, failure = ran(simulate, *drop, **changes)
             seconds, done = time.process_time() - since, done + 1
             wrong = examine(run, mu)
+            if "moves" in wrong:  # it may rock on
+                changes["time.duration"] *= 2
+                run, failure = ran(simulate, *drop, **changes)
+                wrong = examine(run, mu)
             if wrong.keys() & BY_STEP:
                 wrong = judge(wrong, examine(ran(simulate, *drop, **changes, **HALF_STEP)[0], mu))
             counts.update(list(wrong))

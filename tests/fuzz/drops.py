@@ -67,7 +67,7 @@ def ran(simulate: Callable[..., Any], *args: Any, **changes: Any) -> tuple[Any, 
 
 
 def judge(wrong: dict[str, float], finer: dict[str, float]) -> dict[str, float]:
-    """Return what is wrong, with a gap or energy named "truncation" if a quarter of the step leaves less than half of it.
+    """Return what is wrong, with a gap or energy named "truncation" if a quarter of the step leaves less than half.
 
     That is the integrator's own error, which falls with its order between events, and at least with the step where one
     lies in it. What does not fall is a fault of the method: an event missed, or a mode that is wrong.

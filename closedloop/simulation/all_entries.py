@@ -68,7 +68,8 @@ def _started(scenario: Scenario, model: RobotModel, given: NDArray[np.bool_]) ->
         if len(q) not in (count, held.sum(), len(held)):
             return {}
         posture = posture.copy()
-        posture[{count: own, len(held): slice(None)}.get(len(q), held)] = q
+        everything = np.ones(len(held), dtype=bool)
+        posture[{count: own, len(held): everything}.get(len(q), held)] = q
         if len(q) == count:
             placed = place_coordinates(built, model.loops, in_pinocchios_order(posture, types))
             posture = np.where(held & ~own, placed, posture)

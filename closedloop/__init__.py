@@ -13,7 +13,7 @@ Simulate
     Run, Event, load_run                          the record, a change of the contact, read a run file
     compare                                       several laws or scenarios under the same variations
     linearise                                     the force loop as a linear system: poles, margins, the port
-    gradient, sensitivities                       derivatives of a run with respect to numbers of its scenario
+    gradient, gradients, sensitivities            derivatives of runs with respect to numbers of their scenarios
     tune                                          gains, or other numbers, that minimise a value of the runs
     figures, lab                                  figures of a run; a page with sliders that simulates again
 Build
@@ -100,6 +100,7 @@ if TYPE_CHECKING:
     from closedloop.studies.comparison.recording import Recording as Recording
     from closedloop.studies.comparison.with_log import compare_log as compare_log
     from closedloop.studies.gradient.gradient import gradient as gradient
+    from closedloop.studies.gradient.many import gradients as gradients
     from closedloop.studies.gradient.sensitivities import sensitivities as sensitivities
     from closedloop.studies.identify.contact.identify_contact import identify_contact as identify_contact
     from closedloop.studies.identify.excite import excite as excite
@@ -145,6 +146,7 @@ _HOME = {
     "excite": "studies.identify.excite",
     "figures": "figures",
     "gradient": "studies.gradient.gradient",
+    "gradients": "studies.gradient.many",
     "halve": "simulation.halve",
     "identify": "studies.identify.identify",
     "identify_contact": "studies.identify.contact.identify_contact",

@@ -36,7 +36,7 @@ API = {
     "The robot and the closure": "Robot Terms Plane solve_closure",
     "Identification": "identify identify_contact Log excite compare_log Recording",
     "Stability of the force loop": "linearise",
-    "Derivatives and tuning": "gradient sensitivities tune",
+    "Derivatives and tuning": "gradient gradients sensitivities tune",
     "Errors": (
         "ClosedLoopError ScenarioError ModelError OutputError RunFileError ClusterError SimulationError "
         "SingularClosureError DivergenceError ChatterError PainleveError NoNormalError LawError InterruptedRunError"

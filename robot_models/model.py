@@ -138,6 +138,14 @@ class RobotModel:
                 found.append(j - 3)
         return tuple(found)
 
+    @property
+    def of_bodies(self) -> NDArray[np.bool_]:
+        """(n,) whether each velocity is of a free joint, which holds its body nowhere."""
+        found = np.zeros(self.n, dtype=bool)
+        for j in self.bodies:
+            found[j : j + 6] = True
+        return found
+
     def pinocchio_model(self) -> "pin.Model":
         """Build a fresh Pinocchio model, with nv == n; its positions are those of `coordinates.in_pinocchios_order`.
 

@@ -33,8 +33,8 @@ def _path_error(now: Now) -> Array:
     return error
 
 
-# Beyond any run that does not end: a joint's speed ends one at 1e4 rad/s (m/s).
-FAR, FAST, STRONG = 1e3, 1e4, 1e6
+# Beyond any run that does not end: a joint's speed ends one at 1e6 rad/s (m/s).
+FAR, FAST, STRONG = 1e3, 1e6, 1e6
 PARTS: dict[str, Part] = {
     "q": Part(lambda now: now.q, lambda n, a, c: n, -FAR, FAR, "rad"),
     "v": Part(lambda now: now.v, lambda n, a, c: n, -FAST, FAST, "rad/s"),

@@ -217,12 +217,12 @@ def _modes(
     if hasattr(scenario.friction, "viscous"):
         d = surface_parameters(scenario.friction).viscous
         modes.append(Mode("friction.viscous", np.zeros((2, 2)), S[1:, 1:] * d, name))
-    of_joints = joint_parameters(in_joints, n)
+    of_joints, bearings = joint_parameters(in_joints, n), ~robot.model.of_bodies
     if hasattr(in_joints, "stiffness"):
-        k, d = np.array([_bristle(in_joints, par, 1.0) for par in of_joints]).T
+        k, d = np.array([_bristle(in_joints, par, 1.0) for par in of_joints]).T * bearings
         modes.append(Mode("joint_friction.stiffness", mobility * k, mobility * d, on_bristles))
     if hasattr(in_joints, "viscous"):
-        d = np.array([par.viscous for par in of_joints])
+        d = np.array([par.viscous for par in of_joints]) * bearings
         damped = mobility if rubbing is None else _while_slipping(robot, rubbing)
         modes.append(Mode("joint_friction.viscous", np.zeros((n, n)), damped * d, name))
     return modes

@@ -85,7 +85,7 @@ class Scenario(Section):
         default_factory=lambda: SURFACE_LAWS["none"](), description="friction between tip and surface"
     )
     joint_friction: Annotated[JointFriction, JOINT_LAWS] = Field(
-        default_factory=lambda: JOINT_LAWS["none"](), description="friction in the joints"
+        default_factory=lambda: JOINT_LAWS["none"](), description="friction in the joints; a free body has none"
     )
     force_profile: ForceProfile = Field(ConstantForceSection(), description="the desired force over time")
     stabiliser: Stabiliser = Field(BaumgarteSection(), description="what keeps the closure error small")

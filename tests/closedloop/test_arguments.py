@@ -34,6 +34,8 @@ GOOD = {
     "compare_log": {"log": RUN, "scenario": SCENARIO, "model": None, "shift": None, "cutoff": None},
     "linearise": {"scenario": SCENARIO, "at": None, "model": None, "cache": None},
     "gradient": {"scenario": SCENARIO, "keys": ["law.force"], "of": ["rms_force_error"], "model": None, "workers": 1},
+    "gradients": {"scenarios": [SCENARIO], "keys": ["law.force"], "of": ["rms_force_error"], "model": None,
+                  "workers": 1},
     "sensitivities": {"scenario": SCENARIO, "keys": ["law.force"], "of": ["contact_force"], "model": None,
                       "workers": 1},
     "tune": {"scenario": SCENARIO, "vary": {"law.force": [5.0, 15.0]}, "minimise": "rms_force_error",

@@ -40,13 +40,15 @@ def test_table_and_figure(comparison):
     table = comparison.table()
     assert list(table.index) == ["paper", "integral"]
     mine = comparison.runs[comparison.runs["scenario"] == "integral"]["rms_force_error"]
-    assert table.loc["integral", "rms_force_error, worst"] == mine.max()
-    assert table.loc["integral", "rms_force_error, median"] == mine.median()
+    assert table.loc["integral", "rms_force_error, worst [N]"] == mine.max()
+    assert table.loc["integral", "rms_force_error, median [N]"] == mine.median()
     assert list(table["runs"]) == [4, 4]
     figure = comparison.figure()
     assert len(figure.axes) == len(comparison.of)
     assert comparison.units["peak_contact_force"] == "N"
     assert "[N]" in figure.axes[1].get_ylabel()
+    assert comparison.variations == "friction.coefficient = 0.1, 0.3; law.force = 8, 10"
+    assert comparison.variations in figure.axes[0].get_title("left")
 
 
 def test_once_as_they_are():
@@ -55,6 +57,16 @@ def test_once_as_they_are():
     assert list(runs["scenario"]) == ["planar2_slide"]
     run = cl.simulate(cl.load_scenario("planar2_slide"), progress=False, engine="compiled")
     assert runs["rms_force_error"][0] == pytest.approx(run.summary()["rms_force_error"], rel=1e-9)
+
+
+def test_variations_are_named():
+    """Many values are named by the first and the last ones; none vary where each scenario runs once."""
+    seeds = {"sensor.seed": list(range(9)), "time.duration": [0.01]}
+    many = cl.compare(["planar2_slide"], seeds, of=["rms_force_error"])
+    assert many.variations == "sensor.seed = 0, 1 ... 8 (9 values); time.duration = 0.01"
+    once = cl.compare({"short": cl.load_scenario("planar2_slide", {"time.duration": 0.01})}, of=["rms_force_error"])
+    assert once.variations == ""
+    assert once.figure().axes[0].get_title("left") == "each point a run; bars: medians"
 
 
 @pytest.mark.parametrize(

@@ -100,8 +100,17 @@ def drifts(changes, off, which):
     """Whether it is what a scheme of first order leaves of a closure that nothing stabilises: half at half the step."""
     if changes["time.integrator"] != "semi_implicit_euler" or changes.get("stabiliser") != {"kind": "none"}:
         return False
-    half = cl.simulate(cl.load_scenario("planar2_drop", changes | {"time.step": 5e-4}), progress=False)
-    return np.all(off < 1e-5) and np.all(off_surface(half, which) <= 0.6 * off)
+    return np.all(off < 1e-4) and np.all(off_surface(at_half_the_step(changes), which) <= 0.6 * off + 1e-11)
+
+
+def at_half_the_step(changes):
+    """Return the same run with steps of half the length."""
+    return cl.simulate(cl.load_scenario("planar2_drop", changes | {"time.step": 5e-4}), progress=False)
+
+
+def problems(run):
+    """Return the names of what the numerical verdict finds wrong."""
+    return {problem["name"] for problem in run.summary()["verdict"]["problems"]}
 
 
 def examine(seed):
@@ -125,8 +134,9 @@ def examine(seed):
     most = changes.get("joint_friction", {}).get("kinetic", 0.0)
     dry = run.joint_friction + changes.get("joint_friction", {}).get("viscous", 0.0) * run.v
     assert np.all(np.abs(dry) <= most * (1 + 1e-12))
-    # Of the step alone the judgement may be bad: 1 ms is long for a foot that drops on a stiff spring.
-    assert {problem["name"] for problem in run.summary()["verdict"]["problems"]} <= {"step", "resolution"}
+    # 1 ms is long for a foot that drops on a stiff spring, and for a bristle: what it leaves is gone at half the step.
+    if left := problems(run) - {"step", "resolution"}:
+        assert not left & problems(at_half_the_step(changes))
 
 
 @pytest.mark.parametrize("seed", seeds(4, budget(60, 150)))

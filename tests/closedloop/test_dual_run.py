@@ -143,24 +143,29 @@ def test_what_dual_numbers_do_not_take_is_found_by_differences():
     assert list(found.value) == ["max_kkt_residual", "q@end"]
 
 
-@pytest.mark.parametrize(("at_end", "used"), [(-1.5e-5, "stage"), (-1e-12, "end")])
-def test_an_instant_that_a_stage_decides_has_the_derivatives_of_that_stage(monkeypatch, at_end, used):
+@pytest.mark.parametrize(
+    ("at_stage", "at_end", "used"),
+    [(-1e-11, -1.5e-5, "stage"), (-1e-11, -1e-12, "end"), (9.97e-10, -5.1e-7, "stage"), (9.97e-10, -5e-12, "end")],
+)
+def test_an_instant_that_a_stage_decides_has_the_derivatives_of_that_stage(monkeypatch, at_stage, at_end, used):
     """Friction of a slip that turns by 90 degrees stops turning at a stage, and the event function jumps at the end.
 
     Its derivatives there are none of the instant: the end of a slip of `push_block` had one that was off by a quarter.
+    So does friction of a slip that at a stage is too slow to have a direction, 1e-12 m/s: the end of the slip of
+    `panda_scan` was off by 1.4e-6.
     """
     monkeypatch.setattr(locate, "slope_of", lambda value: value)
     monkeypatch.setattr(locate, "settled", lambda tau, value, slope: (value, slope))
     search = SimpleNamespace(tau=0.1, value=at_end, at_stage=0.0, at_low=0.0)
     trial, settings = SimpleNamespace(settling=1, purpose=0), SimpleNamespace(stages=4)
     w, state = SimpleNamespace(search=search), SimpleNamespace(trial=trial, settings=settings, together=0)
-    margins = iter([3e-4, -1e-11, 2e-4])
+    margins = iter([3e-4, at_stage, 2e-4])
     monkeypatch.setattr(locate, "event_function", lambda *_: next(margins))
     for state.stage in (1, 2, 3):
         locate.note_stage.py_func(w, None, state)
     for _ in range(2):
         locate.settle_instant.py_func(w, state)
-    value = -1e-11 if used == "stage" else at_end
+    value = at_stage if used == "stage" else at_end
     assert search.tau == (value, value)
     assert (trial.settling, trial.purpose) == (0, REACH_EVENT)
 
@@ -168,7 +173,7 @@ def test_an_instant_that_a_stage_decides_has_the_derivatives_of_that_stage(monke
 def test_an_instant_at_which_the_slip_of_the_tip_ends_has_the_derivatives_of_the_stage_that_decides():
     """A probe comes to rest on a cylinder: friction turns round at a stage, and slip at the end jumps past zero.
 
-    The derivative of the instant was that of the end, and 4.9e-5 off.
+    The derivative of the instant was that of the end, and 4.9e-5 off; for the second of two such instants 1.4e-6.
     """
     changes = {"time.duration": 0.145, "surface_motion.kind": "none", "friction.coefficient": 0.111}
     scenario = cl.load_scenario("panda_scan", changes)
@@ -182,7 +187,7 @@ def test_an_instant_at_which_the_slip_of_the_tip_ends_has_the_derivatives_of_the
         assert [event.kind for event in run.events] == ["touchdown", "stick"]
         return run.event_time[1]
 
-    h = 1e-5
+    h = 5e-5
     near, wide = ((stops(0.111 + k * h) - stops(0.111 - k * h)) / (2 * k * h) for k in (1, 2))
     expected = (4.0 * near - wide) / 3.0
-    assert found.derivative["event_time"]["friction.coefficient"][1] == pytest.approx(expected, rel=3e-6)
+    assert found.derivative["event_time"]["friction.coefficient"][1] == pytest.approx(expected, rel=5e-8)

@@ -128,3 +128,37 @@ def test_encoders_read_the_arm_beside_a_body() -> None:
     x = [names.index(f"ball_{axis}") for axis in "xyz"]
     np.testing.assert_array_equal(run.measured_position[:, x], run.q[:, x])
     np.testing.assert_array_equal(run.measured_velocity[:, 3:], run.v[:, 3:])
+
+
+RUBBING = {
+    "coulomb": {"kinetic": 0.3},
+    "coulomb_viscous": {"kinetic": 0.3, "viscous": 0.5},
+    "dahl": {"kinetic": 0.3, "stiffness": 100.0},
+    "karnopp": {"kinetic": 0.2, "static": 0.3, "viscous": 0.1, "dead_band": 1e-3},
+    "lugre": {"kinetic": 0.2, "static": 0.3, "stribeck_speed": 0.01, "stiffness": 1e3, "damping": 3.0},
+    "seven_parameter": {
+        "kinetic": 0.2, "static_excess": 0.1, "stribeck_speed": 0.01, "stiffness": 1e3, "memory_delay": 5e-3,
+        "rise_time": 0.1,
+    },
+    "stribeck": {"kinetic": 0.2, "static": 0.3, "stribeck_speed": 0.01},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("scheme", ["rk4", "semi_implicit_euler"])
+@pytest.mark.parametrize("kind", RUBBING)
+def test_no_friction_of_joints_acts_on_a_free_body(kind: str, scheme: str) -> None:
+    """A thrown ball flies as without it, while the arm is braked; a list may leave out the body, or have it."""
+    moves = {"start.v": [1, -0.5, 0.2], "time.integrator": scheme, "robot.gravity": [0, 0, 0]}
+    plain = cl.simulate(parse_scenario(THROWN, overrides=moves), progress=False)
+    runs = []
+    for count in (0, 3, 9):
+        section = {key: [value] * count if count else value for key, value in RUBBING[kind].items()}
+        changes = moves | {f"joint_friction.{key}": value for key, value in section.items()}
+        changes |= {"joint_friction.kind": kind}
+        runs.append(cl.simulate(parse_scenario(THROWN, overrides=changes), progress=False))
+    np.testing.assert_allclose(runs[0].v[:, 3:], plain.v[:, 3:], rtol=1e-13)
+    assert np.all(np.abs(runs[0].joint_friction[1:, :3]) > 0.0)
+    assert not np.any(runs[0].joint_friction[:, 3:])
+    assert np.max(np.abs(runs[0].v[-1, :3] - plain.v[-1, :3])) > 1e-3
+    for run in runs[1:]:
+        assert np.array_equal(run.q, runs[0].q)

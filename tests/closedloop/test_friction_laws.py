@@ -166,6 +166,7 @@ def numbers(member, joints):
     loop = make_loop(n, extra=n * count if joints else count, **{key: par})
     state, constants, w = loop
     getattr(state, key).states = count
+    constants.bearings[:] = 1.0
     entry = (joint_friction_entry if joints else friction_entry)(member)
     entry_address(entry)  # compiled as the loop has it
     work = w.memory.copy()
@@ -216,6 +217,7 @@ def test_an_entry_is_the_law_of_each_contact(name, joints):
     state, constants, w = loop = make_loop(3, extra=count * len(laws), **{key: pars[0].memory.size})
     getattr(constants, key)[:] = [par.memory for par in pars] if joints else pars[0].memory
     getattr(state, key).states = count
+    constants.bearings[:] = 1.0
     entry = interpreted((joint_friction_entry if joints else friction_entry)(type(section)))
     z = w.z.reshape(len(laws), count)
     for stuck in ([False, True, False], [True, False, True]):

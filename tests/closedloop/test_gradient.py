@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 import closedloop as cl
-from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
 from closedloop.simulation.prepare import prepare
@@ -291,6 +291,41 @@ def test_another_order_of_events_is_named():
         assert beside.derivative[of][key] == pytest.approx(power * speed * (share * turn) ** (power - 1), rel=1e-6)
 
 
+def test_a_graze_is_named():
+    """A mass on the law's spring comes near the plane, touches it, or strikes it, by the speed at which it starts.
+
+    Beside the graze, on either side, it has the derivatives of the closed form, which grow without bound towards it
+    where there is an impact. At the graze the side without an impact has one, the other none.
+    """
+    rate, end, of = 10.0, 0.25, "q@end"
+    graze = GAP * rate
+
+    def at(share):
+        start = {"start__v": [0.0, 0.0, -(1.0 + share) * graze], "law__kp": [0.0, 0.0, MASS * rate**2]}
+        spring = ball(**start, law__force=1e-9, impact__rest_speed=1e-6, time__duration=end)
+        found = cl.gradient(spring, ["start.v"], of=[of])
+        return found, found.derivative[of]["start.v"][2, 2]
+
+    def rebound(v):
+        left = rate * end - np.arcsin(graze / v)
+        return GAP * np.cos(left) - RESTITUTION * np.sqrt(v * v - graze * graze) / rate * np.sin(left)
+
+    missed = np.sin(rate * end) / rate
+    for share in (-1e-2, -1e-4, 1e-4, 1e-2):
+        found, mine = at(share)
+        expected = missed if share < 0.0 else complex_step(rebound, (1.0 + share) * graze)
+        assert mine == pytest.approx(expected, rel=1e-6)
+        assert not found.problems
+    for share in (-1e-9, 0.0):
+        found, mine = at(share)
+        assert np.isnan(mine)
+        assert len(found.problems) == 1
+        assert "impact at 0.15" in found.problems[0]
+        below, above = (each[2, 2] for each in found.one_sided[of]["start.v"])
+        assert np.isnan(below)
+        assert np.isnan(above) if share == 0.0 else above == pytest.approx(missed, rel=1e-6)
+
+
 def test_an_event_that_no_longer_happens_is_named_though_another_run_has_it_past_a_row(monkeypatch):
     """Of the runs on one side one has the event between other rows, and the next has none: there are no differences."""
 
@@ -370,6 +405,13 @@ def test_an_end_of_slip_that_forces_without_a_unique_solution_decide_over_is_fou
         modes = run.link_modes.copy()
         modes[:, :lifted] = FREE
         assert not_unique(replace(run, columns=dict(run.columns) | {"link_modes": modes})) is None
+    modes = run.link_modes.copy()
+    modes[:, :1] = FREE
+    modes[:, 1:2] = STUCK  # one that sticks beside two that slide: three normal forces, and two along the floor
+    assert not_unique(replace(run, columns=dict(run.columns) | {"link_modes": modes})) is None
+    modes = modes.copy()
+    modes[:, :1] = PRESSED  # and three: four normal forces of which three are independent
+    assert not_unique(replace(run, columns=dict(run.columns) | {"link_modes": modes})).event == "stick of pusher"
     assert not_unique(cl.simulate(pushed(**{"contact.*.friction": 0.0}), engine="compiled")) is None
     assert not_unique(cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.1}), engine="compiled")) is None
 
@@ -431,6 +473,42 @@ def test_what_has_no_derivative_is_refused(keys, of, words):
     with pytest.raises(cl.ScenarioError, match=words.replace("[", r"\[")) as error:
         cl.gradient(scenario, keys, of=of)
     assert "\n" not in str(error.value)
+
+
+def test_several_scenarios_side_by_side():
+    """Each has the derivatives that it has alone, in the order in which they are given; one that stops ends it."""
+    three = [ball(impact__restitution=e) for e in (0.5, 0.6, 0.7)]
+    counts: list[tuple[int, int]] = []
+    found = cl.gradients(
+        three, ["surface.gap"], ["event_time"], progress=lambda *count: counts.append(count), workers=2
+    )
+    assert counts[0] == (0, 3)
+    assert counts[-1] == (3, 3)
+    for each, e in zip(found, (0.5, 0.6, 0.7), strict=True):
+        count = len(each.value["event_time"])
+        expected = complex_step(lambda h, e=e, count=count: bounces(count, e, h, ACCELERATION), GAP)
+        np.testing.assert_allclose(each.derivative["event_time"]["surface.gap"], expected, rtol=1e-7)
+    with pytest.raises(cl.ScenarioError, match="scenarios: must be a list of scenarios"):
+        cl.gradients([], ["surface.gap"], ["event_time"])
+    stops = cl.load_scenario("wam_slide", {"law.kd": [1e4] * 4, "time.duration": 1.0})
+    with pytest.raises(cl.SimulationError):
+        cl.gradients([three[0], stops], ["law.force"], ["max_tip_speed"])
+
+
+@pytest.mark.parametrize(
+    ("of", "words"),
+    [
+        ("event_time", "is of the events, not of the rows; cl.gradient has its derivatives"),
+        (
+            "rms_force_error",
+            "it must be a column, such as contact_force; values of the summary are those of cl.gradient",
+        ),
+    ],
+)
+def test_what_is_no_column_of_rows_is_refused(of, words):
+    """In one line that says where it is; the first told to ask for what had been asked for."""
+    with pytest.raises(cl.ScenarioError, match=re.escape(words)):
+        cl.sensitivities(ball(time__duration=0.2), ["law.force"], of=[of])
 
 
 def test_a_run_that_stops_has_no_derivative():

@@ -119,6 +119,9 @@ def test_a_stribeck_term_is_found_where_it_is_excited():
         assert not entry.why
     found = cl.identify(log, robot, cutoff=10.0, stribeck_speed=1e-4)
     assert all("never moves as slowly" in entry.why for entry in found.joints("stribeck"))
+    assert [entry.name for entry in found.joints("Izz")] == [f"Izz_{joint}" for joint in robot.joint_names]
+    with pytest.raises(cl.ModelError, match=r"joints\('x'\): a kind of parameter must be one of viscous, dry, offset,"):
+        found.joints("x")
 
 
 def test_a_wrong_model_is_found_out():

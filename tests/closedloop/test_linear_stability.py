@@ -147,6 +147,16 @@ def test_page_of_a_loop_that_bears_every_delay(study):
     assert page.as_dict()["longest_delay"] is None
 
 
+@pytest.mark.slow
+def test_a_limit_beyond_which_there_are_no_runs_is_no_contradiction():
+    """The line of a key says that the loop is stable where it can be run, and then why other values are refused."""
+    page = page_of(Stability(cl.load_scenario("soft_table", {"time.duration": 1.0}), 0.5))
+    (line,) = [each for each in page.lines() if each.startswith("compliance.stiffness: ")]
+    assert line.startswith(
+        "compliance.stiffness: stable at all values that can be run; others are refused: compliance: "
+    )
+
+
 def test_page_of_an_unstable_loop():
     """It says what grows, how fast, and below which gain it does not."""
     page = page_of(Stability(mass_on_a_spring(gain=40.0), at=0.005))

@@ -25,6 +25,7 @@ from closedloop.loop.events.phases import (
 from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.friction.law import STILL
 
 Array = NDArray[np.float64]
 
@@ -34,8 +35,8 @@ Array = NDArray[np.float64]
 AT_LIMIT = 1e-12
 
 # An event function that at a stage is less than this share of what it is at the end of the step, which ends at an
-# instant that was found, has jumped.
-JUMP = 1e-3
+# instant that was found, has jumped. So has one that at a stage is no more than a slip that has no direction, mm/s.
+JUMP, AT_REST = 1e-3, 1.001e3 * STILL
 
 
 @kernel
@@ -161,10 +162,11 @@ def settle_instant(w: Work, state: State) -> None:
     """Give the instant that was found its derivatives, by two more trial steps to it.
 
     In the first the instant is the unknown, so the event function has its rate there; in the second it is constant.
-    Where friction that stops turning at a stage lets the event function jump past zero, it is zero at that stage.
+    Where friction that stops turning at a stage lets the event function jump past zero, it is zero at that stage, or as
+    small as where slip has no direction.
     """
     value = w.search.value
-    if state.settings.stages > 1 and abs(w.search.at_stage) < JUMP * abs(value):
+    if state.settings.stages > 1 and abs(w.search.at_stage) < max(JUMP * abs(value), AT_REST) < abs(value):
         value = w.search.at_stage
     if state.trial.settling == 1:
         w.search.at_low, w.search.tau = slope_of(value), sought(w.search.tau)

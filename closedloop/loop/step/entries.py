@@ -165,6 +165,9 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
         count = state.joint_friction.states
         here = state.law_states + state.sensor.states + state.friction.states
         for j in range(state.n):
+            if constants.bearings[j] == 0.0:  # dry, viscous and limit stay zero, as the memory is
+                here += count
+                continue
             par, stuck = Parameters(row_of(constants.joint_friction, j), 1), w.joint_friction.stuck[j] != 0.0
             z = States(w.z[here : here + count], 1)
             u, direction = w.joint_friction.slip[j : j + 1], w.joint_friction.direction[j : j + 1]

@@ -38,8 +38,9 @@ from closedloop.mechanics.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIV
 
 Array = NDArray[np.float64]
 
-# Joint speed, rad/s (m/s), at which a run stops as diverged, long before the numbers overflow.
-SPEED_LIMIT = 1e4
+# Joint speed, rad/s (m/s), at which a run stops as diverged, long before the numbers overflow. The rates of three
+# revolute joints are as large as that only within some 1e-5 rad of the posture in which two of their axes are parallel.
+SPEED_LIMIT = 1e6
 
 # Bound of forces and accelerations; the summary of a run takes squares, which are finite below it.
 LARGEST = 1e100

@@ -215,6 +215,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     torque_change: Annotated[Array, N]  # from sample to sample
     joint_capture_speed: Annotated[Array, N]
     joint_lag: Annotated[Array, N]
+    bearings: Annotated[Array, N]  # 0 for a coordinate of a free body: it has no bearing, so no friction of a joint
     encoder: Annotated[Array, EncoderParameters.count(N)]
     measured: Annotated[Array, N]  # 0 of what turns freely, which no encoder reads: the controller knows it as it is
     law: Annotated[Array, Count.of("law")]  # parameters, see `closedloop.jit.parameters`

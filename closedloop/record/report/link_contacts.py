@@ -66,41 +66,54 @@ def contact_faults(run: Record) -> ContactFaults | None:
 def share_not_determined(run: Record) -> tuple[float, int, int] | None:
     """Return from when on rigid bodies do not determine the share of each contact; None if they do, or there are loops.
 
-    That is where the rows of the contacts that are closed, along their normals and, where they stick, along the
-    surface, depend on each other; what soft contacts bear follows from how deep they are. Looked at is the first row of
-    each set of modes, of at most `MOST_SETS` of them.
+    See `shares_at`. Looked at is the first row of each set of modes, of at most `MOST_SETS` of them.
 
     Returns
     -------
     tuple of float, int, int
         The instant, s, how many rows there are then, and how many of them depend on no others.
     """
-    sections = run.scenario.contact
-    if not sections or not len(run) or run.loops is not None:
+    if not run.scenario.contact or not len(run) or run.loops is not None:
         return None
-    mechanism, k = run.model.pinocchio_model(), len(sections)
-    held = [coulomb_of(each) > 0.0 or getattr(each.friction_law, "sticks", "") == "rigid" for each in sections]
-    rigid = np.array([not is_soft(each) for each in sections])
     firsts = np.sort(np.unique(run.link_modes, axis=0, return_index=True)[1])
     for row in firsts[:MOST_SETS]:
-        modes = run.link_modes[row]
-        units = [(i, 0) for i in np.flatnonzero(rigid & (modes != FREE))]
-        units += [(i, j) for i in np.flatnonzero(rigid & (modes == STUCK)) if held[i] for j in (1, 2)]
-        forces, frictions = np.zeros((len(units), k)), np.zeros((len(units), 2 * k))
-        for at, (i, j) in enumerate(units):
-            if j == 0:
-                forces[at, i] = 1.0
-            else:
-                frictions[at, 2 * i + j - 1] = 1.0
-        times, q = (
-            np.full(len(units), run.time[row]),
-            np.tile(in_pinocchios_order(run.q[row], run.model.joint_types), (len(units), 1)),
-        )
-        rows = contact_torques(run.scenario, mechanism, times, q, forces, frictions)
-        rank = int(np.linalg.matrix_rank(rows, tol=SAME_ROW * float(np.max(np.abs(rows), initial=0.0))))
-        if rank < len(units):
-            return float(run.time[row]), len(units), rank
+        _, count, rank = shares_at(run, int(row))
+        if rank < count:
+            return float(run.time[row]), count, rank
     return None
+
+
+def shares_at(run: Record, row: int) -> tuple[NDArray[np.bool_], int, int]:
+    """Return of which contacts rigid bodies do not determine the share at a row, the number of rows, and their rank.
+
+    The rows are those of the contacts that are closed, along their normals and, where they stick, along the surface:
+    those that depend on each other have no unique forces. What soft contacts bear follows from how deep they are.
+    """
+    sections = run.scenario.contact or ()
+    k, modes = len(sections), run.link_modes[row]
+    held = [coulomb_of(each) > 0.0 or getattr(each.friction_law, "sticks", "") == "rigid" for each in sections]
+    rigid = np.array([not is_soft(each) for each in sections])
+    units = [(i, 0) for i in np.flatnonzero(rigid & (modes != FREE))]
+    units += [(i, j) for i in np.flatnonzero(rigid & (modes == STUCK)) if held[i] for j in (1, 2)]
+    undetermined = np.zeros(k, dtype=bool)
+    if not units:
+        return undetermined, 0, 0
+    forces, frictions = np.zeros((len(units), k)), np.zeros((len(units), 2 * k))
+    for at, (i, j) in enumerate(units):
+        if j == 0:
+            forces[at, i] = 1.0
+        else:
+            frictions[at, 2 * i + j - 1] = 1.0
+    times, q = (
+        np.full(len(units), run.time[row]),
+        np.tile(in_pinocchios_order(run.q[row], run.model.joint_types), (len(units), 1)),
+    )
+    rows = contact_torques(run.scenario, run.model.pinocchio_model(), times, q, forces, frictions)
+    ways, sizes, _ = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(sizes > SAME_ROW * float(np.max(np.abs(rows), initial=0.0))))
+    for at, (i, _) in enumerate(units):
+        undetermined[i] |= bool(np.max(np.abs(ways[at, rank:]), initial=0.0) > SAME_ROW)
+    return undetermined, len(units), rank
 
 
 def contact_rows(run: Record) -> list[tuple[str, str, str, str]]:

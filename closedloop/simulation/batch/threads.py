@@ -124,4 +124,5 @@ def still_at_work() -> bool:
 def _end(pool: ThreadPoolExecutor, running: set[Future[T]], done: Done) -> None:
     done.end()
     pool.shutdown(wait=False)
-    wait(running, timeout=GRACE)
+    if not wait(running, timeout=GRACE).not_done:
+        pool.shutdown()  # no thread is left that a second process would not have

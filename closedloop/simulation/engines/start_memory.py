@@ -61,6 +61,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
             constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
     if problem.joint_friction.member is not NoFriction:
         with of_users(problem.joint_friction.member, "joint_friction.kind"):
+            constants.bearings[:] = ~robot.model.of_bodies
             for j, joint in enumerate(joint_contacts(problem)):
                 constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 

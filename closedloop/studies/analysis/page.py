@@ -216,8 +216,12 @@ def _limits_of(study: Stability) -> dict[str, Limit | str]:
             continue
         if limits:
             found[key] = limits[0]
+        elif refused:
+            found[key] = (
+                f"{'stable' if stable else 'unstable'} at all values that can be run; others are refused: {refused}"
+            )
         else:
-            found[key] = f"no limit is found; {refused}" if refused else f"no limit up to {over.high:.3g}"
+            found[key] = f"no limit up to {over.high:.3g}"
     return found
 
 

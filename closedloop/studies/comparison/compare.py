@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+# So many values of a key that varies are named, the first and the last ones.
+NAMED = 6
 # Values of the summary that are compared, if none are named.
 OF = ("rms_force_error", "peak_contact_force", "rms_path_error", "force_chatter", "max_joint_torque")
 
@@ -47,18 +50,26 @@ class Comparison:
     of: tuple[str, ...]
     units: dict[str, str]
 
+    @property
+    def variations(self) -> str:
+        """What varies and over which values, in words; "" if nothing does."""
+        columns = list(self.runs.columns)
+        keys = columns[columns.index("scenario") + 1 : columns.index("status")]
+        return "; ".join(f"{key} = {_listed(list(dict.fromkeys(map(_in_words, self.runs[key]))))}" for key in keys)
+
     def table(self) -> pd.DataFrame:
         """Return a row for each scenario: how many runs it has, how many are good, the median and the worst values.
 
         Good is a run that is done with both verdicts good. The worst is the largest; a run without a value has none.
+        The columns have the units of their values, such as ``"rms_force_error, worst [N]"``.
         """
         rows = {}
         for name, runs in self.runs.groupby("scenario", sort=False):
             good = (runs["status"] == "done") & (runs["verdict"] == "good") & (runs["control_verdict"] == "good")
             row: dict[str, Any] = {"runs": len(runs), "good": int(good.sum())}
             for each in self.of:
-                values = runs[each]
-                row[f"{each}, median"], row[f"{each}, worst"] = values.median(), values.max()
+                values, unit = runs[each], f" [{self.units[each]}]" if self.units.get(each) else ""
+                row[f"{each}, median{unit}"], row[f"{each}, worst{unit}"] = values.median(), values.max()
             rows[name] = row
         import pandas as pd
 
@@ -83,7 +94,8 @@ class Comparison:
                 axes.set_ylabel(f"{each}\n[{unit}]" if unit else each, fontsize=8)
             words = [name.replace("_", "_\n").replace(":", ":\n") if len(names) > 3 else name for name in names]
             panels[-1].set_xticks(range(len(names)), words)
-            panels[0].set_title("each point a run, under the same variations; bars: medians")
+            varied = wrap(self.variations, 70)
+            panels[0].set_title("\n".join(["each point a run; bars: medians", *varied]), fontsize=9)
         return figure
 
 
@@ -138,6 +150,18 @@ def compare(
         frame.insert(0, "scenario", name)
         tables.append(frame)
     return Comparison(pd.concat(tables, ignore_index=True), tuple(of), units)
+
+
+def _in_words(value: Any) -> str:
+    """Return a value of a key as a word."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _listed(words: list[str]) -> str:
+    """Return values one after the other; of many the first and the last ones, and how many there are."""
+    if len(words) <= NAMED:
+        return ", ".join(words)
+    return f"{words[0]}, {words[1]} ... {words[-1]} ({len(words)} values)"
 
 
 def _one_number(value: Any) -> float:

@@ -40,6 +40,8 @@ SCATTER, OF_TOLERANCE = 5e3 * float(np.finfo(float).eps), 3.0
 # Where an event is at a row, however short the steps, a quantity that is counted in rows jumps: it has no derivative if
 # the estimate of the error is more than this share.
 AT_A_ROW = 1e-3
+# A one-sided derivative whose estimate of the error is more than this share has no bound.
+SETTLES = 0.02
 
 
 class Part(NamedTuple):
@@ -151,6 +153,8 @@ def along(
             mine = ran[2 * LEVELS * i : 2 * LEVELS * (i + 1)]
             _take(found[d], steps[d], d.step, base, mine[:LEVELS], mine[LEVELS:], scatter)
     for d, known in found.items():
+        natural = base.scale / (100.0 * d.step)
+        known.below, known.above = (side and _bounded(side, natural) for side in (known.below, known.above))
         if known.best is None and known.at_a_row is not None:
             estimate = known.at_a_row
             jumps = estimate.error > AT_A_ROW * np.maximum(
@@ -207,6 +211,15 @@ def better(one: Estimate, other: Estimate) -> Estimate:
     take = (other.error < one.error) | (one.kink & ~other.kink)
     parts = ("value", "error", "below", "above", "kink")
     return Estimate(*(np.where(take, getattr(other, part), getattr(one, part)) for part in parts))
+
+
+def _bounded(side: tuple[Array, Array], natural: Array) -> tuple[Array, Array]:
+    """Return one-sided derivatives, NaN where they have no bound, as that of a square root at 0: its differences grow.
+
+    A derivative of a size that is natural to its quantity is `natural`, (M,).
+    """
+    value, error = side
+    return np.where(error <= SETTLES * np.maximum(np.abs(value), natural), value, np.nan), error
 
 
 def _better_side(known: tuple[Array, Array] | None, new: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -100,7 +100,9 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
     elif name in summary and not whole:
         value, read = summary[name], _of_summary(name)
     else:
-        known = "a column, such as contact_force" if whole else "a value of the summary, COLUMN@T or event_time"
+        known = "a value of the summary, COLUMN@T or event_time"
+        if whole:
+            known = "a column, such as contact_force; values of the summary are those of cl.gradient"
         raise ScenarioError(f"of: {name}: no such quantity of this run; it must be {known}")
     if value is None or (isinstance(value, list) and any(each is None for each in value)):
         raise ScenarioError(
@@ -137,7 +139,9 @@ def _column(name: str, column: str, instant: str | None, run: Run, whole: bool) 
         raise ScenarioError(f"of: {name}: has no derivative: its values are no real numbers")
     units = run.units(column)
     if column.startswith(EVENTS):
-        if instant is not None or whole:
+        if whole:
+            raise ScenarioError(f"of: {name}: is of the events, not of the rows; cl.gradient has its derivatives")
+        if instant is not None:
             raise ScenarioError(f"of: {name}: events have instants of their own; ask for {column}")
         if not len(values):
             raise ScenarioError(f"of: {name}: this run has no events")

@@ -7,7 +7,6 @@ they are. Where a slip ends, or a time step finds the modes of the contacts, the
 
 from __future__ import annotations
 
-from collections import Counter
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -15,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.loop.events.table import KINDS, STICK, TIME_STEP
-from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.record.report.link_contacts import shares_at
 from closedloop.record.run import Run
 from closedloop.scenario.contact_names import names_of
 from closedloop.studies.gradient.guard import AGREE
 from closedloop.studies.gradient.outputs import EVENTS, Output
 
-# Of two rigid bodies the normal forces of so many sliding points are unique, and of so many that stick all forces.
-SLIDING, STICKING = 3, 1
 # Events that such forces decide over.
 DECIDED = (KINDS[STICK], KINDS[TIME_STEP])
 
@@ -61,17 +58,14 @@ def not_unique(run: Run) -> NotUnique | None:
     sections = run.scenario.contact
     if not sections:
         return None
+    rubs, seen = np.array([_rubs(section) for section in sections]), set[bytes]()
     for event in run.events:
         if event.contact > 0 and event.kind in DECIDED:
             row = int(np.searchsorted(run.time, event.time, side="right")) - 1
-            slides: Counter[Any] = Counter()
-            sticks: Counter[Any] = Counter()
-            for section, mode in zip(sections, run.link_modes[row], strict=True):
-                if mode != FREE and _rubs(section):
-                    (sticks if mode == STUCK else slides)[section.link, section.against] += 1
-            pairs = slides.keys() | sticks.keys()
-            if any(slides[pair] > SLIDING or sticks[pair] > STICKING for pair in pairs):
+            modes = run.link_modes[row].tobytes()
+            if modes not in seen and np.any(shares_at(run, row)[0] & rubs):
                 return NotUnique(event.time, f"{event.kind} of {names_of(sections)[event.contact - 1]}")
+            seen.add(modes)
     return None
 
 

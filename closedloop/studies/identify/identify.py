@@ -123,7 +123,15 @@ class Identification:
         raise KeyError(f"{name!r}: the parameters are {', '.join(self.regressor.names)}")
 
     def joints(self, kind: str) -> tuple[Estimate, ...]:
-        """Return the estimates of a kind, "viscous", "dry", "offset", "drive_inertia", joint by joint."""
+        """Return the estimates of a kind, "viscous", "dry", "offset", "drive_inertia" or "Izz", joint by joint.
+
+        Raises
+        ------
+        ModelError
+            If the joints have no such parameters.
+        """
+        if kind not in self.regressor.kinds:
+            raise ModelError(f"joints({kind!r}): a kind of parameter must be one of {', '.join(self.regressor.kinds)}")
         return tuple(self[f"{kind}_{joint}"] for joint in self.robot.joint_names)
 
     @property

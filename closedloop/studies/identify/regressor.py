@@ -86,6 +86,8 @@ class Regressor:
     ----------
     names : tuple of str
         Of the parameters χ: KIND_JOINT, such as "Izz_J2" or "dry_J1", and those of `Terms.extra`.
+    kinds : tuple of str
+        Of those that each joint has.
     """
 
     def __init__(self, robot: RobotModel, terms: Terms) -> None:
@@ -101,6 +103,7 @@ class Regressor:
         self._pairs = [tuple(robot.joint_names.index(name) for name in pair) for pair in terms.coupled]
         by_joint = [*terms.friction, *(["stribeck"] if terms.stribeck_speed is not None else [])]
         self._kinds = [*by_joint, *(["drive_inertia"] if terms.drive_inertia else [])]
+        self.kinds: tuple[str, ...] = (*self._kinds, *INERTIAL)
         joints = robot.joint_names
         self.names: tuple[str, ...] = (
             *(f"{kind}_{joint}" for joint in joints for kind in INERTIAL),

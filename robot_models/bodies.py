@@ -91,13 +91,11 @@ def with_bodies(model: RobotModel, bodies: Sequence[FreeBody]) -> RobotModel:
     Raises
     ------
     ModelError
-        If a name is that of a link or joint of the robot, or of another body, if a robot has loops, or if it cannot be
-        simulated with them, see `robot_models.load`.
+        If a name is that of a link or joint of the robot, or of another body, or if it cannot be simulated with
+        them, see `robot_models.load`.
     """
     if not bodies:
         return model
-    if model.loops:
-        raise ModelError(f"{model.name} has loops: free bodies beside a mechanism with loops are not simulated so far")
     taken = {*model.frames, *model.joint_names, "world"}
     for body in bodies:
         if body.name in taken:
@@ -111,6 +109,7 @@ def with_bodies(model: RobotModel, bodies: Sequence[FreeBody]) -> RobotModel:
         ET.tostring(root, encoding="unicode"), model.format, name=model.name, armature=np.zeros(n), tip=model.tip,
         home=np.ones(len(model.home) + 7 * len(bodies)), locked=model.locked, gravity=model.gravity,
         description=model.description, source=model.source, drives=model.drives,
+        loops=[loop.as_table() for loop in model.loops],
     )  # fmt: skip
     home = dict(zip(model.coordinate_names, model.home.tolist(), strict=True))
     for body in bodies:

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_models import build, inspected, mjcf, mjcf_equality, mjcf_mechanism, notes, physics, urdf
 from robot_models.coordinates import (
-    BALL,
     PARTS,
     PLACES,
     RATES,
@@ -88,9 +87,9 @@ def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> Robot
         model.armature = np.array([defaults.drive_inertia.get(joint, 0.0) for joint in joints])
     home = _home(found, built)
     if defaults.closed_loop:
-        _refuse_loops(built, found.where)
-        placed = place_coordinates(model, defaults.closed_loop, home)
-        home = np.where([joint in defaults.home for joint in joints], home, placed)
+        _refuse_loops(built, defaults.closed_loop, found.where)
+        new = [name not in defaults.home for name in coordinate_names(joints, built.joint_types)]
+        home = _placed(built, defaults.closed_loop, home, new)
     tip = _default_tip(model, defaults.closed_loop) if defaults.tip is None else defaults.tip
     return _finish(built, home, found, locked, tip, None)
 
@@ -145,18 +144,17 @@ def from_text(
     n = built.model.nv
     given = np.ones(n, dtype=bool)
     if found.text != canonical:  # what is given is of the joints that the text had
-        _refuse_loops(built, name)
+        _refuse_loops(built, found.sidecar.closed_loop, name)
         given = np.array([joint in joint_names(canonical, format) for joint in built.joint_names])
     m = int(given.sum())
     built.model.armature = np.zeros(n)
     built.model.armature[given] = _vector(armature, m, f"{name}: armature")
-    posture, turning = np.zeros(n), len(balls(built.joint_types))
-    if turning:
-        posture = normalised(_vector(home, n + turning, f"{name}: home"), built.joint_types, f"{name}: home")
-    else:
-        posture[given] = _vector(home, m, f"{name}: home")
+    new = np.isin(coordinate_names(built.joint_names, built.joint_types), np.array(built.joint_names)[~given])
+    posture = np.zeros(len(new))
+    posture[~new] = _vector(home, int(np.sum(~new)), f"{name}: home")
+    posture = normalised(posture, built.joint_types, f"{name}: home")
     if found.text != canonical:
-        posture = place_coordinates(built.model, found.sidecar.closed_loop, posture)
+        posture = _placed(built, found.sidecar.closed_loop, posture, new)
     if built.model.armature.min() < 0.0:
         raise ModelError(f"{name}: armature has a negative entry: an inertia is zero or more")
     g = None if gravity is None else _vector(gravity, 3, f"{name}: gravity")
@@ -166,7 +164,8 @@ def from_text(
 def _with_coordinates(found: Description) -> Description:
     """Return a description in which the loop joints that act have coordinates, see `robot_models.loop_coordinate`."""
     sidecar = found.sidecar
-    text, loops = with_coordinates(found.text, found.format, sidecar.closed_loop, sidecar.drives, found.where)
+    where = sidecar.where or found.where
+    text, loops = with_coordinates(found.text, found.format, sidecar.closed_loop, sidecar.drives, where)
     return replace(found, text=text, sidecar=replace(sidecar, closed_loop=loops))
 
 
@@ -184,16 +183,33 @@ def _locked(found: Description, lock: Lock) -> dict[str, float]:
     return {joint: posture.get(joint, 0.0) for joint in lock}  # build() refuses an unknown one by name
 
 
-def _refuse_loops(built: build.Built, where: str) -> None:
-    """Refuse a mechanism whose loops have a joint that turns freely among theirs.
+def _refuse_loops(built: build.Built, loops: Sequence[LoopJoint], where: str) -> None:
+    """Refuse a loop with a joint that turns freely on the way from the base to one of its sides.
 
     Raises
     ------
     ModelError
     """
-    if BALL in built.joint_types:
-        name = built.joint_names[balls(built.joint_types)[0]].removesuffix(RATES[0])
-        raise ModelError(f"{where}: joint {name!r} turns freely: loops of bodies are closed on a fixed base so far")
+    model = built.model
+    turning = {f"{built.joint_names[j].removesuffix(RATES[0])}" for j in balls(built.joint_types)}
+    for loop in loops if turning else ():
+        for frame in loop.frames:
+            joint = model.frames[model.getFrameId(frame)].parentJoint if model.existFrame(frame) else 0
+            free = [name for i in model.supports[joint] if (name := model.names[i]) in turning]
+            if free:
+                raise ModelError(
+                    f"{where}: closed_loop {loop.name!r}: joint {free[0]!r}, which turns freely, carries {frame!r}: "
+                    "loops of bodies are closed on a fixed base so far"
+                )
+
+
+def _placed(
+    built: build.Built, loops: Sequence[LoopJoint], posture: NDArray[np.float64], new: ArrayLike
+) -> NDArray[np.float64]:
+    """Return a posture (nq,) with the new (nq,) ones of the loop joints' coordinates as the rest has them."""
+    placed = place_coordinates(built.model, loops, in_pinocchios_order(posture, built.joint_types))
+    own = coordinate_names(built.joint_names, built.joint_types)
+    return np.where(np.isin(own, list(stands_for(loops))) & np.asarray(new), placed, posture)
 
 
 def _home(found: Description, built: build.Built) -> NDArray[np.float64]:
@@ -325,8 +341,8 @@ def _finish(
         drives=_drives(found.sidecar, joints),
     )
     if robot.loops:
-        _refuse_loops(built, found.where)
-    check_loops(robot.loops, robot.drives, robot.frames, joints, found.where)
+        _refuse_loops(built, robot.loops, found.where)
+    check_loops(robot.loops, robot.drives, robot.frames, joints, found.sidecar.where or found.where)
     if tip is not None:
         robot.require_frame(tip)
     return robot

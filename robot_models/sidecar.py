@@ -45,7 +45,10 @@ MOST_POSITION, MOST_INERTIA = 1e6, 1e9
 
 @dataclass(frozen=True)
 class Sidecar:
-    """What a sidecar says; empty where it is silent. Units as in the module's example."""
+    """What a sidecar says; empty where it is silent. Units as in the module's example.
+
+    `where` is its path, "" if there is none.
+    """
 
     description: str = ""
     source: str = ""
@@ -55,6 +58,7 @@ class Sidecar:
     drive_inertia: Mapping[str, float] = field(default_factory=dict)
     drives: tuple[str, ...] = ()
     closed_loop: tuple[LoopJoint, ...] = ()
+    where: str = ""
 
 
 def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
@@ -103,7 +107,7 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
         raise ModelError(f"{path}: drives is {shown(table['drives'])}: it must be a list of joints")
     table["drives"] = tuple(table.get("drives", ()))
     table["closed_loop"] = loops
-    return Sidecar(**table)
+    return Sidecar(**table, where=str(path))
 
 
 def _check_table(path: Path, key: str, table: object, joints: Collection[str]) -> None:

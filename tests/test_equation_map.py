@@ -1,4 +1,4 @@
-"""The equation map of the theory page is true: what it names exists, and it leaves no equation out."""
+"""The map of equations on its page is true: what it names exists, and it leaves no equation out."""
 
 import ast
 import re
@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ROW = re.compile(r"^\| (\d+)(?:-(\d+))? \|(.*)\|$", re.MULTILINE)
-ROWS = ROW.findall((ROOT / "docs" / "theory.md").read_text(encoding="utf-8"))
+ROWS = ROW.findall((ROOT / "docs" / "equations.md").read_text(encoding="utf-8"))
 NAMES = [name for *_, rest in ROWS for name in re.findall(r"`([^`]+)`", rest)]
 
 

@@ -40,34 +40,44 @@ def link_contacts(run: Run) -> Figure:
     if not sections:
         raise ValueError("the run has no [[contact]]")
     names, count = names_of(sections), len(sections)
-    largest = np.argsort([-float(np.max(run.link_forces[:, k])) for k in range(count)], kind="stable")
-    pressed = [k for k in largest if np.any(run.link_forces[:, k] > 0.0)] or largest[:1].tolist()
-    shown = sorted(pressed[:MOST_CURVES])
     rows = 0.6 + ROW * min(count, MOST_ROWS)
     figure = new_figure(height=4.8 + rows)
     times, above, below = figure.subplots(3, 1, sharex=True, height_ratios=[rows, 2.0, 2.0])
     draw_closed(times, run, names)
-    for at, k in enumerate(shown):
-        f = run.link_forces[:, k]
+    styles = draw_forces(above, run)
+    for k, style in styles.items():
         rub = np.hypot(run.link_frictions[:, 2 * k], run.link_frictions[:, 2 * k + 1])
-        # Contacts on either side are often equal: the first are drawn broader, so that they are seen behind the last.
-        colour = MANY[at % len(MANY)]
-        style: dict[str, Any] = {"color": colour, "linewidth": 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)}
-        above.plot(run.time, f, label=names[k], **style)
         below.plot(run.time, rub, **style)
         if not has_other_law(sections[k]):
-            below.plot(run.time, coulomb_of(sections[k]) * f, "--", color=colour, linewidth=0.7)
-    for axes in (above, below):
-        widen(axes, FLATTEST * max(abs(end) for end in axes.get_ylim()))
-    those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
+            limit = coulomb_of(sections[k]) * run.link_forces[:, k]
+            below.plot(run.time, limit, "--", color=style["color"], linewidth=0.7)
+    widen(below, FLATTEST * max(abs(end) for end in below.get_ylim()))
     dress(times, run, "Contacts of the links", "", label_marks=False, show_events=False)
-    dress(above, run, f"Contact forces{those}", "f [N]", show_events=False)
     for axes in (times, above):
         axes.set_xlabel("")
     dress(below, run, "Friction of the contacts; dashed: its limit μ f", "|friction| [N]", label_marks=False)
-    figure.legend(loc="outside upper center", ncols=min(4, len(shown)), fontsize=8, columnspacing=1.5)
+    figure.legend(loc="outside upper center", ncols=min(4, len(styles)), fontsize=8, columnspacing=1.5)
     explain_contact(figure, run)
     return figure
+
+
+def draw_forces(axes: Axes, run: Run) -> dict[int, dict[str, Any]]:
+    """Draw the normal force of each contact of a link, of many the largest; return how each is drawn, by its number."""
+    names, count = names_of(run.scenario.contact or ()), run.link_forces.shape[1]
+    largest = np.argsort([-float(np.max(run.link_forces[:, k])) for k in range(count)], kind="stable")
+    pressed = [k for k in largest if np.any(run.link_forces[:, k] > 0.0)] or largest[:1].tolist()
+    shown = sorted(pressed[:MOST_CURVES])
+    # Contacts on either side are often equal: the first are drawn broader, so that they are seen behind the last.
+    styles: dict[int, dict[str, Any]] = {
+        int(k): {"color": MANY[at % len(MANY)], "linewidth": 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)}
+        for at, k in enumerate(shown)
+    }
+    for k, style in styles.items():
+        axes.plot(run.time, run.link_forces[:, k], label=names[k], **style)
+    widen(axes, FLATTEST * max(abs(end) for end in axes.get_ylim()))
+    those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
+    dress(axes, run, f"Contact forces{those}", "f [N]", show_events=False)
+    return styles
 
 
 def draw_closed(axes: Axes, run: Run, names: tuple[str, ...]) -> None:

@@ -18,6 +18,7 @@ from closedloop.figures.dress import (
 )
 from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
 from closedloop.figures.force import FLAT, draw_measured
+from closedloop.figures.link_contacts import draw_forces
 from closedloop.figures.style import COLOURS, length_text, length_unit, new_figure, styled
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
@@ -32,6 +33,8 @@ Array = NDArray[np.float64]
 WIDE = 0.1
 # Pieces of a path that are coloured, at most: more could not be told apart.
 MOST_PIECES = 400
+# A path shorter than this, m, is none: the tip rests.
+RESTS = 1e-9
 # Across a straight path no less than this share of its length is shown, to either side.
 THIN = 1e-4
 # The colours span at least this share of the force to either side of its middle.
@@ -58,13 +61,18 @@ def force_control(run: Run) -> Figure:
     """Draw f − f_des, the tip's errors along the path, across it and along the normal, and the path in the surface.
 
     The path is seen from above the surface: where it should be, and where the tip was, coloured by the contact force.
-    Without a surface there is no force to draw, and without a law nothing that the tip was to do.
+    Without a surface there are the forces of the links' contacts instead, and without a law nothing that the tip was to
+    do. Of a tip that rests there is no path to draw.
     """
     seen, wanted = _seen_from_above(run)
     wide = float(np.ptp(wanted[:, 1])) > WIDE * float(np.ptp(wanted[:, 0]))
-    over_time = [_draw_force_error] * run.scenario.has_surface + [_draw_tip_errors] * is_led(run)
-    figure = new_figure(height=(7.6 if wide else 6.2) - 1.7 * (2 - len(over_time)))
-    grid = figure.add_gridspec(len(over_time) + 1, 1, height_ratios=[*[1.0] * len(over_time), 1.9 if wide else 0.8])
+    of_links = bool(run.scenario.contact) and not run.scenario.has_surface
+    over_time = [_draw_force_error] * run.scenario.has_surface + [_draw_link_forces] * of_links
+    over_time += [_draw_tip_errors] * is_led(run)
+    path = not over_time or max(float(np.ptp(each)) for each in (*seen.T, *wanted.T)) > RESTS
+    heights = [*[1.0] * len(over_time), *([1.9 if wide else 0.8] if path else [])]
+    figure = new_figure(height=(7.6 if wide else 6.2) - 1.7 * (3 - len(over_time) - path))
+    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
     first: Axes | None = None
     for row, draw in enumerate(over_time):
         axes = figure.add_subplot(grid[row], sharex=first)
@@ -73,7 +81,8 @@ def force_control(run: Run) -> Figure:
         if row < len(over_time) - 1:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
-    _draw_path(figure.add_subplot(grid[-1]), run, seen, wanted, wide)
+    if path:
+        _draw_path(figure.add_subplot(grid[-1]), run, seen, wanted, wide)
     explain_contact(figure, run)
     return figure
 
@@ -103,6 +112,13 @@ def _draw_force_error(axes: Axes, run: Run) -> None:
     dress(axes, run, told, "f − f_des [N]", show_events=False)
     if len(axes.get_legend_handles_labels()[0]) > 1:
         legend_beside_title(axes)
+
+
+def _draw_link_forces(axes: Axes, run: Run) -> None:
+    count = len(draw_forces(axes, run))
+    axes.get_figure(root=True).legend(  # type: ignore[union-attr]
+        loc="outside upper center", ncols=min(4, count), fontsize=8, columnspacing=1.5
+    )
 
 
 def _draw_tip_errors(axes: Axes, run: Run) -> None:
@@ -166,7 +182,7 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
         axes.get_figure(root=True).colorbar(  # type: ignore[union-attr]
             pieces, ax=axes, label="f [N]", extend="both", pad=0.02
         )
-    axes.set_title(f"Path, seen {'from above the surface' if run.scenario.has_surface else 'along surface.normal'}")
+    axes.set_title(f"Path, seen {'from above the surface' if run.scenario.has_surface else _from(frame_of(run)[0])}")
     axes.set_xlabel("along [mm]")
     axes.set_ylabel(f"across [{unit}]")
     if wide:
@@ -175,6 +191,11 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
         axes.margins(y=0.3)
         axes.set_ylim(*_at_least(axes.get_ylim(), across * THIN * length))
     legend_beside_title(axes)
+
+
+def _from(normal: Array) -> str:
+    """Return in words whence a path is seen where there is no surface."""
+    return "from above" if normal[2] == 1.0 else f"from ({', '.join(f'{x:.3g}' for x in normal)})"
 
 
 def _at_least(limits: tuple[float, float], half: float) -> tuple[float, float]:

@@ -33,8 +33,10 @@ Array = NDArray[np.float64]
 NO_EVENTS = np.zeros((0, EVENT_WIDTH))
 # Steps of the run with which a loop is compiled.
 FEW = 3
-# A run that goes on for longer than this, s, shows what is done of it, this often: not just before its end.
+# A run that takes longer than this, s, shows what is done of it, this often: not just before its end.
 SLOW = 0.1
+# The first part is shown as soon as it is clear that the run takes that long, if so large a share of SLOW is left.
+LEFT = 0.3
 # Evaluations between two looks at the clock: some 5 ms of an arm that slides on a plane.
 AT_ONCE = 4000
 
@@ -141,8 +143,10 @@ class Answers:
             nonlocal shown
             now = clock.perf_counter()
             left = (now - began) * (total - done) / max(done, 1)
-            if now - shown > SLOW and left > SLOW and 1 < done < total:
-                self._say(f"computing ... {done / total:.0%}")
+            first = shown == began and now - began + left > SLOW and left > LEFT * SLOW
+            if (first or (now - shown > SLOW and left > SLOW)) and 1 < done < total:
+                if now - began > SLOW:
+                    self._say(f"computing ... {done / total:.0%}")
                 if problem.tolerance is None:  # whose rows are elsewhere
                     self._part(made(rows[:done], NO_EVENTS, 0.0))
                 shown = clock.perf_counter()

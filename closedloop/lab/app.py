@@ -259,10 +259,12 @@ class Lab:
         answers, answer = found
         if answers is not self.answers:
             return  # of a scenario that was left meanwhile
-        self.tell("fault", {"kind": "fault", "key": answer.key, "line": answer.fault}, keep=False)
-        if answer.run is not None and len(answer.run):
+        run = answer.run if answer.run is not None and len(answer.run) else None
+        if run is not None:
             self.answer = answer
-            self._show_run(answer.run, answer)
+            self._show_run(run, answer)
+        self.tell("fault", {"kind": "fault", "key": answer.key, "line": answer.fault}, keep=False)
+        if run is not None:
             self.details.ask(answer)
         else:
             self.tell_controls()

@@ -23,8 +23,8 @@ OPTIONS = ["--enable-unsafe-swiftshader", "--no-sandbox", "--enable-precise-memo
 SIZE = 1440, 900  # px
 PICTURED = (900, 700), SIZE, (2560, 1440)  # px, sizes of which pictures are made
 PATIENCE = 120_000  # ms
-# Notes when the pointer is moved with its button down, and when the curves of a whole run have been drawn after that:
-# then, and in the frame after that, which shows them.
+# Notes when the pointer is moved with its button down, by the event that the page's sliders follow, and when the curves
+# of a whole run have been drawn after that: then, and in the frame after that, which shows them.
 WATCH = """() => {
 const commanded = () => run.panels[0].traces.find(t => t.label === 'commanded');
 const largest = () => commanded() ? Math.max(...commanded().values) : null;
@@ -32,7 +32,7 @@ window.lab = {drawn: [], shown: [], redrawn: 0, faults: 0, largest};
 let began = null, last = run.n;
 window.lab.forget = () => { began = null; window.lab.drawn = []; window.lab.shown = []; };
 addEventListener('error', () => { window.lab.faults += 1; });
-addEventListener('pointermove', e => { if (began === null && e.buttons) began = e.timeStamp; }, true);
+addEventListener(AT_ONCE, e => { if (began === null && e.buttons) began = e.timeStamp; }, true);
 document.addEventListener('drawn', e => {
   window.lab.redrawn += 1;
   if (e.detail.partial || e.detail.n === last) return;

@@ -18,7 +18,7 @@ A = TypeVar("A")
 logger = logging.getLogger(__name__)
 
 # While requests go on, work that waits for a rest takes no larger part of the time than one over this.
-SHARE = 8.0
+SHARE = 20.0
 
 
 class Newest(Generic[Q, A]):

@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from closedloop.jit.parameters import lists_per_joint
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
+from robot_models.coordinates import in_pinocchios_order
 from robot_models.loop_posture import coordinate_rates, place_coordinates
+
+Array = NDArray[np.float64]
 
 
 def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
@@ -29,24 +32,9 @@ def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
     if count == model.n:
         return scenario
 
-    def filled(values: Any) -> NDArray[np.float64]:
-        whole = np.zeros(model.n)
-        whole[given] = values
-        return whole
-
-    start: dict[str, Any] = {}
-    q, v = scenario.start.q, scenario.start.v
-    posture = model.home if q is None else np.array(q)
-    if q is not None and len(q) == count and names:
-        placed = filled(q)
-        posture = np.where(given, placed, place_coordinates(model.pinocchio_model(), model.loops, placed))
-        start["q"] = tuple(posture.tolist())
-    if v is not None and len(v) == count and len(posture) == model.n and names:
-        found = filled(v)
-        rates = coordinate_rates(model.pinocchio_model(), model.loops, posture, found)
-        start["v"] = tuple(np.where(given, found, rates).tolist())
+    start = _started(scenario, model, given) if names else {}
     lists = {
-        name: tuple(filled(values).tolist())
+        name: tuple(_filled(values, given).tolist())
         for name, values in lists_per_joint(scenario.law).items()
         if len(values) == count
     }
@@ -62,3 +50,32 @@ def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
     return scenario.model_copy(
         update={name: getattr(scenario, name).model_copy(update=values) for name, values in sections if values}
     )
+
+
+def _filled(values: Any, given: NDArray[np.bool_]) -> Array:
+    """Return values with a zero for each joint that is not given."""
+    whole = np.zeros(len(given))
+    whole[given] = values
+    return whole
+
+
+def _started(scenario: Scenario, model: RobotModel, given: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return start.q and start.v with the coordinates of loop joints that they leave out, where they do."""
+    q, v, count, start = scenario.start.q, scenario.start.v, int(given.sum()), {}
+    types, built, posture = model.joint_types, model.pinocchio_model(), model.home
+    held, own = (np.isin(model.coordinate_names, np.array(model.joint_names)[these]) for these in (~model.free, given))
+    if q is not None:
+        if len(q) not in (count, held.sum(), len(held)):
+            return {}
+        posture = posture.copy()
+        everything = np.ones(len(held), dtype=bool)
+        posture[{count: own, len(held): everything}.get(len(q), held)] = q
+        if len(q) == count:
+            placed = place_coordinates(built, model.loops, in_pinocchios_order(posture, types))
+            posture = np.where(held & ~own, placed, posture)
+            start["q"] = tuple(posture[held].tolist())
+    if v is not None and len(v) == count:
+        found = _filled(v, given)
+        rates = coordinate_rates(built, model.loops, in_pinocchios_order(posture, types), found)
+        start["v"] = tuple(np.where(given, found, rates)[~model.free].tolist())
+    return start

@@ -88,6 +88,16 @@ def test_any_run_can_be_drawn(changes, tmp_path, monkeypatch):
     assert all(np.unique(np.frombuffer(path.read_bytes(), np.uint8)).size > 20 for path in paths)
 
 
+def test_a_tip_that_rests_has_no_path_to_draw():
+    """Neither on a surface nor without one; a path without a surface says whence it is seen, not by a key."""
+    still = {"reference.kind": "hold", "time.duration": 0.05}
+    figure = cl.simulate(cl.load_scenario("planar2_slide", still)).plot()
+    assert [axes.get_title(loc="left") or axes.get_title() for axes in figure.axes][1:] == ["Tip error"]
+    moving = cl.simulate(cl.load_scenario("push_block", {"time.duration": 0.3})).plot()
+    titles = [axes.get_title(loc="left") or axes.get_title() for axes in moving.axes]
+    assert "Path, seen from above" in titles
+
+
 def test_run_without_rows_has_no_figures(tmp_path):
     """A run that stopped at t = 0 has nothing to draw, and is drawn as nothing."""
     changes = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold"}

@@ -251,6 +251,22 @@ def test_a_run_that_is_about_to_end_shows_no_part(monkeypatch):
         assert least < len(parts[-1]) / rows < least + 0.33
 
 
+def test_the_first_part_is_shown_as_soon_as_a_run_is_known_to_be_slow(monkeypatch):
+    """It need not have taken that long: at 0.04 s of 0.2 s already; of a run of 0.08 s no part is shown."""
+    ticks = itertools.count()
+    clock = SimpleNamespace(perf_counter=lambda: 0.02 * next(ticks), thread_time=lambda: 0.0)  # of each look at it
+    monkeypatch.setattr("closedloop.lab.answers.clock", clock)
+    monkeypatch.setattr("closedloop.lab.answers.AT_ONCE", 200)
+    parts, said = [], []
+    for duration, shown in ((2.0, 1), (0.4, 0)):
+        parts.clear()
+        base = cl.load_scenario("wam_slide", {"time.duration": duration})
+        rows = len(Answers(History(base, "wam_slide"), say=said.append, part=parts.append).answer({}).run)
+        assert len(parts) == shown
+        assert all(len(part) < 0.3 * rows for part in parts)
+    assert not [line for line in said if line.startswith("computing")], "so short a wait need not be explained"
+
+
 def test_pinned_runs_are_compared_with_the_present_one():
     """The table has the keys that differ and the values with their differences; the fifth pin is refused."""
     base = cl.load_scenario("wam_slide", {"time.duration": 0.05})

@@ -23,6 +23,7 @@ MJCF = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="rocker" pos="0.5 0 0" euler="0 -1.5707963267948966 0"><joint name="J3" axis="0 -1 0"/>
  <inertial pos="0.2 0 0" mass="1.5" diaginertia="0.001 0.02 0.02"/></body>
 </worldbody><equality>{}</equality></mujoco>"""
+NO_LAW = {"law.kind": "none", "time.integrator": "rk4", "stabiliser.kind": "none"}
 CONNECT = '<connect name="pin" body1="coupler" body2="rocker" anchor="0.3 0 0.4" {}/>'
 
 
@@ -167,6 +168,8 @@ def test_a_row_that_no_joint_can_move_is_kept_where_it_is_open():
     ("closed_loop = 3", "closed_loop is 3: it must be one table a loop, each headed [[closed_loop]]"),
     ('drives = "J1"', "drives is 'J1': it must be the names of joints in [ ]"),
     ('drives = ["J1", "J1"]', "drives names 'J1' twice"),
+    ('drives = ["J9"]', "drives names no joint 'J9'"),
+    ('[[closed_loop]]\ntype = "hinge"\nframes = ["nowhere", "rocker"]\naxis = [0, 1, 0]', "no frame 'nowhere'"),
     ('[[closed_loop]]\nname = "a\\nb"\ntype = "hinge"', "it must be a text of one line"),
     ('[[closed_loop]]\ntype = "hinge"\naxis = [0, 0, 1]\naxes = 1.0', "axis and axes are both given"),
 ])  # fmt: skip
@@ -178,3 +181,25 @@ def test_slip_in_a_sidecar_is_named_in_one_line(tmp_path, line, said):
         robot_models.load(tmp_path / "own.urdf")
     assert said in str(told.value)
     assert "\n" not in str(told.value)
+    assert str(told.value).startswith(str(tmp_path / "own.toml")), "the file at fault"
+
+
+def test_a_free_body_in_the_file_of_a_mechanism_is_beside_it(tmp_path):
+    """The loop moves as without it; the order of the file's bodies does not matter; a loop of the body is refused."""
+    ball = '<body name="ball" pos="3 3 3"><freejoint/><geom type="sphere" size="0.05" mass="2"/></body>'
+    alone, runs = from_mjcf(tmp_path, CONNECT.format("")), []
+    for at in ("<worldbody>", "</worldbody>"):
+        text = MJCF.format(CONNECT.format("")).replace(at, at + ball if at == "<worldbody>" else ball + at)
+        (tmp_path / "beside.xml").write_text(text, encoding="utf-8")
+        runs.append(robot_models.load(tmp_path / "beside.xml"))
+    changes = {"time.duration": 0.05, "surface.gap": 50.0, "start.q": None, "start.v": None, "start.assemble": True}
+    moves = [cl.simulate(cl.load_scenario("planar2_drop", changes | NO_LAW), model=model) for model in (alone, *runs)]
+    for run in moves[1:]:
+        own = [run.model.coordinate_names.index(name) for name in alone.coordinate_names]
+        np.testing.assert_allclose(run.q[:, own], moves[0].q, rtol=0, atol=1e-12)
+        z = run.q[:, run.model.coordinate_names.index("ball_z")]
+        np.testing.assert_allclose(z, 3.0 - 0.5 * 9.81 * run.time**2, atol=1e-12)
+    wrong = MJCF.format(CONNECT.format("").replace('"rocker"', '"ball"')).replace("<worldbody>", "<worldbody>" + ball)
+    (tmp_path / "wrong.xml").write_text(wrong, encoding="utf-8")
+    with pytest.raises(robot_models.ModelError, match="joint 'ball', which turns freely, carries 'ball'"):
+        robot_models.load(tmp_path / "wrong.xml")

@@ -4,7 +4,8 @@ import inspect
 import re
 
 MOST_WORDS_IN_A_SENTENCE = 40
-MOST_WORDS_ON_A_PAGE = 1500  # of a page without a summary; a longer one begins with a section of that name
+MOST_WORDS_ON_A_PAGE = 1500
+MOST_WITHOUT_SUMMARY = 1000  # a longer page begins with a section of this name
 SUMMARY = "## Summary"
 
 # Words that a stranger does not understand, or takes for something else, as regular expressions; and what to write.
@@ -83,12 +84,12 @@ def words_not_used(text):
 
 
 def too_long(text):
-    """Return the number of words on a page, without code, if they are too many and no summary stands on top; or 0."""
+    """Return the number of words on a page, without code, if they are too many, or many without a summary; or 0."""
     head = FENCE.sub("", text)
     number = words(head)
     first = re.search(r"^## .*$", head, re.MULTILINE)
     has_summary = first is not None and first[0] == SUMMARY
-    return 0 if number <= MOST_WORDS_ON_A_PAGE or has_summary else number
+    return 0 if number <= (MOST_WORDS_ON_A_PAGE if has_summary else MOST_WITHOUT_SUMMARY) else number
 
 
 def docstring_prose(text):

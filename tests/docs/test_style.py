@@ -71,11 +71,12 @@ def test_a_word_that_is_not_used_is_seen(said):
 
 
 def test_a_page_that_is_too_long_is_seen():
-    """Words of code do not count; a summary has to be the first section."""
-    words = "word " * (style.MOST_WORDS_ON_A_PAGE + 1)
-    assert style.too_long(words) == style.MOST_WORDS_ON_A_PAGE + 1
+    """Words of code do not count; a summary has to be the first section, and does not help beyond the limit."""
+    words = "word " * (style.MOST_WITHOUT_SUMMARY + 1)
+    assert style.too_long(words) == style.MOST_WITHOUT_SUMMARY + 1
     assert style.too_long(f"# Page\n\n## Other\n\n## Summary\n\n{words}")
     assert not style.too_long(f"# Page\n\n## Summary\n\n{words}")
+    assert style.too_long("## Summary\n" + "word " * style.MOST_WORDS_ON_A_PAGE)
     assert not style.too_long(f"```\n{words}\n```")
 
 

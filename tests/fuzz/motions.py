@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from boxes import any_rotation, no_torque
-from drops import BY_STEP, HALF_STEP, examine, judge, ran
+from drops import BY_STEP, QUARTER_STEP, examine, judge, ran
 
 import closedloop as cl
 import robot_models
@@ -136,7 +136,7 @@ def main() -> None:
             seconds, done = time.process_time() - since, done + 1
             wrong = examine(run, known["mu"], rests=False)
             if wrong.keys() & BY_STEP:
-                finer, _ = ran(cl.simulate, cl.load_scenario(path, changes | HALF_STEP), **how)
+                finer, _ = ran(cl.simulate, cl.load_scenario(path, changes | QUARTER_STEP), **how)
                 wrong = judge(wrong, examine(finer, known["mu"], rests=False))
             counts.update([*wrong, *([failure.split(":")[0]] if failure else [])])
             steps = sum(event.kind == "time_step" for event in run.events)

@@ -1,6 +1,33 @@
 "use strict";
 // Sliders, number boxes and choices, grouped by what they mean. Of a list with a number for each joint one slider moves all.
 
+// A browser tells of a drag with its next frame, up to 16 ms late. So a slider that a mouse drags is set here, at once.
+const HANDLE = 16, AT_ONCE = "onpointerrawupdate" in window ? "pointerrawupdate" : "pointermove";
+function follow_pointer(range) {
+  let held = null; // px, from the middle of the handle to the pointer
+  const place = () => {
+    const box = range.getBoundingClientRect(), low = Number(range.min), high = Number(range.max);
+    const from = box.left + HANDLE / 2, width = box.width - HANDLE;
+    return { middle: from + (width * (Number(range.value) - low)) / (high - low || 1), value: (x) => low + ((x - from) / width) * (high - low) };
+  };
+  const set = (x) => {
+    const before = range.value;
+    range.value = place().value(x); // the browser keeps it within its ends and on its steps
+    if (range.value !== before) range.dispatchEvent(new Event("input", { bubbles: true }));
+  };
+  range.addEventListener("pointerdown", (e) => {
+    if (e.button !== 0 || e.pointerType === "touch" || range.disabled) return;
+    e.preventDefault();
+    range.focus();
+    range.setPointerCapture(e.pointerId);
+    const off = e.clientX - place().middle;
+    held = Math.abs(off) <= HANDLE / 2 ? off : 0;
+    set(e.clientX - held);
+  });
+  range.addEventListener(AT_ONCE, (e) => { if (held !== null) set(e.clientX - held); });
+  for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) range.addEventListener(end, () => { held = null; });
+}
+
 class Controls {
   constructor(parent, doc, send) {
     this.parent = parent;
@@ -16,8 +43,11 @@ class Controls {
     const shape = JSON.stringify(message.groups.map((g) => [g.name, g.rows.map((r) => [r.id, r.form, r.options])]));
     if (shape !== this.shape) this.build(message.groups);
     this.shape = shape;
+    const told = this.told ?? new Map(), fresh = new Set();
+    this.told = new Map(message.groups.flatMap((g) => g.rows.map((r) => [r.id, JSON.stringify(r)])));
     for (const group of message.groups) {
-      for (const row of group.rows) this.put(row);
+      for (const row of group.rows) if (message.forced || told.get(row.id) !== this.told.get(row.id)) fresh.add(row.key);
+      for (const row of group.rows) if (fresh.has(row.key)) this.put(row); // what is as it was stays
       const changed = group.rows.filter((r) => r.changed).length;
       this.counts.get(group.name).textContent = changed ? ` ${changed} changed` : "";
     }
@@ -25,6 +55,7 @@ class Controls {
 
   build(groups) {
     this.rows.clear();
+    this.told = new Map();
     this.counts = new Map();
     const was = new Map([...this.parent.querySelectorAll("details")].map((d) => [d.dataset.name, d.open]));
     this.parent.replaceChildren(...groups.map((group, k) => {
@@ -92,6 +123,7 @@ class Controls {
       made.range = make("input", { type: "range", id: key });
       made.box_ = make("input", { className: "num", inputMode: "decimal" });
       made.box_.setAttribute("aria-label", `${given.label}, number`);
+      follow_pointer(made.range);
       made.range.oninput = () => {
         made.range.setAttribute("aria-valuetext", made.box_.value = this.text(made.given, Number(made.range.value)));
         ask(Number(made.range.value));
@@ -133,7 +165,8 @@ class Controls {
       if (made.range) {
         const held = made.range === document.activeElement && this.busy?.() && !this.message.forced;
         Object.assign(made.range, { min: row.low, max: row.high, step: row.step });
-        if (!held) {
+        if (held) this.told.delete(row.id); // it is put right when it rests
+        else {
           made.range.value = row.shown;
           if (made.box_ !== document.activeElement || this.message.forced) made.box_.value = short(row.own, 9);
         }

@@ -4,11 +4,12 @@
 // A message of `closedloop.lab.messages`: its header is JSON, in which arrays are named by where they begin.
 function decode(buffer) {
   const length = new DataView(buffer).getUint32(0, true), begin = 4 + length;
-  return JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)), (key, v) => {
+  const text = new TextDecoder().decode(new Uint8Array(buffer, 4, length));
+  return JSON.parse(text, begin < buffer.byteLength ? (key, v) => {
     if (v && v.$f) return new Float32Array(buffer, begin + 4 * v.$f[0], v.$f[1]);
     if (v && v.$u) return new Uint32Array(buffer, begin + 4 * v.$u[0], v.$u[1]);
     return v;
-  });
+  } : undefined);
 }
 const bytesOf = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
 

@@ -208,7 +208,10 @@ class Plot {
     if (strip) {
       this.modes(g, x, [x0, x0 + width], h - BELOW - strip + 1);
       const seen = [...new Set(run.modes.mode)].sort();
-      this.modes_?.replaceChildren(...seen.map((m) => make("span", { textContent: run.modes.names[m], style: `border-bottom: 3px solid ${MODES[m]}` })));
+      if (this.modes_ && this.modes_.dataset.seen !== seen.join()) {
+        this.modes_.replaceChildren(...seen.map((m) => make("span", { textContent: run.modes.names[m], style: `border-bottom: 3px solid ${MODES[m]}` })));
+        this.modes_.dataset.seen = seen.join();
+      }
     }
     this.over.setAttribute("aria-label", `${this.panel.title}, from ${short(low)} to ${short(high)}, against time`);
   }
@@ -266,8 +269,12 @@ class Plot {
   // The cursor, and the values at it: of the pointer while it is here, else of the replay's instant.
   cursor(now, hover) {
     this.now = now;
-    const [g, w, h] = sized(this.over);
     if (!this.x || !this.panel) return;
+    this.say(hover ?? now);
+    const drawn = [now, hover, this.drag, ...this.all.range, sizes.get(this.over), devicePixelRatio, dark].join();
+    if (drawn === this.drawn) return;
+    this.drawn = drawn;
+    const [g, w, h] = sized(this.over);
     const inside = (t) => this.x(t) >= LEFT - 1 && this.x(t) <= w - RIGHT + 1;
     const line = (t) => { g.beginPath(); g.moveTo(this.x(t), 4); g.lineTo(this.x(t), h - BELOW); g.stroke(); };
     g.strokeStyle = ink("--ink");
@@ -277,7 +284,6 @@ class Plot {
       g.fillStyle = "rgb(79 176 234 / 0.2)";
       g.fillRect(Math.min(...this.drag), 4, Math.abs(this.drag[1] - this.drag[0]), h - BELOW - 4);
     }
-    this.say(hover ?? now);
   }
 
   say(at) {

@@ -62,9 +62,7 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
         for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
             rows.append((STOP, j, -1, zero, zero, zero, zero, np.array([low, high, 0.0, 0.0, 0.0])))
     kinds, one_sides, other_sides, *parts = zip(*rows, strict=True)
-    undriven = np.zeros(model.n)
-    if model.drives:
-        undriven[:] = [name not in model.drives for name in model.joint_names]
+    undriven = (~model.driven).astype(np.float64)
     at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
     sides = np.array([kinds, one_sides, other_sides, np.zeros(len(kinds))], dtype=np.int64)
     made = Bound(sides.ravel(), at_a, at_b, along_a, along_b, value, np.ones(len(kinds)), undriven)

@@ -101,7 +101,7 @@ def lose_power_of_undriven(links: LoopLinks, rows: LoopRows, torque: Array, rank
 def torque_of_drives(robot: Robot, q: Array, torque: Array) -> tuple[Array, int]:
     """Return the torque (n,) of the drives alone, N m (N), for a given one of a mechanism at q, and W's dimension."""
     links, rows = loop_memory(robot)
-    rows.q[:], found = q, np.array(torque)
+    rows.q[:], found = robot.rotation_vectors(q), np.array(torque)
     interpreted(locate_rows)(links, rows)
     interpreted(factor)(links, rows, rows.error, links.m)
     return found, int(interpreted(through_drives)(links, rows, found))

@@ -66,7 +66,8 @@ def loop_reactions(
     ----------
     robot : Robot
         With loops.
-    q, v, acceleration, torque : (N, n) arrays
+    q : (N, nq) array
+    v, acceleration, torque : (N, n) arrays
         q̇ and q̈; Q and friction in the joints together, N m (N).
     force : (N, 3) array
         F of the surface on the tip, N, base frame.
@@ -86,15 +87,16 @@ def loop_reactions(
 
 
 def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
-    """Return the rows G (N, m, n) of a robot's loops at states (N, n), and their errors (N, m), m or sines of angles.
+    """Return the rows G (N, m, n) of a robot's loops at states, and their errors (N, m), m or sines of angles.
 
     Parameters
     ----------
     robot : Robot
         With loops.
-    q, v : (N, n) arrays
+    q : (N, nq) array, or (N, n)
+    v : (N, n) array
     """
-    memory = loop_memory(robot)
+    memory, q = loop_memory(robot), robot.rotation_vectors(q)
     count, n, m = len(q), robot.n, int(memory.links.m)
     rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
     written = memory.rows.memory, memory.links.memory, rows, errors

@@ -62,7 +62,7 @@ def wrenches(robot: Robot, q: Array, rows: Array, forces: Array) -> Array:
     ----------
     robot : Robot
         With loops.
-    q : (N, n) array
+    q : (N, nq) array
     rows : (N, m, n) array
         G, see `closedloop.mechanics.loops.reactions.loop_rows`.
     forces : (N, m) array

@@ -18,7 +18,7 @@ from closedloop.jit.kernel import plain
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
 from closedloop.mechanics.robot.tree.model import last_velocity
 from robot_models import RobotModel
-from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions
+from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions, with_rotation_vectors
 from robot_models.loop_joint import WORLD
 from robot_models.tool import carried_by
 
@@ -179,6 +179,14 @@ class Robot:
             return q
         types = self.model.joint_types
         return in_pinocchios_order(with_quaternions(q, types) if q.shape[-1] == self.n else q, types)
+
+    def rotation_vectors(self, q: Array) -> Array:
+        """Return positions (..., n) as the loop has them: q (..., nq), or (..., n) as it is."""
+        if q.shape[-1] == self.n:
+            return q
+        found = with_rotation_vectors(q, self.model.joint_types)
+        found.flags.writeable = False  # as a run's columns are: of another type a kernel would be compiled anew
+        return found
 
     def terms(self, q: ArrayLike, v: ArrayLike) -> Terms:
         """Return H, C, r, Jᵣ and J̇ᵣq̇ of one state, from Pinocchio's frame functions.

@@ -103,13 +103,14 @@ def _direction_rows(facts: dict[str, Any]) -> list[Row]:
 
 def _undriven_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
     """Return what becomes of the law's torque on joints without a drive: the drives give it, or it is lost."""
-    lost, of_bodies = facts["motions_without_drive"], run.model.of_bodies
+    of_bodies = run.model.of_bodies
+    lost = facts["motions_without_drive"] - int(np.sum(of_bodies))
     undriven = np.flatnonzero(~run.model.driven & ~of_bodies)
     if not len(undriven):  # nobody expects a drive of a free body
         return []
     names = ", ".join(run.model.joint_names[j] for j in undriven)
     if lost:
-        return [("motions without a drive", f"{lost - np.sum(of_bodies)}", "", f"torque asked there is lost: {names}")]
+        return [("motions without a drive", f"{lost}", "", f"torque asked there is lost: {names}")]
     where = "torque asked there is given by the drives, through the loops"
     return [("joints without a drive", f"{len(undriven)}", "", f"{where}: {names}")]
 

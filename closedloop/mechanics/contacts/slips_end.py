@@ -99,8 +99,8 @@ def shorten(c: Contacts, k: int, h: float) -> float:
 def settle(c: Contacts, k: int, rate: float) -> float:
     """Return the 1/τ that was found with its derivatives, s⁻¹, and solve the problem there once more.
 
-    A search that ends at an end of its bracket, as where friction is on its edge at once, has found none. Its equation is
-    asked a little before slip ends: at the edge itself rounding would decide between two slopes.
+    A search that ends at an end of its bracket, as where friction is on its edge at once, has found none. Its equation
+    is asked a little before slip ends: at the edge itself rounding would decide between two slopes.
     """
     beside = (1.0 + BESIDE_EDGE) * sought(rate)
     for r in range(3 * k):

@@ -246,6 +246,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 c.step.span = MOST_OF * left
                 status = turn_and_solve(c, k, c.step.span, begins)
                 keep_in_cones(c, k)
+                c.margin = margin_of(c, k, STICK_SPEED, rest)
         wedges = links.stepped == 0 and force_over_load(links, c) > WEDGED
         if (status != OK or wedges) and w.time > 0.0:  # these modes end here: others, or a time step, go on
             status, c.margin = OK, NO_FORCES

@@ -48,6 +48,8 @@ SOFTNESS = 1e-7
 LAST_ROUNDS = 9
 # Where paths start, one after the other, see `start_path`.
 STARTS = (2.0, 5.0, 1.0, 40.0)
+# Sweeps where nothing else finds what is known to exist.
+LONG_SWEEPS = 2000
 
 
 @kernel
@@ -294,3 +296,37 @@ def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
     if a < k:
         velocities(c, k, c.F, c.problem.after)
     return found
+
+
+@kernel
+def sweep_long(c: Contacts, k: int) -> None:
+    """Write F by sweeps of Gauss and Seidel's method alone, from none, and `residual` there."""
+    largest = largest_mobility(c, k)
+    for i in range(3 * k):
+        c.F[i] = 0.0
+    for _ in range(LONG_SWEEPS):
+        sweep(c, k, c.F, largest)
+    c.problem.penalty = 1.0
+    c.problem.residual = write_residuals(c, k, c.F, largest)
+
+
+@kernel
+def solve_impulses(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
+    """Do `solve_contacts` for a problem of velocities, which has a solution; if not found, F is that of long sweeps.
+
+    Where forces are not unique Newton's method takes the shortest of what sticks, be it outside its cone by a little;
+    sweeps find one inside.
+    """
+    if solve_contacts(c, k, starts):
+        return True
+    if starts < len(STARTS):
+        return False
+    sweep_long(c, k)
+    for i in range(3 * k):
+        c.path.point[i] = c.F[i]
+    if solve_from_here(c, k, 0, LAST_ROUNDS):
+        return True
+    for i in range(3 * k):
+        c.F[i] = c.path.point[i]
+    c.problem.residual = write_residuals(c, k, c.F, largest_mobility(c, k))
+    return False

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.complementarity import STARTS, largest_mobility, solve_contacts
+from closedloop.mechanics.contacts.complementarity import STARTS, largest_mobility, solve_impulses
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import cone_limit, take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
@@ -160,7 +160,7 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
 
 @kernel
 def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float, starts: int = len(STARTS)) -> bool:
-    """Solve for the impulses with restitution times `share`; `after` is then u⁺. See `solve_contacts` for `starts`."""
+    """Solve for the impulses with restitution times `share`; `after` is then u⁺. See `solve_impulses` for `starts`."""
     k = links.k
     for i in range(3 * k):
         c.problem.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
@@ -170,7 +170,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
             c.problem.q[3 * i] -= bounce
     largest = largest_mobility(c, k)
     # Where all is at rest but for rounding that of the velocities is no small share of what is asked for.
-    if not (solve_contacts(c, k, starts) or c.problem.residual * largest <= ROUNDING):
+    if not (solve_impulses(c, k, starts) or c.problem.residual * largest <= ROUNDING):
         return False
     asked = force_size(c.problem.q, 3 * k) / largest
     if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, Contacts
+from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.turning import (
     left_of_slips,
@@ -48,7 +48,7 @@ def stop_slips(c: Contacts, k: int, h: float) -> float:
     unpack_problem(c, k, count)
     for i in range(k):
         if c.problem.form[i] != OFF and not is_resistance(c, i):
-            into_friction(c.F[3 * i : 3 * i + 3], level_of(c, i) if c.problem.form[i] in (RAY, LINE) else c.mu[i])
+            put_into_cone(c, i)
     for r in range(3 * k):
         c.step.force[r] = c.F[r] - c.viscous[r]
         c.F[r] = c.before[r]
@@ -56,10 +56,14 @@ def stop_slips(c: Contacts, k: int, h: float) -> float:
 
 
 @kernel
-def into_friction(F: Array, mu: float) -> None:
-    """Shorten the friction of a force F (3,) that exceeds μ|f|, by what the solution of the problem is off."""
+def put_into_cone(c: Contacts, i: int) -> None:
+    """Replace the force of contact i, which may be outside its cone by what the solution is off, by one inside."""
+    F, form = c.F[3 * i : 3 * i + 3], c.problem.form[i]
+    mu = level_of(c, i) if form in (RAY, LINE) else c.mu[i]
     size, most = math.hypot(F[1], F[2]), mu * abs(F[0])
-    if size > most:
+    if F[0] < 0.0 and form in (RAY, CONE):
+        F[0], F[1], F[2] = 0.0, 0.0, 0.0
+    elif size > most:
         F[1], F[2] = F[1] * (most / size), F[2] * (most / size)
 
 

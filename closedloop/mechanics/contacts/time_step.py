@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.complementarity import largest_mobility, solve_contacts, sweep, write_residuals
+from closedloop.mechanics.contacts.complementarity import largest_mobility, solve_contacts, sweep_long
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
@@ -26,9 +26,8 @@ from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resi
 
 Array = NDArray[np.float64]
 
-# Length of the step, s; sweeps where nothing else finds the impulses, and the residual, of the largest, they may then
-# have.
-SPAN, SWEEPS, NEAR = 2e-5, 2000, 1e-6
+# Length of the step, s; the residual, of the largest, that impulses may have which long sweeps have found.
+SPAN, NEAR = 2e-5, 1e-6
 # Impulses of contacts that are wedged have no bound, and are in balance only where the bodies are: so many times what
 # is asked for, they move bodies that turn within the step by a part in a thousand.
 MOST_IMPULSE = 1e3
@@ -129,10 +128,5 @@ def come_near(c: Contacts, k: int) -> bool:
     largest, asked = largest_mobility(c, k), force_size(c.problem.q, 3 * k)
     if not largest > 0.0:
         return False
-    for i in range(3 * k):
-        c.F[i] = 0.0
-    for _ in range(SWEEPS):
-        sweep(c, k, c.F, largest)
-    c.problem.penalty = 1.0
-    c.problem.residual = write_residuals(c, k, c.F, largest)
+    sweep_long(c, k)
     return bool(c.problem.residual <= NEAR * max(asked / largest, force_size(c.F, 3 * k)))

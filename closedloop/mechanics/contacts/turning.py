@@ -41,8 +41,8 @@ TURNS, SETTLED, STALLED = 20, 1e-11, 2
 HELD = 1e9
 # Rounds of the method that solves the problem, and its steps in all turns, solutions for one τ counted as steps.
 ROUNDS, MOST_STEPS = 3, 400
-# Sweeps for soft contacts beside others where that finds nothing, and the residual, of the largest force, they may
-# have: feet of one body share their friction in many ways, between which Newton's method does not decide.
+# Sweeps for soft contacts beside others where that finds nothing: feet of one body share their friction in many ways,
+# between which Newton's method does not decide; and the residual, of the largest force, that a solution may have.
 SWEEPS, NEAR = 100, 1e-7
 
 
@@ -219,11 +219,12 @@ def solve_within(c: Contacts, k: int, rate: float) -> bool:
             u1, u2 = slip_of(c, i)
             c.problem.q[3 * i + 1] += rate * u1
             c.problem.q[3 * i + 2] += rate * u2
-    if not solve_from_here(c, k, 0, ROUNDS):
+    # q has the slips divided by τ: a residual that is small beside it may be large beside the forces.
+    if not solve_from_here(c, k, 0, ROUNDS) or not is_near(c, k):
         if not some_share(c, c.friction.shared.shape[0]):
             return False
         solve_from_here(c, k, SWEEPS, 1)
-        if not c.problem.residual <= NEAR * force_size(c.F, 3 * k):
+        if not is_near(c, k):
             return False
     if has_derivatives(c.F[0]):  # those of the solution follow by one step from its value
         largest = largest_mobility(c, k)
@@ -233,6 +234,13 @@ def solve_within(c: Contacts, k: int, rate: float) -> bool:
             c.F[r] += c.scratch.solution[0, r]
         write_residuals(c, k, c.F, largest)
     return True
+
+
+@kernel
+def is_near(c: Contacts, k: int) -> bool:
+    """Whether the residual is small beside the forces, or those that are asked for but to end the slips."""
+    asked = force_size(c.scratch.sought, 3 * k) / largest_mobility(c, k)
+    return bool(c.problem.residual <= NEAR * max(asked, force_size(c.F, 3 * k)))
 
 
 @kernel

@@ -54,6 +54,16 @@ def test_random_contacts_keep_their_cones_and_give_no_energy():
     check_random(budget(100, 10_000), 2)
 
 
+@pytest.mark.slow
+def test_long_sweeps_find_what_paths_do_not():
+    """One of 30 000 random problems: four paths end before it, and after long sweeps Newton's method has it."""
+    rng = np.random.default_rng(20264)
+    for trial in range(9767):
+        memory, _ = filled(rng, planar=trial % 3 == 0)
+    assert solve_at(memory.address) == 1
+    assert faults(memory.contacts, int(memory.links.k)) < 1e-13
+
+
 def test_solution_is_one_of_those_that_enumeration_of_modes_finds():
     """In the plane each contact parts, sticks or slides either way: all combinations, solved one by one."""
     rng = np.random.default_rng(7)

@@ -127,7 +127,8 @@ def page_latencies(page: Any, key: str, changes: int) -> tuple[Array, Array]:
     page.wait_for_timeout(1000)
     page.evaluate("window.lab.forget()")
     for k in range(changes):
-        page.mouse.move(x + 2.0 * (10 - abs(k % 20 - 10) + 1), y)  # to and fro, never where it was
+        # to and fro, never where it was, and not to an end: its handle may have been held beside its middle
+        page.mouse.move(x + 2.0 * (6 - abs(k % 20 - 10)), y)
         page.wait_for_function(f"window.lab.shown.length > {k}", polling=20)
     page.mouse.up()
     return tuple(np.array(page.evaluate(f"window.lab.{name}")) / 1e3 for name in ("drawn", "shown"))  # type: ignore[return-value]

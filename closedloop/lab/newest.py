@@ -7,6 +7,7 @@ newest.ask(1), newest.ask(2), newest.ask(3)      # computes 1, perhaps, and 3; s
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time as clock
 from collections.abc import Callable
@@ -17,8 +18,9 @@ A = TypeVar("A")
 
 logger = logging.getLogger(__name__)
 
-# While requests go on, work that waits for a rest takes no larger part of the time than one over this.
-SHARE = 20.0
+# While requests go on, work that waits for a rest takes no larger part of the time than one over this; what takes longer
+# than the second, s, waits for the rest, however late it comes.
+SHARE, LONG = 20.0, 0.3
 
 
 class Newest(Generic[Q, A]):
@@ -33,7 +35,8 @@ class Newest(Generic[Q, A]):
         something moves while requests come faster than they are computed.
     rest, most : float
         Wait until no other request has come for `rest`, s, but no longer than `most` after the first that waits, or
-        `SHARE` times what the work took last: work that takes long leaves the time to others.
+        `SHARE` times what the work took last: work that takes long leaves the time to others, and waits on if it takes
+        more than `LONG`.
     held : callable
         Whether something goes on that will bring another request. Then it does not rest.
     """
@@ -87,7 +90,8 @@ class Newest(Generic[Q, A]):
         """Return how long the request that waits is still to wait, s."""
         now = clock.monotonic()
         rests = now if self._held() else self._last
-        return min(rests + self._rest, self._first + max(self._most, SHARE * self._took)) - now
+        most = max(self._most, SHARE * self._took) if self._took <= LONG else math.inf
+        return min(rests + self._rest, self._first + most) - now
 
     def _work(self) -> None:
         while True:

@@ -20,7 +20,7 @@ from closedloop.lab.history import History, in_words
 from closedloop.lab.keeping import save
 from closedloop.lab.kinds import begin_values
 from closedloop.lab.messages import from_text, in_text, pack, unpack
-from closedloop.lab.newest import Newest
+from closedloop.lab.newest import LONG, Newest
 from closedloop.lab.pins import Pins, compared
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
@@ -415,3 +415,14 @@ def test_work_may_wait_for_a_rest():
     assert often.wait(5.0)
     assert shown[-1] == 10
     often.close()
+    moving = threading.Event()
+    moving.set()
+    slow = Newest(lambda x: (time.sleep(1.1 * LONG), x)[1], shown.append, rest=0.02, most=0.05, held=moving.is_set)
+    slow.ask(11)
+    assert slow.wait(5.0), "the first time it is not known to be long"
+    slow.ask(12)
+    assert not slow.wait(4.0 * LONG), "work that takes long waits until nothing goes on"
+    moving.clear()
+    assert slow.wait(5.0)
+    assert shown[-1] == 12
+    slow.close()

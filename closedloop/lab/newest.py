@@ -18,8 +18,8 @@ A = TypeVar("A")
 
 logger = logging.getLogger(__name__)
 
-# While requests go on, work that waits for a rest takes no larger part of the time than one over this; what takes longer
-# than the second, s, waits for the rest, however late it comes.
+# While requests go on, work that waits for a rest takes no larger part of the time than one over the first; what takes
+# longer than the second, s, waits for the rest, however late it comes.
 SHARE, LONG = 20.0, 0.3
 
 

@@ -191,7 +191,7 @@ def _refuse_loops(built: build.Built, loops: Sequence[LoopJoint], where: str) ->
     ModelError
     """
     model = built.model
-    turning = {f"{built.joint_names[j].removesuffix(RATES[0])}" for j in balls(built.joint_types)}
+    turning = {built.joint_names[j].removesuffix(RATES[0]) for j in balls(built.joint_types)}
     for loop in loops if turning else ():
         for frame in loop.frames:
             joint = model.frames[model.getFrameId(frame)].parentJoint if model.existFrame(frame) else 0

@@ -64,7 +64,7 @@ def test_report_says_nothing_of_a_contact_that_there_is_not(fall, tmp_path):
     assert json.dumps(again.summary()) == json.dumps(summary)
     assert np.array_equal(again.contact_force, np.zeros(len(fall)))
     titles = [axes.get_title() or axes.get_title(loc="left") for axes in fall.plot().axes]
-    assert titles == ["Path, seen along surface.normal"]
+    assert titles == ["Path, seen from above"]
 
 
 def test_scenario_without_sections_is_written_and_read_again():

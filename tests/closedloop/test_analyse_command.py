@@ -7,6 +7,8 @@ import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 from closedloop.__main__ import main
+from closedloop.studies.analysis.figures import stability_map
+from closedloop.studies.analysis.ranges import Range
 
 GAIN = ("--law.force_integral", "20", "--at", "1")
 
@@ -51,6 +53,13 @@ def test_json_and_a_key(command_line, tmp_path):
     assert limit["value"] == pytest.approx(DAMPING * STIFFNESS / (MASS * STIFFNESS - DAMPING**2), rel=0.05)
     assert limit["unstable"] == "above"
     assert [trial["seen"] > 0.0 for trial in page["trials"]] == [False, True]
+
+
+def test_the_axes_of_a_map_have_units():
+    """A key whose kinds have different units has none."""
+    along, over = Range("compliance.stiffness", 1e3, 1e6, True), Range("law.force_integral", 0.0, 80.0)
+    axes = stability_map([], over, along, (1e4, 5.0), []).axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("compliance.stiffness", "law.force_integral [1/s]")
 
 
 def test_figures_and_a_map(command_line, tmp_path, monkeypatch):

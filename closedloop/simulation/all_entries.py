@@ -38,11 +38,11 @@ def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
         for name, values in lists_per_joint(scenario.law).items()
         if len(values) == count
     }
-    held = np.flatnonzero(~model.of_bodies)
+    held = ~model.of_bodies
     rubbing = {
-        name: tuple(np.insert(values, np.searchsorted(held, np.flatnonzero(model.of_bodies)), 0.0).tolist())
+        name: tuple(_filled(values, held).tolist())
         for name, values in lists_per_joint(scenario.joint_friction).items()
-        if len(values) == len(held) < model.n
+        if len(values) == held.sum() < model.n
     }
     if not start and not lists and not rubbing:
         return scenario

@@ -18,6 +18,7 @@ from closedloop.lab.controls import Control
 from closedloop.lab.history import Changes, with_change
 from closedloop.record.report.verdict import GOOD
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.units import with_unit
 from closedloop.simulation.batch.simulate_batch import simulate_batch
 from robot_models import RobotModel
 
@@ -57,7 +58,7 @@ class Axis:
     @property
     def label(self) -> str:
         """The key, with its unit."""
-        return self.name + (f" [{self.control.unit}]" if self.control.unit else "")
+        return with_unit(self.name, self.control.unit)
 
     @property
     def name(self) -> str:

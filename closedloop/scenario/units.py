@@ -51,6 +51,11 @@ def key_unit(key: str) -> str:
     return found.pop() if len(found) == 1 else ""
 
 
+def with_unit(name: str, unit: str) -> str:
+    """Return the name of a quantity with its unit in brackets, or alone if it has none."""
+    return f"{name} [{unit}]" if unit else name
+
+
 def takes_whole_numbers(key: str) -> bool:
     """Return whether a dotted key takes whole numbers only."""
     return any(field.annotation is int for field in _fields_of(key))

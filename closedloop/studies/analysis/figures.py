@@ -11,7 +11,7 @@ import numpy as np
 
 from closedloop.figures.files import write_figure
 from closedloop.figures.style import COLOURS, MANY, new_figure, styled
-from closedloop.scenario.units import key_unit
+from closedloop.scenario.units import key_unit, with_unit
 from closedloop.studies.analysis.page import Page
 from closedloop.studies.analysis.ranges import Limit, Range, Trial
 
@@ -167,11 +167,6 @@ def locus(loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequen
     return figure
 
 
-def _with_unit(key: str) -> str:
-    unit = key_unit(key)
-    return f"{key} [{unit}]" if unit else key
-
-
 @styled()
 def stability_map(
     boundary: Sequence[tuple[float, Limit]], over: Range, along: Range, here: tuple[float, float] | None,
@@ -193,8 +188,8 @@ def stability_map(
         scale("log" if key.log else "linear")
     axes.set_xlim(along.low, along.high)
     axes.set_ylim(over.low, over.high)
-    axes.set_xlabel(_with_unit(along.key))
-    axes.set_ylabel(_with_unit(over.key))
+    axes.set_xlabel(with_unit(along.key, key_unit(along.key)))
+    axes.set_ylabel(with_unit(over.key, key_unit(over.key)))
     axes.legend(fontsize=8)
     axes.set_title("where the force loop becomes unstable")
     return figure

@@ -19,6 +19,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import needs
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.units import with_unit
 from closedloop.simulation.batch.simulate_batch import simulate_batch
 from closedloop.simulation.engines.loops import COMPILED
 
@@ -68,8 +69,9 @@ class Comparison:
             good = (runs["status"] == "done") & (runs["verdict"] == "good") & (runs["control_verdict"] == "good")
             row: dict[str, Any] = {"runs": len(runs), "good": int(good.sum())}
             for each in self.of:
-                values, unit = runs[each], f" [{self.units[each]}]" if self.units.get(each) else ""
-                row[f"{each}, median{unit}"], row[f"{each}, worst{unit}"] = values.median(), values.max()
+                values, unit = runs[each], self.units.get(each, "")
+                row[with_unit(f"{each}, median", unit)] = values.median()
+                row[with_unit(f"{each}, worst", unit)] = values.max()
             rows[name] = row
         import pandas as pd
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.style import length_unit
+from closedloop.scenario.units import with_unit
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -28,7 +29,7 @@ class Scale:
         field = table.schema.field(key)
         given = table[key].to_pylist()
         units = (field.metadata or {}).get(b"units", b"").decode()
-        self.label = f"{key} [{units}]" if units else key
+        self.label = with_unit(key, units)
         self.words: list[str] = []
         if str(field.type) in ("double", "int64"):
             self.at = np.array(given, dtype=np.float64)

@@ -12,6 +12,7 @@ import os
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -176,8 +177,12 @@ def _results(job: Job, options: Namespace) -> Results:
     """Return where the results go, saying what is at fault with the scenario too if they cannot go there."""
     from closedloop.command.results import Results, first_free
     from closedloop.record.save import question
+    from closedloop.simulation.prepare import completed
 
-    inputs = question(job.scenario, job.model, job.law_name, job.digest, job.engine, job.members)
+    scenario = job.scenario
+    with suppress(ClosedLoopError):  # what is at fault is said by the run
+        scenario = completed(scenario, job.model)
+    inputs = question(scenario, job.model, job.law_name, job.digest, job.engine, job.members)
     try:
         return (Results if options.out else first_free)(job.folder, inputs, options.overwrite)
     except OutputError as error:

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 # What moves across, or turns, by no more than this, m or rad, does not: it has no panel.
 AT_REST = 1e-9
 HEIGHT = "z [mm]"
+# Heights that change by less than this share of the way across are not drawn.
+FLAT = 1e-3
 # The axis of heights is at least so long, as a share of the longest way of a body.
 LEAST = 0.01
 
@@ -27,6 +29,14 @@ LEAST = 0.01
 def has_bodies(run: Run) -> bool:
     """Tell whether a body of the run is free."""
     return bool(run.model.bodies)
+
+
+def rests(run: Run) -> bool:
+    """Tell whether no free body of the run moves."""
+    return all(
+        np.max(np.abs(r - r[0]), initial=0.0) <= AT_REST and np.max(turned(turn), initial=0.0) <= AT_REST
+        for r, turn in body_motions(run).values()
+    )
 
 
 def turned(quaternions: Array) -> Array:
@@ -50,8 +60,8 @@ def body_motions(run: Run) -> dict[str, tuple[Array, Array]]:
 def bodies(run: Run) -> Figure:
     """Draw the height of each free body, its distance from the start across, and the angle from its start.
 
-    Of more bodies than can be told apart those that move most are drawn. A distance or an angle that is zero to
-    rounding has no panel.
+    Of more bodies than can be told apart those that move most are drawn. What does not change has no panel, except the
+    height where nothing moves.
 
     Raises
     ------
@@ -67,7 +77,10 @@ def bodies(run: Run) -> Figure:
     angles = {name: turned(motions[name][1]) for name in shown}
     furthest, most = (max(float(np.max(each)) for each in values.values()) for values in (across, angles))
     factor, unit = length_unit(furthest)
-    drawn = [({name: 1e3 * motions[name][0][:, 2] for name in shown}, "Height", HEIGHT)]
+    drawn = []
+    rise = max(float(np.ptp(motions[name][0][:, 2])) for name in shown)
+    if rise > max(AT_REST, FLAT * furthest) or max(furthest, most) <= AT_REST:
+        drawn.append(({name: 1e3 * motions[name][0][:, 2] for name in shown}, "Height", HEIGHT))
     if furthest > AT_REST:
         label = f"√(Δx² + Δy²) [{unit}]"
         drawn.append(

@@ -101,7 +101,7 @@ def explain_contact(figure: Figure, run: Run) -> None:
         handles += [Patch(label=name, **style) for mode, (name, style) in BANDS.items() if mode in present]
     happened = set(np.unique(run.event_kind).tolist())
     handles += [
-        Line2D([], [], color=INK, linestyle="none", label=KINDS[kind], **shape)
+        Line2D([], [], color=INK, linestyle="none", label=KINDS[kind].replace("_", " "), **shape)
         for kind, shape in sorted(SHAPES.items())
         if kind in happened
     ]
@@ -139,7 +139,7 @@ def mark_rounding(axes: Axes, size: float, level: float, factor: float) -> None:
     for sign in (-1.0, 1.0):
         axes.axhline(sign * factor * level, color="0.4", linestyle="-.", linewidth=0.8)
     axes.annotate(
-        "rounding of the position", (1.0, factor * level), xycoords=("axes fraction", "data"), xytext=(-2, 2),
+        "rounding of the position", (1.0, factor * level), xycoords=("axes fraction", "data"), xytext=(-2, 4),
         textcoords="offset points", ha="right", fontsize=8, color="0.35",
     )  # fmt: skip
     most = 1.6 * factor * max(size, level)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from closedloop.base.files import write_whole
 from closedloop.base.second_process import Beside
-from closedloop.figures.bodies import bodies, has_bodies
+from closedloop.figures.bodies import bodies, has_bodies, rests
 from closedloop.figures.closure import closure_error
 from closedloop.figures.dress import tip_is_idle
 from closedloop.figures.force import contact_force
@@ -82,7 +82,7 @@ def draw_figures(
     if has_bodies(run):
         touching.append(("fig_bodies", bodies, run))
     if run.scenario.contact:
-        touching.append(("fig_link_contacts", link_contacts, run))
+        touching.insert(0 if rests(run) else 1, ("fig_link_contacts", link_contacts, run))  # forces where nothing moves
     wanted = [*touching, *wanted] if tip_is_idle(run) else [*wanted, *touching]  # the first shows what it is about
     if has_impacts(run):
         wanted.append(("fig_impacts", impacts, run))

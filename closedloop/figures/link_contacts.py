@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,16 @@ from closedloop.figures.style import COLOURS, MANY, MOST_CURVES, new_figure, wid
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.record.run import Run
-from closedloop.scenario.contact_names import names_of
+from closedloop.scenario.contact_names import names_of, patches_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Array = NDArray[np.float64]
+
+# What titles say where `contacts_drawn` takes points together.
+SUMMED = ", summed over the points of each"
 # By how much the broadest line is broader than the last, points.
 WIDER = 5.0
 # The axis of the forces shows at least this share of the largest.
@@ -29,7 +33,7 @@ ROW, MOST_ROWS = 0.17, 32
 def link_contacts(run: Run) -> Figure:
     """Draw when each contact of a link is closed, its normal force, and its friction, with the cone's edge dashed.
 
-    Of more contacts than can be told apart the forces are those of the largest.
+    Of more contacts than can be told apart the forces are sums over the points of one patch, and those of the largest.
 
     Raises
     ------
@@ -45,11 +49,10 @@ def link_contacts(run: Run) -> Figure:
     times, above, below = figure.subplots(3, 1, sharex=True, height_ratios=[rows, 2.0, 2.0])
     draw_closed(times, run, names)
     styles = draw_forces(above, run)
-    for k, style in styles.items():
-        rub = np.hypot(run.link_frictions[:, 2 * k], run.link_frictions[:, 2 * k + 1])
-        below.plot(run.time, rub, **style)
-        if not has_other_law(sections[k]):
-            limit = coulomb_of(sections[k]) * run.link_forces[:, k]
+    for drawn, style in styles:
+        below.plot(run.time, drawn.friction(run), **style)
+        if not any(has_other_law(sections[k]) for k in drawn.numbers):
+            limit = sum(coulomb_of(sections[k]) * run.link_forces[:, k] for k in drawn.numbers)
             below.plot(run.time, limit, "--", color=style["color"], linewidth=0.7)
     widen(below, FLATTEST * max(abs(end) for end in below.get_ylim()))
     dress(times, run, "Contacts of the links", "", label_marks=False, show_events=False)
@@ -61,22 +64,50 @@ def link_contacts(run: Run) -> Figure:
     return figure
 
 
-def draw_forces(axes: Axes, run: Run) -> dict[int, dict[str, Any]]:
-    """Draw the normal force of each contact of a link, of many the largest; return how each is drawn, by its number."""
-    names, count = names_of(run.scenario.contact or ()), run.link_forces.shape[1]
-    largest = np.argsort([-float(np.max(run.link_forces[:, k])) for k in range(count)], kind="stable")
-    pressed = [k for k in largest if np.any(run.link_forces[:, k] > 0.0)] or largest[:1].tolist()
+class Drawn(NamedTuple):
+    """What has one curve: its name, and the numbers of its contacts, from 0."""
+
+    name: str
+    numbers: list[int]
+
+    def force(self, run: Run) -> Array:
+        """Return the sum of the normal forces (N,), N."""
+        total: Array = run.link_forces[:, self.numbers].sum(axis=1)
+        return total
+
+    def friction(self, run: Run) -> Array:
+        """Return the sum of the sizes of friction (N,), N."""
+        both = run.link_frictions.reshape(len(run), -1, 2)[:, self.numbers]
+        total: Array = np.hypot(both[..., 0], both[..., 1]).sum(axis=1)
+        return total
+
+
+def contacts_drawn(run: Run) -> tuple[list[Drawn], str]:
+    """Return the contacts that have a curve, and what a title says of them: of many points, each patch has one."""
+    sections = run.scenario.contact or ()
+    each, patches = [Drawn(name, [k]) for k, name in enumerate(names_of(sections))], patches_of(sections)
+    pressed = np.any(run.link_forces > 0.0, axis=0)
+    if int(pressed.sum()) > MOST_CURVES and len(patches) < len(each):
+        return [Drawn(*patch) for patch in patches.items()], SUMMED
+    return each, ""
+
+
+def draw_forces(axes: Axes, run: Run) -> list[tuple[Drawn, dict[str, Any]]]:
+    """Draw the normal forces of the links' contacts, of many the largest; return what is drawn, and how."""
+    each, summed = contacts_drawn(run)
+    largest = sorted(range(len(each)), key=lambda k: -float(np.max(each[k].force(run))))
+    pressed = [k for k in largest if np.any(each[k].force(run) > 0.0)] or largest[:1]
     shown = sorted(pressed[:MOST_CURVES])
     # Contacts on either side are often equal: the first are drawn broader, so that they are seen behind the last.
-    styles: dict[int, dict[str, Any]] = {
-        int(k): {"color": MANY[at % len(MANY)], "linewidth": 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)}
+    styles: list[tuple[Drawn, dict[str, Any]]] = [
+        (each[k], {"color": MANY[at % len(MANY)], "linewidth": 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)})
         for at, k in enumerate(shown)
-    }
-    for k, style in styles.items():
-        axes.plot(run.time, run.link_forces[:, k], label=names[k], **style)
+    ]
+    for drawn, style in styles:
+        axes.plot(run.time, drawn.force(run), label=drawn.name, **style)
     widen(axes, FLATTEST * max(abs(end) for end in axes.get_ylim()))
     those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
-    dress(axes, run, f"Contact forces{those}", "f [N]", show_events=False)
+    dress(axes, run, f"Contact forces{summed}{those}", "f [N]", show_events=False)
     return styles
 
 

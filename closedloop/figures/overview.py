@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.figures.bodies import bodies, has_bodies
+from closedloop.figures.bodies import AT_REST, bodies, has_bodies, rests
 from closedloop.figures.dress import (
     dress,
     explain_contact,
@@ -18,7 +18,7 @@ from closedloop.figures.dress import (
 )
 from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
 from closedloop.figures.force import FLAT, draw_measured
-from closedloop.figures.link_contacts import draw_forces
+from closedloop.figures.link_contacts import draw_forces, link_contacts
 from closedloop.figures.style import COLOURS, length_text, length_unit, new_figure, styled
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
@@ -33,18 +33,20 @@ Array = NDArray[np.float64]
 WIDE = 0.1
 # Pieces of a path that are coloured, at most: more could not be told apart.
 MOST_PIECES = 400
-# A path shorter than this, m, is none: the tip rests.
-RESTS = 1e-9
 # Across a straight path no less than this share of its length is shown, to either side.
 THIN = 1e-4
 # The colours span at least this share of the force to either side of its middle.
 LIKE = 0.02
+# The tip's mobility along the normal is drawn where it falls below this share of its largest value.
+SINGULAR = 1e-3
 # An excursion of the force that lasts less than this share of the run is cut off from the colours.
 BRIEF = 0.01
 
 
 def plot(run: Run) -> Figure:
-    """Return `force_control` in the style of all figures, or `bodies` where nothing leads a tip: what `Run.plot` shows.
+    """Return what `Run.plot` shows, in the style of all figures: what force control is about.
+
+    Where nothing leads a tip it is `bodies`, or the forces of their contacts if they rest.
 
     Raises
     ------
@@ -54,11 +56,15 @@ def plot(run: Run) -> Figure:
     if len(run) == 0:
         raise ValueError(f"the run of {run.scenario.name} has no row to draw")
     with styled():
-        return bodies(run) if shows_bodies(run) else force_control(run)
+        if not shows_bodies(run):
+            return force_control(run)
+        return link_contacts(run) if run.scenario.contact and rests(run) else bodies(run)
 
 
 def force_control(run: Run) -> Figure:
     """Draw f − f_des, the tip's errors along the path, across it and along the normal, and the path in the surface.
+
+    Where the arm goes through a pose in which the tip cannot move along the normal, its mobility along it is drawn too.
 
     The path is seen from above the surface: where it should be, and where the tip was, coloured by the contact force.
     Without a surface there are the forces of the links' contacts instead, and without a law nothing that the tip was to
@@ -68,10 +74,12 @@ def force_control(run: Run) -> Figure:
     wide = float(np.ptp(wanted[:, 1])) > WIDE * float(np.ptp(wanted[:, 0]))
     of_links = bool(run.scenario.contact) and not run.scenario.has_surface
     over_time = [_draw_force_error] * run.scenario.has_surface + [_draw_link_forces] * of_links
-    over_time += [_draw_tip_errors] * is_led(run)
-    path = not over_time or max(float(np.ptp(each)) for each in (*seen.T, *wanted.T)) > RESTS
+    mobility = run.normal_mobility[run.mode != FREE]
+    passes = mobility.size > 0 and bool(np.min(mobility) < SINGULAR * np.max(mobility))
+    over_time += [_draw_mobility] * passes + [_draw_tip_errors] * is_led(run)
+    path = not over_time or max(float(np.ptp(each)) for each in (*seen.T, *wanted.T)) > AT_REST
     heights = [*[1.0] * len(over_time), *([1.9 if wide else 0.8] if path else [])]
-    figure = new_figure(height=(7.6 if wide else 6.2) - 1.7 * (3 - len(over_time) - path))
+    figure = new_figure(height=(7.6 if wide else 6.2) + 1.7 * (len(over_time) + path - 3))
     grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
     first: Axes | None = None
     for row, draw in enumerate(over_time):
@@ -114,6 +122,13 @@ def _draw_force_error(axes: Axes, run: Run) -> None:
         legend_beside_title(axes)
 
 
+def _draw_mobility(axes: Axes, run: Run) -> None:
+    axes.plot(run.time, np.where(run.mode == FREE, np.nan, 100.0 * run.normal_mobility), color=COLOURS[1])
+    axes.margins(y=0.12)
+    title = "Mobility of the tip along the normal: at 0 it cannot move there"
+    dress(axes, run, title, "share of all [%]", label_marks=False, show_events=False)
+
+
 def _draw_link_forces(axes: Axes, run: Run) -> None:
     count = len(draw_forces(axes, run))
     axes.get_figure(root=True).legend(  # type: ignore[union-attr]
@@ -142,7 +157,7 @@ def _seen_from_above(run: Run) -> tuple[Array, Array]:
     """Return the tip's position and the desired one (N, 2), m, along the desired path's length and across it."""
     frame = frame_of(run)[1:]
     wanted, seen = run.reference_tip @ frame.T, run.position @ frame.T
-    both = wanted if np.any(np.ptp(wanted, axis=0) > 1e-9) else seen
+    both = wanted if np.any(np.ptp(wanted, axis=0) > AT_REST) else seen
     centred = both - both.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     long = axes[:, 1]
@@ -161,8 +176,9 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
     rows = np.unique(np.linspace(0, len(run) - 1, min(len(run), MOST_PIECES)).astype(int))
     x, y = 1e3 * seen[rows, 0], across * seen[rows, 1]
     if is_led(run):
-        axes.plot(1e3 * wanted[:, 0], across * wanted[:, 1], color="0.8", linewidth=4.0, solid_capstyle="round",
-                  label="desired")  # fmt: skip
+        rests = np.max(np.ptp(wanted, axis=0)) <= AT_REST
+        axes.plot(1e3 * wanted[:, 0], across * wanted[:, 1], "o" if rests else "-", color="0.8", linewidth=4.0,
+                  solid_capstyle="round", label="desired")  # fmt: skip
     free = run.mode[rows] == FREE
     if np.any(free):
         stroke, told = (":", "free") if run.scenario.has_surface else ("-", "tip")

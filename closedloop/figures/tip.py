@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Displacements below this share of the largest are not seen beside it, and get a panel of their own; what is below
-# ROUNDING, m, is no displacement.
-SMALL, ROUNDING = 0.01, 1e-15
+# ROUNDING, m, is what many steps have rounded off.
+SMALL, ROUNDING = 0.01, 1e-12
 
 
 def tip_position(run: Run) -> Figure:

@@ -11,8 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.figures.dress import position_rounding
 from closedloop.figures.errors import tip_errors
 from closedloop.figures.friction import friction_levels
+from closedloop.figures.link_contacts import contacts_drawn
 from closedloop.figures.scene.ground import Ground
 from closedloop.figures.scene.joined import errors_in
 from closedloop.figures.style import length_unit
@@ -20,8 +22,7 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.wrench import parts_of
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.record.report.measures import SETTLED
-from closedloop.record.run import Run
-from closedloop.scenario.contact_names import names_of
+from closedloop.record.run import Run, units_by_kind
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8
 CELLS = 160
 # Rows in which the errors of loops are evaluated.
 MOST_LOOPS = 1000
+# The error of a loop is the difference of two chains: its rounding is so many times that of the tip's position.
+CHAINS = 8.0
 # Numbers of a column of which curves are drawn at most.
 MOST_WIDE = 16
 # What the name of a column's panel begins with.
@@ -58,7 +61,8 @@ class Trace:
 class Panel:
     """Curves over one time: a name of `TITLES`, the unit of the values, the times (N,), s, and the traces.
 
-    `band` is how far from its dashed curve the first other may be, 0 where there is no such bound.
+    `band` is how far from its dashed curve the first other may be, 0 where there is no such bound. `note` is what the
+    title says besides.
     """
 
     name: str
@@ -66,6 +70,7 @@ class Panel:
     time: Array
     traces: tuple[Trace, ...]
     band: float = 0.0
+    note: str = ""
 
     @property
     def main(self) -> Trace:
@@ -75,7 +80,7 @@ class Panel:
     @property
     def title(self) -> str:
         """The panel's title with its unit."""
-        return f"{TITLES.get(self.name) or self.name.removeprefix(COLUMN)} [{self.unit}]"
+        return f"{TITLES.get(self.name) or self.name.removeprefix(COLUMN)}{self.note} [{self.unit}]"
 
 
 def panels(run: Run) -> list[Panel]:
@@ -110,13 +115,16 @@ def _force(run: Run) -> Panel:
 
 
 def _links(run: Run) -> Panel:
-    """Return the force of each contact of links along its normal, and the size of its friction, with dashes."""
+    """Return the normal force of each contact of links, or patch, and the size of its friction, with dashes."""
     traces: list[Trace] = []
-    for k, name in enumerate(names_of(run.scenario.contact or ())):
-        rub = np.hypot(run.link_frictions[:, 2 * k], run.link_frictions[:, 2 * k + 1])
-        colour = COLOURS[k % len(COLOURS)]
-        traces += [Trace(name, colour, run.link_forces[:, k]), Trace(f"{name}, friction", colour, rub, limit=True)]
-    return Panel("links", "N", run.time, tuple(traces))
+    each, summed = contacts_drawn(run)
+    for k, drawn in enumerate(each):
+        colour, friction = COLOURS[k % len(COLOURS)], f"{drawn.name}, friction"
+        traces += [
+            Trace(drawn.name, colour, drawn.force(run)),
+            Trace(friction, colour, drawn.friction(run), limit=True),
+        ]
+    return Panel("links", "N", run.time, tuple(traces), note=summed)
 
 
 def _largest(*values: Array) -> float:
@@ -131,7 +139,12 @@ def _closure(run: Run) -> Panel:
     values = np.maximum(-run.closure_error, 0.0) if soft else run.closure_error
     factor, name = length_unit(_largest(values))
     trace = Trace("depth" if soft else "e", COLOURS[0], factor * values)
-    return Panel("penetration" if soft else "closure", name, run.time, (trace,))
+    return Panel("penetration" if soft else "closure", name, run.time, (trace,), note=_note(run, values))
+
+
+def _note(run: Run, errors: Array, times: float = 1.0) -> str:
+    """Return what the title of errors, m, says if they are no larger than so many times the rounding of positions."""
+    return ", rounding only" if 0.0 < _largest(errors) <= times * position_rounding(run) else ""
 
 
 def _loops(run: Run) -> Panel:
@@ -148,7 +161,8 @@ def _loops(run: Run) -> Panel:
         for k, (loop, part) in enumerate(zip(run.model.loops, parts, strict=True))
     )
     turning = any("N m" in (unit for _, unit in parts_of(run.model, loop)) for loop in run.model.loops)
-    return Panel("loops", f"{name}, {name[:-1]}rad" if turning else name, run.time[rows], traces)
+    unit = f"{name}, {name[:-1]}rad" if turning else name
+    return Panel("loops", unit, run.time[rows], traces, note=_note(run, errors, CHAINS))
 
 
 def _tip(run: Run) -> Panel:
@@ -176,7 +190,8 @@ def _torques(run: Run) -> list[Panel]:
         if share:
             level = np.full(len(run), 100.0)
             traces += [Trace("limit", COLOURS[6], level, limit=True), Trace("-limit", COLOURS[6], -level, limit=True)]
-        name, unit = ("torque", "% of limit") if share else ("torque without limit", run.units("torque"))
+        kinds = [units_by_kind("N m", run.model.joint_types[j]) for j in joints]
+        name, unit = ("torque", "% of limit") if share else ("torque without limit", " | ".join(dict.fromkeys(kinds)))
         found.append(Panel(name, unit, run.time, tuple(traces)))
     return found
 

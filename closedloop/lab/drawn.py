@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.figures.bodies import AT_REST
 from closedloop.figures.scene.ghost import COLOUR, OPACITY
 from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
@@ -121,6 +122,7 @@ def space_message(
     lines = [("actual path", PATH, scene.run.position)] if scenario.robot.model != NO_ROBOT else []
     if scenario.has_law or scenario.has_surface:
         lines.append(("desired path", WANTED, scene.run.reference_tip))
+    lines = [line for line in lines if np.max(np.ptp(line[2], axis=0)) > AT_REST]
     return {
         "kind": "space", "size": scene.size, "usual": scene.usual_force,
         "whole": {"centre": middle, "radius": radius}, "near": {"centre": near, "radius": close},

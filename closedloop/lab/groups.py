@@ -8,29 +8,34 @@ from typing import Any
 from closedloop.lab.controls import TABS, Control, controls, toml_text
 from closedloop.lab.history import Changes
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import ALL
 from robot_models import RobotModel
 
 Row = dict[str, Any]
 
 LAW, STIFFNESS, DAMPING, MORE = "law and force", "stiffness of the law", "damping of the law", "more of the law"
+TIP, ALL_LINKS, LINKS = "friction", "all contacts of links", "contacts of links"
 # Groups by the scenario's section; keys of the law are told apart by their names.
 SECTIONS: dict[str, str] = {
     "force_profile": LAW, "compensation": "compensation", "model_error": "compensation",
-    "friction": "friction", "joint_friction": "friction of the joints",
+    "friction": TIP, "joint_friction": "friction of the joints",
     "surface": "surface", "surface_motion": "surface", "compliance": "surface", "impact": "surface",
-    "contact": "contacts of links",
+    "contact": LINKS,
     "reference": "path", "start": "start", "tool": "tool",
     "sensor": "sensors", "encoder": "sensors", "drives": "drives", "transmission": "drives",
     "stabiliser": "time and stabiliser", "time": "time and stabiliser",
 }  # fmt: skip
-ORDER = (LAW, STIFFNESS, DAMPING, MORE, *dict.fromkeys(g for g in SECTIONS.values() if g != LAW))
-# Groups that are open at first.
-OPEN = (LAW, STIFFNESS, DAMPING, "friction")
+ORDER = (LAW, STIFFNESS, DAMPING, MORE, ALL_LINKS, *dict.fromkeys(g for g in SECTIONS.values() if g != LAW))
+# Groups that are open at first; contacts of links are if they have so few rows.
+OPEN = (LAW, STIFFNESS, DAMPING, TIP, ALL_LINKS)
+FEW = 20
 
 
 def group_of(key: str) -> str:
     """Return the group of a key."""
     section, _, name = key.partition(".")
+    if name.startswith(ALL):
+        return ALL_LINKS
     if section != "law":
         return SECTIONS.get(section, MORE)
     name = name.partition(".")[0]
@@ -67,9 +72,14 @@ def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None],
         What was changed.
     """
     groups: dict[str, list[Row]] = {name: [] for name in ORDER}
+    opened = set(OPEN)
     for control in found:
         groups[group_of(control.key)].append(_row(control, first, changes))
-    return [{"name": name, "open": name in OPEN, "rows": rows} for name, rows in groups.items() if rows]
+        if control.key == "surface.kind" and control.value == "none":  # the tip touches nothing
+            opened.discard(TIP)
+    if len(groups[LINKS]) <= FEW:
+        opened.add(LINKS)
+    return [{"name": name, "open": name in opened, "rows": rows} for name, rows in groups.items() if rows]
 
 
 def _row(control: Control, first: dict[tuple[str, int | None], Any], changes: Changes) -> Row:

@@ -23,23 +23,26 @@ OPTIONS = ["--enable-unsafe-swiftshader", "--no-sandbox", "--enable-precise-memo
 SIZE = 1440, 900  # px
 PICTURED = (900, 700), SIZE, (2560, 1440)  # px, sizes of which pictures are made
 PATIENCE = 120_000  # ms
-# Notes when the pointer is moved with its button down, by the event that the page's sliders follow, and when the curves
-# of a whole run have been drawn after that: then, and in the frame after that, which shows them.
+# Notes when the pointer is moved with its button down, by the event that the page's sliders follow; when the first
+# curves are drawn after that, of a part of the run or of all of it; when those of a whole run are; and when a frame
+# shows those.
 WATCH = """() => {
 const commanded = () => run.panels[0].traces.find(t => t.label === 'commanded');
 const largest = () => commanded() ? Math.max(...commanded().values) : null;
-window.lab = {drawn: [], shown: [], redrawn: 0, faults: 0, largest};
-let began = null, last = run.n;
-window.lab.forget = () => { began = null; window.lab.drawn = []; window.lab.shown = []; };
+window.lab = {first: [], drawn: [], shown: [], redrawn: 0, faults: 0, largest};
+let began = null, last = run.n, first = null;
+window.lab.forget = () => { began = first = null; Object.assign(window.lab, {first: [], drawn: [], shown: []}); };
 addEventListener('error', () => { window.lab.faults += 1; });
 addEventListener(AT_ONCE, e => { if (began === null && e.buttons) began = e.timeStamp; }, true);
 document.addEventListener('drawn', e => {
   window.lab.redrawn += 1;
+  if (began !== null && first === null && e.detail.n !== last) first = performance.now() - began;
   if (e.detail.partial || e.detail.n === last) return;
   last = e.detail.n;
   if (began === null) return;
   const from = began;
-  began = null;
+  window.lab.first.push(first);
+  began = first = null;
   window.lab.drawn.push(performance.now() - from);
   requestAnimationFrame(() => window.lab.shown.push(performance.now() - from));
 }); }"""
@@ -115,10 +118,11 @@ def pictures(lab: Lab, folder: Path) -> list[Path]:
     return made
 
 
-def page_latencies(page: Any, key: str, changes: int) -> tuple[Array, Array]:
+def page_latencies(page: Any, key: str, changes: int) -> tuple[Array, Array, Array]:
     """Drag a slider, each movement after the plot of the one before.
 
-    Returns the times (changes,), s, from the pointer's movement to the drawn plot, and to the frame with it.
+    Returns the times (changes,), s, from the pointer's movement to the first curves, of a part of the run where that
+    takes long; to those of the whole run; and to the frame with them.
     """
     box = slider_of(page, key)
     x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
@@ -131,7 +135,7 @@ def page_latencies(page: Any, key: str, changes: int) -> tuple[Array, Array]:
         page.mouse.move(x + 2.0 * (6 - abs(k % 20 - 10)), y)
         page.wait_for_function(f"window.lab.shown.length > {k}", polling=20)
     page.mouse.up()
-    return tuple(np.array(page.evaluate(f"window.lab.{name}")) / 1e3 for name in ("drawn", "shown"))  # type: ignore[return-value]
+    return tuple(np.array(page.evaluate(f"window.lab.{name}")) / 1e3 for name in ("first", "drawn", "shown"))  # type: ignore[return-value]
 
 
 def page_drag(page: Any, lab: Lab, key: str, seconds: float, rate: float) -> Moved:

@@ -13,6 +13,14 @@ def names_of(sections: tuple[ContactSection, ...]) -> tuple[str, ...]:
     return names_in("contact", sections)
 
 
+def patches_of(sections: tuple[ContactSection, ...]) -> dict[str, list[int]]:
+    """Return the numbers of contacts, from 0, by the name that points share: "foot 1" and "foot 2" are of "foot"."""
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(names_of(sections)):
+        found.setdefault(re.sub(r" \d+$", "", name), []).append(k)
+    return found
+
+
 def labels_of(sections: tuple[ContactSection, ...]) -> tuple[str, ...]:
     """Return what columns call the contacts: each its own, of letters of ASCII, digits and underscores.
 

@@ -53,6 +53,11 @@ ROBOT_BYTES = 200_000
 SECTION_BYTES = 2_000
 
 
+def completed(scenario: Scenario, model: RobotModel) -> Scenario:
+    """Return a scenario as its run has it: lists with an entry for each joint, contacts with the robot's own shapes."""
+    return with_collision_shapes(with_all_entries(scenario, model), model)
+
+
 @arguments_checked()
 def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
     """Turn a scenario into the numbers of a `Problem`.
@@ -76,7 +81,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     cache = Cache() if cache is None else cache
     robot = _robot(scenario, model, cache)
     model = robot.model
-    scenario = with_collision_shapes(with_all_entries(scenario, model), model)
+    scenario = completed(scenario, model)
     n = robot.n
     refuse_lengths(scenario, model)
     q, v = start_state(scenario, model)

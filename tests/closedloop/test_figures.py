@@ -98,6 +98,21 @@ def test_a_tip_that_rests_has_no_path_to_draw():
     assert "Path, seen from above" in titles
 
 
+def test_a_singular_pose_is_seen_in_the_first_figure():
+    """The tip's mobility along the normal is 0 where the arm passes it; a desired path that is a point is a dot."""
+    run = cl.simulate(cl.load_scenario("wam_through_singularity"))
+    figure = run.plot()
+    mobility = next(axes for axes in figure.axes if axes.get_title(loc="left").startswith("Mobility"))
+    drawn = mobility.lines[0].get_ydata()
+    assert run.time[np.argmin(drawn)] == pytest.approx(0.6, abs=2e-3)
+    assert np.min(drawn) < 1e-3 * np.max(drawn)
+    path = next(axes for axes in figure.axes if axes.get_title(loc="left").startswith("Path"))
+    assert path.lines[0].get_marker() == "o"
+    slide = cl.simulate(cl.load_scenario("planar2_slide", {"time.duration": 0.7})).plot()
+    assert not any(axes.get_title(loc="left").startswith("Mobility") for axes in slide.axes)
+    assert slide.axes[-2].lines[0].get_marker() in ("", "None", None)
+
+
 def test_run_without_rows_has_no_figures(tmp_path):
     """A run that stopped at t = 0 has nothing to draw, and is drawn as nothing."""
     changes = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold"}

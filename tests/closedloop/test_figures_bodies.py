@@ -13,6 +13,7 @@ from closedloop.figures.bodies import bodies, turned
 from closedloop.figures.link_contacts import link_contacts, spans_of
 from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.style import MANY, MOST_CURVES, OTHERS
+from closedloop.lab.curves import panels
 
 
 @pytest.fixture(scope="module")
@@ -103,8 +104,36 @@ def test_the_first_figure_is_about_the_contacts_where_the_tip_touches_nothing(to
     assert names[:2] == ["fig_bodies", "fig_link_contacts"]
 
 
+def test_the_forces_of_links_are_drawn_where_no_tip_touches():
+    """The first panel of an arm that pushes a block has a curve for each contact, with its name and its force."""
+    run = cl.simulate(cl.load_scenario("push_block", {"time.duration": 0.7}))
+    first = run.plot().axes[0]
+    assert "Contact forces" in first.get_title(loc="left") + first.get_title()
+    assert [line.get_label() for line in first.lines[:5]] == ["foot 1", "foot 2", "foot 3", "foot 4", "pusher"]
+    for k, line in enumerate(first.lines[:5]):
+        np.testing.assert_array_equal(line.get_ydata(), run.link_forces[:, k])
+    assert run.link_forces[-1, 4] > 1.0
+
+
+def test_boxes_that_rest_show_what_each_carries(tmp_path):
+    """Of twenty points the curves are sums over the four of each box: 5, 4, 3, 2 and 1 weights of 9.81 N."""
+    run = cl.simulate(cl.load_scenario("tower", {"time.duration": 0.02}))
+    with matplotlib.rc_context({"axes.titlelocation": "left"}):
+        _, forces, friction = run.plot().axes[:3]
+    assert forces.get_title(loc="left") == "Contact forces, summed over the points of each (tower)"
+    assert [line.get_label() for line in forces.lines[:5]] == [f"box {k}" for k in range(1, 6)]
+    weights = [line.get_ydata()[-1] for line in forces.lines[:5]]
+    np.testing.assert_allclose(weights, 9.81 * np.arange(5, 0, -1), rtol=1e-6)
+    limits = [line.get_ydata()[-1] for line in friction.lines[1:10:2]]
+    np.testing.assert_allclose(limits, 0.5 * np.array(weights), rtol=1e-12)
+    assert draw_figures(run, tmp_path)[0].stem == "fig_link_contacts"
+    (panel,) = panels(run)
+    assert panel.title == "link forces, summed over the points of each [N]"
+    np.testing.assert_allclose([t.values[-1] for t in panel.traces if not t.limit], weights)
+
+
 def test_each_joint_has_its_own_unit_and_bars_hide_no_text():
-    """Of an arm beside a free block: its own units, a limit in that of its joint; a height that stays is drawn flat."""
+    """Of an arm beside a free block: its own units, a limit in that of its joint; a height that stays has no panel."""
 
     def told(figure):
         return [axes.get_title(loc="left") or axes.get_title() for axes in figure.axes]
@@ -115,8 +144,7 @@ def test_each_joint_has_its_own_unit_and_bars_hide_no_text():
     assert not any("|" in title for title in told(drawn))
     times, *_ = link_contacts(run).axes
     assert not times.texts
-    low, high = bodies(run).axes[0].get_ylim()
-    assert high - low > 0.01
+    assert told(bodies(run)) == ["Horizontal distance from the start (wam4)", "Rotation from the start"]
     delta = cl.simulate(cl.load_scenario("delta", {"time.duration": 0.01}))
     drawn = cl.figures.joints(delta)
     assert drawn.axes[0].get_ylabel() == "torque [N m | N]"

@@ -17,7 +17,7 @@ from closedloop.figures.scene.shapes import Shape
 from closedloop.lab import curves
 from closedloop.lab.animate import CELLS, OWN
 from closedloop.lab.curves import main_panel, panels, reduced
-from closedloop.lab.drawn import frames, robot_message
+from closedloop.lab.drawn import frames, robot_message, space_message
 from closedloop.lab.film_picture import Picture
 from closedloop.lab.messages import from_text
 from closedloop.lab.share import page_of
@@ -96,6 +96,21 @@ def test_the_drawn_forces_of_loops_do_the_work_that_the_torques_lack(name):
     errors = next(panel for panel in panels(run) if panel.name == "loops")
     assert [trace.label for trace in errors.traces] == [loop.name for loop in run.model.loops]
     assert all(trace.values.max() < 1e-6 for trace in errors.traces)
+
+
+def test_titles_have_the_units_of_their_joints_and_say_where_errors_are_rounding():
+    """Sliding joints have N alone; the loops of `delta` are closed to rounding, the contact of its tip is not."""
+    titles = [panel.title for panel in panels(short_run("gripper_block", **{"time.duration": 0.02}))]
+    assert "torque of joints without a limit [N]" in titles
+    closure, loops = [panel.title for panel in panels(short_run("delta", **{"time.duration": 1.0}))][-2:]
+    assert (closure, loops) == ("closure error [nm]", "loop error, rounding only [m]")
+
+
+def test_what_rests_has_no_path_in_space():
+    """Of boxes that stand there is none; of a slide there are the tip's and the one desired."""
+    assert space_message(scene_of(short_run("tower", **{"time.duration": 0.02})), [0])["paths"] == []
+    slide = space_message(scene_of(short_run("planar2_slide", **{"time.duration": 0.7})), [0])
+    assert [path["name"] for path in slide["paths"]] == ["actual path", "desired path"]
 
 
 def test_the_errors_of_loops_are_those_of_some_rows(monkeypatch):

@@ -25,6 +25,13 @@ def test_another_question_goes_beside_the_first(command_line, tmp_path):
     assert forces == [10.0, 12.0, 13.0]
 
 
+def test_a_scenario_whose_lists_are_filled_finds_its_own_folder_again(command_line):
+    """A run file has an entry for each joint in its lists, also for a free block that the scenario leaves out."""
+    short = ("push_block", "--time.duration", "0.002", "--no-figures")
+    for _ in range(2):
+        assert command_line(*short).out.splitlines()[-1].endswith("wrote out/push_block/: run.nc, summary.json")
+
+
 def test_with_json_standard_error_names_the_folder(command_line, tmp_path):
     """A program that reads the summary is not disturbed."""
     (tmp_path / "out" / "planar2_slide").mkdir(parents=True)

@@ -7,7 +7,7 @@ function cividis(u) {
   const k = Math.min(Math.max(u, 0), 1) * (CIVIDIS.length - 1), i = Math.min(Math.floor(k), CIVIDIS.length - 2);
   return CIVIDIS[i].map((c, j) => Math.round(c + (k - i) * (CIVIDIS[i + 1][j] - c)));
 }
-const MAP = [58, 12, 64, 34]; // px left, above, right at least, below
+const MAP = [58, 24, 64, 34]; // px left, above, right at least, below
 const BAR = 21; // px from the map to the numbers beside its colours
 
 class MapTab {
@@ -38,7 +38,7 @@ class MapTab {
   keys(m) {
     for (const [select, chosen, names] of [[this.x, m.x, m.names], [this.y, m.y, m.names], [this.value, m.quantity, m.quantities]]) {
       const kept = select.value && names.includes(select.value) ? select.value : chosen;
-      select.replaceChildren(...names.map((n) => new Option(n, n)));
+      select.replaceChildren(...names.map((n) => new Option(n.replace(/^law\./, "").replaceAll("_", " "), n)));
       select.value = kept;
     }
   }
@@ -168,6 +168,8 @@ class MapTab {
     const range = (axis) => [axis.values[0], axis.values[axis.values.length - 1]];
     const marks = (axis, count) => (axis.log ? logTicks(...range(axis)) : ticks(...range(axis), count));
     for (const v of marks(m.x, width / 60)) { const x = l + width * this.along(m.x, v); g.fillRect(x, t + height, 1, 4); g.fillText(short(v), x, t + height + 15); }
+    const title = `${m.quantity.replaceAll("_", " ")}${m.unit ? ` [${m.unit}]` : ""}`;
+    g.fillText(title, Math.min(l + width / 2, w - g.measureText(title).width / 2), 13);
     g.fillText(fitted(g, m.x.label, w), Math.min(l + width / 2, w - g.measureText(fitted(g, m.x.label, w)).width / 2), h - 4);
     g.textAlign = "right";
     for (const v of marks(m.y, height / 40)) { const y = t + height * (1 - this.along(m.y, v)); g.fillRect(l - 4, y, 4, 1); g.fillText(short(v), l - 7, y + 4); }

@@ -38,6 +38,7 @@ class Plots {
   draw() {
     for (const plot of this.plots.values()) plot.draw();
     this.cursor(this.now ?? 0, null);
+    for (const plot of this.plots.values()) plot.fit_names();
   }
 
   cursor(now, held) {
@@ -91,14 +92,27 @@ class Plot {
       return span;
     });
     const dashed = this.name === "links"; // the friction of a contact has its colour, with dashes
-    const shown = this.spans.filter((span, k) => this.panel.traces[k].label !== "-limit" && !(dashed && this.panel.traces[k].limit));
-    const more = shown.length > NAMES ? [make("span", { textContent: `and ${shown.length - NAMES} more` })] : [];
+    this.listed = this.spans.filter((span, k) => this.panel.traces[k].label !== "-limit" && !(dashed && this.panel.traces[k].limit));
+    this.more = make("span");
+    this.fits = "";
     this.modes_ = this.first && this.all.run.modes ? make("span", { className: "modes", title: "the stripe below: what the tip does" }) : null;
-    this.names.replaceChildren(make("b", { textContent: this.panel.title + (dashed ? ", friction dashed" : "") }), ...shown.slice(0, NAMES), ...more, this.modes_ ?? "");
+    this.names.replaceChildren(make("b", { textContent: this.panel.title + (dashed ? ", friction dashed" : "") }), ...this.listed, this.more, this.modes_ ?? "");
     if (this.all.tell.extra(this.name)) {
       const close = make("button", { className: "close", textContent: "close", title: "show this column no longer" });
       close.onclick = () => this.all.tell.close(this.name);
       this.names.append(close);
+    }
+  }
+
+  // Show as many names as there is room for, and how many more there are.
+  fit_names() {
+    const key = `${sizes.get(this.base)?.[0]} ${this.labels}`, all = this.listed.length;
+    if (key === this.fits) return;
+    this.fits = key;
+    for (let count = Math.min(all, NAMES); count > 0; count--) {
+      this.listed.forEach((span, k) => { span.hidden = k >= count; });
+      this.more.textContent = count < all ? `and ${all - count} more` : "";
+      if (this.names.scrollHeight <= this.names.clientHeight + 1) break;
     }
   }
 
@@ -229,18 +243,18 @@ class Plot {
     for (let i = 0, end; i < count; i = end) {
       end = i + 1;
       if (!Number.isFinite(values[i])) { last = null; continue; }
-      const at = x(time[i]), column = Math.floor(at);
-      let value = y(values[i]), [low, high] = [value, value];
+      const at = x(time[i]), column = Math.floor(at), first = y(values[i]);
+      let value = first, [low, high] = [value, value];
       for (; dense && end < count && Number.isFinite(values[end]) && Math.floor(x(time[end])) === column; end++) {
         value = y(values[end]);
         [low, high] = [Math.min(low, value), Math.max(high, value)];
       }
-      if (end === i + 1) {
-        if (last) g.lineTo(at, value); else g.moveTo(at, value);
+      if (!dense) {
+        if (last) g.lineTo(at, first); else g.moveTo(at, first);
       } else {
         if (last && last[0] === column - 1) [low, high] = [Math.min(low, last[1]), Math.max(high, last[1])];
-        else if (last) g.lineTo(at, y(values[i]));
-        if (!gap || column % (dash + gap) < dash) g.fillRect(column, low - width / 2, width, high - low + width);
+        else if (last) g.lineTo(column, first); // over columns without a point
+        if (!gap || column % (dash + gap) < dash) g.fillRect(column, low - width / 2, Math.max(width, 1), high - low + width);
         g.moveTo(column + 1, value);
       }
       last = [column, value];

@@ -5,6 +5,7 @@
 // A picture that takes longer, ms, was drawn without a graphics processor: the runs need the processor more.
 const SLOW = 15;
 const ANGLE = 0.7, SAMPLES = 4, RED = [0.85, 0.15, 0.1], SEEN_THROUGH = 0.3;
+const LIFT = 0.2; // of white in all shapes, on dark paper
 // The longest usual arrow, and the longest of all, as shares of the view's radius.
 const USUAL = 0.6, MOST = 1.1;
 const SHOWN = { "contact force": "f", friction: "friction", "commanded force": "commanded" };
@@ -182,7 +183,7 @@ class Space {
     d.begin(x, y, w, h, camera);
     const through = [];
     for (const s of this.shapes.filter((s) => !this.hidden.has(s.kind))) {
-      const colour = this.red.has(s.joint) ? RED : s.colour;
+      const colour = (this.red.has(s.joint) ? RED : s.colour).map((c) => (dark ? LIFT + (1 - LIFT) * c : c));
       if (s.opacity || (this.clear && arrows && this.about.clear.includes(s.joint))) through.push([s, colour]);
       else d.put(s.mesh, f.places[s.joint], [...colour, 1], 1);
     }

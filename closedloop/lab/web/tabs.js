@@ -38,7 +38,7 @@ class Tabs {
 }
 
 // Curves over a logarithmic frequency, with the value at the pointer.
-function bode(canvas, m, which, unit, marks) {
+function bode(canvas, m, which, title, marks) {
   const [g, w, h] = sized(canvas), values = m[which];
   if (w < 60 || !values?.length) return;
   const [a, b] = [m.frequency[0], m.frequency[m.frequency.length - 1]];
@@ -47,7 +47,7 @@ function bode(canvas, m, which, unit, marks) {
   if (which === "gain") low = Math.max(low, high - 120);
   const pad = 0.06 * (high - low || 1);
   [low, high] = [low - pad, high + pad];
-  const x = (f) => 44 + ((w - 54) * Math.log(f / a)) / Math.log(b / a), y = (v) => 6 + (h - 26) * (1 - (v - low) / (high - low));
+  const x = (f) => 44 + ((w - 54) * Math.log(f / a)) / Math.log(b / a), top = 20, y = (v) => top + (h - 20 - top) * (1 - (v - low) / (high - low));
   g.font = small_print();
   const line = (xa, ya, xb, yb) => { g.beginPath(); g.moveTo(xa, ya); g.lineTo(xb, yb); g.stroke(); };
   g.strokeStyle = ink("--line");
@@ -55,14 +55,15 @@ function bode(canvas, m, which, unit, marks) {
   g.textAlign = "right";
   for (const v of few(ticks(low, high, h / 36), h)) { line(44, y(v), w - 10, y(v)); g.fillText(short(v), 40, y(v) + 4); }
   g.textAlign = "center";
-  for (const f of logTicks(a, b)) { line(x(f), 6, x(f), h - 20); g.fillText(short(f), x(f), h - 7); }
+  for (const f of logTicks(a, b)) { line(x(f), top, x(f), h - 20); g.fillText(short(f), x(f), h - 7); }
   g.textAlign = "right";
   g.fillText("Hz", w - 1, h - 7);
+  g.fillText(title, w - 10, 13);
   g.strokeStyle = ink("--faint");
   g.setLineDash([4, 4]);
   for (const v of marks.levels) if (v > low && v < high) line(44, y(v), w - 10, y(v));
   g.strokeStyle = ink("--bad");
-  for (const f of marks.frequencies) if (f > a && f < b) line(x(f), 6, x(f), h - 20);
+  for (const f of marks.frequencies) if (f > a && f < b) line(x(f), top, x(f), h - 20);
   g.setLineDash([]);
   g.save();
   g.beginPath();
@@ -74,13 +75,6 @@ function bode(canvas, m, which, unit, marks) {
   values.forEach((v, i) => g.lineTo(x(m.frequency[i]), y(v)));
   g.stroke();
   g.restore();
-  const wide = g.measureText(unit).width; // above the curve, which may pass behind it
-  g.globalAlpha = 0.8;
-  g.fillStyle = ink("--paper");
-  g.fillRect(w - 18 - wide, 6, wide + 6, 15);
-  g.globalAlpha = 1;
-  g.fillStyle = ink("--faint");
-  g.fillText(unit, w - 15, 17);
 }
 
 class Analysis {

@@ -142,7 +142,9 @@ def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
     angle = held.askew(robot, q)
     if outcome[ENDED] == REACHED and angle <= ASKEW:
         return np.array(way.q[1])
-    nearest = f"start.q = {[float(f'{x:.9g}') for x in way.q[1]]}" if outcome[ENDED] == REACHED else "another posture"
+    nearest = "another posture"
+    if outcome[ENDED] == REACHED:
+        nearest = f"start.q = {[round(float(x), 9) + 0.0 for x in way.q[1]]}"
     raise ScenarioError(
         f"{held.said}: the tool is turned {math.degrees(angle):.4g} degrees away from it at the start, and "
         f"{math.degrees(ASKEW):g} degree is the most: start with {nearest}"

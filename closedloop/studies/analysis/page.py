@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from closedloop.base.errors import ClosedLoopError
+from closedloop.scenario.units import key_unit
 from closedloop.studies.analysis.linear_loop import LinearLoop
 from closedloop.studies.analysis.margins import Margins
 from closedloop.studies.analysis.ranges import Limit, Range, Trial
@@ -35,12 +36,15 @@ class Page:
         Largest stable values by key, or why none was found.
     delay : float or None
         The longest stable `sensor.delay` of those tried, s; infinite if all are; None if the law reads no force.
+    tried : float
+        The longest that was tried, s.
     """
 
     loop: LinearLoop
     margins: dict[str, Margins]
     limits: dict[str, Limit | str] = field(default_factory=dict)
     delay: float | None = None
+    tried: float = math.inf
 
     @property
     def weakest(self) -> Margins:
@@ -143,8 +147,8 @@ class Page:
                 side = "largest" if limit.upwards else "smallest"
                 found.append(f"{name}: {side} stable value {limit.value:.6g}, then {limit.pole.frequency:.3g} Hz")
         if self.delay is not None:
-            longest = "no limit is found" if math.isinf(self.delay) else f"longest stable value {self.delay:.4g} s"
-            found.append(f"sensor.delay: {longest}")
+            longest = f"longest stable value {self.delay:.4g} s"
+            found.append(f"sensor.delay: {f'no limit up to {self.tried:.3g} s' if math.isinf(self.delay) else longest}")
         return found
 
     def as_dict(self) -> dict[str, Any]:
@@ -190,7 +194,7 @@ def page_of(study: Stability, limits: bool = True) -> Page:
     if limits:
         page.limits = _limits_of(study)
         if page.margins["sensor"].closed and loop.stable:
-            page.delay = _longest_delay(study)
+            page.delay, page.tried = _longest_delay(study)
     return page
 
 
@@ -208,7 +212,8 @@ def _limits_of(study: Stability) -> dict[str, Limit | str]:
     for key, most in wanted.items():
         section, _, name = key.partition(".")
         value = float(getattr(getattr(scenario, section), name))
-        over = Range(key, value, value * most if stable else value / most, log=True)
+        end = value * most if stable else value / most
+        over = Range(key, value, end, log=True)
         try:
             limits, refused = study.limits(over, looks=LOOKS)
         except ClosedLoopError as error:
@@ -221,12 +226,15 @@ def _limits_of(study: Stability) -> dict[str, Limit | str]:
                 f"{'stable' if stable else 'unstable'} at all values that can be run; others are refused: {refused}"
             )
         else:
-            found[key] = f"no limit up to {over.high:.3g}"
+            found[key] = f"no limit {'up' if stable else 'down'} to {end:.3g} {key_unit(key)}".rstrip()
     return found
 
 
-def _longest_delay(study: Stability) -> float:
-    """Return the longest stable delay of the sensor among whole samples, s; infinite if none up to `MOST_DELAY`."""
+def _longest_delay(study: Stability) -> tuple[float, float]:
+    """Return the longest stable delay of the sensor among whole samples, s, and the longest that was tried.
+
+    It is infinite if all up to `MOST_DELAY` samples are stable.
+    """
     period = study.scenario.law.sample_period or study.scenario.time.step
     h = study.scenario.time.step
     start = round(study.scenario.sensor.delay / h)
@@ -242,8 +250,8 @@ def _longest_delay(study: Stability) -> float:
     while stable(high):
         low, high = high, start + 2 * (high - start)
         if high > start + MOST_DELAY * step:
-            return math.inf
+            return math.inf, low * h
     while high - low > step:
         middle = low + (high - low) // (2 * step) * step
         low, high = (middle, high) if stable(middle) else (low, middle)
-    return low * h
+    return low * h, high * h

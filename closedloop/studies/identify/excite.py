@@ -100,7 +100,7 @@ class Excitation:
         ]
         for name, unit, half, drawn in zip(self.names, self.units, self.half, self.drawn, strict=True):
             mark = "*" if name in self.target else " "
-            value = f"{half:.3g} {unit}" if np.isfinite(half) else "not told"
+            value = f"{half:.3g} {unit}" if np.isfinite(half) else "not identified"
             told.append(f"{mark} {name:24} {value:>20} ({drawn:.3g})")
         return told
 

@@ -4,6 +4,8 @@
 
 // A picture that takes longer, ms, was drawn without a graphics processor: the runs need the processor more.
 const SLOW = 15;
+// While a slider is moved such pictures take no larger part of the time than one over this.
+const SHARE = 20;
 const ANGLE = 0.7, SAMPLES = 4, RED = [0.85, 0.15, 0.1], SEEN_THROUGH = 0.3;
 const LIFT = 0.2; // of white in all shapes, on dark paper
 // The longest usual arrow, and the longest of all, as shares of the view's radius.
@@ -135,17 +137,18 @@ class Space {
     this.wait();
   }
 
-  // Where pictures are slow they wait until the run asked for is there and the slider rests, but no longer than 0.7 s:
-  // then a coarse one is drawn, in a third of the time, and the next once the slider rests.
+  // Where pictures are slow they wait until the run asked for is there and the slider rests, but no longer than 0.7 s,
+  // or so long that they take a small part of the time: then a coarse one is drawn, in a third of the time, and the next
+  // once the slider rests.
   wait() {
     const now = performance.now(), slow = this.calm && this.cost > SLOW, rest = slow ? this.calm + 200 - now : 0;
-    const left = slow ? Math.min(rest, this.asked + 700 - now) : 0;
+    const left = slow ? Math.min(rest, this.asked + Math.max(700, SHARE * (this.coarse ?? 0)) - now) : 0;
     if (left > 1) { setTimeout(() => this.wait(), Math.min(left, 200)); return; }
     const coarse = rest > 1;
     requestAnimationFrame(() => {
       const texts = this.paint(coarse), drawing = this.drawing;
       drawing.finished((took) => {
-        if (!coarse) this.cost = took;
+        if (coarse) this.coarse = took; else this.cost = took;
         requestAnimationFrame(() => {
           if (drawing !== this.drawing) return; // lost meanwhile
           drawing.present();

@@ -39,6 +39,28 @@ def test_the_first_page_offers_the_scenarios_that_ship(browser, tmp_path):
         lab.close()
 
 
+NAMES = r"""() => [...plots.plots.values()].map(p => {
+  const box = p.names.getBoundingClientRect(), seen = p.listed.filter(s => !s.hidden);
+  return [p.listed.length, seen.length, Number(p.more.textContent.match(/\d+/)?.[0] ?? 0),
+          seen.every(s => s.getBoundingClientRect().bottom <= box.bottom + 1)];
+})"""
+
+
+def test_names_of_curves_are_seen_or_counted(offline, tmp_path):
+    """In a narrow window two lines of names and how many more there are; in a wide one all six contacts."""
+    run = cl.simulate(cl.load_scenario("gripper_block", {"time.duration": 0.05}), engine="compiled")
+    page = offline.new_page()
+    page.set_viewport_size({"width": 720, "height": 700})
+    page.goto(Path(run.show(tmp_path / "page.html")).as_uri())
+    narrow = page.evaluate(NAMES)
+    assert all(listed == seen + more and inside for listed, seen, more, inside in narrow)
+    assert narrow[0][2] > 0
+    page.set_viewport_size({"width": 1800, "height": 900})
+    page.wait_for_timeout(200)
+    assert page.evaluate(NAMES)[0][1:] == [6, 0, True]
+    page.close()
+
+
 # Their scenes are those of another scenario: an arm on a plane.
 ALIKE = (
     "joint_friction", "panda_slide", "panda_touchdown", "panda_wipe", "payload_mismatch", "wam_edge",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 # What titles say where `contacts_drawn` takes points together.
-SUMMED = ", summed over the points of each"
+SUMMED = ", sums over points"
 # By how much the broadest line is broader than the last, points.
 WIDER = 5.0
 # The axis of the forces shows at least this share of the largest.

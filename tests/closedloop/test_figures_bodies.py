@@ -120,7 +120,7 @@ def test_boxes_that_rest_show_what_each_carries(tmp_path):
     run = cl.simulate(cl.load_scenario("tower", {"time.duration": 0.02}))
     with matplotlib.rc_context({"axes.titlelocation": "left"}):
         _, forces, friction = run.plot().axes[:3]
-    assert forces.get_title(loc="left") == "Contact forces, summed over the points of each (tower)"
+    assert forces.get_title(loc="left") == "Contact forces, sums over points (tower)"
     assert [line.get_label() for line in forces.lines[:5]] == [f"box {k}" for k in range(1, 6)]
     weights = [line.get_ydata()[-1] for line in forces.lines[:5]]
     np.testing.assert_allclose(weights, 9.81 * np.arange(5, 0, -1), rtol=1e-6)
@@ -128,7 +128,7 @@ def test_boxes_that_rest_show_what_each_carries(tmp_path):
     np.testing.assert_allclose(limits, 0.5 * np.array(weights), rtol=1e-12)
     assert draw_figures(run, tmp_path)[0].stem == "fig_link_contacts"
     (panel,) = panels(run)
-    assert panel.title == "link forces, summed over the points of each [N]"
+    assert panel.title == "link forces, sums over points [N]"
     np.testing.assert_allclose([t.values[-1] for t in panel.traces if not t.limit], weights)
 
 

@@ -68,7 +68,7 @@ class Compiled(ClosedLoop):
         """Return the row that the loop records at a state under a given torque; b None: the tip is free."""
         n, scheme = self.n, INTEGRATORS["semi_implicit_euler"]
         terms = self.robot.terms(self._in(q), self._in(v))
-        loop = make_loop(n, stages=scheme.stages)
+        loop = make_loop(n, stages=scheme.stages, ends=self.robot.tree.ends)
         state, constants, w = loop
         constants.h = constants.node = 1e-3
         w.tip.frame[:] = contact_frame(normal)

@@ -74,17 +74,17 @@ class ClosedLoop(Engine):
         return np.asarray(np.linalg.solve(terms.mass_matrix, self._in(torque) - terms.bias)[self._columns])
 
     def constrained(self, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
-        terms, n = self.robot.terms(self._in(q), self._in(v)), self.n
+        terms, n, ends = self.robot.terms(self._in(q), self._in(v)), self.n, self.robot.tree.ends
         L, X, S, y, a, F, qdd = (np.empty(k) for k in ((n, n), (3, n), (3, 3), n, 3, 3, n))
         A = contact_frame(normal) @ terms.jacobian
-        status = factorise(np.array(terms.mass_matrix), A, L, X, S, 0.0)
+        status = factorise(np.array(terms.mass_matrix), A, L, X, S, 0.0, ends)
         if status == OK:
             # The closure asks A q̈ = b, whatever the drift: the kernel is told that the drift is −b.
-            free_acceleration(L, X, np.array([-b, 0.0, 0.0]), self._in(torque), np.array(terms.bias), y, a)
+            free_acceleration(L, X, np.array([-b, 0.0, 0.0]), self._in(torque), np.array(terms.bias), y, a, ends)
             status, _ = pressed_force(S, a, 0.0, np.zeros(2), np.zeros(2), F)
         if status != OK:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
-        accelerate(L, X, y, F, qdd)
+        accelerate(L, X, y, F, qdd, ends)
         return qdd[self._columns], float(F[0])
 
     def stabilised(self, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:

@@ -54,8 +54,8 @@ class ObserverCompensation(Compensation):
         a = x.scratch[0:n]
         for j in range(n):
             a[j] = torque[j] - x.C[j] + x.A[0, j] * f
-        forward_substitute(x.L, a)
-        back_substitute(x.L, a)
+        forward_substitute(x.L, a, 0, n)
+        back_substitute(x.L, a, 0, n)
         for j in range(n):
             dz.observed_velocity[j] = a[j] + par.rate * (x.v[j] - z.observed_velocity[j])
 

@@ -17,9 +17,9 @@ from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, St
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK, apply_impulse
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import friction_of_impact
-from closedloop.mechanics.contacts.given_modes import own_mobility
 from closedloop.mechanics.contacts.impact import own_rest_speed
 from closedloop.mechanics.contacts.memory import contacts_at
+from closedloop.mechanics.contacts.mobility import own_mobility
 from closedloop.mechanics.impact import CUT as ENERGY_CUT
 from closedloop.mechanics.impact import ImpactWork, energy_lost, impact
 

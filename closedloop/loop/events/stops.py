@@ -124,7 +124,7 @@ def bind_again(w: Work, state: State) -> None:
     for k in range(3):
         for j in range(w.q.shape[0]):
             w.tip.X[k, j] = w.tip.A[k, j]
-        forward_substitute(w.L, row_of(w.tip.X, k))
+        forward_substitute(w.L, row_of(w.tip.X, k), 0, w.q.shape[0])
     ask_loops(state, BIND_TIP)
 
 

@@ -41,7 +41,9 @@ BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, IMPULSE, 
 @kernel_inlined
 def factorise_tip(H: Array, w: Work, constants: Constants, state: State) -> int:
     """Do `factorise` for the tip of the closed mechanism, where it has just been located."""
-    status = factorise(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach)
+    status = factorise(
+        H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach, integers_at(state.addresses.group_ends, state.n)
+    )
     if status == OK:
         ask_loops(state, BIND_TIP)
     return status
@@ -138,7 +140,7 @@ def drive(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
 @kernel
 def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Replace `column`, what is missing in the equation of motion, by the part of it that the loops can give."""
-    forward_substitute(w.L, w.scratch.column)
+    forward_substitute(w.L, w.scratch.column, 0, links.n)
     take_free(links, rows, w.scratch.column)
     for i in range(links.n - 1, -1, -1):  # L x, with the reciprocals on L's diagonal
         s = w.scratch.column[i] / w.L[i, i]
@@ -165,7 +167,7 @@ def apply_impulses(links: LoopLinks, rows: LoopRows, w: Work) -> None:
         rows.part[j] = w.v[j]
     multiply_transposed(w.L, rows.part, links.n)
     take_free(links, rows, rows.part)
-    back_substitute(w.L, rows.part)
+    back_substitute(w.L, rows.part, 0, links.n)
     for j in range(links.n):
         w.v[j] -= rows.part[j]
 

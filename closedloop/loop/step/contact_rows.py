@@ -22,8 +22,8 @@ from closedloop.mechanics.closure.contact_force import FREE, baumgarte_accelerat
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
-from closedloop.mechanics.contacts.given_modes import mobility_of
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub
+from closedloop.mechanics.contacts.mobility import own_mobilities, write_mobility
 from closedloop.mechanics.contacts.modes import HOVERING, near
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
@@ -62,7 +62,6 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     c.inside[0] = w.tip.inside if state.surface.entry != 0 else math.inf
     for j in range(n):
         c.load[j] = w.y[j]
-    write_ends(w.L, c.scratch.ends)
     for i in range(links.joints):
         if is_resistance(c, i):
             takes_part = c.near[int(c.friction.resistance.owner[i])] != 0.0
@@ -71,7 +70,9 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         if takes_part or c.near[i] != 0.0:
             write_mobility_rows(c, i, takes_part, w, state)
         c.near[i] = 1.0 if takes_part else 0.0
-    mobility_of(c, k)
+    own_mobilities(c, k)
+    if links.compliances != 0 or links.joints > links.points + links.stops:  # these change what stands beside
+        write_mobility(c, k)
     for i in range(links.joints):
         for j in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
             off = c.located[j]
@@ -101,7 +102,7 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
         shapes = shapes_at(links.shapes)
         if rolls(shapes, i) and not asked(links, i) and not has_edge(shapes, i):
             roll_on_plane(joints, rows, shapes, i)
-    n, G, given = links.n, c.G, rows.G
+    G, given = c.G, rows.G
     for r in range(joints.m):
         i = r + 3
         c.located[i], c.u[i] = rows.error[r], rows.rate[r]
@@ -109,7 +110,7 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             continue
         c.drift[i] = rows.drift[r]
         to, of = row_of(G, i), row_of(given, r)
-        for j in range(n):
+        for j in range(int(c.first[i // 3]), int(c.end[i // 3])):
             to[j] = of[j]
     for i in range(1, links.points if links.shapes != 0 else 0):
         if has_edge(shapes_at(links.shapes), i):
@@ -140,58 +141,29 @@ def wanders(links: ContactLinks, i: int) -> bool:
 @kernel
 def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) -> None:
     """Write X = L⁻¹Gᵀ of contact i, less what loops bind, and its free acceleration; zeros if it is not near."""
-    n = c.X.shape[1]
+    n, begin, end, ends = c.X.shape[1], int(c.first[i]), int(c.end[i]), integers_at(state.addresses.group_ends, state.n)
     for r in range(3 * i, 3 * i + 3):
         if i == 0:
             for j in range(n):
                 c.G[r, j], c.X[r, j] = w.tip.A[r, j], w.tip.X[r, j] if near else 0.0
             continue
         X, G = row_of(c.X, r), row_of(c.G, r)
-        for j in range(n):
+        for j in range(begin, end):
             X[j] = G[j] if near else 0.0
         c.a[r] = c.drift[r]
         if not near:
             for j in range(c.W.shape[0]):
                 c.W[r, j], c.W[j, r] = 0.0, 0.0
             continue
-        substitute_in_trees(w.L, X, c.scratch.ends)
-        for j in range(n):
+        group = begin
+        while group < end:
+            forward_substitute(w.L, X, group, ends[group])
+            group = ends[group]
+        for j in range(begin, end):
             c.a[r] += X[j] * w.y[j]
         if state.loops.entry != 0:
             bound, loops = loops_at(state.loops.at)
             leave_free(bound, loops, X)
-
-
-@kernel
-def write_ends(L: Array, ends: Array) -> None:
-    """Write for each joint where the joints end that L couples with it: those of a tree that stands by itself."""
-    n = L.shape[0]
-    first, end = n, n
-    for i in range(n - 1, -1, -1):
-        at = 0
-        while at < i and L[i, at] == 0.0:
-            at += 1
-        first = min(first, at)
-        ends[i] = end
-        if first == i:
-            first, end = n, i
-
-
-@kernel
-def substitute_in_trees(L: Array, x: Array, ends: Array) -> None:
-    """Overwrite x (n,) with L⁻¹x, where it is not zero; see `write_ends`."""
-    n, i = x.shape[0], 0
-    while i < n:
-        if x[i] == 0.0:
-            i += 1
-            continue
-        begin, end = i, int(ends[i])
-        for r in range(begin, end):
-            s = x[r]
-            for m in range(begin, r):
-                s -= L[r, m] * x[m]
-            x[r] = s * L[r, r]
-        i = end
 
 
 @kernel
@@ -309,6 +281,7 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     first, n = links.joints, links.n
     if not joints_rub(links):
         return
+    write_mobility(c, links.k)
     joint_limits(w, constants, state)
     for i in range(first, links.k):
         j, at = i - first, 3 * i
@@ -317,7 +290,7 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             for m in range(n):
                 c.X[r, m] = 0.0
         c.X[at + 1, j], c.near[i], c.mu[i] = 1.0, 1.0, 1.0
-        forward_substitute(w.L, row_of(c.X, at + 1))
+        forward_substitute(w.L, row_of(c.X, at + 1), 0, n)
         if state.loops.entry != 0:
             bound, loops = loops_at(state.loops.at)
             leave_free(bound, loops, row_of(c.X, at + 1))

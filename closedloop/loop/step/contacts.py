@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel, long_loops_entry
-from closedloop.jit.pointers import row_of
+from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.contact_rows import (
     asked,
     forget_joints,
@@ -263,13 +263,13 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             continue
         w.contacts.power += F * (c.u[i] + c.carried[i])
         G, X = row_of(c.G, i), row_of(c.X, i)
-        for j in range(n):
+        for j in range(int(c.first[i // 3]), int(c.end[i // 3])):
             torque[j] += G[j] * F
             y[j] += X[j] * F
-    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
     for i in range(3, 3 * k if state.settings.stages == 1 else 0):
         growth = c.drift[i] - c.turning[i]
-        for j in range(n):
+        for j in range(int(c.first[i // 3]), int(c.end[i // 3])):
             growth += c.G[i, j] * w.qdd[j]
         w.contacts.power_rate += c.F[i] * growth
     return status
@@ -432,4 +432,4 @@ def answer(links: ContactLinks, c: Contacts, w: Work) -> None:
         for i in range(3 * links.k):
             s += c.X[i, j] * c.F[i]
         w.scratch.column[j] = s
-    back_substitute(w.L, w.scratch.column)
+    back_substitute(w.L, w.scratch.column, 0, links.n)

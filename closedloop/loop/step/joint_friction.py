@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
+from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.closed_loops import BIND_ANSWER
 from closedloop.loop.step.contacts import ANSWER
 from closedloop.loop.step.entries import ADVANCE_STATES, LIMIT, SLIDE
@@ -137,7 +137,9 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             for i in range(3):
                 target[i] = 0.0
             stuck_force(w.tip.S, a, target, F, w.scratch.unused)
-        accelerate(w.L, w.tip.X, y, F, row_of(w.joint_friction.gain, j))
+        accelerate(
+            w.L, w.tip.X, y, F, row_of(w.joint_friction.gain, j), integers_at(state.addresses.group_ends, state.n)
+        )
         if not w.joint_friction.gain[j, j] > HELD * alone:
             w.joint_friction.gain[j, j] = 0.0
     for _ in range(MOST_SWEEPS):

@@ -33,7 +33,7 @@ class Loop(NamedTuple):
 
 def make_loop(
     n: int, *, law: int = 0, compensation: int = 0, friction: int = 0, joint_friction: int = 0, compliance: int = 0,
-    extra: int = 0, stages: int = 1, ring: int = 1,
+    extra: int = 0, stages: int = 1, ring: int = 1, ends: NDArray[np.int64] | None = None,
 ) -> Loop:  # fmt: skip
     """Return a loop's memory, zero everywhere.
 
@@ -49,12 +49,17 @@ def make_loop(
         Of the integrator.
     ring : int
         Samples that the force sensor keeps.
+    ends : (n,) array, optional
+        See `closedloop.mechanics.robot.tree.group_ends`; all joints are one group without it.
     """
     state = State(np.zeros(STATE_COUNT, dtype=np.int64))
     sizes = n, law, compensation, friction, joint_friction, compliance
     constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
     w = Work(np.zeros(Work.count(n, extra, stages, ring)), n, extra, stages, ring)
     state.address = address_of(state.memory)
+    ends = np.full(n, n, dtype=np.int64) if ends is None else ends
+    state.addresses.group_ends = address_of(ends)
+    state.keep_alive(ends=ends)
     state.n, state.addresses.extra, state.settings.stages, state.sensor.ring = n, extra, stages, ring
     state.law.size, state.compensation.size = law, compensation
     state.friction.size, state.joint_friction.size, state.compliance.size = friction, joint_friction, compliance

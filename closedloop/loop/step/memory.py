@@ -88,6 +88,7 @@ class Addresses(Block):
     work: int
     work_size: int
     extra: int  # numbers of state beside q and q̇
+    group_ends: int  # of where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`
 
 
 class Settings(Block):

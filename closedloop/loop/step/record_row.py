@@ -13,7 +13,7 @@ from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
 from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.jit.pointers import row_of
+from closedloop.jit.pointers import integers_at, row_of
 from closedloop.jit.simd8 import every, select
 from closedloop.loop.step.closed_loops import REACTION, missing_torque
 from closedloop.loop.step.energy_supplied import driving_torque
@@ -34,6 +34,7 @@ from closedloop.mechanics.contacts.resistance import resistance_of
 from closedloop.mechanics.contacts.soft_friction import rests
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 class Row(Block, sizes=("n",)):
@@ -119,12 +120,12 @@ def recorded(rows: Array, n: int, name: str, contacts: int = 0, states: int = 0)
 
 
 @kernel_inlined
-def kinetic_energy(H: Array, v: Array) -> float:
-    """Return ½ q̇ᵀH q̇, J, from H's upper triangle."""
+def kinetic_energy(H: Array, v: Array, ends: IntArray) -> float:
+    """Return ½ q̇ᵀH q̇, J, from H's upper triangle, whose blocks end at `ends`."""
     total = 0.0
     for i in range(v.shape[0]):
         total += 0.5 * H[i, i] * v[i] * v[i]
-        for j in range(i + 1, v.shape[0]):
+        for j in range(i + 1, ends[i]):
             total += H[i, j] * v[i] * v[j]
     return total
 
@@ -196,7 +197,14 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
         row.kkt_condition = math.nan
     elif n > LONG_ARM:
         row.kkt_condition = condition_number(
-            H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.scratch.numbers
+            H,
+            row_of(w.tip.A, 0),
+            w.L,
+            row_of(w.tip.X, 0),
+            w.tip.S[0, 0],
+            bordered,
+            w.scratch.numbers,
+            integers_at(state.addresses.group_ends, state.n),
         )
     else:
         add_to_batch(H, row_of(w.tip.A, 0), w.L, row_of(w.tip.X, 0), w.tip.S[0, 0], bordered, w.batch, lane)
@@ -211,7 +219,7 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
 
     Returns whether Eq. 24 has the row of the contact there.
     """
-    n = w.q.shape[0]
+    n, ends = w.q.shape[0], integers_at(state.addresses.group_ends, state.n)
     for j in range(n):
         row.q[j] = w.q[j]
         row.v[j] = w.v[j]
@@ -231,7 +239,10 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
     mode = state.mode
     # in a singular pose Eq. 24 has no row
     closed_by_row = mode != FREE and state.compliance.entry == 0 and every(w.tip.S[0, 0] > 0.0)
-    first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.friction.sticking == RIGID_STICK else 1
+    shown = (
+        0 if closed_by_row else 1,
+        3 if mode == STUCK and state.friction.sticking == RIGID_STICK else 1,
+    )
     if state.loops.entry != 0:
         missing_torque(H, C, w, state)
         ask_loops(state, REACTION)
@@ -249,9 +260,9 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
     if has_derivatives(trace):  # they say how well Eq. 24 is solved, which is not worth a third of a step
         row.residual_motion = row.residual_closure = math.nan
     else:
-        row.residual_motion, row.residual_closure = residuals(H, w.scratch.column, C, w.qdd, w.tip, first, last)
+        row.residual_motion, row.residual_closure = residuals(H, w.scratch.column, C, w.qdd, w.tip, shown, ends)
     row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
-    row.kinetic_energy = kinetic_energy(H, w.v)
+    row.kinetic_energy = kinetic_energy(H, w.v, ends)
     w.sensing.measured = w.tip.F[0]
     row.measured_force = w.sensing.measured
     row.energy_supplied = w.supply.energy

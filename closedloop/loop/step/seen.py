@@ -15,7 +15,7 @@ from closedloop.control.reference.table import DrawnRow
 from closedloop.control.seen import Seen
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
+from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.belief import believe
 from closedloop.loop.step.closed_loops import BIND_SEEN, CLOSE
 from closedloop.loop.step.locate import in_contact_frame
@@ -72,7 +72,11 @@ def see(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
     if state.settings.elastic != 0:  # the controller takes the joints for rigid
         for j in range(n):
             w.H[j, j] += constants.motor_inertia[j]
-    status = int(factorise(w.H, seen.A, seen.L, seen.X, seen.S, constants.reach))
+    status = int(
+        factorise(
+            w.H, seen.A, seen.L, seen.X, seen.S, constants.reach, integers_at(state.addresses.group_ends, state.n)
+        )
+    )
     if status == OK and state.loops.seen_at != 0:
         call_at(state.loops.entry, state.loops.seen_at, BIND_SEEN)
     return status

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.pointers import integers_at
 from closedloop.jit.simd8 import every
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.loop.step.records import N
@@ -170,7 +171,7 @@ def force_in_singular_pose(C: Array, w: Work, constants: Constants, state: State
         -w.friction.c[1] * f - w.friction.viscous[1],
     )
     w.tip.rigid_force, w.tip.stabiliser_force[0], w.tip.b[0], w.tip.S[0, 0] = f, 0.0, 0.0, 0.0
-    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
     return OK
 
 
@@ -187,7 +188,7 @@ def no_push(C: Array, w: Work, constants: Constants, rate: float) -> float:
     for side in range(2):
         for j in range(n):
             x[j] = w.scratch.column[j] if side == 0 else C[j]
-        forward_substitute(w.L, x)
+        forward_substitute(w.L, x, 0, n)
         total += length(x)
     for j in range(n):
         x[j] = w.v[j] / w.L[j, j]  # the diagonal holds reciprocals

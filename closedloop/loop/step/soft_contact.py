@@ -7,6 +7,7 @@ from functools import cache
 from closedloop.jit.calls import Entry, call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import parameter_block
+from closedloop.jit.pointers import integers_at
 from closedloop.jit.user_code import function_of, member_entry
 from closedloop.loop.step.entries import mark_raised
 from closedloop.loop.step.locate import off_anchor
@@ -59,7 +60,7 @@ def soft_contact_force(w: Work, constants: Constants, state: State) -> None:
                 -w.friction.c[0] * f - w.friction.viscous[0],
                 -w.friction.c[1] * f - w.friction.viscous[1],
             )
-    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
 
 
 @kernel

@@ -6,11 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.pointers import integers_at
 from closedloop.loop.step.closed_loops import BIND_LOAD
 from closedloop.loop.step.contacts import FORCE
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.locate import off_anchor
-from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, ask_contacts, ask_loops
+from closedloop.loop.step.memory import (
+    RIGID_STICK,
+    SPRING_STICK,
+    Constants,
+    State,
+    Work,
+    ask_contacts,
+    ask_loops,
+)
 from closedloop.loop.step.singular import force_in_singular_pose, pushed_on_the_way, row_is_rounding
 from closedloop.loop.step.soft_contact import soft_contact_force
 from closedloop.loop.step.tip_friction import rub_without_pressure, turn_with_slip
@@ -39,7 +48,9 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
         w.scratch.column[j] = driving_torque(w, state, j) + w.joint_friction.torque[j]
-    free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.scratch.column, C, w.y, w.tip.a)
+    free_acceleration(
+        w.L, w.tip.X, w.tip.drift_c, w.scratch.column, C, w.y, w.tip.a, integers_at(state.addresses.group_ends, state.n)
+    )
     ask_loops(state, BIND_LOAD)
     if state.together != 0:
         return ask_contacts(state, FORCE)
@@ -92,7 +103,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         if stuck_force(w.tip.S, w.tip.a, w.tip.b, w.tip.F, w.tip.stabiliser_force) != OK:
             return SINGULAR
         w.tip.rigid_force = kept_force(w.tip.F[0] - w.tip.stabiliser_force[0], C, w, state)
-    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
     return OK
 
 

@@ -23,6 +23,7 @@ from closedloop.jit.lanewise import lanewise, takes_arrays
 from closedloop.jit.pointers import matrix_of, row_of
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 BATCH = 32
 # Above this many joints the rows of the matrices vectorise by themselves, one condition number at a time.
@@ -107,7 +108,9 @@ def condition_numbers_of_batch(batch: Array, n: int, lanes: int) -> None:
 
 
 @kernel
-def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, work: Array) -> float:
+def condition_number(
+    H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, work: Array, ends: IntArray
+) -> float:
     """Return the condition number of one state of a long arm.
 
     Parameters
@@ -116,46 +119,58 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
         See `add_to_batch`.
     work : (>= n * n + 4 * n,) array
         Scratch.
+    ends : (n,) array
+        Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
     """
-    n = H.shape[0]
+    n, first = H.shape[0], 0
     R = matrix_of(work, n, n)  # L⁻¹, lower
     x, column = work[n * n : n * n + n], work[n * n + n : n * n + 2 * n]
     size, row = work[n * n + 2 * n : n * n + 3 * n], work[n * n + 3 * n : n * n + 4 * n]
     inverse_mobility = 1.0 / mobility if pressed else 0.0
     for i in range(n):
-        for j in range(n):
+        if i == ends[first]:
+            first = i
+        for j in range(first, ends[i]):
             R[i, j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
-        for k in range(0, i - 3, 4):
-            add_four((-L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]), R, k, row_of(R, i)[: k + 4])
-        for k in range(i // 4 * 4, i):
-            add_multiple(-L[i, k], row_of(R, k), row_of(R, i)[: k + 1])
+        for k in range(first, i - 3, 4):
+            add_four((-L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]), R, k, first, row_of(R, i)[first : k + 4])
+        for k in range(first + (i - first) // 4 * 4, i):
+            add_multiple(-L[i, k], row_of(R, k)[first:], row_of(R, i)[first : k + 1])
         inverse = L[i, i]
-        for j in range(i):
+        for j in range(first, i):
             R[i, j] *= inverse
         R[i, i] = L[i, i]
         x[i] = 0.0
+    first = 0
     if pressed:
         for k in range(n):
-            add_multiple(X[k], row_of(R, k), x[: k + 1])
+            first = first if ends[first] > k else k
+            add_multiple(X[k], row_of(R, k)[first:], x[first : k + 1])
     last, last_inverse = 0.0, inverse_mobility
     for j in range(n):
         size[j] = abs(A[j]) if pressed else 0.0
         column[j] = abs(x[j]) * inverse_mobility
         last += size[j]
         last_inverse += column[j]
+    first = 0
     for i in range(n):
-        for j in range(i + 1):
+        if i == ends[first]:
+            first = i
+        begin = 0 if pressed else first  # the contact couples the blocks that it touches
+        for j in range(begin, i + 1):
             row[j] = 0.0
-        add_multiple(-inverse_mobility * x[i], x, row[: i + 1])
-        fours = i + (n - i) // 4 * 4
+        if pressed:
+            add_multiple(-inverse_mobility * x[i], x, row[: i + 1])
+        fours = i + (ends[i] - i) // 4 * 4
         for k in range(i, fours, 4):
-            add_four((R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]), R, k, row[: i + 1])
-        for k in range(fours, n):
-            add_multiple(R[k, i], row_of(R, k), row[: i + 1])
-        for j in range(i):
+            add_four((R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]), R, k, first, row[first : i + 1])
+        for k in range(fours, ends[i]):
+            add_multiple(R[k, i], row_of(R, k)[first:], row[first : i + 1])
+        for j in range(begin, i):
             row[j] = abs(row[j])
             column[j] += row[j]
             column[i] += row[j]
+        for j in range(first, i):
             size[j] += abs(H[j, i])
             size[i] += abs(H[j, i])
         column[i] += abs(row[i])
@@ -174,10 +189,10 @@ def add_multiple(factor: float, x: Array, to: Array) -> None:
 
 
 @kernel_inlined
-def add_four(factors: tuple[float, float, float, float], R: Array, k: int, to: Array) -> None:
-    """Write to += a x + b y + c z + d w, the factors times the rows of R from the k-th on."""
+def add_four(factors: tuple[float, float, float, float], R: Array, k: int, first: int, to: Array) -> None:
+    """Write to += a x + b y + c z + d w, the factors times the rows of R from the k-th on, from column `first` on."""
     a, b, c, d = factors
-    x, y, z, w = row_of(R, k), row_of(R, k + 1), row_of(R, k + 2), row_of(R, k + 3)
+    x, y, z, w = row_of(R, k)[first:], row_of(R, k + 1)[first:], row_of(R, k + 2)[first:], row_of(R, k + 3)[first:]
     for j in range(to.shape[0]):
         to[j] += (a * x[j] + b * y[j]) + (c * z[j] + d * w[j])
 

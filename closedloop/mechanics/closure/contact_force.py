@@ -31,6 +31,7 @@ from closedloop.mechanics.closure.solve import (
 )
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 # Contact modes: values of the run's column `mode`.
 FREE, PRESSED, STUCK = 0, 1, 2
@@ -69,7 +70,7 @@ def into_contact_frame(arm: Any, tip: Any) -> None:
 
 
 @kernel_inlined
-def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float) -> int:
+def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float, ends: IntArray) -> int:
     """Write the Cholesky factor L of H, the rows X = L⁻¹Aᵀ and the tip's mobility S = A H⁻¹Aᵀ = X Xᵀ, 1/kg.
 
     Parameters
@@ -84,21 +85,26 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float) ->
         share of the tip's own mobility would fail where the whole of Jᵣ is rounding, as of a tip on the only axis.)
     reach : float
         Of the arm, squared, m², see `Robot.reach`.
+    ends : (n,) array
+        Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
 
     Returns
     -------
     int
         OK or NOT_POSITIVE_DEFINITE.
     """
-    n = H.shape[0]
-    if not cholesky(H, L):
-        return NOT_POSITIVE_DEFINITE
-    for k in range(3):
-        for i in range(n):
-            s = A[k, i]
-            for j in range(i):
-                s -= L[i, j] * X[k, j]
-            X[k, i] = s * L[i, i]
+    n, first = H.shape[0], 0
+    while first < n:
+        end = ends[first]
+        if not cholesky(H, L, first, end):
+            return NOT_POSITIVE_DEFINITE
+        for k in range(3):
+            for i in range(first, end):
+                s = A[k, i]
+                for j in range(first, i):
+                    s -= L[i, j] * X[k, j]
+                X[k, i] = s * L[i, i]
+        first = end
     for k in range(3):
         for i in range(k + 1):
             s = 0.0
@@ -114,12 +120,17 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float) ->
 
 
 @kernel_inlined
-def free_acceleration(L: Array, X: Array, drift_c: Array, torque: Array, C: Array, y: Array, a: Array) -> None:
+def free_acceleration(
+    L: Array, X: Array, drift_c: Array, torque: Array, C: Array, y: Array, a: Array, ends: IntArray
+) -> None:
     """Write y = L⁻¹(Q − C) and the tip's acceleration without contact, a = X y + Ȧq̇ (3,), m/s²."""
     n = torque.shape[0]
     for j in range(n):
         y[j] = torque[j] - C[j]
-    forward_substitute(L, y)
+    first = 0
+    while first < n:
+        forward_substitute(L, y, first, ends[first])
+        first = ends[first]
     for k in range(3):
         s = drift_c[k]
         for j in range(n):
@@ -136,7 +147,7 @@ def normal_rounding(L: Array, X: Array, drift_c: Array, torque: Array, loss: Arr
     n = C.shape[0]
     for j in range(n):
         g[j] = X[0, j]
-    back_substitute(L, g)
+    back_substitute(L, g, 0, n)
     total: float = abs(drift_c[0])
     for j in range(n):
         total += abs(g[j]) * (abs(torque[j]) + abs(loss[j]) + abs(C[j]))
@@ -257,11 +268,14 @@ def stuck_tangentially(S: Array, a: Array, b: Array, F: Array) -> None:
 
 
 @kernel_inlined
-def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array) -> None:
+def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array, ends: IntArray) -> None:
     """Write q̈ = L⁻ᵀ(y + Xᵀ F): the acceleration due to Q − C and the contact force."""
     for j in range(y.shape[0]):
         qdd[j] = y[j] + X[0, j] * F[0] + X[1, j] * F[1] + X[2, j] * F[2]
-    back_substitute(L, qdd)
+    first = 0
+    while first < y.shape[0]:
+        back_substitute(L, qdd, first, ends[first])
+        first = ends[first]
 
 
 @kernel
@@ -269,7 +283,7 @@ def answer_impulse(L: Array, X: Array, impulse: Array, column: Array) -> None:
     """Write H⁻¹Aᵀ P, the effect of an impulse P (3,), N s, on q̇, to `column` (n,)."""
     for j in range(column.shape[0]):
         column[j] = X[0, j] * impulse[0] + X[1, j] * impulse[1] + X[2, j] * impulse[2]
-    back_substitute(L, column)
+    back_substitute(L, column, 0, column.shape[0])
 
 
 @kernel

@@ -11,11 +11,14 @@ from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 @kernel_inlined
-def residuals(H: Array, torque: Array, C: Array, qdd: Array, tip: Any, first: int, last: int) -> tuple[float, float]:
-    """Return the relative residuals of the equation of motion, and of the closure rows first .. last − 1.
+def residuals(
+    H: Array, torque: Array, C: Array, qdd: Array, tip: Any, rows: tuple[int, int], ends: IntArray
+) -> tuple[float, float]:
+    """Return the relative residuals of the equation of motion, and of the closure rows `rows`[0] .. `rows`[1] − 1.
 
     Each is the largest |left − right| over the largest sum of the magnitudes of the terms. In a closure row these
     include the free acceleration `a` and S F, which cancel: an arm at rest in contact has q̈ = 0, and rounding is
@@ -33,16 +36,20 @@ def residuals(H: Array, torque: Array, C: Array, qdd: Array, tip: Any, first: in
     tip : closedloop.loop.step.records.TipContact or the like
         A (3, n), S (3, 3), `drift_c`, b, a and F (3,), as `factorise`, `free_acceleration` and `pressed_force` left
         them.
-    first, last : int
+    rows : (int, int)
         See above.
+    ends : (n,) array
+        Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
     """
     A, S, drift_c, b, a, F = tip.A, tip.S, tip.drift_c, tip.b, tip.a, tip.F
     n = torque.shape[0]
-    worst, scale = 0.0, 0.0
+    worst, scale, first = 0.0, 0.0, 0
     for i in range(n):
+        if i == ends[first]:
+            first = i
         r = C[i] - torque[i]
         s = abs(torque[i]) + abs(C[i])
-        for j in range(n):
+        for j in range(first, ends[i]):
             h = H[i, j] if i <= j else H[j, i]
             r += h * qdd[j]
             s += abs(h * qdd[j])
@@ -53,7 +60,7 @@ def residuals(H: Array, torque: Array, C: Array, qdd: Array, tip: Any, first: in
         scale = max(scale, s)
     motion = worst / select(scale > 0.0, scale, 1.0)
     worst, scale = 0.0, 0.0
-    for k in range(first, last):
+    for k in range(rows[0], rows[1]):
         r = drift_c[k] - b[k]
         s = abs(drift_c[k]) + abs(b[k]) + abs(a[k])
         for j in range(n):

@@ -87,17 +87,17 @@ def solve_closure(H: ArrayLike, rhs: ArrayLike, A: ArrayLike, b: ArrayLike) -> t
     return solution[:n], float(force[0]) if np.ndim(A) == 1 else force
 
 
+# The next three do their work for one block of a block-diagonal matrix, rows `first` .. `end` − 1; see `Tree.links`.
 @kernel_inlined
-def cholesky(M: Array, L: Array) -> bool:
+def cholesky(M: Array, L: Array, first: int, end: int) -> bool:
     """Write the lower triangle L of M = L Lᵀ, reading M's upper triangle; False if M is not positive definite.
 
     The diagonal of L holds the reciprocals 1/Lᵢᵢ: everything that follows divides by them.
     """
-    n = M.shape[0]
-    for j in range(n):
-        for i in range(j, n):
+    for j in range(first, end):
+        for i in range(j, end):
             s = M[j, i]
-            for k in range(j):
+            for k in range(first, j):
                 s -= L[i, k] * L[j, k]
             if i == j:
                 if not every(s > 0.0):
@@ -109,20 +109,20 @@ def cholesky(M: Array, L: Array) -> bool:
 
 
 @kernel_inlined
-def forward_substitute(L: Array, x: Array) -> None:
+def forward_substitute(L: Array, x: Array, first: int, end: int) -> None:
     """Overwrite x (n,) with L⁻¹x."""
-    for i in range(x.shape[0]):
+    for i in range(first, end):
         s = x[i]
-        for k in range(i):
+        for k in range(first, i):
             s -= L[i, k] * x[k]
         x[i] = s * L[i, i]
 
 
 @kernel_inlined
-def back_substitute(L: Array, x: Array) -> None:
+def back_substitute(L: Array, x: Array, first: int, end: int) -> None:
     """Overwrite x (n,) with L⁻ᵀx."""
-    for i in range(x.shape[0] - 1, -1, -1):
+    for i in range(end - 1, first - 1, -1):
         s = x[i]
-        for k in range(i + 1, x.shape[0]):
+        for k in range(i + 1, end):
             s -= L[k, i] * x[k]
         x[i] = s * L[i, i]

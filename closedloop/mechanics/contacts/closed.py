@@ -6,8 +6,9 @@ from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import pressed_force, stuck_force
 from closedloop.mechanics.closure.solve import OK
-from closedloop.mechanics.contacts.given_modes import own_mobility, solve_modes
+from closedloop.mechanics.contacts.given_modes import solve_modes
 from closedloop.mechanics.contacts.memory import OFF, RAY, Contacts
+from closedloop.mechanics.contacts.mobility import own_mobility
 
 
 @kernel

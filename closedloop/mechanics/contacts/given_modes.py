@@ -28,6 +28,7 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
 )
+from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import add_turning, has_resistance, is_resistance, moved_by_turning
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, SAME_ROW, independent_rows, shortest_solutions
 from closedloop.mechanics.contacts.soft_friction import write_shared
@@ -38,38 +39,6 @@ Array = NDArray[np.float64]
 
 # What is outside its cone by no more than this share of `rounding` is at its edge.
 ON_EDGE = 1e-3
-
-
-@kernel
-def mobility_of(c: Contacts, k: int) -> None:
-    """Write W = X Xᵀ, of the contacts that are near: elsewhere both are zero."""
-    n, p, X, W, columns, rows, s = c.X.shape[1], 0, c.X, c.W, c.scratch.Y_columns, c.scratch.unknown, c.scratch.trial
-    for i in range(k):
-        for r in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
-            rows[p] = r
-            for m in range(n):
-                columns[m, p] = X[r, m]
-            p += 1
-    for q in range(p):
-        i = int(rows[q])
-        for t in range(q + 1):
-            s[t] = 0.0
-        for m in range(n):
-            share = X[i, m]
-            if share != 0.0:
-                for t in range(q + 1):
-                    s[t] += share * columns[m, t]
-        for t in range(q + 1):
-            j = int(rows[t])
-            W[i, j], W[j, i] = s[t], s[t]
-
-
-@kernel
-def own_mobility(c: Contacts, i: int, S: Array) -> None:
-    """Write the mobility of contact i by itself, S (3, 3), 1/kg."""
-    for j in range(3):
-        for m in range(3):
-            S[j, m] = c.W[3 * i + j, 3 * i + m]
 
 
 @kernel
@@ -306,6 +275,7 @@ def stopping_impulses(c: Contacts, k: int) -> None:
 @kernel
 def write_after(c: Contacts, k: int) -> None:
     """Write in `after` the velocities u⁺ = u⁻ + W P that the impulses in F leave of `before`."""
+    write_mobility(c, k)
     for i in range(3 * k):
         s = c.before[i]
         for j in range(3 * k):
@@ -355,7 +325,8 @@ def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
 @kernel
 def write_system(c: Contacts, k: int, p: int) -> float:
     """Write the equations of the unknowns with −a and b on the right; return the size of the terms on the right."""
-    n, asked, slides, viscous = c.X.shape[1], 0.0, False, False
+    write_mobility(c, k)
+    asked, slides, viscous = 0.0, False, False
     W, S, unknown, X, load = c.W, c.scratch.system, c.scratch.unknown, c.X, c.load
     for q in range(p):
         i = int(unknown[q]) // 3
@@ -379,7 +350,7 @@ def write_system(c: Contacts, k: int, p: int) -> float:
         c.scratch.sought[r] = -c.a[row] - s
         S[r, p], S[r, p + 1] = c.scratch.sought[r], c.scratch.sought[r] + c.b[row]
         size = abs(c.drift[row]) + abs(c.b[row])
-        for j in range(n):
+        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
             size += abs(X[row, j] * load[j])
         asked = max(asked, size)
     return asked

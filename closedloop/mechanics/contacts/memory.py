@@ -74,6 +74,7 @@ class Problem(Block, sizes=("k",)):
     residual: float  # of the last problem, N or N s
     steps: float  # of the methods that solve it, counted where there is a limit to their number
     ends: float  # 1 if a slow slip ends within the step, see `closedloop.mechanics.contacts.turning`
+    whole: float  # 1 once W is written beside its diagonal
 
 
 class ContactEvent(Block, sizes=("k",)):
@@ -139,7 +140,6 @@ class ContactScratch(Block, sizes=("n", "k")):
     multiples: Annotated[Array, 3 * K]
     mu: Annotated[Array, K]
     turned: Annotated[Array, K]  # 1 of a contact whose friction is turned
-    ends: Annotated[Array, N]  # of each joint's tree, see `closedloop.loop.step.contact_rows.write_ends`
     residuals: Annotated[Array, 3 * K]
     trial: Annotated[Array, 3 * K]
     best: Annotated[Array, 3 * K]
@@ -197,6 +197,8 @@ class Contacts(Block, sizes=("n", "k", "past")):
     side: Annotated[Array, K]  # 1 of a lower stop, −1 of an upper
     mode: Annotated[Array, K]  # see `closedloop.mechanics.closure.contact_force`
     near: Annotated[Array, K]  # 1 while its rows X and W are written: while it is closed, or about to be
+    first: Annotated[Array, K]  # its rows G and X are zero but for the joints first .. end − 1: those that it moves, in
+    end: Annotated[Array, K]  # whole groups, see `closedloop.mechanics.robot.tree.group_ends`
     cleared: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
     floor: Annotated[Array, K]  # the gap at which it parted, m, if that was negative
     direction: Annotated[Array, K, 2]  # of its slip at the beginning of the substep
@@ -287,6 +289,7 @@ def make_contact_memory(
         (turns.pivoting if pivots else turns.rolling)[owner] = i
     contacts.past_edge[k - joints :] = 1.0
     links.rows = 0 if rows is None else rows.address
+    contacts.end[:] = n
     contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

@@ -34,6 +34,7 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
 )
+from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.soft_friction import write_shared
 
@@ -88,6 +89,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     k = links.k
     write_limits(links, c)
     size = choose_kinds(links, c, slow)
+    write_mobility(c, k)
     for i in range(3 * k):
         c.F[i], c.problem.q[i] = 0.0, c.a[i]
     for i in range(3 * k):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import OFF, Contacts
+from closedloop.mechanics.contacts.mobility import write_mobility
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ def pack(c: Contacts, k: int) -> int:
     `unpack` restores what they were.
     """
     a, p = 0, c.scratch.packed
+    write_mobility(c, k)
     for i in range(k):
         if c.problem.form[i] != OFF:
             p.contact[a] = i

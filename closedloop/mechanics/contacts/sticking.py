@@ -42,7 +42,7 @@ def all_stick(c: Contacts, k: int, p: int) -> bool:
             return False
     for q in range(p):  # what stands for the friction of joints has a normal row that is not of X
         row, square = int(c.scratch.unknown[q]), 0.0
-        for j in range(n):
+        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
             square += c.X[row, j] * c.X[row, j]
         if not abs(square - c.W[row, row]) <= OWN_ROW * square:
             return False
@@ -59,12 +59,12 @@ def shortest_sticking(c: Contacts, p: int) -> float:
         The size of the terms on the right; negative if X is not of full rank, rounding is in the way, or the rows
         contradict each other.
     """
-    n, asked = c.X.shape[1], 0.0
+    asked = 0.0
     if not factor_joints(c, p):
         return float(0.0 * c.load[0] - 1.0)
     for q in range(p):
         row, size = int(c.scratch.unknown[q]), 0.0
-        for j in range(n):
+        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
             size += abs(c.X[row, j] * c.load[j])
         asked = max(asked, size + abs(c.drift[row]) + abs(c.b[row]))
     for side in range(2):
@@ -82,11 +82,11 @@ def factor_joints(c: Contacts, p: int) -> bool:
         for j in range(i + 1):
             M[i, j] = 0.0
     for q in range(p):
-        x = row_of(c.X, int(c.scratch.unknown[q]))
-        first = 0
-        while first < n and x[first] == 0.0:
+        row = int(c.scratch.unknown[q])
+        x, first, end = row_of(c.X, row), int(c.first[row // 3]), int(c.end[row // 3])
+        while first < end and x[first] == 0.0:
             first += 1
-        for i in range(first, n):
+        for i in range(first, end):
             share = x[i]
             if share != 0.0:
                 begins[i] = min(begins[i], 1.0 * first)
@@ -138,16 +138,18 @@ def moved_joints(c: Contacts, p: int, side: int) -> float:
         for j in range(n):
             change[j] = 0.0
         for q in range(p):
-            x, share = row_of(c.X, int(c.scratch.unknown[q])), left[q]
-            for j in range(n):
+            row, share = int(c.scratch.unknown[q]), left[q]
+            x = row_of(c.X, row)
+            for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
                 change[j] += share * x[j]
         solve_joints(c, change)
         for j in range(n):
             z[j] += change[j]
         worst = 0.0
         for q in range(p):
-            x, moved = row_of(c.X, int(c.scratch.unknown[q])), 0.0
-            for j in range(n):
+            row, moved = int(c.scratch.unknown[q]), 0.0
+            x = row_of(c.X, row)
+            for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
                 moved += x[j] * change[j]
             left[q] -= moved
             worst = max(worst, abs(left[q]))
@@ -174,10 +176,11 @@ def spread(c: Contacts, p: int, side: int) -> bool:
         for j in range(n):
             left[j] = z[j]
         for q in range(p):
-            x = row_of(c.X, int(c.scratch.unknown[q]))
-            for j in range(n):
+            row = int(c.scratch.unknown[q])
+            x, first, end = row_of(c.X, row), int(c.first[row // 3]), int(c.end[row // 3])
+            for j in range(first, end):
                 F[q] += x[j] * change[j]
-            for j in range(n):
+            for j in range(first, end):
                 left[j] -= x[j] * F[q]
         worst = 0.0
         for j in range(n):

@@ -31,6 +31,7 @@ from closedloop.mechanics.contacts.complementarity import (
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
+from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.packed import pack, unpack
 from closedloop.mechanics.contacts.soft_friction import drop_contradictions, shared_friction, some_share
 
@@ -167,6 +168,7 @@ def set_problem(c: Contacts, k: int, h: float, ends: bool) -> None:
 
     Contacts whose slips end may part, or begin to slip: none is held.
     """
+    write_mobility(c, k)
     for i in range(k):
         form = int(c.problem.form[i])
         if slips_slowly(c, i, h):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel, plain
 from closedloop.jit.pointers import address_of, integers_at, vector_at
-from closedloop.mechanics.robot.tree import Tree, work_size
+from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, work_size
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -113,7 +113,7 @@ def tree_at(links: LoopLinks) -> Tree:
     """Return the tree of a mechanism's loops."""
     return Tree(
         links.n, links.tree_blocks, 1, links.tree_carrier, links.tree_serial,
-        integers_at(links.tree_links, 6 * links.n), vector_at(links.tree_constants, links.tree_constants_size),
+        integers_at(links.tree_links, LINK_ROWS * links.n), vector_at(links.tree_constants, links.tree_constants_size),
         links.tree_balls,
     )  # fmt: skip
 

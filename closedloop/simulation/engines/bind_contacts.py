@@ -85,6 +85,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]
     contacts.rest_speed[1:points] = [section.rest_speed or 0.0 for section in sections]
     contacts.joint[points : points + len(stops)] = stops
+    write_joints(contacts, robot, placed.bound, stops, turns, held)
     if laws:
         frictions = contact_frictions(laws, k)
         links.frictions = address_of(frictions.addresses)
@@ -105,6 +106,21 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
         links.surfaces = address_of(given.addresses)
         links.keep_alive(surfaces=given)
     return memory
+
+
+def write_joints(
+    contacts: Contacts, robot: Robot, bound: Bound, stops: Array, turns: tuple[tuple[int, float, bool], ...], held: int
+) -> None:
+    """Write which joints each contact moves, see `Contacts.first`: all of a mechanism with loops, or with stops."""
+    if robot.model.loops or len(stops) > 0 or held > 0:
+        return
+    ends, rows = robot.tree.ends, len(bound.scale)
+    first = np.searchsorted(ends, np.arange(robot.n), side="right")  # of the joints of its group
+    for i, links in enumerate(bound.sides.reshape(4, rows)[1:3, ::3].T, 1):
+        moved = [link for link in links if link >= 0]
+        contacts.first[i], contacts.end[i] = first[moved].min(), ends[moved].max()
+    for i, (owner, _, _) in enumerate(turns, 1 + rows // 3):
+        contacts.first[i], contacts.end[i] = contacts.first[owner], contacts.end[owner]
 
 
 def resistances_of(sections: tuple[ContactSection, ...]) -> tuple[tuple[int, float, bool], ...]:

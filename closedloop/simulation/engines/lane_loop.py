@@ -14,7 +14,7 @@ from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.jit.numba_simd8 import float64x8_at, with_lane
-from closedloop.jit.pointers import matrix_at
+from closedloop.jit.pointers import integers_at, matrix_at
 from closedloop.jit.simd8 import WIDE, every
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
@@ -134,6 +134,7 @@ def run_in_lanes(
         OK, or NEEDS_EVENTS or a status of `closedloop.mechanics.closure.solve` if at least one lane could not go on.
     """
     n, state, kept, width = tree.n, State(state_numbers), sizes.kept, sizes.width
+    ends = integers_at(state.addresses.group_ends, state.n)
     stages, steps, hold = state.settings.stages, state.settings.steps, state.settings.hold
     semi_implicit, unilateral = state.settings.semi_implicit != 0, state.settings.unilateral != 0
     at = LaneAddresses(addresses)
@@ -163,7 +164,7 @@ def run_in_lanes(
             tree_terms(tree, w.q, w.v, scratch, H, C, (w.J, w.r, w.drift))
             desired(t, h / sizes.nodes, tables, sizes, forces, wanted)
             sampled = hold == 0 or (stage == 0 and row % hold == 0)
-            status = press(H, C, w, constants, t, sampled)
+            status = press(H, C, w, constants, t, sampled, ends)
             if status != OK:
                 return status
             if unilateral and not (every(w.tip.F[0] >= 0.0) and every(w.tip.F[0] - w.tip.stabiliser_force[0] >= 0.0)):
@@ -237,16 +238,16 @@ def desired(t: float, spacing: float, tables: IntArray, sizes: Sizes, forces: Ar
 
 
 @kernel_inlined
-def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: bool) -> int:
+def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: bool, ends: IntArray) -> int:
     """Evaluate law, contact and Eq. 24 with the tip on a smooth surface; see
     `closedloop.loop.step.evaluate.evaluate`."""
     locate_on_plane(w, constants)
-    status = factorise(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach)
+    status = factorise(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach, ends)
     if status != OK:
         return status
     if sampled:
         paper_torque(C, w, constants, t)
-    free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a)
+    free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a, ends)
     w.tip.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.tip.rate, w.tip.gap)
     if near_singular(w.tip.S):
         return NEEDS_EVENTS
@@ -255,5 +256,5 @@ def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: 
     )
     if status != OK:
         return status
-    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
+    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, ends)
     return OK if bounded(w) else DIVERGED

@@ -72,8 +72,13 @@ class Problem(ScenarioNumbers):
         tip = both + self.sensor.states
         extra = (rubbed if contacts is None else place_states(contacts.contacts, tip, rubbed)) + motors
         loop = make_loop(
-            n, **self.sizes, extra=extra, stages=self.integrator.stages, ring=self.sensor.ring
-        )  # fmt: skip
+            n,
+            **self.sizes,
+            extra=extra,
+            stages=self.integrator.stages,
+            ring=self.sensor.ring,
+            ends=self.robot.tree.ends,
+        )
         state = loop.state
         state.law.states, state.law_states = own, both
         state.friction.states, state.joint_friction.states, state.sensor.states = surface, joints, self.sensor.states

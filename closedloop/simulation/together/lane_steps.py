@@ -44,7 +44,7 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_force,
 )
 from closedloop.mechanics.closure.solve import OK, SINGULAR
-from closedloop.mechanics.robot.tree import Tree, tree_terms, work_size
+from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms, work_size
 from closedloop.simulation.engines.proceed import ADDRESSES, Addresses
 from closedloop.simulation.together.member import write_wanted
 from closedloop.simulation.together.records import (
@@ -179,7 +179,13 @@ def step_in_lanes(address: int, count: int) -> int:
         g.members[i] = g.members[0]
     m, a = member_at(g, 0)
     state, constants, _ = loop_at(a.loop)
-    n, h, steps, stuck = a.n, constants.h, m.steps, g.mode == STUCK
+    n, h, steps, stuck, ends = (
+        a.n,
+        constants.h,
+        m.steps,
+        g.mode == STUCK,
+        integers_at(state.addresses.group_ends, state.n),
+    )
     sticks, unilateral = state.friction.sticking == RIGID_STICK, state.settings.unilateral != 0
     w, c = Work(float64x8_at(g.work, 0), n, 0, 1, 1), LaneConstants(float64x8_at(g.constants, 0))
     kept, row = Kept(float64x8_at(g.before, 0)), Row(float64x8_at(g.row, 0), n)
@@ -188,17 +194,17 @@ def step_in_lanes(address: int, count: int) -> int:
     of_tree, tableau = float64x8_at(g.tree, m.constants_size), matrix_at(a.tableau, 2, 1)
     for i in range(WIDE):
         put_in(g, w, c, of_tree, kept, i)
-    tree = Tree(n, m.blocks, m.once, m.carrier, m.serial, integers_at(m.links, 6 * n), of_tree, m.balls)
+    tree = Tree(n, m.blocks, m.once, m.carrier, m.serial, integers_at(m.links, LINK_ROWS * n), of_tree, m.balls)
     goes_on = 0.0 * w.q[0] + 1.0
     done = 0
     for step in range(steps + 1):
         tree_terms(tree, w.q, w.v, scratch, H, C, (w.J, w.r, w.drift))
         locate_on_plane(w, c)
-        status = factorise(H, w.tip.A, w.L, w.tip.X, w.tip.S, c.reach)
+        status = factorise(H, w.tip.A, w.L, w.tip.X, w.tip.S, c.reach, ends)
         if status == OK and near_singular(w.tip.S):
             status = SINGULAR
         if status == OK:
-            free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a)
+            free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a, ends)
             if sticks or state.friction.entry != 0:
                 for i in range(WIDE if not stuck else 0):
                     rub(g, w, i)
@@ -206,7 +212,7 @@ def step_in_lanes(address: int, count: int) -> int:
             goes_on = min(goes_on, stays)
             if unilateral:
                 goes_on = select(w.tip.F[0] - w.tip.stabiliser_force[0] >= 0.0, goes_on, 0.0)
-            accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd)
+            accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, ends)
         if status != OK or not bounded(w) or every(goes_on < 0.5):
             done = -1
             break

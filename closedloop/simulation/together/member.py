@@ -23,7 +23,7 @@ from closedloop.loop.step.memory import State, loop_at
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import contacts_at
-from closedloop.mechanics.robot.tree import Tree, tree_terms
+from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
 from closedloop.simulation.together.records import (
     AT_MARK,
@@ -145,7 +145,7 @@ def to_target(m: Member, a: Addresses) -> int:
     n = a.n
     H, C = fortran_at(a.H, n, n), vector_at(a.C, n)
     tree = Tree(
-        n, m.blocks, m.once, m.carrier, m.serial, integers_at(m.links, 6 * n),
+        n, m.blocks, m.once, m.carrier, m.serial, integers_at(m.links, LINK_ROWS * n),
         vector_at(m.constants, m.constants_size), m.balls,
     )  # fmt: skip
     scratch = vector_at(m.scratch, m.scratch_size)

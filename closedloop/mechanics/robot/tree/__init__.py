@@ -13,11 +13,11 @@ from closedloop.mechanics.robot.tree.energy import (
     potential_energies,
     tree_potential_energy,
 )
-from closedloop.mechanics.robot.tree.layout import Tree, work_size
-from closedloop.mechanics.robot.tree.model import tree_of
+from closedloop.mechanics.robot.tree.layout import LINK_ROWS, Tree, work_size
+from closedloop.mechanics.robot.tree.model import group_ends, tree_of
 from closedloop.mechanics.robot.tree.terms import tree_kinematics, tree_terms, tree_turning
 
 __all__ = [
-    "Tree", "energies_of_rows", "energy_there", "potential_energies", "tree_kinematics", "tree_of",
-    "tree_potential_energy", "tree_terms", "tree_turning", "work_size",
+    "LINK_ROWS", "Tree", "energies_of_rows", "energy_there", "group_ends", "potential_energies", "tree_kinematics",
+    "tree_of", "tree_potential_energy", "tree_terms", "tree_turning", "work_size",
 ]  # fmt: skip

@@ -23,8 +23,9 @@ LANES = 4
 # would keep a loop from being vectorised.
 INDEX = 0xFFFFFF
 
-# `Tree.links`: six rows of n whole numbers.
-PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT, RUN = range(6)
+# `Tree.links`: rows of n whole numbers.
+PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT, RUN, END = range(7)
+LINK_ROWS = 7
 
 # The row REVOLUTE: what a joint is. A ball joint is three joints in a row whose axes are those of the link that it
 # carries. All three entries have that link's origin, ω, α and b; the last has its inertia, but h_z and Σ_zz, which are
@@ -74,10 +75,10 @@ class Tree(NamedTuple):
         The joint that carries the tip; −1 if it sits on the base.
     serial : int
         1 if every joint but the first is a child of the one before it, else 0.
-    links : (6 n,) array
+    links : (LINK_ROWS n,) array
         For each joint: its parent (−1: base; always smaller than the joint), where its constants and its scratch
-        begin, what it is (SLIDES, TURNS ...), whether it moves the tip, and the first joint of its unbranched chain:
-        of the joints up to it that are each a child of the one before.
+        begin, what it is (SLIDES, TURNS ...), whether it moves the tip, the first joint of its unbranched chain:
+        of the joints up to it that are each a child of the one before; and the end of its group, see `group_ends`.
     constants : (HEAD + blocks * CONSTANTS,) array
         See the names of `closedloop.mechanics.robot.tree.layout`. The z axis of a link is its joint axis; its x axis is
         perpendicular to its own joint axis and to that of the next joint.
@@ -94,6 +95,11 @@ class Tree(NamedTuple):
     links: IntArray
     constants: Array
     balls: int
+
+    @property
+    def ends(self) -> IntArray:
+        """Return where the groups of joints end (n,), see `closedloop.mechanics.robot.tree.group_ends`."""
+        return self.links[END * self.n : (END + 1) * self.n]
 
 
 @kernel

@@ -80,8 +80,9 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
         offset = bases[carrier].T @ offset
     carried = _move_to_base(places, masses, parents, kinds, carrier, offset)
     run, support = _chains(parents, carrier)
+    ends = group_ends(parents)
     block, lane = np.divmod(np.arange(n), LANES)
-    links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, kinds, support, run])
+    links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, kinds, support, run, ends])
     blocks = int(block[-1]) + 1
     constants = np.zeros(HEAD + blocks * CONSTANTS)
     constants[at.GRAVITY : at.GRAVITY + 3] = pin.gravity.linear
@@ -118,6 +119,23 @@ def _chains(parents: NDArray[Any], carrier: int) -> tuple[NDArray[Any], NDArray[
         support[joint] = True
         joint = parents[joint]
     return run, support
+
+
+def group_ends(parents: NDArray[Any]) -> NDArray[np.int64]:
+    """Return for each joint (n,) one more than the last joint of its group.
+
+    No joint of a group moves what a joint of another moves: H is block-diagonal, a block for each group. The joints of
+    a group are consecutive.
+    """
+    n, ends, first = len(parents), np.zeros(len(parents), dtype=np.int64), np.zeros(len(parents), dtype=int)
+    for i in range(n):
+        first[i] = i if parents[i] < 0 else first[parents[i]]
+    end = begins = n
+    for i in range(n - 1, -1, -1):
+        ends[i], begins = end, min(begins, first[i])
+        if begins == i:
+            end = begins = i
+    return ends
 
 
 def _joint(model: RobotModel, pin: Any, number: int, i: int) -> tuple[int, Array]:

@@ -1,0 +1,65 @@
+"""The mobility W = X Xᵀ of the contacts that are near, 1/kg, with X = L⁻¹Gᵀ: elsewhere it is zero.
+
+Contacts move each other through the joints that both move. Of bodies that no joint connects these are few, so products
+are taken over the joints from `Contacts.first` to `Contacts.end`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
+from closedloop.mechanics.contacts.memory import Contacts
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def own_mobilities(c: Contacts, k: int) -> None:
+    """Write of W = X Xᵀ the blocks of the contacts that are near by themselves, (3, 3) each."""
+    for i in range(k):
+        if c.near[i] != 0.0:
+            write_block(c, i, i)
+    c.problem.whole = 0.0
+
+
+@kernel
+def write_mobility(c: Contacts, k: int) -> None:
+    """Write the rest of W, unless it is there; most steps do without."""
+    if c.problem.whole != 0.0:
+        return
+    for i in range(k):
+        for j in range(i if c.near[i] != 0.0 else 0):
+            if c.near[j] != 0.0:
+                write_block(c, i, j)
+    c.problem.whole = 1.0
+
+
+@kernel
+def write_block(c: Contacts, i: int, j: int) -> None:
+    """Write the rows of contact i and the columns of contact j of W, and the block opposite."""
+    a, b, W = 3 * i, 3 * j, c.W
+    w00 = w01 = w02 = w10 = w11 = w12 = w20 = w21 = w22 = 0.0
+    x0, x1, x2 = row_of(c.X, a), row_of(c.X, a + 1), row_of(c.X, a + 2)
+    y0, y1, y2 = row_of(c.X, b), row_of(c.X, b + 1), row_of(c.X, b + 2)
+    for m in range(int(max(c.first[i], c.first[j])), int(min(c.end[i], c.end[j]))):
+        w00, w01, w02 = w00 + x0[m] * y0[m], w01 + x0[m] * y1[m], w02 + x0[m] * y2[m]
+        w10, w11, w12 = w10 + x1[m] * y0[m], w11 + x1[m] * y1[m], w12 + x1[m] * y2[m]
+        w20, w21, w22 = w20 + x2[m] * y0[m], w21 + x2[m] * y1[m], w22 + x2[m] * y2[m]
+    W[a, b], W[a, b + 1], W[a, b + 2] = w00, w01, w02
+    W[a + 1, b], W[a + 1, b + 1], W[a + 1, b + 2] = w10, w11, w12
+    W[a + 2, b], W[a + 2, b + 1], W[a + 2, b + 2] = w20, w21, w22
+    if i != j:
+        W[b, a], W[b + 1, a], W[b + 2, a] = w00, w01, w02
+        W[b, a + 1], W[b + 1, a + 1], W[b + 2, a + 1] = w10, w11, w12
+        W[b, a + 2], W[b + 1, a + 2], W[b + 2, a + 2] = w20, w21, w22
+
+
+@kernel
+def own_mobility(c: Contacts, i: int, S: Array) -> None:
+    """Write the mobility of contact i by itself, S (3, 3), 1/kg."""
+    for j in range(3):
+        for m in range(3):
+            S[j, m] = c.W[3 * i + j, 3 * i + m]

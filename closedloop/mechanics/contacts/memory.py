@@ -124,6 +124,17 @@ class Packed(Block, sizes=("k",)):
     W: Annotated[Array, 3 * K, 3 * K]
 
 
+class Sticking(Block, sizes=("n", "k")):
+    """What `closedloop.mechanics.contacts.sticking` uses; without and with what the stabiliser asks for, where two."""
+
+    factor: Annotated[Array, N, N]  # L of M = L Lᵀ, below the diagonal and above it; on it the reciprocals
+    begins: Annotated[Array, N]  # the first column of each row of L that is not zero
+    until: Annotated[Array, N]  # the end of the rows of each column that are not
+    moved: Annotated[Array, 2, N]  # z
+    change: Annotated[Array, 2, N]
+    rows_left: Annotated[Array, 2, 3 * K]
+
+
 class ContactScratch(Block, sizes=("n", "k")):
     """What one kernel uses, and nothing outlives."""
 
@@ -150,6 +161,7 @@ class ContactScratch(Block, sizes=("n", "k")):
     slope: Annotated[Array, 3, 3]
     vector: Annotated[Array, 3]
     packed: Packed
+    sticking: Sticking
 
 
 class Resistance(Block, sizes=("k",)):

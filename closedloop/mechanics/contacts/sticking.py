@@ -42,6 +42,8 @@ def all_stick(c: Contacts, k: int, p: int) -> bool:
             return False
     for q in range(p):  # what stands for the friction of joints has a normal row that is not of X
         row, square = int(c.scratch.unknown[q]), 0.0
+        if row % 3 != 0:
+            continue
         for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
             square += c.X[row, j] * c.X[row, j]
         if not abs(square - c.W[row, row]) <= OWN_ROW * square:
@@ -67,124 +69,184 @@ def shortest_sticking(c: Contacts, p: int) -> float:
         for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
             size += abs(c.X[row, j] * c.load[j])
         asked = max(asked, size + abs(c.drift[row]) + abs(c.b[row]))
-    for side in range(2):
-        if not (moved_joints(c, p, side) <= CONTRADICTS * asked and spread(c, p, side)):
-            return float(0.0 * c.load[0] - 1.0)
+    if not (moved_joints(c, p) <= CONTRADICTS * asked and spread(c, p)):
+        return float(0.0 * c.load[0] - 1.0)
     return float(asked)
 
 
 @kernel
+def rows_of_contact(c: Contacts, q: int, p: int) -> int:
+    """Return how many of the p unknowns from q on are rows of one contact."""
+    unknown, count = c.scratch.unknown, 1
+    while q + count < p and int(unknown[q + count]) // 3 == int(unknown[q]) // 3:
+        count += 1
+    return count
+
+
+@kernel
 def factor_joints(c: Contacts, p: int) -> bool:
-    """Write Cholesky's factor of M = XᵀX below the diagonal of `unknowns`, and where its rows begin as `multiplier`."""
-    n, M, begins = c.X.shape[1], c.scratch.unknowns, c.scratch.multiplier
+    """Write Cholesky's factor of M = XᵀX, and where its rows and columns are not zero; False if M is singular."""
+    n, s, unknown = c.X.shape[1], c.scratch.sticking, c.scratch.unknown
     for i in range(n):
-        begins[i] = i
-        for j in range(i + 1):
-            M[i, j] = 0.0
-    for q in range(p):
-        row = int(c.scratch.unknown[q])
-        x, first, end = row_of(c.X, row), int(c.first[row // 3]), int(c.end[row // 3])
-        while first < end and x[first] == 0.0:
-            first += 1
+        s.begins[i], s.until[i] = i, i + 1
+    q = 0
+    while q < p:
+        at = int(unknown[q]) // 3
+        for j in range(int(c.first[at]), int(c.end[at])):
+            s.begins[j], s.until[j] = min(s.begins[j], c.first[at]), max(s.until[j], c.end[at])
+        q += rows_of_contact(c, q, p)
+    for i in range(n):
+        row = row_of(s.factor, i)
+        for j in range(int(s.begins[i]), i + 1):
+            row[j] = 0.0
+    q = 0
+    while q < p:
+        count, row = rows_of_contact(c, q, p), int(unknown[q])
+        x0 = row_of(c.X, row)
+        x1, x2 = (
+            row_of(c.X, int(unknown[q + min(1, count - 1)])),
+            row_of(c.X, int(unknown[q + count - 1])),
+        )
+        first, end = int(c.first[row // 3]), int(c.end[row // 3])
         for i in range(first, end):
-            share = x[i]
-            if share != 0.0:
-                begins[i] = min(begins[i], 1.0 * first)
-                to = row_of(M, i)
-                for j in range(first, i + 1):
-                    to[j] += share * x[j]
-    for i in range(n):
-        row, begin = row_of(M, i), int(begins[i])
-        whole = row[i]
-        for j in range(begin, i + 1):
-            left, other = row[j], row_of(M, j)
-            for t in range(max(begin, int(begins[j])), j):
-                left -= row[t] * other[t]
-            row[j] = left / other[j] if j < i else left
-        if not row[i] > SAME_ROW * whole:
+            a0, a1, a2 = x0[i], x1[i] if count > 1 else 0.0, x2[i] if count > 2 else 0.0
+            to = row_of(s.factor, i)
+            for j in range(first, i + 1):
+                to[j] += a0 * x0[j] + a1 * x1[j] + a2 * x2[j]
+        q += count
+    for j in range(n):  # column by column: the entries of one do not wait for each other
+        of = row_of(s.factor, j)
+        square = whole = of[j]
+        for t in range(int(s.begins[j]), j):
+            square -= of[t] * of[t]
+        if not square > SAME_ROW * whole:
             return False
-        row[i] = math.sqrt(row[i])
+        of[j] = 1.0 / math.sqrt(square)
+        for i in range(j + 1, int(s.until[j])):
+            row, begin, left = row_of(s.factor, i), int(s.begins[i]), 0.0
+            if begin <= j:
+                left = row[j]
+                for t in range(max(begin, int(s.begins[j])), j):
+                    left -= row[t] * of[t]
+                left *= of[j]
+                row[j] = left
+            of[i] = left
     return True
 
 
 @kernel
-def solve_joints(c: Contacts, x: Array) -> None:
-    """Overwrite x (n,) with M⁻¹x."""
-    n, M, begins = c.X.shape[1], c.scratch.unknowns, c.scratch.multiplier
+def solve_joints(c: Contacts) -> None:
+    """Overwrite both rows of `change` with M⁻¹ of them."""
+    n, s = c.X.shape[1], c.scratch.sticking
+    a, b = row_of(s.change, 0), row_of(s.change, 1)
     for i in range(n):
-        row, left = row_of(M, i), x[i]
-        for t in range(int(begins[i]), i):
-            left -= row[t] * x[t]
-        x[i] = left / row[i]
+        row = row_of(s.factor, i)
+        x, y = a[i] * row[i], b[i] * row[i]
+        a[i], b[i] = x, y
+        for t in range(i + 1, int(s.until[i])):
+            a[t] -= row[t] * x
+            b[t] -= row[t] * y
     for i in range(n - 1, -1, -1):
-        row = row_of(M, i)
-        x[i] /= row[i]
-        for t in range(int(begins[i]), i):
-            x[t] -= row[t] * x[i]
+        row = row_of(s.factor, i)
+        x, y = a[i] * row[i], b[i] * row[i]
+        a[i], b[i] = x, y
+        for t in range(int(s.begins[i]), i):
+            a[t] -= row[t] * x
+            b[t] -= row[t] * y
 
 
 @kernel
-def moved_joints(c: Contacts, p: int, side: int) -> float:
-    """Write z = M⁻¹Xᵀs as `sum`, of s = −a, or with `side` b − a; return the largest that X z is off."""
-    n, z, change, left = c.X.shape[1], c.scratch.sum, c.scratch.sum_trial, c.scratch.trial
-    worst, size = 0.0, 0.0
+def moved_joints(c: Contacts, p: int) -> float:
+    """Write z = M⁻¹Xᵀs as `moved`, of s = −a and of b − a; return the largest that X z is off."""
+    n, s, worst = c.X.shape[1], c.scratch.sticking, 0.0 * c.load[0]
+    size_a, size_b = 0.0 * worst, 0.0 * worst
     for j in range(n):
-        z[j] = 0.0
+        s.moved[0, j], s.moved[1, j] = 0.0, 0.0
     for q in range(p):
         row = int(c.scratch.unknown[q])
-        left[q] = (c.b[row] if side == 1 else 0.0) - c.a[row]
-        size = max(size, abs(left[q]))
+        s.rows_left[0, q], s.rows_left[1, q] = -c.a[row], c.b[row] - c.a[row]
+        size_a, size_b = max(size_a, abs(s.rows_left[0, q])), max(size_b, abs(s.rows_left[1, q]))
     for _ in range(2):  # the second time of what rounding has left
         for j in range(n):
-            change[j] = 0.0
-        for q in range(p):
-            row, share = int(c.scratch.unknown[q]), left[q]
-            x = row_of(c.X, row)
-            for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
-                change[j] += share * x[j]
-        solve_joints(c, change)
+            s.change[0, j], s.change[1, j] = 0.0, 0.0
+        add_rows(c, p)
+        solve_joints(c)
         for j in range(n):
-            z[j] += change[j]
-        worst = 0.0
-        for q in range(p):
-            row, moved = int(c.scratch.unknown[q]), 0.0
-            x = row_of(c.X, row)
-            for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
-                moved += x[j] * change[j]
-            left[q] -= moved
-            worst = max(worst, abs(left[q]))
-        if worst <= EXACT * size:
+            s.moved[0, j] += s.change[0, j]
+            s.moved[1, j] += s.change[1, j]
+        worst_a, worst_b = take_rows(c, p)
+        worst = max(worst_a, worst_b)
+        if worst_a <= EXACT * size_a and worst_b <= EXACT * size_b:
             break
     return float(worst)
 
 
 @kernel
-def spread(c: Contacts, p: int, side: int) -> bool:
-    """Write the shortest F with XᵀF = z, of `sum`, as row `side` of `solution`; return whether they are exact."""
-    n, z, left, change = c.X.shape[1], c.scratch.sum, c.scratch.sum_trial, c.scratch.multiples
-    F = row_of(c.scratch.solution, side)
-    size, worst = 0.0, 0.0
-    for j in range(n):
-        left[j] = z[j]
-        size = max(size, abs(z[j]))
+def add_rows(c: Contacts, p: int) -> None:
+    """Add to both rows of `change` Xᵀ of both rows of `rows_left`."""
+    s, unknown, q = c.scratch.sticking, c.scratch.unknown, 0
+    to_a, to_b = row_of(s.change, 0), row_of(s.change, 1)
+    a, b = row_of(s.rows_left, 0), row_of(s.rows_left, 1)
+    while q < p:
+        count, row = rows_of_contact(c, q, p), int(unknown[q])
+        x0 = row_of(c.X, row)
+        x1, x2 = (
+            row_of(c.X, int(unknown[q + min(1, count - 1)])),
+            row_of(c.X, int(unknown[q + count - 1])),
+        )
+        a0, a1, a2 = a[q], a[q + 1] if count > 1 else 0.0, a[q + 2] if count > 2 else 0.0
+        b0, b1, b2 = b[q], b[q + 1] if count > 1 else 0.0, b[q + 2] if count > 2 else 0.0
+        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
+            to_a[j] += a0 * x0[j] + a1 * x1[j] + a2 * x2[j]
+            to_b[j] += b0 * x0[j] + b1 * x1[j] + b2 * x2[j]
+        q += count
+
+
+@kernel
+def take_rows(c: Contacts, p: int) -> tuple[float, float]:
+    """Take X of both rows of `change` from those of `rows_left`; return the largest number in either."""
+    s, unknown = c.scratch.sticking, c.scratch.unknown
+    of_a, of_b = row_of(s.change, 0), row_of(s.change, 1)
+    worst_a, worst_b = 0.0 * c.load[0], 0.0 * c.load[0]
     for q in range(p):
-        F[q] = 0.0
+        row = int(unknown[q])
+        x, a, b = row_of(c.X, row), s.rows_left[0, q], s.rows_left[1, q]
+        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
+            a -= x[j] * of_a[j]
+            b -= x[j] * of_b[j]
+        s.rows_left[0, q], s.rows_left[1, q] = a, b
+        worst_a, worst_b = max(worst_a, abs(a)), max(worst_b, abs(b))
+    return worst_a, worst_b
+
+
+@kernel
+def spread(c: Contacts, p: int) -> bool:
+    """Write the shortest F with XᵀF = z, of both rows of `moved`, as `solution`; return whether they are exact."""
+    n, s, unknown = c.X.shape[1], c.scratch.sticking, c.scratch.unknown
+    size_a, size_b = 0.0 * c.load[0], 0.0 * c.load[0]
+    F, G = row_of(c.scratch.solution, 0), row_of(c.scratch.solution, 1)
+    for j in range(n):
+        s.change[0, j], s.change[1, j] = s.moved[0, j], s.moved[1, j]
+        size_a, size_b = max(size_a, abs(s.moved[0, j])), max(size_b, abs(s.moved[1, j]))
+    for q in range(p):
+        F[q], G[q] = 0.0, 0.0
     for _ in range(REFINEMENTS):
-        for j in range(n):
-            change[j] = left[j]
-        solve_joints(c, change)
-        for j in range(n):
-            left[j] = z[j]
+        solve_joints(c)
+        of_a, of_b = row_of(s.change, 0), row_of(s.change, 1)
         for q in range(p):
-            row = int(c.scratch.unknown[q])
-            x, first, end = row_of(c.X, row), int(c.first[row // 3]), int(c.end[row // 3])
-            for j in range(first, end):
-                F[q] += x[j] * change[j]
-            for j in range(first, end):
-                left[j] -= x[j] * F[q]
-        worst = 0.0
+            row, f, g = int(unknown[q]), F[q], G[q]
+            x = row_of(c.X, row)
+            for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
+                f += x[j] * of_a[j]
+                g += x[j] * of_b[j]
+            F[q], G[q] = f, g
+            s.rows_left[0, q], s.rows_left[1, q] = -f, -g
         for j in range(n):
-            worst = max(worst, abs(left[j]))
-        if worst <= EXACT * size:
+            s.change[0, j], s.change[1, j] = s.moved[0, j], s.moved[1, j]
+        add_rows(c, p)
+        worst_a, worst_b = 0.0 * c.load[0], 0.0 * c.load[0]
+        for j in range(n):
+            worst_a, worst_b = max(worst_a, abs(s.change[0, j])), max(worst_b, abs(s.change[1, j]))
+        if worst_a <= EXACT * size_a and worst_b <= EXACT * size_b:
             return True
-    return bool(worst <= EXACT * size)
+    return False

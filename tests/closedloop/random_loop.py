@@ -14,10 +14,11 @@ def loop_at_random(scenario, changes, seed=0):
     problem.connect(loop, compiled=False)
     state, constants, w = loop.state, loop.constants, loop.w
     root = rng.normal(size=(state.n, state.n))
-    H = root @ root.T + np.eye(state.n)
+    ends = problem.robot.tree.ends
+    H = (root @ root.T + np.eye(state.n)) * (ends[:, None] == ends)  # as of trees that no joint connects
     w.tip.A[:], w.v[:], w.z[:], w.tip.carried[:] = (
         rng.normal(size=x.shape) for x in (w.tip.A, w.v, w.z, w.tip.carried)
     )
-    assert interpreted(factorise)(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach) == 0
+    assert interpreted(factorise)(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach, ends) == 0
     w.tip.u[:] = w.tip.A @ w.v - w.tip.carried
     return loop, H, rng

@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
+from contact_mobility import write_whole_mobility
 from scipy.linalg import null_space
 
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.step.contact_rows import substitute_in_trees, write_ends
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR, forward_substitute
+from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.given_modes import (
     keep_in_cones,
     kinds_of_modes,
-    mobility_of,
     solve_modes,
     stopping_impulses,
 )
@@ -27,11 +26,11 @@ def contacts(rng, n, kinds=(CONE, RAY, LINE, OFF)):
     """The memory of contacts of these kinds of a tree of n joints, with everything that forces depend on drawn."""
     c = make_contact_memory(n, K).contacts
     c.X[:] = rng.normal(size=c.X.shape)
-    interpreted(mobility_of)(c, K)
     c.problem.form[:], c.mu[:], c.problem.along[:] = kinds, 0.4, 0.2 * rng.normal(size=(K, 2))
     c.scratch.Y[:] = c.X
     c.a[:], c.b[:], c.viscous[:] = rng.normal(size=(3, 3 * K))
     c.load[:] = rng.normal(size=n)
+    write_whole_mobility(c)
     return c
 
 
@@ -104,7 +103,7 @@ def test_forces_that_are_not_unique_are_the_shortest():
     np.testing.assert_allclose(again, rigid, atol=1e-8)
     c.a[0] += 1.0
     c.X[:] = c.X @ np.diag([1.0, 1, 0, 0])
-    interpreted(mobility_of)(c, K)
+    write_whole_mobility(c)
     assert interpreted(solve_modes)(c, K) == SINGULAR
 
 
@@ -113,12 +112,12 @@ def test_a_contact_that_pressing_pulls_in_is_told():
     c = contacts(np.random.default_rng(6), 6, (RAY, OFF, OFF, OFF))
     c.X[:] = 0.0
     c.X[0, 0], c.X[1, :2] = 1.0, [2.0, 1.0]
-    interpreted(mobility_of)(c, K)
+    write_whole_mobility(c)
     for along, status in ((0.49, OK), (0.51, PAINLEVE), (-3.0, OK)):
         c.problem.along[0] = along, 0.0
         assert interpreted(solve_modes)(c, K) == status
     c.X[2, :2], c.problem.along[0] = [2.0, 1.0], (0.0, 0.51)
-    interpreted(mobility_of)(c, K)
+    write_whole_mobility(c)
     assert interpreted(solve_modes)(c, K) == PAINLEVE
 
 
@@ -214,7 +213,7 @@ def test_impulses_take_away_what_is_left_of_motion():
     np.testing.assert_array_equal(c.a, a)
     np.testing.assert_array_equal(c.viscous, viscous)
     c.X[:, 1:] = 0.0
-    interpreted(mobility_of)(c, K)
+    write_whole_mobility(c)
     interpreted(stopping_impulses)(c, K)
     np.testing.assert_array_equal(c.F, 0.0)
 
@@ -273,20 +272,3 @@ def test_the_stabiliser_leaves_no_cone():
         assert share == pytest.approx(1.0) or not inside(min(1.0, share * (1 + 1e-6) + 1e-9), 0.0)
         lessened += share < 1.0
     assert lessened > 20
-
-
-def test_rows_are_solved_within_the_trees_that_they_reach():
-    """L⁻¹x of three trees that do not move each other: as of the whole, and nothing where x is zero."""
-    rng = np.random.default_rng(5)
-    L, ends, sizes = np.zeros((9, 9)), np.zeros(9), (2, 6, 1)
-    for at, size in zip((0, 2, 8), sizes, strict=True):
-        L[at : at + size, at : at + size] = np.tril(rng.normal(size=(size, size)) + 3.0 * np.eye(size))
-    interpreted(write_ends)(L, ends)
-    np.testing.assert_array_equal(ends, [2, 2, 8, 8, 8, 8, 8, 8, 9])
-    for where in ([3, 5], [0, 8], [1, 2, 7], []):
-        x = np.zeros(9)
-        x[where] = rng.normal(size=len(where))
-        whole = x.copy()
-        interpreted(forward_substitute)(L, whole)
-        interpreted(substitute_in_trees)(L, x, ends)
-        np.testing.assert_array_equal(x, whole)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from contact_mobility import write_whole_mobility
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.closure.solve import OK, SINGULAR
-from closedloop.mechanics.contacts.given_modes import list_unknowns, mobility_of, solve_modes
+from closedloop.mechanics.contacts.given_modes import list_unknowns, solve_modes
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, OFF, RAY, make_contact_memory
 from closedloop.mechanics.contacts.sticking import all_stick, shortest_sticking
 from closedloop.mechanics.loops.memory import make_loop_memory
@@ -18,12 +19,11 @@ K, N = 5, 6
 def sticking(rng, X, off=0.0, kinds=(CONE,) * K):
     """The memory of K contacts with rows X (3 K, N), whose accelerations the joints can have, or are off by `off`."""
     c = make_contact_memory(X.shape[1], K).contacts
-    c.X[:] = X
-    interpreted(mobility_of)(c, K)
+    c.X[:], c.drift[:] = X, 1.0
+    write_whole_mobility(c)
     c.problem.form[:], c.mu[:] = kinds, 1e6
     c.a[:], c.b[:] = X @ rng.normal(size=X.shape[1]), 0.1 * X @ rng.normal(size=X.shape[1])
     c.a[:] += off * rng.normal(size=3 * K)
-    c.drift[:] = 1.0
     return c
 
 

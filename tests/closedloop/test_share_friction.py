@@ -26,7 +26,7 @@ def test_forces_at_rest_are_those_of_least_friction(seed):
     rng = np.random.default_rng(seed)
     state, constants, w = loop.state, loop.constants, loop.w
     w.tip.A[:] = rng.normal(size=(3, 4))
-    assert interpreted(factorise)(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach) == 0
+    assert interpreted(factorise)(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach, np.full(4, 4)) == 0
     state.mode, state.friction.sticking, state.settings.unilateral = STUCK, RIGID_STICK, 1
     limit = rng.uniform(0.2, 2.0, size=4)
     w.joint_friction.limit[:], w.v[:], w.qdd[:], w.joint_friction.viscous[:] = limit, 0.0, 0.0, 0.0

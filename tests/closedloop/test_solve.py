@@ -45,26 +45,27 @@ WELL = 1e-3
 
 
 @entry_kernel
-def _solve(H, tau, C, A, drift, asked, m, c, w, L, X, S, y, a, F, qdd, share):
+def _solve(H, tau, C, A, drift, asked, m, c, w, L, X, S, y, a, F, qdd, share, ends):
     """Solve Eq. 24 as a step does."""
-    status = factorise(H, A, L, X, S, 0.0)
+    status = factorise(H, A, L, X, S, 0.0, ends)
     if status != OK:
         return status
-    free_acceleration(L, X, drift, tau, C, y, a)
+    free_acceleration(L, X, drift, tau, C, y, a, ends)
     if m == 1:
         status, share[0] = pressed_force(S, a, asked[0], c, w, F)
     else:
         status = stuck_force(S, a, asked, F, share)
     if status == OK:
-        accelerate(L, X, y, F, qdd)
+        accelerate(L, X, y, F, qdd, ends)
     return status
 
 
 class Solved:
     """What the kernels of a step make of Eq. 24 for a tip that is pressed (m = 1) or stuck (m = 3)."""
 
-    def __init__(self, H, tau, C, A, b, share=None, m=1, c=(0.0, 0.0), w=(0.0, 0.0)):
+    def __init__(self, H, tau, C, A, b, share=None, m=1, c=(0.0, 0.0), w=(0.0, 0.0), ends=None):
         n = A.shape[1]
+        self.ends = np.full(n, n) if ends is None else ends
         self.H, self.tau, self.C, self.A = (np.ascontiguousarray(x, dtype=float) for x in (H, tau, C, A))
         self.b, self.m = np.array(b, dtype=float), m
         self.L, self.X, self.S = np.zeros((n, n)), np.zeros((3, n)), np.zeros((3, 3))
@@ -73,7 +74,7 @@ class Solved:
         # b is b_s: what the closure asks of A q̈; the kernels take it as the drift and the stabiliser's part.
         self.status = interpreted(_solve)(
             self.H, self.tau, self.C, self.A, asked - self.b, asked, m, np.array(c), np.array(w),
-            self.L, self.X, self.S, self.y, self.a, self.F, self.qdd, self.share,
+            self.L, self.X, self.S, self.y, self.a, self.F, self.qdd, self.share, self.ends,
         )  # fmt: skip
 
     def residuals(self):
@@ -81,7 +82,7 @@ class Solved:
         found = SimpleNamespace(
             A=self.A, S=self.S, drift_c=np.zeros(3), b=self.b, a=self.a, F=self.F
         )  # fmt: skip
-        return interpreted(residuals)(self.H, self.tau, self.C, self.qdd, found, 0, self.m)
+        return interpreted(residuals)(self.H, self.tau, self.C, self.qdd, found, (0, self.m), self.ends)
 
     def condition(self):
         """Return the 1-norm condition number of Eq. 24 with its normal row; keep that of H."""
@@ -93,7 +94,7 @@ class Solved:
         with np.errstate(all="ignore"):  # of the lanes that are empty
             interpreted(condition_numbers_of_batch)(batch, n, last + 1)
         self.condition_free = batch[-1, 0]
-        self.long = [interpreted(condition_number)(*given, pressed, work) for pressed in (False, True)]
+        self.long = [interpreted(condition_number)(*given, pressed, work, self.ends) for pressed in (False, True)]
         return batch[-1, last]
 
 

@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.loop.events.phases import MAX_RAPID, RESTING
 from closedloop.loop.step.closed_loops import BIND_TIP, IMPULSE, STOP_TORQUE, missing_torque
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_loops
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse, stuck_force
-from closedloop.mechanics.closure.solve import forward_substitute
+from closedloop.mechanics.closure.solve import forward_substitute_three
 from closedloop.mechanics.contacts.impact import SLOWEST_REBOUND
 
 Array = NDArray[np.float64]
@@ -121,10 +120,11 @@ def compress(w: Work, state: State) -> None:
 @kernel
 def bind_again(w: Work, state: State) -> None:
     """Write X and S of the tip with the joints at the stops that hold now."""
+    n = w.q.shape[0]
     for k in range(3):
-        for j in range(w.q.shape[0]):
+        for j in range(n):
             w.tip.X[k, j] = w.tip.A[k, j]
-        forward_substitute(w.L, row_of(w.tip.X, k), 0, w.q.shape[0])
+    forward_substitute_three(w.L, w.tip.X, 0, 0, n)
     ask_loops(state, BIND_TIP)
 
 

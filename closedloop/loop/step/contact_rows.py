@@ -19,7 +19,7 @@ from closedloop.loop.step.joint_limits import joint_limits
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, baumgarte_acceleration
-from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute
+from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute, forward_substitute_three
 from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub
@@ -141,29 +141,43 @@ def wanders(links: ContactLinks, i: int) -> bool:
 @kernel
 def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) -> None:
     """Write X = L⁻¹Gᵀ of contact i, less what loops bind, and its free acceleration; zeros if it is not near."""
-    n, begin, end, ends = c.X.shape[1], int(c.first[i]), int(c.end[i]), integers_at(state.addresses.group_ends, state.n)
-    for r in range(3 * i, 3 * i + 3):
-        if i == 0:
-            for j in range(n):
-                c.G[r, j], c.X[r, j] = w.tip.A[r, j], w.tip.X[r, j] if near else 0.0
-            continue
-        X, G = row_of(c.X, r), row_of(c.G, r)
-        for j in range(begin, end):
-            X[j] = G[j] if near else 0.0
-        c.a[r] = c.drift[r]
-        if not near:
+    at, first, end = 3 * i, int(c.first[i]), int(c.end[i])
+    ends = integers_at(state.addresses.group_ends, state.n)
+    for r in range(3):
+        X, G = row_of(c.X, at + r), row_of(w.tip.A, r) if i == 0 else row_of(c.G, at + r)
+        for j in range(first, end):
+            if i == 0:
+                c.G[r, j] = G[j]
+            X[j] = (w.tip.X[r, j] if i == 0 else G[j]) if near else 0.0
+    if not near:
+        for r in range(at, at + 3):
+            c.size[r] = 0.0
+            if i > 0:
+                c.a[r] = c.drift[r]
             for j in range(c.W.shape[0]):
                 c.W[r, j], c.W[j, r] = 0.0, 0.0
-            continue
-        group = begin
-        while group < end:
-            forward_substitute(w.L, X, group, ends[group])
-            group = ends[group]
-        for j in range(begin, end):
-            c.a[r] += X[j] * w.y[j]
-        if state.loops.entry != 0:
-            bound, loops = loops_at(state.loops.at)
-            leave_free(bound, loops, X)
+        return
+    group = end if i == 0 else first
+    while group < end:
+        forward_substitute_three(w.L, c.X, at, group, ends[group])
+        group = ends[group]
+    x0, x1, x2 = row_of(c.X, at), row_of(c.X, at + 1), row_of(c.X, at + 2)
+    d0, d1, d2 = c.drift[at], c.drift[at + 1], c.drift[at + 2]
+    if i > 0:
+        a0, a1, a2 = d0, d1, d2
+        for j in range(first, end):
+            y = w.y[j]
+            a0, a1, a2 = a0 + x0[j] * y, a1 + x1[j] * y, a2 + x2[j] * y
+        c.a[at], c.a[at + 1], c.a[at + 2] = a0, a1, a2
+    if state.loops.entry != 0 and i > 0:
+        bound, loops = loops_at(state.loops.at)
+        for r in range(at, at + 3):
+            leave_free(bound, loops, row_of(c.X, r))
+    size0, size1, size2 = abs(d0), abs(d1), abs(d2)
+    for j in range(first, end):
+        y = w.y[j]
+        size0, size1, size2 = size0 + abs(x0[j] * y), size1 + abs(x1[j] * y), size2 + abs(x2[j] * y)
+    c.size[at], c.size[at + 1], c.size[at + 2] = size0, size1, size2
 
 
 @kernel

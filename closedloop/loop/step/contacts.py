@@ -257,15 +257,17 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
     for j in range(n):
         w.contacts.torque[j] = 0.0
     torque, y = w.contacts.torque, w.y
-    for i in range(3, 3 * k):
-        F = c.F[i]
-        if F == 0.0:
+    for at in range(3, 3 * k, 3):
+        f, f1, f2 = c.F[at], c.F[at + 1], c.F[at + 2]
+        if f == 0.0 and f1 == 0.0 and f2 == 0.0:
             continue
-        w.contacts.power += F * (c.u[i] + c.carried[i])
-        G, X = row_of(c.G, i), row_of(c.X, i)
-        for j in range(int(c.first[i // 3]), int(c.end[i // 3])):
-            torque[j] += G[j] * F
-            y[j] += X[j] * F
+        for i in range(at, at + 3):
+            w.contacts.power += c.F[i] * (c.u[i] + c.carried[i])
+        g0, g1, g2 = row_of(c.G, at), row_of(c.G, at + 1), row_of(c.G, at + 2)
+        x0, x1, x2 = row_of(c.X, at), row_of(c.X, at + 1), row_of(c.X, at + 2)
+        for j in range(int(c.first[at // 3]), int(c.end[at // 3])):
+            torque[j] += g0[j] * f + g1[j] * f1 + g2[j] * f2
+            y[j] += x0[j] * f + x1[j] * f1 + x2[j] * f2
     accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
     for i in range(3, 3 * k if state.settings.stages == 1 else 0):
         growth = c.drift[i] - c.turning[i]

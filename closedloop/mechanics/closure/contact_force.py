@@ -28,6 +28,7 @@ from closedloop.mechanics.closure.solve import (
     back_substitute,
     cholesky,
     forward_substitute,
+    forward_substitute_three,
 )
 
 Array = NDArray[np.float64]
@@ -98,12 +99,9 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float, en
         end = ends[first]
         if not cholesky(H, L, first, end):
             return NOT_POSITIVE_DEFINITE
-        for k in range(3):
-            for i in range(first, end):
-                s = A[k, i]
-                for j in range(first, i):
-                    s -= L[i, j] * X[k, j]
-                X[k, i] = s * L[i, i]
+        for i in range(first, end):
+            X[0, i], X[1, i], X[2, i] = A[0, i], A[1, i], A[2, i]
+        forward_substitute_three(L, X, 0, first, end)
         first = end
     for k in range(3):
         for i in range(k + 1):

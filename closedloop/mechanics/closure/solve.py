@@ -87,7 +87,7 @@ def solve_closure(H: ArrayLike, rhs: ArrayLike, A: ArrayLike, b: ArrayLike) -> t
     return solution[:n], float(force[0]) if np.ndim(A) == 1 else force
 
 
-# The next three do their work for one block of a block-diagonal matrix, rows `first` .. `end` − 1; see `Tree.links`.
+# The next four do their work for one block of a block-diagonal matrix, rows `first` .. `end` − 1; see `Tree.links`.
 @kernel_inlined
 def cholesky(M: Array, L: Array, first: int, end: int) -> bool:
     """Write the lower triangle L of M = L Lᵀ, reading M's upper triangle; False if M is not positive definite.
@@ -116,6 +116,18 @@ def forward_substitute(L: Array, x: Array, first: int, end: int) -> None:
         for k in range(first, i):
             s -= L[i, k] * x[k]
         x[i] = s * L[i, i]
+
+
+@kernel_inlined
+def forward_substitute_three(L: Array, X: Array, at: int, first: int, end: int) -> None:
+    """Overwrite the rows at, at + 1 and at + 2 of X (m, n) with L⁻¹ of them."""
+    for i in range(first, end):
+        s0, s1, s2 = X[at, i], X[at + 1, i], X[at + 2, i]
+        for k in range(first, i):
+            s0 -= L[i, k] * X[at, k]
+            s1 -= L[i, k] * X[at + 1, k]
+            s2 -= L[i, k] * X[at + 2, k]
+        X[at, i], X[at + 1, i], X[at + 2, i] = s0 * L[i, i], s1 * L[i, i], s2 * L[i, i]
 
 
 @kernel_inlined

@@ -28,7 +28,7 @@ def solve_closed(c: Contacts, k: int) -> int:
 @kernel
 def solve_one(c: Contacts, k: int, i: int) -> bool:
     """Do `solve_modes` for contact i, the only one closed, by the closed form of the tip, where there is one."""
-    at, n, asked = 3 * i, c.X.shape[1], 0.0
+    at, asked = 3 * i, 0.0
     S, a, b, F, rigid = c.scratch.slope, c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
     own_mobility(c, i, S)
     for j in range(3 * k):
@@ -47,10 +47,7 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
             rigid[j] = F[j] - rigid[j]
     size, most = 0.0, 0.0
     for r in range(at, at + (1 if c.problem.form[i] == RAY else 3)):
-        s = abs(c.drift[r]) + abs(c.b[r])
-        for j in range(n):
-            s += abs(c.X[r, j] * c.load[j])
-        asked = max(asked, s)
+        asked = max(asked, c.size[r] + abs(c.b[r]))
     for j in range(3):
         size, most = max(size, abs(rigid[j])), max(most, S[j, j])
     c.problem.rounding = 1e-10 * max(size, asked / most)

@@ -327,7 +327,7 @@ def write_system(c: Contacts, k: int, p: int) -> float:
     """Write the equations of the unknowns with −a and b on the right; return the size of the terms on the right."""
     write_mobility(c, k)
     asked, slides, viscous = 0.0, False, False
-    W, S, unknown, X, load = c.W, c.scratch.system, c.scratch.unknown, c.X, c.load
+    W, S, unknown = c.W, c.scratch.system, c.scratch.unknown
     for q in range(p):
         i = int(unknown[q]) // 3
         slides = slides or not sticks(c, i) or has_resistance(c, i)
@@ -349,8 +349,5 @@ def write_system(c: Contacts, k: int, p: int) -> float:
                 S[r, q] += moved_by_turning(c, row, i)
         c.scratch.sought[r] = -c.a[row] - s
         S[r, p], S[r, p + 1] = c.scratch.sought[r], c.scratch.sought[r] + c.b[row]
-        size = abs(c.drift[row]) + abs(c.b[row])
-        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
-            size += abs(X[row, j] * load[j])
-        asked = max(asked, size)
+        asked = max(asked, c.size[row] + abs(c.b[row]))
     return asked

@@ -222,6 +222,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     turning: Annotated[Array, 3 * K]  # and what its motion and its curvature add to the drift
     at: Annotated[Array, 3 * K]  # where the point is on its surface, m
     a: Annotated[Array, 3 * K]  # acceleration without contacts, m/s²
+    size: Annotated[Array, 3 * K]  # of the terms that it is made of, m/s²
     b: Annotated[Array, 3 * K]  # what the stabiliser asks for, m/s²
     axes: Annotated[Array, 3 * K, 3]  # n, t1 and t2 in base axes, and where it is, m; in an event
     point: Annotated[Array, K, 3]

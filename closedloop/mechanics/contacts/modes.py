@@ -130,16 +130,13 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
 @kernel
 def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
     """Write the kind of each contact and the direction of those that slip; return the size of accelerations."""
-    n, size = c.X.shape[1], 0.0
+    size = 0.0
     for i in range(links.joints, links.k):
         c.problem.form[i] = CONE if c.a[3 * i] != 0.0 else OFF
     for i in range(links.joints):
         at = 3 * i
         for row in range(at, at + 3):
-            s = abs(c.drift[row])
-            for j in range(n):
-                s += abs(c.X[row, j] * c.load[j])
-            size = max(size, s)
+            size = max(size, c.size[row])
         c.problem.form[i], c.problem.along[i, 0], c.problem.along[i, 1] = OFF, 0.0, 0.0
         c.viscous[at + 1], c.viscous[at + 2] = 0.0, 0.0
         pulls = c.friction.pulls[i] != 0.0

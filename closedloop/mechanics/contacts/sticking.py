@@ -65,10 +65,8 @@ def shortest_sticking(c: Contacts, p: int) -> float:
     if not factor_joints(c, p):
         return float(0.0 * c.load[0] - 1.0)
     for q in range(p):
-        row, size = int(c.scratch.unknown[q]), 0.0
-        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
-            size += abs(c.X[row, j] * c.load[j])
-        asked = max(asked, size + abs(c.drift[row]) + abs(c.b[row]))
+        row = int(c.scratch.unknown[q])
+        asked = max(asked, c.size[row] + abs(c.b[row]))
     if not (moved_joints(c, p) <= CONTRADICTS * asked and spread(c, p)):
         return float(0.0 * c.load[0] - 1.0)
     return float(asked)

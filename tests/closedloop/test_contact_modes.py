@@ -142,7 +142,7 @@ def test_where_it_parts_and_where_it_sticks_is_kept(memory, lift, mode):
 def test_kinds_by_slip(memory):
     """Free where it does not touch or parts; in the cone where it hardly slips; else against its slip."""
     links, c = memory
-    c.a[:], c.drift[:] = 0.0, 2.0
+    c.a[:], c.size[:] = 0.0, 3.0
     for slip, kind in (([0, 0], CONE), ([1e-7, 0], CONE), ([-1e-6, 0], CONE), ([3e-3, 4e-3], RAY), ([-3e-3, 0], RAY)):
         c.u[4:6] = slip
         assert interpreted(choose_kinds)(links, c, 5e-7) == 3.0
@@ -203,7 +203,7 @@ def test_each_contact_to_which_something_happened_has_its_row(struck):
     """
     links, c = make_contact_memory(4, 4, stops=2)
     rng = np.random.default_rng(0)
-    for array in (c.F, c.before, c.problem.after, c.axes, c.point, c.carried):
+    for array in (c.F, c.before, c.problem.after, c.event.axes, c.event.point, c.carried):
         array[:] = rng.normal(size=array.shape)
     c.event.happened[:] = [0.0, STRUCK_AND_LEFT, LIFTOFF, STRUCK_AND_STAYED]
     c.event.struck[:], c.event.energy_lost = struck, 0.7
@@ -221,8 +221,8 @@ def test_each_contact_to_which_something_happened_has_its_row(struck):
         assert event.slip_before == pytest.approx(np.linalg.norm(c.before[at + 1 : at + 3]), rel=1e-15)
         assert event.slip_after == pytest.approx(np.linalg.norm(c.problem.after[at + 1 : at + 3]), rel=1e-15)
         assert event.restitution == (0.25 if i == 1 and struck else 0.0)
-        np.testing.assert_allclose(event.tangential, c.F[at + 1 : at + 3] @ c.axes[at + 1 : at + 3], rtol=1e-14)
-        np.testing.assert_array_equal(event.position, c.point[i])
+        np.testing.assert_allclose(event.tangential, c.F[at + 1 : at + 3] @ c.event.axes[at + 1 : at + 3], rtol=1e-14)
+        np.testing.assert_array_equal(event.position, c.event.point[i])
     carried = np.r_[w.tip.carried, c.carried[3:]]
     assert w.supply.energy == pytest.approx(1.0 - 0.7 + c.F @ carried, rel=1e-14)
 

@@ -25,6 +25,7 @@ def test_contacts_that_are_open_change_nothing_of_the_others():
         c.X[:], c.W[:], c.problem.q[:], c.F[:] = X, X @ X.T, X @ v, 1.0
         c.W[np.ix_(rows, rows)], c.problem.q[rows], c.F[rows] = alone.W, alone.problem.q, alone.F
         c.mu[at], c.problem.form[at] = alone.mu, alone.problem.form
+        c.problem.whole = alone.problem.whole = 1.0
         kept = [np.array(x) for x in (c.W, c.problem.q, c.mu, c.problem.form, c.problem.along)]
         assert solve_at(memory.address) == solve_at(more.address)
         np.testing.assert_array_equal(c.F[rows], alone.F)

@@ -60,7 +60,7 @@ def test_mobility_of_contacts_is_taken_over_the_joints_that_both_move():
     rng, k, n = np.random.default_rng(2), 5, 21
     c = make_contact_memory(n, k).contacts
     for i, (first, end) in enumerate(((0, 21), (0, 2), (2, 9), (8, 21), (2, 8))):
-        c.first[i], c.end[i] = first, end
+        c.moves.first[i], c.moves.end[i] = first, end
         c.X[3 * i : 3 * i + 3, first:end] = rng.normal(size=(3, end - first))
     c.near[1] = 0.0
     c.X[3:6] = 0.0
@@ -73,6 +73,6 @@ def test_mobility_of_contacts_is_taken_over_the_joints_that_both_move():
 def test_contacts_of_a_tower_are_of_two_boxes():
     """The lowest box moves its contacts with the floor alone, another box and the one below those between them."""
     contacts = cl.prepare(cl.load_scenario("tower")).loop().w.kept["contacts"].contacts
-    spans = {(int(a), int(b)) for a, b in zip(contacts.first[1:], contacts.end[1:], strict=True)}
+    spans = {(int(a), int(b)) for a, b in zip(contacts.moves.first[1:], contacts.moves.end[1:], strict=True)}
     assert spans == {(0, 6), (0, 12), (6, 18), (12, 24), (18, 30)}
-    assert not np.any(contacts.first[0])
+    assert not np.any(contacts.moves.first[0])

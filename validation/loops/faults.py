@@ -96,7 +96,7 @@ def _with_drift(drift: Callable[[LoopMemory], np.ndarray[Any, Any]]) -> Callable
         interpreted(take_free)(links, rows, rows.part)
         for k in range(3):
             row = np.array(w.tip.A[k])
-            interpreted(forward_substitute)(w.L, row)
+            interpreted(forward_substitute)(w.L, row, 0, len(row))
             rows.moved[k] = row @ rows.part
         w.tip.drift_c[:] += rows.moved
 

@@ -253,6 +253,6 @@ def log_contacts(w: Work, links: ContactLinks, c: Contacts, state: State, events
         elif c.before[at] < 0.0 < c.problem.after[at] and c.event.struck[i] != 0.0:
             event.restitution = -c.problem.after[at] / c.before[at]
         for j in range(3):
-            event.tangential[j] = c.axes[at + 1, j] * c.F[at + 1] + c.axes[at + 2, j] * c.F[at + 2]
-            event.position[j] = c.point[i, j]
+            event.tangential[j] = c.event.axes[at + 1, j] * c.F[at + 1] + c.event.axes[at + 2, j] * c.F[at + 2]
+            event.position[j] = c.event.point[i, j]
         state.event.rows += 1

@@ -110,7 +110,7 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             continue
         c.drift[i] = rows.drift[r]
         to, of = row_of(G, i), row_of(given, r)
-        for j in range(int(c.first[i // 3]), int(c.end[i // 3])):
+        for j in range(int(c.moves.first[i // 3]), int(c.moves.end[i // 3])):
             to[j] = of[j]
     for i in range(1, links.points if links.shapes != 0 else 0):
         if has_edge(shapes_at(links.shapes), i):
@@ -141,7 +141,7 @@ def wanders(links: ContactLinks, i: int) -> bool:
 @kernel
 def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) -> None:
     """Write X = L⁻¹Gᵀ of contact i, less what loops bind, and its free acceleration; zeros if it is not near."""
-    at, first, end = 3 * i, int(c.first[i]), int(c.end[i])
+    at, first, end = 3 * i, int(c.moves.first[i]), int(c.moves.end[i])
     ends = integers_at(state.addresses.group_ends, state.n)
     for r in range(3):
         X, G = row_of(c.X, at + r), row_of(w.tip.A, r) if i == 0 else row_of(c.G, at + r)
@@ -247,20 +247,20 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
     tree, work = tree_at(joints), vector_at(joints.scratch, joints.scratch_size)
     sides = integers_at(joints.bound, 3 * joints.m)
     for j in range(3):
-        c.point[0, j] = w.r[j]
+        c.event.point[0, j] = w.r[j]
         for i in range(3):
-            c.axes[i, j] = w.tip.frame[i, j]
+            c.event.axes[i, j] = w.tip.frame[i, j]
     a, b = row_of(rows.motions, 0), row_of(rows.motions, 1)
     for r in range(joints.m):
         move_point(tree, work, sides[joints.m + r], row_of(rows.at_a, r), a)
         turn_direction(tree, work, sides[2 * joints.m + r], row_of(rows.along_b, r), b)
         for j in range(3):
-            c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]
+            c.event.axes[3 + r, j], c.event.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]
     for i in range(1, links.points if links.shapes != 0 else 0):
         reach = row_of(shapes_at(links.shapes).reach, i)  # before the axes are turned to those of a curved surface
         for j in range(3):
             for m in range(3):
-                c.point[i, j] += reach[m] * c.axes[3 * i + m, j]
+                c.event.point[i, j] += reach[m] * c.event.axes[3 * i + m, j]
     for i in range(1, links.points if links.shapes != 0 else 0):
         if has_edge(shapes_at(links.shapes), i):
             turn_axes(c, i, shapes_at(links.shapes).frame[i])
@@ -270,16 +270,16 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
             turn_axes(c, i, ask.frame)
     for i in range(links.points, links.points + links.stops):
         for j in range(3):
-            c.point[i, j] = w.r[j]
+            c.event.point[i, j] = w.r[j]
 
 
 @kernel
 def turn_axes(c: Contacts, i: int, N: Array) -> None:
     """Turn the axes x, y, z of contact i to n, t1, t2, the rows of N (3, 3)."""
     for j in range(3):
-        x, y, z = c.axes[3 * i, j], c.axes[3 * i + 1, j], c.axes[3 * i + 2, j]
+        x, y, z = c.event.axes[3 * i, j], c.event.axes[3 * i + 1, j], c.event.axes[3 * i + 2, j]
         for axis in range(3):
-            c.axes[3 * i + axis, j] = N[axis, 0] * x + N[axis, 1] * y + N[axis, 2] * z
+            c.event.axes[3 * i + axis, j] = N[axis, 0] * x + N[axis, 1] * y + N[axis, 2] * z
 
 
 @kernel

@@ -77,9 +77,18 @@ class Problem(Block, sizes=("k",)):
     whole: float  # 1 once W is written beside its diagonal
 
 
+class Moves(Block, sizes=("k",)):
+    """The joints that each contact moves: elsewhere its rows G and X are zero."""
+
+    first: Annotated[Array, K]  # of whole groups, see `closedloop.mechanics.robot.tree.group_ends`
+    end: Annotated[Array, K]  # one more than the last
+
+
 class ContactEvent(Block, sizes=("k",)):
     """What happens to the contacts in an event."""
 
+    axes: Annotated[Array, 3 * K, 3]  # n, t1 and t2 in base axes
+    point: Annotated[Array, K, 3]  # and where it is, m
     happened: Annotated[Array, K]  # to each, a kind of `closedloop.loop.events.table`; 0: nothing
     struck: Annotated[Array, K]  # 1 if it was an impact
     pulled: Annotated[Array, K]  # 1 if its mode would have had it pull
@@ -209,8 +218,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     side: Annotated[Array, K]  # 1 of a lower stop, −1 of an upper
     mode: Annotated[Array, K]  # see `closedloop.mechanics.closure.contact_force`
     near: Annotated[Array, K]  # 1 while its rows X and W are written: while it is closed, or about to be
-    first: Annotated[Array, K]  # its rows G and X are zero but for the joints first .. end − 1: those that it moves, in
-    end: Annotated[Array, K]  # whole groups, see `closedloop.mechanics.robot.tree.group_ends`
+    moves: Moves
     cleared: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
     floor: Annotated[Array, K]  # the gap at which it parted, m, if that was negative
     direction: Annotated[Array, K, 2]  # of its slip at the beginning of the substep
@@ -224,8 +232,6 @@ class Contacts(Block, sizes=("n", "k", "past")):
     a: Annotated[Array, 3 * K]  # acceleration without contacts, m/s²
     size: Annotated[Array, 3 * K]  # of the terms that it is made of, m/s²
     b: Annotated[Array, 3 * K]  # what the stabiliser asks for, m/s²
-    axes: Annotated[Array, 3 * K, 3]  # n, t1 and t2 in base axes, and where it is, m; in an event
-    point: Annotated[Array, K, 3]
     G: Annotated[Array, 3 * K, N]
     X: Annotated[Array, 3 * K, N]  # L⁻¹ Gᵀ, less what loops bind
     W: Annotated[Array, 3 * K, 3 * K]  # X Xᵀ: the mobility, 1/kg
@@ -302,7 +308,7 @@ def make_contact_memory(
         (turns.pivoting if pivots else turns.rolling)[owner] = i
     contacts.past_edge[k - joints :] = 1.0
     links.rows = 0 if rows is None else rows.address
-    contacts.end[:] = n
+    contacts.moves.end[:] = n
     contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

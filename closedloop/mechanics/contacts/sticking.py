@@ -44,7 +44,7 @@ def all_stick(c: Contacts, k: int, p: int) -> bool:
         row, square = int(c.scratch.unknown[q]), 0.0
         if row % 3 != 0:
             continue
-        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
+        for j in range(int(c.moves.first[row // 3]), int(c.moves.end[row // 3])):
             square += c.X[row, j] * c.X[row, j]
         if not abs(square - c.W[row, row]) <= OWN_ROW * square:
             return False
@@ -89,9 +89,9 @@ def factor_joints(c: Contacts, p: int) -> bool:
         s.begins[i], s.until[i] = i, i + 1
     q = 0
     while q < p:
-        at = int(unknown[q]) // 3
-        for j in range(int(c.first[at]), int(c.end[at])):
-            s.begins[j], s.until[j] = min(s.begins[j], c.first[at]), max(s.until[j], c.end[at])
+        i = int(unknown[q]) // 3
+        for j in range(int(c.moves.first[i]), int(c.moves.end[i])):
+            s.begins[j], s.until[j] = min(s.begins[j], c.moves.first[i]), max(s.until[j], c.moves.end[i])
         q += rows_of_contact(c, q, p)
     for i in range(n):
         row = row_of(s.factor, i)
@@ -99,13 +99,13 @@ def factor_joints(c: Contacts, p: int) -> bool:
             row[j] = 0.0
     q = 0
     while q < p:
-        count, row = rows_of_contact(c, q, p), int(unknown[q])
-        x0 = row_of(c.X, row)
+        count, at = rows_of_contact(c, q, p), int(unknown[q])
+        x0 = row_of(c.X, at)
         x1, x2 = (
             row_of(c.X, int(unknown[q + min(1, count - 1)])),
             row_of(c.X, int(unknown[q + count - 1])),
         )
-        first, end = int(c.first[row // 3]), int(c.end[row // 3])
+        first, end = int(c.moves.first[at // 3]), int(c.moves.end[at // 3])
         for i in range(first, end):
             a0, a1, a2 = x0[i], x1[i] if count > 1 else 0.0, x2[i] if count > 2 else 0.0
             to = row_of(s.factor, i)
@@ -194,7 +194,7 @@ def add_rows(c: Contacts, p: int) -> None:
         )
         a0, a1, a2 = a[q], a[q + 1] if count > 1 else 0.0, a[q + 2] if count > 2 else 0.0
         b0, b1, b2 = b[q], b[q + 1] if count > 1 else 0.0, b[q + 2] if count > 2 else 0.0
-        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
+        for j in range(int(c.moves.first[row // 3]), int(c.moves.end[row // 3])):
             to_a[j] += a0 * x0[j] + a1 * x1[j] + a2 * x2[j]
             to_b[j] += b0 * x0[j] + b1 * x1[j] + b2 * x2[j]
         q += count
@@ -209,7 +209,7 @@ def take_rows(c: Contacts, p: int) -> tuple[float, float]:
     for q in range(p):
         row = int(unknown[q])
         x, a, b = row_of(c.X, row), s.rows_left[0, q], s.rows_left[1, q]
-        for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
+        for j in range(int(c.moves.first[row // 3]), int(c.moves.end[row // 3])):
             a -= x[j] * of_a[j]
             b -= x[j] * of_b[j]
         s.rows_left[0, q], s.rows_left[1, q] = a, b
@@ -234,7 +234,7 @@ def spread(c: Contacts, p: int) -> bool:
         for q in range(p):
             row, f, g = int(unknown[q]), F[q], G[q]
             x = row_of(c.X, row)
-            for j in range(int(c.first[row // 3]), int(c.end[row // 3])):
+            for j in range(int(c.moves.first[row // 3]), int(c.moves.end[row // 3])):
                 f += x[j] * of_a[j]
                 g += x[j] * of_b[j]
             F[q], G[q] = f, g

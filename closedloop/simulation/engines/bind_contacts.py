@@ -109,7 +109,12 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
 
 
 def write_joints(
-    contacts: Contacts, robot: Robot, bound: Bound, stops: Array, turns: tuple[tuple[int, float, bool], ...], held: int
+    contacts: Contacts,
+    robot: Robot,
+    bound: Bound,
+    stops: NDArray[np.intp],
+    turns: tuple[tuple[int, float, bool], ...],
+    held: int,
 ) -> None:
     """Write which joints each contact moves, see `Contacts.first`: all of a mechanism with loops, or with stops."""
     if robot.model.loops or len(stops) > 0 or held > 0:
@@ -118,9 +123,9 @@ def write_joints(
     first = np.searchsorted(ends, np.arange(robot.n), side="right")  # of the joints of its group
     for i, links in enumerate(bound.sides.reshape(4, rows)[1:3, ::3].T, 1):
         moved = [link for link in links if link >= 0]
-        contacts.first[i], contacts.end[i] = first[moved].min(), ends[moved].max()
+        contacts.moves.first[i], contacts.moves.end[i] = first[moved].min(), ends[moved].max()
     for i, (owner, _, _) in enumerate(turns, 1 + rows // 3):
-        contacts.first[i], contacts.end[i] = contacts.first[owner], contacts.end[owner]
+        contacts.moves.first[i], contacts.moves.end[i] = contacts.moves.first[owner], contacts.moves.end[owner]
 
 
 def resistances_of(sections: tuple[ContactSection, ...]) -> tuple[tuple[int, float, bool], ...]:

@@ -67,6 +67,7 @@ def bodies_that_meet(rng: np.random.Generator) -> ContactMemory:
         for a in range(3):
             c.X[3 * i + a] = np.concatenate([frame[a], 2.0 * np.cross(arm, frame[a])])
     c.W[:] = c.X @ c.X.T
+    c.problem.whole = 1.0
     c.u[:] = c.X @ (rng.normal(size=6) + 3.0 * np.concatenate([-normal + side, np.zeros(3)]))
     c.mu[:], c.restitution[:] = rng.uniform(0.1, 0.8, k), 0.4
     return memory
@@ -134,6 +135,7 @@ def _no_normal(memory: ContactMemory) -> None:
     c = memory.contacts
     c.X[0], c.u[0] = 0.0, 0.0
     c.W[:] = c.X @ c.X.T
+    c.problem.whole = 1.0
 
 
 def _lighter(memory: ContactMemory) -> None:

@@ -42,6 +42,7 @@ def memory():
     c = memory.contacts
     c.X[:] = np.eye(6)
     c.W[:], c.mu[:], c.mode[:], c.load[:] = np.eye(6), 0.5, [FREE, PRESSED], 1.0
+    c.problem.whole = 1.0
     c.located[0], c.direction[1] = 1.0, [0.6, 0.8]
     return memory
 

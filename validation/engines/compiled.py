@@ -54,7 +54,7 @@ class Compiled(ClosedLoop):
         super().__init__(model, tip)
         order = {joint: i for i, joint in enumerate(model.joint_names)}
         self._columns = np.array([order[joint] for joint in robot.joint_names])
-        self.robot = OwnTerms(self, model, tip)  # type: ignore[assignment]  # the two methods that are asked for
+        self.robot = OwnTerms(self, model, tip)  # type: ignore[assignment]  # what is asked for
 
     def free_acceleration(self, q: Array, v: Array, torque: Array) -> Array:
         row = self._record(q, v, torque, np.array([0.0, 0.0, 1.0]), None)
@@ -68,7 +68,7 @@ class Compiled(ClosedLoop):
         """Return the row that the loop records at a state under a given torque; b None: the tip is free."""
         n, scheme = self.n, INTEGRATORS["semi_implicit_euler"]
         terms = self.robot.terms(self._in(q), self._in(v))
-        loop = make_loop(n, stages=scheme.stages, ends=self.robot.tree.ends)
+        loop = make_loop(n, stages=scheme.stages, ends=self.tree.ends)
         state, constants, w = loop
         constants.h = constants.node = 1e-3
         w.tip.frame[:] = contact_frame(normal)
@@ -90,11 +90,10 @@ class Compiled(ClosedLoop):
 
 
 class OwnTerms:
-    """Terms from `closedloop.mechanics.robot.tree`, behind the two methods of `closedloop.Robot` that an engine
-    asks."""
+    """Terms from `closedloop.mechanics.robot.tree`, behind what of `closedloop.Robot` an engine asks for."""
 
     def __init__(self, engine: Compiled, model: RobotModel, tip: str) -> None:
-        self.engine, self.n = engine, len(model.joint_names)
+        self.tree, self.n = engine.tree, len(model.joint_names)
         self.joint_names, self.tip = model.joint_names, tip
         self._work = np.zeros(work_size(self.n))
 
@@ -103,7 +102,7 @@ class OwnTerms:
             raise ValueError("q and v must be finite")
         n = self.n
         H, C, J, r, drift = (np.full(shape, np.nan) for shape in ((n, n), (n,), (3, n), (3,), (3,)))
-        _terms(self.engine.tree, q, v, self._work, H, C, (J, r, drift))
+        _terms(self.tree, q, v, self._work, H, C, (J, r, drift))
         return Terms(np.triu(H) + np.triu(H, 1).T, C, r, J, drift)
 
     def position(self, q: Array) -> Array:

@@ -363,6 +363,10 @@ def apply_impulse_alone(links: ContactLinks, c: Contacts, w: Work, i: int, leave
 def save_contacts(links: ContactLinks, c: Contacts) -> None:
     """Keep speed and direction of the slips at the beginning of a substep, and which contacts have come clear."""
     for i in range(links.k):
+        if c.located[3 * i] > HOVERING:
+            c.cleared[i], c.floor[i], c.past_edge[i] = 1.0, 0.0, 0.0
+            if c.mode[i] == FREE:
+                continue
         speed = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
         c.friction.start_slip[i], c.friction.start_u[i, 0], c.friction.start_u[i, 1] = (
             speed,
@@ -371,8 +375,6 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
         )
         if c.mode[i] == PRESSED and speed > STICK_SPEED:
             c.direction[i, 0], c.direction[i, 1] = c.u[3 * i + 1] / speed, c.u[3 * i + 2] / speed
-        if c.located[3 * i] > HOVERING:
-            c.cleared[i], c.floor[i], c.past_edge[i] = 1.0, 0.0, 0.0
 
 
 @kernel

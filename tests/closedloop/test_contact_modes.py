@@ -270,14 +270,15 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
 
 
 def test_what_a_substep_begins_with_is_kept(memory):
-    """The speed of every slip, the direction of one that slides, and that a contact has come clear of its surface."""
+    """The speed of slip unless it is clear, the direction of what slides, and that a contact has come clear."""
     links, c = memory
     for mode, slip, clear in itertools.product((FREE, PRESSED, STUCK), ([0.3, -0.4], [3e-8, 4e-8]), (True, False)):
         c.mode[1], c.u[4:], c.direction[1], c.cleared[1], c.floor[1] = mode, slip, [1.0, 0.0], 0.0, -0.5
-        c.located[3] = (2.0 if clear else 0.5) * HOVERING
+        c.located[3], c.friction.start_slip[1] = (2.0 if clear else 0.5) * HOVERING, -1.0
         interpreted(save_contacts)(links, c)
         speed = np.linalg.norm(slip)
-        assert c.friction.start_slip[1] == pytest.approx(speed, rel=1e-15)
+        kept = -1.0 if mode == FREE and clear else speed
+        assert c.friction.start_slip[1] == pytest.approx(kept, rel=1e-15)
         slides = mode == PRESSED and speed > STICK_SPEED
         np.testing.assert_allclose(c.direction[1], np.array(slip) / speed if slides else [1.0, 0.0])
         assert (c.cleared[1], c.floor[1]) == ((1.0, 0.0) if clear else (0.0, -0.5))

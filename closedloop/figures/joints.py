@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from closedloop.figures.dress import dress, explain_contact
 from closedloop.figures.style import MANY, MOST_CURVES, OTHERS, new_figure
 from closedloop.record.run import Run, units_by_kind
+from closedloop.scenario.units import typeset
 from robot_models import RobotModel
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def joints(run: Run) -> Figure:
         of_named = [j for j, joint in enumerate(names) if joint in colours]
         _draw_limits(axes, values[:, of_named], low[of_named], high[of_named], [colours[names[j]] for j in of_named])
         kinds = model.coordinate_types if name == "q" else model.joint_types
-        each = [units_by_kind(run.specs[name].units, kinds[j]).replace(" s-1", "/s") for j in held]
+        each = [typeset(units_by_kind(run.specs[name].units, kinds[j])) for j in held]
         units = " | ".join(dict.fromkeys(each))
         told = f"{title}, {_told(values, low, high, names, each, positions=name == 'q')}"
         last = axes is panels[-1]

@@ -20,6 +20,7 @@ from closedloop.figures.errors import directions, force_error, frame_of, tip_err
 from closedloop.figures.force import FLAT, draw_measured
 from closedloop.figures.link_contacts import draw_forces, link_contacts
 from closedloop.figures.style import COLOURS, length_text, length_unit, new_figure, styled
+from closedloop.figures.tip import ROUNDING
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
 
@@ -145,7 +146,7 @@ def _draw_tip_errors(axes: Axes, run: Run) -> None:
     names = ("along the path", "across", "normal") if moves else ("t1", "t2", "normal")
     for k in np.argsort([-float(np.max(np.abs(each))) for each in errors]):  # the largest is at the back
         size = float(np.max(np.abs(errors[k])))
-        told = f"{names[k]} ≤ {length_text(size)}" if size > rounding else f"{names[k]} ≈ 0"
+        told = f"{names[k]} ≤ {length_text(size)}" if size > max(rounding, ROUNDING) else f"{names[k]} ≈ 0"
         axes.plot(run.time, factor * errors[k], color=COLOURS[k], label=told)
     axes.margins(y=0.12)
     mark_rounding(axes, largest, rounding, factor)

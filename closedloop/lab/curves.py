@@ -23,6 +23,7 @@ from closedloop.mechanics.loops.wrench import parts_of
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.record.report.measures import SETTLED
 from closedloop.record.run import Run, units_by_kind
+from closedloop.scenario.units import with_unit
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,7 @@ class Panel:
     @property
     def title(self) -> str:
         """The panel's title with its unit."""
-        return f"{TITLES.get(self.name) or self.name.removeprefix(COLUMN)}{self.note} [{self.unit}]"
+        return with_unit(f"{TITLES.get(self.name) or self.name.removeprefix(COLUMN)}{self.note}", self.unit)
 
 
 def panels(run: Run) -> list[Panel]:

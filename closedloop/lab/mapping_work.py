@@ -22,6 +22,7 @@ from closedloop.lab.protocol import Lab
 from closedloop.record.report.measures import MEASURES
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
+from closedloop.scenario.units import typeset
 from closedloop.simulation.engines.lane_loop import run_in_lanes
 from closedloop.simulation.engines.lanes import can_use_lanes
 from closedloop.studies.analysis.ranges import Range
@@ -277,8 +278,9 @@ class MapWork:
 
     def _send(self, found: Map, line: str, complete: bool) -> None:
         measure = MEASURES[found.quantity]
+        unit = "" if measure.units == "1" else typeset(measure.units)
         message = {
-            "kind": "map", "x": _axis(found.x), "y": _axis(found.y), "quantity": found.quantity, "unit": measure.units,
+            "kind": "map", "x": _axis(found.x), "y": _axis(found.y), "quantity": found.quantity, "unit": unit,
             "hint": measure.meaning, "grid": found.grid.copy(), "state": found.state.copy(), "complete": complete,
             "line": f"{line}. Dashed: where the verdicts turn from good." if complete else line,
         }  # fmt: skip

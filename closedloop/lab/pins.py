@@ -12,6 +12,7 @@ from closedloop.record.report.control_verdict import told
 from closedloop.record.report.measures import MEASURES
 from closedloop.record.report.verdict import names_of
 from closedloop.record.run import Run
+from closedloop.scenario.units import with_unit
 
 MOST_PINS = 4
 # Reddish purple, sky blue and orange of Okabe and Ito's palette, which the run itself does not have, and violet.
@@ -69,9 +70,8 @@ def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str,
     summaries = [each.summary() for each, _ in every]
     for name in VALUES:
         numbers = [summary.get(name) for summary in summaries]
-        unit = MEASURES[name].units
-        label = f"{name} [{unit}]" if unit not in ("", "1") else name
-        rows.append((label, [_with_difference(number, numbers[-1], k < len(pins)) for k, number in enumerate(numbers)]))
+        cells = [_with_difference(number, numbers[-1], k < len(pins)) for k, number in enumerate(numbers)]
+        rows.append((with_unit(name, MEASURES[name].units), cells))
     rows.append(("verdict", [names_of(summary["verdict"]["problems"]) for summary in summaries]))
     return [*rows, ("control_verdict", [told(summary) for summary in summaries])]
 

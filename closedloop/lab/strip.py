@@ -19,8 +19,8 @@ from closedloop.record.run import Run
 
 Tile = dict[str, Any]
 
-# Values that differ by no more than this share are equal.
-ROUNDING = 1e-9
+# Values that differ by no more than this share are equal: no digit that is shown differs.
+ALIKE = 5e-4
 # By name: the value of the summary, its unit, what it is, whether less is better, and the factor to its unit.
 NUMBERS: dict[str, tuple[str, str, str, bool, float]] = {
     "force RMS": ("rms_force_error", "N", "RMS error of the contact force over the rows in contact", True, 1.0),
@@ -120,6 +120,6 @@ def _change(number: float, before: float | None, less: bool, factor: float, name
     if before is None:
         return {}
     change = number - before
-    if abs(change) <= ROUNDING * max(abs(number), abs(before)):
+    if abs(change) <= ALIKE * max(abs(number), abs(before)):
         return {}
     return {"change": f"{factor * change:+.2g}", "better": (change < 0.0) == less, "against": name}

@@ -53,7 +53,12 @@ def key_unit(key: str) -> str:
 
 def with_unit(name: str, unit: str) -> str:
     """Return the name of a quantity with its unit in brackets, or alone if it has none."""
-    return f"{name} [{unit}]" if unit else name
+    return f"{name} [{typeset(unit)}]" if unit not in ("", "1") else name
+
+
+def typeset(unit: str) -> str:
+    """Return a unit as people read it, m/s, from what files have, m s-1."""
+    return unit.replace(" s-1", "/s").replace(" s-2", "/s²")
 
 
 def takes_whole_numbers(key: str) -> bool:

@@ -357,6 +357,10 @@ def test_the_strip_says_what_is_better_than_before():
     before = strip.values(start, start.summary())
     same = {tile["name"]: tile for tile in strip.tiles(start, start.summary(), before, "the start")}
     assert all("change" not in tile for tile in same.values())
+    near = {key: None if value is None else 1.0001 * value for key, value in before.items()}  # no digit differs
+    assert all("change" not in tile for tile in strip.tiles(start, start.summary(), near, "the start"))
+    other = {key: None if value is None else 1.01 * value for key, value in before.items()}
+    assert any("change" in tile for tile in strip.tiles(start, start.summary(), other, "the start"))
     found = {tile["name"]: tile for tile in strip.tiles(stiff, stiff.summary(), before, "the start")}
     assert found["force RMS"]["better"] == (stiff.summary()["rms_force_error"] < start.summary()["rms_force_error"])
     assert (found["numbers"]["good"], found["control"]["good"]) == tuple(

@@ -136,7 +136,7 @@ class Compare {
       if (better !== null) cell.style.color = better ? "var(--good)" : "var(--bad)";
       return cell;
     })]);
-    this.element.replaceChildren(table(heads, cells), make("p", { className: "hint", textContent: "In brackets: the pin less the run of now; green where the pin is better." }));
+    this.element.replaceChildren(table(heads, cells), make("p", { className: "hint", textContent: "In brackets: the pin minus the run of now; green where the pin is better." }));
   }
 }
 

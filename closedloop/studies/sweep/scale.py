@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.style import length_unit
-from closedloop.scenario.units import with_unit
+from closedloop.scenario.units import typeset, with_unit
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -78,17 +78,13 @@ def column_values(table: pa.Table, name: str) -> tuple[Array, str, str]:
         factor, units = length_unit(float(np.nanmax(np.abs(values))))
         values = values * factor
     text = "\n".join(textwrap.wrap(meaning.partition(";")[0], 48))
-    return values, text, _typeset(units) if units not in ("", "1") else ""
+    return values, text, typeset(units) if units not in ("", "1") else ""
 
 
 def _refuse_large(name: str, values: Array) -> None:
     largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
     if largest > LARGEST:
         raise ScenarioError(f"{name}: has values of up to {largest:.3g}, and is drawn up to {LARGEST:g}")
-
-
-def _typeset(units: str) -> str:
-    return {"m s-1": "m/s"}.get(units, units)
 
 
 def span(values: Array) -> tuple[float, float]:

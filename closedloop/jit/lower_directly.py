@@ -1,7 +1,8 @@
 """Write LLVM's code for elements of arrays and for arithmetic directly.
 
 numba's own way to `a[i]` copies the array's description to the stack and back, and asks for the types and the
-implementation again; of a kernel's compile time that was a third, most of it in Python. The code means the same.
+implementation again; of a kernel's compile time that was a third, most of it in Python. The code means the same, but
+for an index that a kernel of this package computes: it is not looked whether it is negative.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-from llvmlite import ir
 from numba.core import types
 from numba.core.compiler_machinery import register_pass
 from numba.core.lowering import Lower
@@ -23,12 +23,16 @@ from closedloop.jit.typing_once import call_type
 _WITH_KNOWN_NUMBERS = operator.pow, operator.ipow
 
 
+# Packages whose kernels have no negative index but such as are known when compiling.
+OURS = "closedloop", "validation"
+
+
 class DirectLower(Lower):
     """numba's writer of LLVM's code; what is not said here is as there."""
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
         """Write an expression: an element whose index is known as any other."""
-        if expr.op == "static_getitem" and expr.index_var is not None and _in_rows(self.typeof(expr.value.name)):
+        if expr.op == "static_getitem" and _in_rows(self.typeof(expr.value.name)) and self._from_start(expr):
             signature = self.fndesc.calltypes[expr]
             return self.lower_getitem(resty, expr, expr.value, expr.index_var, signature)
         return super().lower_expr(resty, expr)
@@ -61,7 +65,11 @@ class DirectLower(Lower):
 
     def lower_inst(self, inst: Any) -> None:
         """Write a statement: the assignment to an element whose index is known as any other."""
-        if type(inst).__name__ == "StaticSetItem" and _in_rows(self.typeof(inst.target.name)):
+        if (
+            type(inst).__name__ == "StaticSetItem"
+            and _in_rows(self.typeof(inst.target.name))
+            and self._from_start(inst)
+        ):
             signature = self.fndesc.calltypes[inst]
             self.lower_setitem(inst.target, inst.index_var, inst.value, signature)
             return
@@ -77,6 +85,15 @@ class DirectLower(Lower):
         store_item(self.context, self.builder, kind, number, pointer)
         return self.context.get_dummy_value()
 
+    def _ours(self) -> bool:
+        """Whether the function is of this package: there no index that is computed counts from the end."""
+        return str(self.func_ir.func_id.modname).partition(".")[0] in OURS
+
+    def _from_start(self, statement: Any) -> bool:
+        """Whether the indices that are known when compiling count from the start, and are in a variable too."""
+        known = statement.index if isinstance(statement.index, tuple) else (statement.index,)
+        return statement.index_var is not None and all(isinstance(i, int) and i >= 0 for i in known)
+
     def _element(self, array: Any, index: Any, signature: Any) -> Any:
         """Write the address of an element of an array in C order; None if it is not a single element of one."""
         kind: Any = self.typeof(array.name)
@@ -91,8 +108,7 @@ class DirectLower(Lower):
         for axis, each in enumerate(kinds):
             i = builder.extract_value(at, axis) if isinstance(among, types.BaseTuple) else at
             i, length = self.context.cast(builder, i, each, types.intp), builder.extract_value(shape, axis)
-            known = isinstance(i, ir.Constant) and i.constant >= 0
-            if each.signed and not known:  # from the end
+            if each.signed and not self._ours():  # it may count from the end
                 negative = builder.icmp_signed("<", i, i.type(0))
                 i = builder.select(negative, builder.add(length, i), i)
             place = i if place is None else builder.add(builder.mul(place, length), i)

@@ -50,6 +50,26 @@ def test_elements_are_those_of_python_and_of_numba():
             assert np.array_equal(ours, theirs)
 
 
+def _ends(x, m, i):
+    """Write the last numbers, by indices that are known, beside one that is computed."""
+    x[-2] = x[-1] + m[-1, i] + m[i, -2]
+    m[-1, -1], m[i, 0] = x[i], m[-2, -1]
+    return x[-3]
+
+
+def test_known_indices_of_our_own_kernels_may_count_from_the_end():
+    """Computed ones do not: of these it is not looked whether they are negative."""
+    results = []
+    for module in ("closedloop.somewhere", "their_law"):
+        _ends.__module__ = module
+        for function in (kernel(_ends).dispatcher.ordinary, _ends):
+            x, m = np.arange(4.0), np.arange(16.0).reshape(4, 4) ** 2
+            results.append([function(x, m, 2), x, m])
+    for found in results[1:]:
+        for ours, theirs in zip(results[0], found, strict=True):
+            assert np.array_equal(ours, theirs)
+
+
 @pytest.mark.parametrize("operation", [operator.add, operator.truediv, operator.mod, operator.lt, operator.and_])
 def test_kept_answers_are_those_of_numba(operation):
     """The type of an operation is what numba says, the first time and later; a wrong operation is refused."""

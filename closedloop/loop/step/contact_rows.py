@@ -22,7 +22,7 @@ from closedloop.mechanics.closure.contact_force import FREE, baumgarte_accelerat
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute, forward_substitute_three
 from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
-from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub
+from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_of, joints_rub
 from closedloop.mechanics.contacts.mobility import own_mobilities, write_mobility
 from closedloop.mechanics.contacts.modes import HOVERING, near
 from closedloop.mechanics.contacts.resistance import is_resistance
@@ -110,7 +110,8 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             continue
         c.drift[i] = rows.drift[r]
         to, of = row_of(G, i), row_of(given, r)
-        for j in range(int(c.moves.first[i // 3]), int(c.moves.end[i // 3])):
+        first, end = joints_of(c, i // 3)
+        for j in range(first, end):
             to[j] = of[j]
     for i in range(1, links.points if links.shapes != 0 else 0):
         if has_edge(shapes_at(links.shapes), i):
@@ -141,7 +142,7 @@ def wanders(links: ContactLinks, i: int) -> bool:
 @kernel
 def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) -> None:
     """Write X = L⁻¹Gᵀ of contact i, less what loops bind, and its free acceleration; zeros if it is not near."""
-    at, first, end = 3 * i, int(c.moves.first[i]), int(c.moves.end[i])
+    at, (first, end) = 3 * i, joints_of(c, i)
     ends = integers_at(state.addresses.group_ends, state.n)
     for r in range(3):
         X, G = row_of(c.X, at + r), row_of(w.tip.A, r) if i == 0 else row_of(c.G, at + r)
@@ -159,8 +160,9 @@ def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) 
         return
     group = end if i == 0 else first
     while group < end:
-        forward_substitute_three(w.L, c.X, at, group, ends[group])
-        group = ends[group]
+        next_group = ends[group]
+        forward_substitute_three(w.L, c.X, at, group, next_group)
+        group = next_group
     x0, x1, x2 = row_of(c.X, at), row_of(c.X, at + 1), row_of(c.X, at + 2)
     d0, d1, d2 = c.drift[at], c.drift[at + 1], c.drift[at + 2]
     if i > 0:

@@ -55,6 +55,7 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
     contacts_at,
+    joints_of,
     joints_rub,
 )
 from closedloop.mechanics.contacts.modes import HOVERING, decide, open_margin, touches
@@ -265,13 +266,15 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             w.contacts.power += c.F[i] * (c.u[i] + c.carried[i])
         g0, g1, g2 = row_of(c.G, at), row_of(c.G, at + 1), row_of(c.G, at + 2)
         x0, x1, x2 = row_of(c.X, at), row_of(c.X, at + 1), row_of(c.X, at + 2)
-        for j in range(int(c.moves.first[at // 3]), int(c.moves.end[at // 3])):
+        first, end = joints_of(c, at // 3)
+        for j in range(first, end):
             torque[j] += g0[j] * f + g1[j] * f1 + g2[j] * f2
             y[j] += x0[j] * f + x1[j] * f1 + x2[j] * f2
     accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
     for i in range(3, 3 * k if state.settings.stages == 1 else 0):
         growth = c.drift[i] - c.turning[i]
-        for j in range(int(c.moves.first[i // 3]), int(c.moves.end[i // 3])):
+        first, end = joints_of(c, i // 3)
+        for j in range(first, end):
             growth += c.G[i, j] * w.qdd[j]
         w.contacts.power_rate += c.F[i] * growth
     return status

@@ -133,9 +133,9 @@ def condition_number(
         for j in range(first, ends[i]):
             R[i, j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
         for k in range(first, i - 3, 4):
-            add_four((-L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]), R, k, first, row_of(R, i)[first : k + 4])
+            add_four((-L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]), R, k, row_of(R, i), first, k + 4)
         for k in range(first + (i - first) // 4 * 4, i):
-            add_multiple(-L[i, k], row_of(R, k)[first:], row_of(R, i)[first : k + 1])
+            add_multiple(-L[i, k], row_of(R, k), row_of(R, i), first, k + 1)
         inverse = L[i, i]
         for j in range(first, i):
             R[i, j] *= inverse
@@ -145,7 +145,7 @@ def condition_number(
     if pressed:
         for k in range(n):
             first = first if ends[first] > k else k
-            add_multiple(X[k], row_of(R, k)[first:], x[first : k + 1])
+            add_multiple(X[k], row_of(R, k), x, first, k + 1)
     last, last_inverse = 0.0, inverse_mobility
     for j in range(n):
         size[j] = abs(A[j]) if pressed else 0.0
@@ -160,17 +160,16 @@ def condition_number(
         for j in range(begin, i + 1):
             row[j] = 0.0
         if pressed:
-            add_multiple(-inverse_mobility * x[i], x, row[: i + 1])
+            add_multiple(-inverse_mobility * x[i], x, row, 0, i + 1)
         fours = i + (ends[i] - i) // 4 * 4
         for k in range(i, fours, 4):
-            add_four((R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]), R, k, first, row[first : i + 1])
+            add_four((R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]), R, k, row, first, i + 1)
         for k in range(fours, ends[i]):
-            add_multiple(R[k, i], row_of(R, k)[first:], row[first : i + 1])
+            add_multiple(R[k, i], row_of(R, k), row, first, i + 1)
         for j in range(begin, i):
             row[j] = abs(row[j])
             column[j] += row[j]
             column[i] += row[j]
-        for j in range(first, i):
             size[j] += abs(H[j, i])
             size[i] += abs(H[j, i])
         column[i] += abs(row[i])
@@ -182,18 +181,18 @@ def condition_number(
 
 
 @kernel_inlined
-def add_multiple(factor: float, x: Array, to: Array) -> None:
-    """Write to += factor x."""
-    for j in range(to.shape[0]):
+def add_multiple(factor: float, x: Array, to: Array, first: int, end: int) -> None:
+    """Write to += factor x, columns first .. end − 1."""
+    for j in range(first, end):
         to[j] += factor * x[j]
 
 
 @kernel_inlined
-def add_four(factors: tuple[float, float, float, float], R: Array, k: int, first: int, to: Array) -> None:
-    """Write to += a x + b y + c z + d w, the factors times the rows of R from the k-th on, from column `first` on."""
+def add_four(factors: tuple[float, float, float, float], R: Array, k: int, to: Array, first: int, end: int) -> None:
+    """Write to += a x + b y + c z + d w, the factors times the rows of R from the k-th on, columns first .. end − 1."""
     a, b, c, d = factors
-    x, y, z, w = row_of(R, k)[first:], row_of(R, k + 1)[first:], row_of(R, k + 2)[first:], row_of(R, k + 3)[first:]
-    for j in range(to.shape[0]):
+    x, y, z, w = row_of(R, k), row_of(R, k + 1), row_of(R, k + 2), row_of(R, k + 3)
+    for j in range(first, end):
         to[j] += (a * x[j] + b * y[j]) + (c * z[j] + d * w[j])
 
 

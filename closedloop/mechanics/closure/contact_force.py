@@ -127,8 +127,9 @@ def free_acceleration(
         y[j] = torque[j] - C[j]
     first = 0
     while first < n:
-        forward_substitute(L, y, first, ends[first])
-        first = ends[first]
+        end = ends[first]
+        forward_substitute(L, y, first, end)
+        first = end
     for k in range(3):
         s = drift_c[k]
         for j in range(n):
@@ -272,8 +273,9 @@ def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array, ends: IntArra
         qdd[j] = y[j] + X[0, j] * F[0] + X[1, j] * F[1] + X[2, j] * F[2]
     first = 0
     while first < y.shape[0]:
-        back_substitute(L, qdd, first, ends[first])
-        first = ends[first]
+        end = ends[first]
+        back_substitute(L, qdd, first, end)
+        first = end
 
 
 @kernel

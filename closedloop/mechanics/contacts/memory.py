@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block, Count
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.mechanics.loops.memory import LoopMemory
 
@@ -258,6 +258,12 @@ def contacts_at(address: int) -> tuple[ContactLinks, Contacts]:
     """Return the memory of the contacts, by the address of its `ContactLinks`."""
     links = ContactLinks(integers_at(address, CONTACT_LINKS))
     return links, Contacts(vector_at(links.numbers, links.total), links.n, links.k, links.past)
+
+
+@kernel_inlined
+def joints_of(c: Contacts, i: int) -> tuple[int, int]:
+    """Return the first of the joints that contact i moves, and one more than the last; see `Moves`."""
+    return int(c.moves.first[i]), int(c.moves.end[i])
 
 
 @kernel

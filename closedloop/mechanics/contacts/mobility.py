@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
-from closedloop.mechanics.contacts.memory import Contacts
+from closedloop.mechanics.contacts.memory import Contacts, joints_of
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,8 @@ def write_block(c: Contacts, i: int, j: int) -> None:
     w00 = w01 = w02 = w10 = w11 = w12 = w20 = w21 = w22 = 0.0
     x0, x1, x2 = row_of(c.X, a), row_of(c.X, a + 1), row_of(c.X, a + 2)
     y0, y1, y2 = row_of(c.X, b), row_of(c.X, b + 1), row_of(c.X, b + 2)
-    for m in range(int(max(c.moves.first[i], c.moves.first[j])), int(min(c.moves.end[i], c.moves.end[j]))):
+    (first, end), (begin, until) = joints_of(c, i), joints_of(c, j)
+    for m in range(max(first, begin), min(end, until)):
         w00, w01, w02 = w00 + x0[m] * y0[m], w01 + x0[m] * y1[m], w02 + x0[m] * y2[m]
         w10, w11, w12 = w10 + x1[m] * y0[m], w11 + x1[m] * y1[m], w12 + x1[m] * y2[m]
         w20, w21, w22 = w20 + x2[m] * y0[m], w21 + x2[m] * y1[m], w22 + x2[m] * y2[m]

@@ -147,7 +147,7 @@ def turn_against(joints: LoopLinks, rows: LoopRows, k: int, shapes: Shapes) -> N
         shapes.spin_rate[r] = u[r, 0] * e0 + u[r, 1] * e1 + u[r, 2] * e2
     x0, x1, x2, z0, z1, z2 = 1.0, 0.0, 0.0, 0.0, 0.0, 1.0
     if one >= 0:
-        s = tree.links[at.SCRATCH * tree.n + (one & at.INDEX)] & at.INDEX
+        s = tree.links[at.SCRATCH * tree.n + one]
         x0, x1, x2 = work[s + at.X0], work[s + at.X1], work[s + at.X2]
         z0, z1, z2 = work[s + at.Z0], work[s + at.Z1], work[s + at.Z2]
     y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
@@ -162,8 +162,8 @@ def _add_turns(tree: Tree, work: Array, link: int, sign: float, shapes: Shapes) 
     """Add to the rows of ω what each joint that turns a link adds."""
     n, u, joint = tree.n, shapes.directions, link
     while joint >= 0:
-        i = joint & at.INDEX
-        s = tree.links[at.SCRATCH * n + i] & at.INDEX
+        i = joint
+        s = tree.links[at.SCRATCH * n + i]
         if tree.links[at.REVOLUTE * n + i] != 0:
             z0, z1, z2 = work[s + at.Z0], work[s + at.Z1], work[s + at.Z2]
             for r in range(3):
@@ -177,6 +177,6 @@ def _angular(tree: Tree, work: Array, link: int, spin: Array, rate: Array) -> No
     for m in range(3):
         spin[m], rate[m] = 0.0, 0.0
     if link >= 0:
-        s = tree.links[at.SCRATCH * tree.n + (link & at.INDEX)] & at.INDEX
+        s = tree.links[at.SCRATCH * tree.n + link]
         spin[0], spin[1], spin[2] = work[s + at.O0], work[s + at.O1], work[s + at.O2]
         rate[0], rate[1], rate[2] = work[s + at.A0], work[s + at.A1], work[s + at.A2]

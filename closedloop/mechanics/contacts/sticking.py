@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, OFF, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, OFF, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, EXACT, REFINEMENTS, SAME_ROW
 
@@ -44,7 +44,8 @@ def all_stick(c: Contacts, k: int, p: int) -> bool:
         row, square = int(c.scratch.unknown[q]), 0.0
         if row % 3 != 0:
             continue
-        for j in range(int(c.moves.first[row // 3]), int(c.moves.end[row // 3])):
+        first, end = joints_of(c, row // 3)
+        for j in range(first, end):
             square += c.X[row, j] * c.X[row, j]
         if not abs(square - c.W[row, row]) <= OWN_ROW * square:
             return False
@@ -90,7 +91,8 @@ def factor_joints(c: Contacts, p: int) -> bool:
     q = 0
     while q < p:
         i = int(unknown[q]) // 3
-        for j in range(int(c.moves.first[i]), int(c.moves.end[i])):
+        first, end = joints_of(c, i)
+        for j in range(first, end):
             s.begins[j], s.until[j] = min(s.begins[j], c.moves.first[i]), max(s.until[j], c.moves.end[i])
         q += rows_of_contact(c, q, p)
     for i in range(n):
@@ -105,7 +107,7 @@ def factor_joints(c: Contacts, p: int) -> bool:
             row_of(c.X, int(unknown[q + min(1, count - 1)])),
             row_of(c.X, int(unknown[q + count - 1])),
         )
-        first, end = int(c.moves.first[at // 3]), int(c.moves.end[at // 3])
+        first, end = joints_of(c, at // 3)
         for i in range(first, end):
             a0, a1, a2 = x0[i], x1[i] if count > 1 else 0.0, x2[i] if count > 2 else 0.0
             to = row_of(s.factor, i)
@@ -194,7 +196,8 @@ def add_rows(c: Contacts, p: int) -> None:
         )
         a0, a1, a2 = a[q], a[q + 1] if count > 1 else 0.0, a[q + 2] if count > 2 else 0.0
         b0, b1, b2 = b[q], b[q + 1] if count > 1 else 0.0, b[q + 2] if count > 2 else 0.0
-        for j in range(int(c.moves.first[row // 3]), int(c.moves.end[row // 3])):
+        first, end = joints_of(c, row // 3)
+        for j in range(first, end):
             to_a[j] += a0 * x0[j] + a1 * x1[j] + a2 * x2[j]
             to_b[j] += b0 * x0[j] + b1 * x1[j] + b2 * x2[j]
         q += count
@@ -209,7 +212,8 @@ def take_rows(c: Contacts, p: int) -> tuple[float, float]:
     for q in range(p):
         row = int(unknown[q])
         x, a, b = row_of(c.X, row), s.rows_left[0, q], s.rows_left[1, q]
-        for j in range(int(c.moves.first[row // 3]), int(c.moves.end[row // 3])):
+        first, end = joints_of(c, row // 3)
+        for j in range(first, end):
             a -= x[j] * of_a[j]
             b -= x[j] * of_b[j]
         s.rows_left[0, q], s.rows_left[1, q] = a, b
@@ -234,7 +238,8 @@ def spread(c: Contacts, p: int) -> bool:
         for q in range(p):
             row, f, g = int(unknown[q]), F[q], G[q]
             x = row_of(c.X, row)
-            for j in range(int(c.moves.first[row // 3]), int(c.moves.end[row // 3])):
+            first, end = joints_of(c, row // 3)
+            for j in range(first, end):
                 f += x[j] * of_a[j]
                 g += x[j] * of_b[j]
             F[q], G[q] = f, g

@@ -147,7 +147,7 @@ def _positions(
     x, y, z = x - a[VELOCITY], y - a[VELOCITY + 1], z - a[VELOCITY + 2]
     d0, d1, d2 = a[POINT] - b[POINT], a[POINT + 1] - b[POINT + 1], a[POINT + 2] - b[POINT + 2]
     if moving and other >= 0:  # of its own point
-        s = tree.links[at.SCRATCH * tree.n + (other & at.INDEX)] & at.INDEX
+        s = tree.links[at.SCRATCH * tree.n + other]
         o0, o1, o2 = work[s + at.O0], work[s + at.O1], work[s + at.O2]
         x, y, z = x + o1 * d2 - o2 * d1, y + o2 * d0 - o0 * d2, z + o0 * d1 - o1 * d0
     for r in range(count):
@@ -235,7 +235,7 @@ def _move_point(tree: Tree, work: Array, link: int, point: Array, out: Array, mo
             out[POINT + i], out[ACCELERATION + i] = point[i], 0.0
         return
     _carry(tree, work, link, point, out, POINT, moving)
-    s = tree.links[at.SCRATCH * tree.n + (link & at.INDEX)] & at.INDEX
+    s = tree.links[at.SCRATCH * tree.n + link]
     w, k = work, tree.constants
     out[POINT] += w[s + at.P0]
     out[POINT + 1] += w[s + at.P1]
@@ -266,7 +266,7 @@ def _turn(tree: Tree, work: Array, link: int, along: Array, out: Array, first: i
 def _carry(tree: Tree, work: Array, link: int, c: Array, out: Array, first: int, moving: bool) -> None:
     """Write a vector that is fixed to a link in base axes, and if asked for its derivatives, from an entry on."""
     w = work
-    s = tree.links[at.SCRATCH * tree.n + (link & at.INDEX)] & at.INDEX
+    s = tree.links[at.SCRATCH * tree.n + link]
     x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
     z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
     y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
@@ -296,17 +296,16 @@ def _along_joints(
     n, w, u, joint = tree.n, work, rows.directions, link
     p0, p1, p2, x, y, z = place[POINT], place[POINT + 1], place[POINT + 2], 0.0, 0.0, 0.0
     while joint >= 0:
-        i = joint & at.INDEX
-        s = tree.links[at.SCRATCH * n + i] & at.INDEX
+        s = tree.links[at.SCRATCH * n + joint]
         z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
-        if tree.links[at.REVOLUTE * n + i] != 0:
+        if tree.links[at.REVOLUTE * n + joint] != 0:
             d0, d1, d2 = p0 - w[s + at.P0], p1 - w[s + at.P1], p2 - w[s + at.P2]
             z0, z1, z2 = z1 * d2 - z2 * d1, z2 * d0 - z0 * d2, z0 * d1 - z1 * d0
-        rate = rows.v[i]
+        rate = rows.v[joint]
         x, y, z = x + z0 * rate, y + z1 * rate, z + z2 * rate
         for r in range(count):
-            rows.G[k + r, i] += sign * (u[r, 0] * z0 + u[r, 1] * z1 + u[r, 2] * z2)
-        joint = tree.links[at.PARENT * n + i]
+            rows.G[k + r, joint] += sign * (u[r, 0] * z0 + u[r, 1] * z1 + u[r, 2] * z2)
+        joint = tree.links[at.PARENT * n + joint]
     place[VELOCITY], place[VELOCITY + 1], place[VELOCITY + 2] = x, y, z
 
 
@@ -318,7 +317,7 @@ def _couple(tree: Tree, work: Array, link: int, a: Array, b: Array, sign: float,
     c1 = a[ALONG + 2] * b[ALONG] - a[ALONG] * b[ALONG + 2]
     c2 = a[ALONG] * b[ALONG + 1] - a[ALONG + 1] * b[ALONG]
     while joint >= 0:
-        s = tree.links[at.SCRATCH * n + (joint & at.INDEX)] & at.INDEX
+        s = tree.links[at.SCRATCH * n + joint]
         if tree.links[at.REVOLUTE * n + joint] != 0:
             row[joint] += sign * (w[s + at.Z0] * c0 + w[s + at.Z1] * c1 + w[s + at.Z2] * c2)
         joint = tree.links[at.PARENT * n + joint]

@@ -39,12 +39,12 @@ def sines(tree: Tree, q: Array, work: Array) -> None:
         x = q[i]
         if not every(abs(x) <= MANY_TURNS) and links[at.REVOLUTE * n + i] != 0:
             x = nearest(x)
-        w[(links[at.SCRATCH * n + i] & at.INDEX) + at.POSITION] = x
+        w[links[at.SCRATCH * n + i] + at.POSITION] = x
     if tree.balls != 0:
         half_angles(tree, q, work)
     for block in range(tree.blocks):
-        c = (at.HEAD + block * at.CONSTANTS) & at.INDEX
-        s = (block * at.SCRATCHES) & at.INDEX
+        c = at.HEAD + block * at.CONSTANTS
+        s = block * at.SCRATCHES
         for lane in range(at.LANES * tree.once):
             position = w[s + at.POSITION + lane]
             turn = k[c + at.KIND + lane] * position
@@ -80,9 +80,9 @@ def half_angles(tree: Tree, q: Array, work: Array) -> None:
     for i in range(n - 2):
         if links[at.REVOLUTE * n + i] == at.BALL:
             square = q[i] * q[i] + q[i + 1] * q[i + 1] + q[i + 2] * q[i + 2]
-            w[(links[at.SCRATCH * n + i] & at.INDEX) + at.POSITION] = 0.5 * math.sqrt(square)
+            w[links[at.SCRATCH * n + i] + at.POSITION] = 0.5 * math.sqrt(square)
             for k in range(1, 3):
-                w[(links[at.SCRATCH * n + i + k] & at.INDEX) + at.POSITION] = 0.0 * square
+                w[links[at.SCRATCH * n + i + k] + at.POSITION] = 0.0 * square
 
 
 @kernel_inlined
@@ -91,9 +91,9 @@ def quaternions(tree: Tree, q: Array, work: Array) -> None:
     n, links, w = tree.n, tree.links, work
     for i in range(n - 2):
         if links[at.REVOLUTE * n + i] == at.BALL:
-            s = links[at.SCRATCH * n + i] & at.INDEX
+            s = links[at.SCRATCH * n + i]
             half, sine = w[s + at.POSITION], w[s + at.SINE]
             turns = half > SMALL
             share = 0.5 * select(turns, sine / select(turns, half, 1.0 + half), 1.0 - half * half * (1.0 / 6.0))
             for k in range(3):
-                w[(links[at.SCRATCH * n + i + k] & at.INDEX) + at.POSITION] = share * q[i + k]
+                w[links[at.SCRATCH * n + i + k] + at.POSITION] = share * q[i + k]

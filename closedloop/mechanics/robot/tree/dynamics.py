@@ -26,8 +26,8 @@ def bodies(tree: Tree, work: Array) -> None:
     """Write each link's twist (w, v), force F and moment N, Σ and h, all about the base origin."""
     k, w = tree.constants, work
     for block in range(tree.blocks):
-        c = (at.HEAD + block * at.CONSTANTS) & at.INDEX
-        s = (block * at.SCRATCHES) & at.INDEX
+        c = at.HEAD + block * at.CONSTANTS
+        s = block * at.SCRATCHES
         for lane in range(at.LANES * tree.once):
             x0, x1, x2 = w[s + at.X0 + lane], w[s + at.X1 + lane], w[s + at.X2 + lane]
             z0, z1, z2 = w[s + at.Z0 + lane], w[s + at.Z1 + lane], w[s + at.Z2 + lane]
@@ -97,7 +97,7 @@ def gather(tree: Tree, work: Array) -> None:
     n, table, w = tree.n, tree.links, work
     for i in range(n - 2):
         if table[at.REVOLUTE * n + i] == at.BALL:
-            first, last = table[at.SCRATCH * n + i] & at.INDEX, table[at.SCRATCH * n + i + 2] & at.INDEX
+            first, last = table[at.SCRATCH * n + i], table[at.SCRATCH * n + i + 2]
             for row in range(at.F0, at.SCRATCHES, at.LANES):
                 w[last + row] += w[first + row]
                 w[first + row] = 0.0 * w[first + row]
@@ -120,9 +120,8 @@ def matrix_and_bias(tree: Tree, work: Array, H: Array, C: Array) -> None:
         s00 = s01 = s02 = s11 = s12 = s22 = 0.0
         parent = i
         while parent == i and i >= 0:
-            joint = i & at.INDEX
-            s = table[at.SCRATCH * n + joint] & at.INDEX
-            c = table[at.CONSTANT * n + joint] & at.INDEX
+            s = table[at.SCRATCH * n + i]
+            c = table[at.CONSTANT * n + i]
             f0 += w[s + at.F0]
             f1 += w[s + at.F1]
             f2 += w[s + at.F2]
@@ -144,22 +143,22 @@ def matrix_and_bias(tree: Tree, work: Array, H: Array, C: Array) -> None:
             e0 = ((s11 + s22) * w0 - s01 * w1) + (h1 * v2 - h2 * v1 - s02 * w2)
             e1 = ((s00 + s22) * w1 - s01 * w0) + (h2 * v0 - h0 * v2 - s12 * w2)
             e2 = ((s00 + s11) * w2 - s02 * w0) + (h0 * v1 - h1 * v0 - s12 * w1)
-            C[joint] = (w0 * n0 + w1 * n1 + w2 * n2) + (v0 * f0 + v1 * f1 + v2 * f2)
-            H[joint, joint] = (w0 * e0 + w1 * e1 + w2 * e2) + (v0 * l0 + v1 * l1 + v2 * l2) + k[c + at.ARMATURE]
-            parent = table[at.PARENT * n + joint]
+            C[i] = (w0 * n0 + w1 * n1 + w2 * n2) + (v0 * f0 + v1 * f1 + v2 * f2)
+            H[i, i] = (w0 * e0 + w1 * e1 + w2 * e2) + (v0 * l0 + v1 * l1 + v2 * l2) + k[c + at.ARMATURE]
+            parent = table[at.PARENT * n + i]
             j = parent
             while j >= 0:  # chain by chain: a loop of known length is quicker than following the parents
-                first = table[at.RUN * n + (j & at.INDEX)]
+                first = table[at.RUN * n + j]
                 for back in range(j - first + 1):
-                    above = (j - back) & at.INDEX
-                    t = table[at.SCRATCH * n + above] & at.INDEX
-                    H[above, joint] = (w[t + at.W0] * e0 + w[t + at.W1] * e1 + w[t + at.W2] * e2) + (
+                    above = j - back
+                    t = table[at.SCRATCH * n + above]
+                    H[above, i] = (w[t + at.W0] * e0 + w[t + at.W1] * e1 + w[t + at.W2] * e2) + (
                         w[t + at.V0] * l0 + w[t + at.V1] * l1 + w[t + at.V2] * l2
                     )
-                j = table[at.PARENT * n + (first & at.INDEX)]
+                j = table[at.PARENT * n + first]
             i -= 1
         if parent >= 0:
-            s = table[at.SCRATCH * n + (parent & at.INDEX)] & at.INDEX
+            s = table[at.SCRATCH * n + parent]
             w[s + at.F0] += f0
             w[s + at.F1] += f1
             w[s + at.F2] += f2

@@ -64,16 +64,16 @@ def energy_there(tree: Tree, work: Array) -> float:
     h0 = h1 = h2 = mass = 0.0
     for tip in range(n - 1, -1, -1):
         joint = tip
-        c = table[at.CONSTANT * n + (joint & at.INDEX)] & at.INDEX
+        c = table[at.CONSTANT * n + joint]
         h0 += k[c + at.HX]
         h1 += k[c + at.HY]
         mass += k[c + at.MASS]
         while joint >= 0:
-            c = table[at.CONSTANT * n + (joint & at.INDEX)] & at.INDEX
-            s = table[at.SCRATCH * n + (joint & at.INDEX)] & at.INDEX
+            c = table[at.CONSTANT * n + joint]
+            s = table[at.SCRATCH * n + joint]
             sine, cosine, slide = work[s + at.SINE], work[s + at.COSINE], work[s + at.SLIDE]
             h0, h1, h2 = cosine * h0 - sine * h1, sine * h0 + cosine * h1, h2 + mass * slide
-            parent = table[at.PARENT * n + (joint & at.INDEX)]
+            parent = table[at.PARENT * n + joint]
             if parent < 0:
                 total0 += k[c + at.R00] * h0 + k[c + at.R01] * h1 + k[c + at.R02] * h2 + mass * k[c + at.T0]
                 total1 += k[c + at.R10] * h0 + k[c + at.R11] * h1 + k[c + at.R12] * h2 + mass * k[c + at.T1]
@@ -100,10 +100,10 @@ def energy_of_links(tree: Tree, work: Array) -> float:
     """Return the same, link by link, where `closedloop.mechanics.robot.tree.kinematics` has written axes and
     origins."""
     n, table, k, w = tree.n, tree.links, tree.constants, work
-    zero = 0.0 * w[table[at.SCRATCH * n] & at.INDEX]
+    zero = 0.0 * w[table[at.SCRATCH * n]]
     total0, total1, total2 = k[at.RESTING] + zero, k[at.RESTING + 1] + zero, k[at.RESTING + 2] + zero
     for i in range(n):
-        c, s = table[at.CONSTANT * n + i] & at.INDEX, table[at.SCRATCH * n + i] & at.INDEX
+        c, s = table[at.CONSTANT * n + i], table[at.SCRATCH * n + i]
         hx, hy, mass = k[c + at.HX], k[c + at.HY], k[c + at.MASS]
         x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
         z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]

@@ -25,8 +25,8 @@ def motion(tree: Tree, v: Array, work: Array) -> None:
     o0 = o1 = o2 = a0 = a1 = a2 = b0 = b1 = b2 = 0.0
     for i in range(n):
         parent = table[at.PARENT * n + i]
-        c = table[at.CONSTANT * n + i] & at.INDEX
-        s = table[at.SCRATCH * n + i] & at.INDEX
+        c = table[at.CONSTANT * n + i]
+        s = table[at.SCRATCH * n + i]
         cosine, sine, rate = w[s + at.COSINE], w[s + at.SINE], v[i]
         if table[at.REVOLUTE * n + i] >= at.BALL:
             if table[at.REVOLUTE * n + i] == at.BALL:
@@ -54,7 +54,7 @@ def motion(tree: Tree, v: Array, work: Array) -> None:
             b0, b1, b2 = -k[at.GRAVITY], -k[at.GRAVITY + 1], -k[at.GRAVITY + 2]
         else:
             if parent != i - 1:  # else the parent's numbers are at hand
-                m = table[at.SCRATCH * n + (parent & at.INDEX)] & at.INDEX
+                m = table[at.SCRATCH * n + parent]
                 x0, x1, x2 = w[m + at.X0], w[m + at.X1], w[m + at.X2]
                 z0, z1, z2 = w[m + at.Z0], w[m + at.Z1], w[m + at.Z2]
                 y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
@@ -112,9 +112,9 @@ def motion(tree: Tree, v: Array, work: Array) -> None:
 def ball(tree: Tree, i: int, v: Array, work: Array) -> None:
     """Write the same of the three entries of the ball joint that begins at joint i."""
     n, table, k, w = tree.n, tree.links, tree.constants, work
-    parent, c = table[at.PARENT * n + i], table[at.CONSTANT * n + i] & at.INDEX
-    s = table[at.SCRATCH * n + i] & at.INDEX
-    s1, s2 = table[at.SCRATCH * n + i + 1] & at.INDEX, table[at.SCRATCH * n + i + 2] & at.INDEX
+    parent, c = table[at.PARENT * n + i], table[at.CONSTANT * n + i]
+    s = table[at.SCRATCH * n + i]
+    s1, s2 = table[at.SCRATCH * n + i + 1], table[at.SCRATCH * n + i + 2]
     zero = 0.0 * w[s + at.COSINE]
     o0, o1, o2, a0, a1, a2 = zero, zero, zero, zero, zero, zero
     e0, e1, e2 = k[c + at.R00] + zero, k[c + at.R10] + zero, k[c + at.R20] + zero
@@ -123,7 +123,7 @@ def ball(tree: Tree, i: int, v: Array, work: Array) -> None:
     p0, p1, p2 = zero, zero, zero
     b0, b1, b2 = zero - k[at.GRAVITY], zero - k[at.GRAVITY + 1], zero - k[at.GRAVITY + 2]
     if parent >= 0:
-        m = table[at.SCRATCH * n + (parent & at.INDEX)] & at.INDEX
+        m = table[at.SCRATCH * n + parent]
         x0, x1, x2 = w[m + at.X0], w[m + at.X1], w[m + at.X2]
         z0, z1, z2 = w[m + at.Z0], w[m + at.Z1], w[m + at.Z2]
         y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
@@ -178,7 +178,7 @@ def tip(tree: Tree, work: Array, r: Array, drift: Array) -> None:
         r[0], r[1], r[2] = t0, t1, t2
         drift[0] = drift[1] = drift[2] = 0.0
         return
-    s = tree.links[at.SCRATCH * n + (tree.carrier & at.INDEX)] & at.INDEX
+    s = tree.links[at.SCRATCH * n + tree.carrier]
     x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
     z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
     y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
@@ -198,7 +198,7 @@ def jacobian(tree: Tree, work: Array, r: Array, J: Array) -> None:
     n, table, w = tree.n, tree.links, work
     r0, r1, r2 = r[0], r[1], r[2]
     for i in range(n):
-        s = table[at.SCRATCH * n + i] & at.INDEX
+        s = table[at.SCRATCH * n + i]
         if table[at.SUPPORT * n + i] == 0:
             J[0, i] = J[1, i] = J[2, i] = 0.0
         elif table[at.REVOLUTE * n + i] != 0:
@@ -214,7 +214,7 @@ def turning(tree: Tree, work: Array, axes: Array, J: Array) -> None:
     """Write the axes of the link that carries the tip, columns of (3, 3), and how the joints turn it, J (3, n)."""
     n, table, w = tree.n, tree.links, work
     for i in range(n):
-        s = table[at.SCRATCH * n + i] & at.INDEX
+        s = table[at.SCRATCH * n + i]
         if table[at.SUPPORT * n + i] != 0 and table[at.REVOLUTE * n + i] != 0:
             J[0, i], J[1, i], J[2, i] = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
         else:
@@ -224,7 +224,7 @@ def turning(tree: Tree, work: Array, axes: Array, J: Array) -> None:
             for k in range(3):
                 axes[i, k] = 1.0 if i == k else 0.0
         return
-    s = table[at.SCRATCH * n + (tree.carrier & at.INDEX)] & at.INDEX
+    s = table[at.SCRATCH * n + tree.carrier]
     x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
     z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
     axes[0, 0], axes[1, 0], axes[2, 0] = x0, x1, x2

@@ -19,10 +19,6 @@ IntArray = NDArray[np.int64]
 
 LANES = 4
 
-# i & INDEX equals i and tells the compiler that i is not negative: the test for numpy's negative indices at each access
-# would keep a loop from being vectorised.
-INDEX = 0xFFFFFF
-
 # `Tree.links`: rows of n whole numbers.
 PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT, RUN, END = range(7)
 LINK_ROWS = 7

@@ -9,6 +9,8 @@ import time as clock
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
+from functools import partial
 from multiprocessing import active_children, get_context
 
 from closedloop.base.errors import ScenarioError
@@ -62,16 +64,23 @@ def _compiled(everything: Sequence[Piece], workers: int) -> Iterator[tuple[str, 
     waiting = dict(enumerate(everything))
     order = sorted(waiting, key=lambda i: (not waiting[i].after, -seconds_of([waiting[i].kernel])))
     there: set[str] = set()
-    running: dict[Future[tuple[float, float]], Piece] = {}
-    # Fresh processes: in a copy of this one the locks of libraries' threads could be taken.
-    with ProcessPoolExecutor(workers, get_context("spawn"), _ignore_ctrl_c) as pool:
+    running: dict[Future[tuple[float, float]], tuple[Piece, int]] = {}
+    families: list[set[str]] = [set() for _ in range(workers)]  # of what each process has compiled
+    with ExitStack() as stack:
+        # Fresh processes: in a copy of this one the locks of libraries' threads could be taken.
+        pools = [
+            stack.enter_context(ProcessPoolExecutor(1, get_context("spawn"), _ignore_ctrl_c)) for _ in range(workers)
+        ]
         try:
             while waiting or running:
-                for i in order:
-                    if i in waiting and len(running) < workers and waiting[i].after in {"", *there}:
-                        running[pool.submit(_compile_piece, i)] = waiting.pop(i)
+                for at in set(range(workers)) - {at for _, at in running.values()}:
+                    ready = [i for i in order if i in waiting and waiting[i].after in {"", *there}]
+                    if ready:
+                        i = min(ready, key=partial(_strangeness, waiting, families, at))
+                        families[at].add(waiting[i].family)
+                        running[pools[at].submit(_compile_piece, i)] = waiting.pop(i), at
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
-                    piece = running.pop(done)
+                    piece, _ = running.pop(done)
                     there.add(piece.kernel)
                     yield piece.what, *done.result()
         except BrokenProcessPool:
@@ -82,6 +91,12 @@ def _compiled(everything: Sequence[Piece], workers: int) -> Iterator[tuple[str, 
             for process in active_children():
                 process.terminate()
             raise
+
+
+def _strangeness(waiting: dict[int, Piece], families: list[set[str]], at: int, i: int) -> int:
+    """Return 0 for a piece that shares functions with what a process has compiled, 2 if another has such, else 1."""
+    family = waiting[i].family
+    return 0 if family in families[at] else 1 + any(family in each for each in families)
 
 
 def _ignore_ctrl_c() -> None:

@@ -29,12 +29,15 @@ class Piece(NamedTuple):
         Compiles it.
     after : str
         The kernel that has to be there: `compile` would compile that too.
+    family : str
+        The same for pieces that share most of their functions.
     """
 
     kernel: str
     what: str
     compile: Callable[[], Any]
     after: str = ""
+    family: str = "the step"
 
 
 def pieces() -> tuple[Piece, ...]:
@@ -55,12 +58,12 @@ def pieces() -> tuple[Piece, ...]:
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
         Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),
         Piece("potential_energies", "potential energy of a record", _energies),
-        Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops")),
-        Piece("along_path", "loops along a path", lambda: _loops("along_path")),
-        Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
-        Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
-        Piece("contacts_in_step", "contacts of the links", _contacts),
-        Piece("ball_tip", "the round end of a tool", _ball_tip),
+        Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops"), family="links"),
+        Piece("along_path", "loops along a path", lambda: _loops("along_path"), family="links"),
+        Piece("closed_to", "a closed start", lambda: _loops("closed_to"), family="links"),
+        Piece("rows_along", "loops of a record", lambda: _loops("rows_along"), family="links"),
+        Piece("contacts_in_step", "contacts of the links", _contacts, family="links"),
+        Piece("ball_tip", "the round end of a tool", _ball_tip, family="links"),
         Piece("step_members", "simulations side by side", _together, "run_compiled"),
         Piece("strike", "impacts in them", _strike),
         Piece("step_in_lanes", "eight of them in SIMD lanes", _together_in_lanes),
@@ -142,7 +145,7 @@ def _laws() -> Iterable[Piece]:
     from closedloop.jit.calls import entry_address
 
     for what, entry in _members():
-        yield Piece(getattr(entry, "__name__", ""), what, partial(entry_address, entry))
+        yield Piece(getattr(entry, "__name__", ""), what, partial(entry_address, entry), family="")
 
 
 def _members() -> Iterable[tuple[str, Any]]:

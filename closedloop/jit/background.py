@@ -42,15 +42,15 @@ class Long(NamedTuple):
 
 # As `closedloop compile` prints them; the others are compiled in silence, in a second or two.
 TAKES_LONG = {
-    "proceed_at": Long("the step", 28.0),
-    "run_in_lanes": Long("the step of eight runs at a time", 17.0),
-    "contacts_in_step": Long("contacts of links", 24.0),
-    "closed_loops": Long("loops and stops", 13.0),
-    "proceed_at_dual8": Long("derivatives of the step", 30.0),
-    "contacts_in_step_dual8": Long("derivatives of contacts of links", 26.0),
-    "closed_loops_dual8": Long("derivatives of loops", 14.0),
-    "walk": Long("the inverse kinematics of a path", 5.0),
-    "along_path": Long("loops along a path", 8.0),
+    "proceed_at": Long("the step", 21.0),
+    "run_in_lanes": Long("the step of eight runs at a time", 13.0),
+    "contacts_in_step": Long("contacts of links", 15.0),
+    "closed_loops": Long("loops and stops", 8.0),
+    "proceed_at_dual8": Long("derivatives of the step", 22.0),
+    "contacts_in_step_dual8": Long("derivatives of contacts of links", 17.0),
+    "closed_loops_dual8": Long("derivatives of loops", 9.0),
+    "walk": Long("the inverse kinematics of a path", 4.0),
+    "along_path": Long("loops along a path", 5.0),
 }
 BRIEF = 1.5  # s, of the others
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.

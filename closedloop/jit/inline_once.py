@@ -9,15 +9,20 @@ all of them.
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import CodeType
 from typing import Any
 
-from llvmlite.binding import create_pass_builder, create_pipeline_tuning_options
+from llvmlite.binding import Linkage, create_pass_builder, create_pipeline_tuning_options
 from numba.core import config
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import AnalysisPass, register_pass
+from numba.core.postproc import PostProcessor
 from numba.core.registry import CPUDispatcher
-from numba.core.typed_passes import NativeLowering, NopythonTypeInference
+from numba.core.transforms import canonicalize_cfg
+from numba.core.typed_passes import IRLegalization, NativeLowering, NopythonRewrites, NopythonTypeInference
+from numba.core.types import unliteral
+from numba.core.untyped_passes import InlineClosureLikes, TranslateByteCode
 
 from closedloop.jit.lower_directly import LowerDirectly
 from closedloop.jit.typing_once import InferOnce
@@ -28,13 +33,44 @@ class NestedLibrary(JITCodeLibrary):
     """Code to be linked into a caller: neither optimised nor turned into machine code by itself."""
 
     def finalize(self) -> None:
-        """Collect what this code calls; leave the rest to the caller."""
+        """Leave everything to the outermost caller, which links what this code calls too."""
         self._raise_if_finalized()
-        for library in dict.fromkeys(self._linking_libraries):
-            if hasattr(library, "_reload_init"):  # since numba 0.62
-                self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._finalized = True
+
+    @cached_property
+    def own(self) -> Any:
+        """The code without what it calls, marked as such that may be there several times."""
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == Linkage.external:
+                function.linkage = "linkonce_odr"
+        return self._final_module
+
+    def _get_module_for_linking(self) -> Any:
+        """Return the code for a caller that numba compiles, which links only what it calls itself."""
+        if self._shared_module is None:
+            self._shared_module = self.own.clone()
+            _link(self, self._shared_module)
+        return self._shared_module
+
+
+def _link(library: Any, module: Any) -> None:
+    """Link what a library calls into a module, each once, after its callers: LLVM drops what nothing calls yet."""
+    found: dict[Any, None] = {}
+    _called(library, found)
+    for each in reversed(found):
+        if hasattr(each, "_reload_init"):  # since numba 0.62
+            library._reload_init.update(each._reload_init)
+        code = each.own if isinstance(each, NestedLibrary) else each._get_module_for_linking()
+        module.link_in(code, preserve=True)
+
+
+def _called(library: Any, found: dict[Any, None]) -> None:
+    """Add all libraries that one calls, directly or through nested ones, each after those that it calls."""
+    for each in library._linking_libraries:
+        if each not in found:
+            if isinstance(each, NestedLibrary):
+                _called(each, found)
+            found[each] = None
 
 
 class EntryLibrary(JITCodeLibrary):
@@ -44,6 +80,12 @@ class EntryLibrary(JITCodeLibrary):
     """
 
     vectorised = False
+
+    def finalize(self) -> None:
+        """Link all that this code calls, and optimise it."""
+        _link(self, self._final_module)
+        self._linking_libraries = []
+        super().finalize()
 
     def _optimize_final_module(self) -> None:
         codegen = self._codegen
@@ -93,6 +135,35 @@ class MakeLongLoops(MakeEntry):
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
+class MarkKernel(AnalysisPass):
+    """The compiler pass that marks the code of a kernel as such."""
+
+    _name = "mark_kernel"
+
+    def __init__(self) -> None:
+        AnalysisPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        """Mark the code that numba made of the function."""
+        state.func_ir.of_kernel = not state.func_ir.is_generator
+        return False
+
+
+_put_in_order = PostProcessor.run
+
+
+def _put_kernel_in_order(self: Any, *arguments: Any, **options: Any) -> None:
+    """Put blocks in order, as numba does after most passes; of kernels, which own no memory, without lifetimes."""
+    if getattr(self.func_ir, "of_kernel", False):
+        self.func_ir.blocks = canonicalize_cfg(self.func_ir.blocks)
+    else:
+        _put_in_order(self, *arguments, **options)
+
+
+PostProcessor.run = _put_kernel_in_order  # type: ignore[method-assign]
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
 class KeepNested(AnalysisPass):
     """The compiler pass that makes the function's library a `NestedLibrary`."""
 
@@ -114,10 +185,10 @@ class EntryCompiler(CompilerBase):
     first: type[AnalysisPass] = MakeEntry
 
     def define_pipelines(self) -> list[Any]:
-        """Return numba's passes, two of them replaced."""
+        """Return numba's passes with changes."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.add_pass_after(self.first, NopythonTypeInference)
-        return [_quick(passes)]
+        return [_quick(passes, self.state)]
 
 
 class LongLoopsCompiler(EntryCompiler):
@@ -126,9 +197,19 @@ class LongLoopsCompiler(EntryCompiler):
     first = MakeLongLoops
 
 
-def _quick(passes: Any) -> Any:
+def _quick(passes: Any, state: Any) -> Any:
+    """Replace some of numba's passes; where no memory is owned, leave out those that look for what is not there then.
+
+    That are array expressions, references to be released, and functions within the function.
+    """
     quick = {NopythonTypeInference: InferOnce, NativeLowering: LowerDirectly}
-    passes.passes = [(quick.get(each, each), why) for each, why in passes.passes]
+    idle: set[Any] = set()
+    if not state.flags.nrt:
+        idle |= {NopythonRewrites, IRLegalization}
+        if not any(isinstance(each, CodeType) for each in state.func_id.code.co_consts):
+            idle.add(InlineClosureLikes)
+        passes.add_pass_after(MarkKernel, TranslateByteCode)
+    passes.passes = [(quick.get(each, each), why) for each, why in passes.passes if each not in idle]
     passes.finalize()
     return passes
 
@@ -140,7 +221,7 @@ class NestedCompiler(CompilerBase):
         """Return numba's passes and ours among them."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.add_pass_after(KeepNested, NopythonTypeInference)
-        return [_quick(passes)]
+        return [_quick(passes, self.state)]
 
 
 class NestedFunction(CPUDispatcher):
@@ -160,6 +241,10 @@ class NestedFunction(CPUDispatcher):
         nested = options | {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         super().__init__(function, targetoptions=nested, pipeline_class=NestedCompiler)
         self._make_ordinary = ordinary
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return how the function is called: one form serves all numbers and flags that are known when compiling."""
+        return super().get_call_template(tuple(map(unliteral, args)), {k: unliteral(v) for k, v in kws.items()})
 
     def add_overload(self, result: Any) -> None:
         """Keep what was compiled for compiled callers; for Python there is nothing to call."""

@@ -8,10 +8,12 @@ for an index that a kernel of this package computes: it is not looked whether it
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 from typing import Any
 
 from numba.core import types
 from numba.core.compiler_machinery import register_pass
+from numba.core.cpu import CPUContext
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
 from numba.np.arrayobj import load_item, store_item
@@ -25,6 +27,21 @@ _WITH_KNOWN_NUMBERS = operator.pow, operator.ipow
 
 # Packages whose kernels have no negative index but such as are known when compiling.
 OURS = "closedloop", "validation"
+
+
+def _kept_by_type(size_of: Callable[[Any, Any], int]) -> Callable[[Any, Any], int]:
+    known: dict[Any, int] = {}
+
+    def kept(context: Any, kind: Any) -> int:
+        if kind not in known:
+            known[kind] = size_of(context, kind)
+        return known[kind]
+
+    return kept
+
+
+# numba asks LLVM for the size of a type each time that something of the type is written.
+CPUContext.get_abi_sizeof = _kept_by_type(CPUContext.get_abi_sizeof)  # type: ignore[method-assign]
 
 
 class DirectLower(Lower):
@@ -93,6 +110,11 @@ class DirectLower(Lower):
         """Whether the indices that are known when compiling count from the start, and are in a variable too."""
         known = statement.index if isinstance(statement.index, tuple) else (statement.index,)
         return statement.index_var is not None and all(isinstance(i, int) and i >= 0 for i in known)
+
+    def delvar(self, name: str) -> None:
+        """Write nothing where no memory is owned."""
+        if self.context.enable_nrt:
+            super().delvar(name)
 
     def _element(self, array: Any, index: Any, signature: Any) -> Any:
         """Write the address of an element of an array in C order; None if it is not a single element of one."""

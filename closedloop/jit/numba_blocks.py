@@ -38,11 +38,13 @@ def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any])
     for length in shape[1:]:
         items = builder.mul(items, length)
     model = context.data_model_manager[kind]
-    array = ir.Constant(model.get_value_type(), ir.Undefined)
-    parts = {"nitems": items, "itemsize": size, "data": data}
+    # What is known is one constant: each part that is put into it is a line to print and to read.
+    known = [ir.Constant(each, ir.Undefined) for each in model.get_value_type().elements]
     for name in ("meminfo", "parent"):
-        parts[name] = ir.Constant(context.get_value_type(model.get_type(name)), None)
-    for name, value in parts.items():
+        known[model.get_field_position(name)] = ir.Constant(context.get_value_type(model.get_type(name)), None)
+    known[model.get_field_position("itemsize")] = size
+    array = ir.Constant(model.get_value_type(), known)
+    for name, value in (("nitems", items), ("data", data)):
         array = builder.insert_value(array, value, model.get_field_position(name))
     for name, words in (("shape", shape), ("strides", strides)):
         for i, value in enumerate(words):

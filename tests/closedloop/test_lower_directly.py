@@ -6,7 +6,10 @@ import numba
 import numpy as np
 import pytest
 from numba import types
+from numba.core.compiler import Flags
 from numba.core.registry import cpu_target
+from numba.core.runtime import _nrt_python, rtsys
+from numba.core.targetconfig import ConfigStack
 
 from closedloop.jit.kernel import kernel
 from closedloop.jit.typing_once import call_type
@@ -90,14 +93,37 @@ def test_kept_answers_are_those_of_numba(operation):
     assert asked > 3
 
 
-def test_a_function_that_is_compiled_for_its_caller_is_asked_each_time():
-    """Of a function that numba compiles with the settings of its caller no answer is kept."""
-    from closedloop.jit import typing_once
-
+def test_an_answer_that_is_compiled_serves_callers_with_the_same_flags():
+    """Of a function that numba compiles with the settings of its caller each sort of callers has its own code."""
     context = cpu_target.typing_context
-    function = context.resolve_value_type(np.hypot)
-    other = context.resolve_value_type(round)
-    for each, args in ((function, (types.float64,) * 2), (other, (types.float64, types.int64))):
-        found = call_type(context, each, args)
-        kept = (id(each), args) in typing_once._answers
-        assert kept == (each.get_impl_key(found) is each.typing_key)
+    function, args = context.resolve_value_type(max), (types.float64,) * 2
+    code = []
+    for error_model in ("python", "numpy", "python", "numpy"):
+        flags = Flags()
+        flags.error_model = error_model
+        with ConfigStack().enter(flags):
+            code.append(function.get_impl_key(call_type(context, function, args)))
+    assert code[0] is code[2] is not code[1] is code[3]
+
+
+def test_memory_of_a_user_is_released():
+    """A law that numba compiles may own memory: its parts of ours count references, and leave none."""
+    from closedloop.jit.inline_once import NestedFunction
+
+    def twice(x):
+        def sum_of(y):  # a function within the function
+            return y[0] + y[1]
+
+        y = x * 2.0  # an array expression, with memory of its own
+        return y, sum_of(y)
+
+    inner = NestedFunction(twice, {}, lambda: numba.njit(twice))
+    outer = numba.njit(lambda x: inner(x)[0][1] + inner(x)[1])
+    _nrt_python.memsys_enable_stats()
+    try:
+        before = rtsys.get_allocation_stats()
+        assert outer(np.array([1.0, 2.0])) == 4.0 + 6.0
+        after = rtsys.get_allocation_stats()
+    finally:
+        _nrt_python.memsys_disable_stats()
+    assert after.alloc - before.alloc == after.free - before.free > 0

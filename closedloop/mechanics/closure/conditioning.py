@@ -130,17 +130,16 @@ def condition_number(
     for i in range(n):
         if i == ends[first]:
             first = i
+        to, factors, inverse = row_of(R, i), row_of(L, i), L[i, i]
         for j in range(first, ends[i]):
-            R[i, j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
+            to[j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
         for k in range(first, i - 3, 4):
-            add_four((-L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]), R, k, row_of(R, i), first, k + 4)
+            add_four((-factors[k], -factors[k + 1], -factors[k + 2], -factors[k + 3]), R, k, to, first, k + 4)
         for k in range(first + (i - first) // 4 * 4, i):
-            add_multiple(-L[i, k], row_of(R, k), row_of(R, i), first, k + 1)
-        inverse = L[i, i]
+            add_multiple(-factors[k], row_of(R, k), to, first, k + 1)
         for j in range(first, i):
-            R[i, j] *= inverse
-        R[i, i] = L[i, i]
-        x[i] = 0.0
+            to[j] *= inverse
+        to[i], x[i] = inverse, 0.0
     first = 0
     if pressed:
         for k in range(n):

@@ -103,16 +103,15 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float, en
             X[0, i], X[1, i], X[2, i] = A[0, i], A[1, i], A[2, i]
         forward_substitute_three(L, X, 0, first, end)
         first = end
-    for k in range(3):
-        for i in range(k + 1):
-            s = 0.0
-            for j in range(n):
-                s += X[k, j] * X[i, j]
-            S[k, i] = s
-            S[i, k] = s
-    lever = 0.0
+    s00 = s01 = s02 = s11 = s12 = s22 = lever = 0.0
     for j in range(n):
+        x0, x1, x2 = X[0, j], X[1, j], X[2, j]
+        s00, s01, s02 = s00 + x0 * x0, s01 + x1 * x0, s02 + x2 * x0
+        s11, s12, s22 = s11 + x1 * x1, s12 + x2 * x1, s22 + x2 * x2
         lever += A[0, j] * A[0, j]
+    S[0, 0], S[0, 1], S[0, 2] = s00, s01, s02
+    S[1, 0], S[1, 1], S[1, 2] = s01, s11, s12
+    S[2, 0], S[2, 1], S[2, 2] = s02, s12, s22
     S[0, 0] = select(lever > SINGULAR_MOBILITY * reach, S[0, 0], 0.0)
     return OK
 
@@ -130,11 +129,10 @@ def free_acceleration(
         end = ends[first]
         forward_substitute(L, y, first, end)
         first = end
-    for k in range(3):
-        s = drift_c[k]
-        for j in range(n):
-            s += X[k, j] * y[j]
-        a[k] = s
+    a0, a1, a2 = drift_c[0], drift_c[1], drift_c[2]
+    for j in range(n):
+        a0, a1, a2 = a0 + X[0, j] * y[j], a1 + X[1, j] * y[j], a2 + X[2, j] * y[j]
+    a[0], a[1], a[2] = a0, a1, a2
 
 
 @kernel

@@ -40,6 +40,9 @@ from closedloop.mechanics.contacts.soft_friction import drop_contradictions, sha
 TURNS, SETTLED, STALLED = 20, 1e-11, 2
 # The coefficient of friction of contacts that stick here, whatever force that takes.
 HELD = 1e9
+# A force that is to stop a slip is inside the cone, not at its edge but for rounding, if it is no more than this share of
+# the largest.
+INSIDE = 1.0 - 1e-6
 # Rounds of the method that solves the problem, and its steps in all turns, solutions for one τ counted as steps.
 ROUNDS, MOST_STEPS = 3, 400
 # Sweeps for soft contacts beside others where that finds nothing: feet of one body share their friction in many ways,
@@ -287,7 +290,7 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     if drives > 0.0:
         x1, x2 = x1 - 2.0 * drives * d1, x2 - 2.0 * drives * d2
     within = size <= level * abs(f)
-    if speed <= STILL and within and not shared:
+    if speed <= STILL and size <= INSIDE * level * abs(f) and not shared:
         return 0.0
     share = -1.0 / f if within and shared else -math.copysign(level / size, f)
     change = math.hypot(share * x1 - c.problem.along[i, 0], share * x2 - c.problem.along[i, 1])

@@ -2,7 +2,7 @@
 
 numba's own way to `a[i]` copies the array's description to the stack and back, and asks for the types and the
 implementation again; of a kernel's compile time that was a third, most of it in Python. The code means the same, but
-for an index that a kernel of this package computes: it is not looked whether it is negative.
+in kernels of this package an index may not be negative: it is not tested.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from closedloop.jit.typing_once import call_type
 _WITH_KNOWN_NUMBERS = operator.pow, operator.ipow
 
 
-# Packages whose kernels have no negative index but such as are known when compiling.
+# Packages whose kernels have no negative index: an index that may be negative is tested at each access.
 OURS = "closedloop", "validation"
 
 
@@ -49,7 +49,7 @@ class DirectLower(Lower):
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
         """Write an expression: an element whose index is known as any other."""
-        if expr.op == "static_getitem" and _in_rows(self.typeof(expr.value.name)) and self._from_start(expr):
+        if expr.op == "static_getitem" and expr.index_var is not None and _in_rows(self.typeof(expr.value.name)):
             signature = self.fndesc.calltypes[expr]
             return self.lower_getitem(resty, expr, expr.value, expr.index_var, signature)
         return super().lower_expr(resty, expr)
@@ -82,11 +82,7 @@ class DirectLower(Lower):
 
     def lower_inst(self, inst: Any) -> None:
         """Write a statement: the assignment to an element whose index is known as any other."""
-        if (
-            type(inst).__name__ == "StaticSetItem"
-            and _in_rows(self.typeof(inst.target.name))
-            and self._from_start(inst)
-        ):
+        if type(inst).__name__ == "StaticSetItem" and _in_rows(self.typeof(inst.target.name)):
             signature = self.fndesc.calltypes[inst]
             self.lower_setitem(inst.target, inst.index_var, inst.value, signature)
             return
@@ -103,18 +99,8 @@ class DirectLower(Lower):
         return self.context.get_dummy_value()
 
     def _ours(self) -> bool:
-        """Whether the function is of this package: there no index that is computed counts from the end."""
+        """Whether the function is of this package: none of its indices counts from the end."""
         return str(self.func_ir.func_id.modname).partition(".")[0] in OURS
-
-    def _from_start(self, statement: Any) -> bool:
-        """Whether the indices that are known when compiling count from the start, and are in a variable too."""
-        known = statement.index if isinstance(statement.index, tuple) else (statement.index,)
-        return statement.index_var is not None and all(isinstance(i, int) and i >= 0 for i in known)
-
-    def delvar(self, name: str) -> None:
-        """Write nothing where no memory is owned."""
-        if self.context.enable_nrt:
-            super().delvar(name)
 
     def _element(self, array: Any, index: Any, signature: Any) -> Any:
         """Write the address of an element of an array in C order; None if it is not a single element of one."""

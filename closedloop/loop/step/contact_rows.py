@@ -71,7 +71,9 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
             write_mobility_rows(c, i, takes_part, w, state)
         c.near[i] = 1.0 if takes_part else 0.0
     own_mobilities(c, k)
-    if links.compliances != 0 or links.joints > links.points + links.stops:  # these change what stands beside
+    if (
+        links.compliances != 0 or links.joints > links.points + links.stops
+    ):  # soft ones and resistances change W beside its diagonal
         write_mobility(c, k)
     for i in range(links.joints):
         for j in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
@@ -310,9 +312,10 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
         if state.loops.entry != 0:
             bound, loops = loops_at(state.loops.at)
             leave_free(bound, loops, row_of(c.X, at + 1))
-        c.a[at + 1] = w.v[j] / constants.h
+        c.a[at + 1], c.size[at + 1] = w.v[j] / constants.h, 0.0
         for m in range(n):
             c.a[at + 1] += c.X[at + 1, m] * c.load[m]
+            c.size[at + 1] += abs(c.X[at + 1, m] * c.load[m])
     for i in range(first, links.k):
         t = 3 * i + 1
         for r in range(3 * links.k):

@@ -239,10 +239,7 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
     mode = state.mode
     # in a singular pose Eq. 24 has no row
     closed_by_row = mode != FREE and state.compliance.entry == 0 and every(w.tip.S[0, 0] > 0.0)
-    shown = (
-        0 if closed_by_row else 1,
-        3 if mode == STUCK and state.friction.sticking == RIGID_STICK else 1,
-    )
+    last = 3 if mode == STUCK and state.friction.sticking == RIGID_STICK else 1
     if state.loops.entry != 0:
         missing_torque(H, C, w, state)
         ask_loops(state, REACTION)
@@ -260,7 +257,9 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
     if has_derivatives(trace):  # they say how well Eq. 24 is solved, which is not worth a third of a step
         row.residual_motion = row.residual_closure = math.nan
     else:
-        row.residual_motion, row.residual_closure = residuals(H, w.scratch.column, C, w.qdd, w.tip, shown, ends)
+        row.residual_motion, row.residual_closure = residuals(
+            H, w.scratch.column, C, w.qdd, w.tip, (0 if closed_by_row else 1, last), ends
+        )
     row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v, ends)
     w.sensing.measured = w.tip.F[0]

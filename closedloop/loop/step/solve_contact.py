@@ -11,15 +11,7 @@ from closedloop.loop.step.closed_loops import BIND_LOAD
 from closedloop.loop.step.contacts import FORCE
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.locate import off_anchor
-from closedloop.loop.step.memory import (
-    RIGID_STICK,
-    SPRING_STICK,
-    Constants,
-    State,
-    Work,
-    ask_contacts,
-    ask_loops,
-)
+from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, ask_contacts, ask_loops
 from closedloop.loop.step.singular import force_in_singular_pose, pushed_on_the_way, row_is_rounding
 from closedloop.loop.step.soft_contact import soft_contact_force
 from closedloop.loop.step.tip_friction import rub_without_pressure, turn_with_slip

@@ -87,7 +87,8 @@ def solve_closure(H: ArrayLike, rhs: ArrayLike, A: ArrayLike, b: ArrayLike) -> t
     return solution[:n], float(force[0]) if np.ndim(A) == 1 else force
 
 
-# The next four do their work for one block of a block-diagonal matrix, rows `first` .. `end` − 1; see `Tree.links`.
+# The next four do their work for one block of a block-diagonal matrix, rows `first` .. `end` − 1; see
+# `closedloop.mechanics.robot.tree.group_ends`.
 @kernel_inlined
 def cholesky(M: Array, L: Array, first: int, end: int) -> bool:
     """Write the lower triangle L of M = L Lᵀ, reading M's upper triangle; False if M is not positive definite.

@@ -67,8 +67,8 @@ def kinds_of_modes(links: ContactLinks, c: Contacts) -> None:
 def solve_modes(c: Contacts, k: int, inside: bool = True) -> int:
     """Write `rigid`, the force of the contacts in their modes, F with the stabiliser's part, and `rounding`.
 
-    X, W, a, b, viscous, kind and along are read. Forces that are not unique are those of least norm inside the cones,
-    if there are such. Where only the motion that they make is of use, `inside` is False: no cones are looked at.
+    X, W, a, size, b, viscous, kind and along are read. Forces that are not unique are those of least norm inside the
+    cones, if there are such. Where only the motion that they make is of use, `inside` is False: no cones are looked at.
 
     Returns
     -------

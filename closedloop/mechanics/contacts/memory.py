@@ -134,7 +134,7 @@ class Packed(Block, sizes=("k",)):
 
 
 class Sticking(Block, sizes=("n", "k")):
-    """What `closedloop.mechanics.contacts.sticking` uses; without and with what the stabiliser asks for, where two."""
+    """What `closedloop.mechanics.contacts.sticking` uses. Of two rows the second is with the stabiliser's part."""
 
     factor: Annotated[Array, N, N]  # L of M = L Lᵀ, below the diagonal and above it; on it the reciprocals
     begins: Annotated[Array, N]  # the first column of each row of L that is not zero
@@ -155,7 +155,6 @@ class ContactScratch(Block, sizes=("n", "k")):
     unknowns: Annotated[Array, 3 * K, 3 * K]
     basis: Annotated[Array, 3 * K, N]
     Y: Annotated[Array, 3 * K, N]
-    Y_columns: Annotated[Array, N, 3 * K]
     columns: Annotated[Array, 3 * K, 3 * K]
     multiples: Annotated[Array, 3 * K]
     mu: Annotated[Array, K]
@@ -230,11 +229,11 @@ class Contacts(Block, sizes=("n", "k", "past")):
     turning: Annotated[Array, 3 * K]  # and what its motion and its curvature add to the drift
     at: Annotated[Array, 3 * K]  # where the point is on its surface, m
     a: Annotated[Array, 3 * K]  # acceleration without contacts, m/s²
-    size: Annotated[Array, 3 * K]  # of the terms that it is made of, m/s²
+    size: Annotated[Array, 3 * K]  # of the terms that it is made of, m/s²; zero of a contact that is not near
     b: Annotated[Array, 3 * K]  # what the stabiliser asks for, m/s²
     G: Annotated[Array, 3 * K, N]
     X: Annotated[Array, 3 * K, N]  # L⁻¹ Gᵀ, less what loops bind
-    W: Annotated[Array, 3 * K, 3 * K]  # X Xᵀ: the mobility, 1/kg
+    W: Annotated[Array, 3 * K, 3 * K]  # X Xᵀ: the mobility, 1/kg; see `closedloop.mechanics.contacts.mobility`
     F: Annotated[Array, 3 * K]  # force, N, or impulse, N s
     rigid: Annotated[Array, 3 * K]  # the force without the stabiliser's part, N
     load: Annotated[Array, N]  # L⁻¹(Q − C), of the tree

@@ -1,7 +1,7 @@
 """The mobility W = X Xᵀ of the contacts that are near, 1/kg, with X = L⁻¹Gᵀ: elsewhere it is zero.
 
 Contacts move each other through the joints that both move. Of bodies that no joint connects these are few, so products
-are taken over the joints from `Contacts.first` to `Contacts.end`.
+are taken over the joints that `Contacts.moves` says.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ from closedloop.mechanics.contacts.soft_friction import drop_contradictions, sha
 TURNS, SETTLED, STALLED = 20, 1e-11, 2
 # The coefficient of friction of contacts that stick here, whatever force that takes.
 HELD = 1e9
-# A force that is to stop a slip is inside the cone, not at its edge but for rounding, if it is no more than this share of
-# the largest.
+# A force that is to stop a slip is inside the cone, not at its edge but for rounding, if it is no more than this share
+# of the largest.
 INSIDE = 1.0 - 1e-6
 # Rounds of the method that solves the problem, and its steps in all turns, solutions for one τ counted as steps.
 ROUNDS, MOST_STEPS = 3, 400

@@ -116,7 +116,7 @@ def write_joints(
     turns: tuple[tuple[int, float, bool], ...],
     held: int,
 ) -> None:
-    """Write which joints each contact moves, see `Contacts.first`: all of a mechanism with loops, or with stops."""
+    """Write which joints each contact moves: all, where loops, stops or dry friction of joints couple them."""
     if robot.model.loops or len(stops) > 0 or held > 0:
         return
     ends, rows = robot.tree.ends, len(bound.scale)

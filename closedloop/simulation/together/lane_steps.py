@@ -179,13 +179,8 @@ def step_in_lanes(address: int, count: int) -> int:
         g.members[i] = g.members[0]
     m, a = member_at(g, 0)
     state, constants, _ = loop_at(a.loop)
-    n, h, steps, stuck, ends = (
-        a.n,
-        constants.h,
-        m.steps,
-        g.mode == STUCK,
-        integers_at(state.addresses.group_ends, state.n),
-    )
+    n, h, steps, stuck = a.n, constants.h, m.steps, g.mode == STUCK
+    ends = integers_at(state.addresses.group_ends, n)
     sticks, unilateral = state.friction.sticking == RIGID_STICK, state.settings.unilateral != 0
     w, c = Work(float64x8_at(g.work, 0), n, 0, 1, 1), LaneConstants(float64x8_at(g.constants, 0))
     kept, row = Kept(float64x8_at(g.before, 0)), Row(float64x8_at(g.row, 0), n)

@@ -25,6 +25,9 @@ RUN = [pytest.param(script, marks=pytest.mark.slow) for script in SCRIPTS]
 # Printed numbers are of different machines: the last digit may fall to the other side, and what is below 1e-8 in the
 # unit printed is rounding. A change of the simulator that matters changes more.
 RELATIVE, ROUNDING = 0.01, 1e-8
+# The numbers behind this are not compared: whether this controller's tip sticks at 6.7 s, shortly before the end of its
+# path, depends on the last digit, which processors round differently.
+ON_THE_EDGE = re.compile(r"(impedance \+ observer)[ \d.e+-]+")
 LARGEST = 600_000  # bytes: a notebook is read in the browser and kept in git
 
 
@@ -41,7 +44,8 @@ def images(notebook):
 def words(notebook):
     """Return what was printed, word by word, without colours and rules."""
     texts = [output.get("text") or output.get("data", {}).get("text/plain", "") for output in outputs(notebook)]
-    return [word for word in re.sub(r"\x1b\[\d*m", "", " ".join(texts)).split() if word.strip("─")]
+    plain = ON_THE_EDGE.sub(r"\1 ", re.sub(r"\x1b\[\d*m", "", " ".join(texts)))
+    return [word for word in plain.split() if word.strip("─")]
 
 
 def same_word(now, then):

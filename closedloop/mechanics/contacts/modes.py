@@ -41,10 +41,11 @@ from closedloop.mechanics.contacts.soft_friction import write_shared
 Array = NDArray[np.float64]
 
 # Within the first gap a contact touches, m; after it has parted, until it has been clear by the second. At the start
-# the second counts: a posture is given in few digits. Until it has been clear it touches again this far below where it
-# has parted, m.
+# the second counts: a posture is given in few digits.
 TOUCHING, CLOSED_GAP, HOVERING = 1e-12, 1e-13, 1e-9
-SINKING = 8e-10
+# Until it has been clear a contact touches again when it is the first length below where it has parted, m, or at the
+# depth of the second, or, where it has parted deeper than that, the third below: else it would sink each time.
+SINKING, SUNK, LITTLE = 8e-10, 9.8e-10, 1e-11
 # A contact that parts slower than this does not, m/s. A slip that has turned round is none below the second, m/s.
 PARTING, TURNED = 1e-8, 1e-6
 # A slip that was no faster when the substep began, m/s, has only just begun, where its law sticks as a spring.
@@ -68,7 +69,9 @@ def open_margin(c: Contacts, i: int) -> float:
     """Return what is left until contact i, which is open, closes, m: beside its surface it does not."""
     if c.past_edge[i] != 0.0:
         return math.inf
-    return float(c.located[3 * i] - c.floor[i] + (CLOSED_GAP if c.cleared[i] != 0.0 else SINKING))
+    if c.cleared[i] != 0.0:
+        return float(c.located[3 * i] - c.floor[i] + CLOSED_GAP)
+    return float(c.located[3 * i] - max(c.floor[i] - SINKING, min(-SUNK, c.floor[i] - LITTLE)))
 
 
 @kernel

@@ -20,9 +20,11 @@ from closedloop.mechanics.contacts.modes import (
     CLOSED_GAP,
     HOVERING,
     LEFT,
+    LITTLE,
     SINKING,
     SLIPPED,
     STUCK_NOW,
+    SUNK,
     TURNED_ROUND,
     carries_nothing,
     choose_kinds,
@@ -243,10 +245,13 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
     """Of the gap, the pressure, the cone and the speed along the old direction, the least; what also pulls has none."""
     c, slow, margin = memory.contacts, 1e-7, interpreted(margin_of)
     c.located[0], c.problem.rounding, c.direction[1] = 100.0, 1e-9, [0.6, 0.8]
-    c.mode[1], c.located[3], c.floor[1] = FREE, 0.5, -0.1
-    for risen, hair in ((0.0, SINKING), (1.0, CLOSED_GAP)):
-        c.cleared[1] = risen
-        assert margin(c, 2, slow, 0.0) == pytest.approx(0.6 + hair, rel=1e-15)
+    c.mode[1], c.located[3] = FREE, 1e-9
+    for risen, floor, touches_at in (
+        (0.0, 0.0, -SINKING), (0.0, -1e-10, -1e-10 - SINKING), (0.0, -5e-10, -SUNK), (0.0, -SUNK, -SUNK - LITTLE),
+        (1.0, 0.0, -CLOSED_GAP), (1.0, -5e-10, -5e-10 - CLOSED_GAP),
+    ):  # fmt: skip
+        c.cleared[1], c.floor[1] = risen, floor
+        assert margin(c, 2, slow, 0.0) == pytest.approx(1e-9 - touches_at, rel=1e-14)
     c.mode[1], c.rigid[3:], c.mu[1] = STUCK, [5.0, 0.9, 1.2], 0.5
     assert margin(c, 2, slow, 0.0) == pytest.approx(1.0 + 1e-9, rel=1e-14)
     c.rigid[3:] = [5.0, 0.0, 0.0]

@@ -71,9 +71,8 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
             write_mobility_rows(c, i, takes_part, w, state)
         c.near[i] = 1.0 if takes_part else 0.0
     own_mobilities(c, k)
-    if (
-        links.compliances != 0 or links.joints > links.points + links.stops
-    ):  # soft ones and resistances change W beside its diagonal
+    # Soft contacts and resistances change W beside its diagonal.
+    if links.compliances != 0 or links.joints > links.points + links.stops:
         write_mobility(c, k)
     for i in range(links.joints):
         for j in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
@@ -162,9 +161,8 @@ def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) 
         return
     group = end if i == 0 else first
     while group < end:
-        next_group = ends[group]
-        forward_substitute_three(w.L, c.X, at, group, next_group)
-        group = next_group
+        forward_substitute_three(w.L, c.X, at, group, ends[group])
+        group = ends[group]
     x0, x1, x2 = row_of(c.X, at), row_of(c.X, at + 1), row_of(c.X, at + 2)
     d0, d1, d2 = c.drift[at], c.drift[at + 1], c.drift[at + 2]
     if i > 0:

@@ -74,40 +74,36 @@ def shortest_sticking(c: Contacts, p: int) -> float:
 
 
 @kernel
-def rows_of_contact(c: Contacts, q: int, p: int) -> int:
-    """Return how many of the p unknowns from q on are rows of one contact."""
+def rows_of_contact(c: Contacts, q: int, p: int) -> tuple[int, int, int, int]:
+    """Return how many of the p unknowns from q on are rows of one contact, and three of them, the last repeated."""
     unknown, count = c.scratch.unknown, 1
     while q + count < p and int(unknown[q + count]) // 3 == int(unknown[q]) // 3:
         count += 1
-    return count
+    return count, int(unknown[q]), int(unknown[q + min(1, count - 1)]), int(unknown[q + count - 1])
 
 
 @kernel
 def factor_joints(c: Contacts, p: int) -> bool:
     """Write Cholesky's factor of M = XᵀX, and where its rows and columns are not zero; False if M is singular."""
-    n, s, unknown = c.X.shape[1], c.scratch.sticking, c.scratch.unknown
+    n, s = c.X.shape[1], c.scratch.sticking
     for i in range(n):
         s.begins[i], s.until[i] = i, i + 1
     q = 0
     while q < p:
-        i = int(unknown[q]) // 3
-        first, end = joints_of(c, i)
+        count, row0, _, _ = rows_of_contact(c, q, p)
+        first, end = joints_of(c, row0 // 3)
         for j in range(first, end):
-            s.begins[j], s.until[j] = min(s.begins[j], c.moves.first[i]), max(s.until[j], c.moves.end[i])
-        q += rows_of_contact(c, q, p)
+            s.begins[j], s.until[j] = min(s.begins[j], first), max(s.until[j], end)
+        q += count
     for i in range(n):
         row = row_of(s.factor, i)
         for j in range(int(s.begins[i]), i + 1):
             row[j] = 0.0
     q = 0
     while q < p:
-        count, at = rows_of_contact(c, q, p), int(unknown[q])
-        x0 = row_of(c.X, at)
-        x1, x2 = (
-            row_of(c.X, int(unknown[q + min(1, count - 1)])),
-            row_of(c.X, int(unknown[q + count - 1])),
-        )
-        first, end = joints_of(c, at // 3)
+        count, row0, row1, row2 = rows_of_contact(c, q, p)
+        x0, x1, x2 = row_of(c.X, row0), row_of(c.X, row1), row_of(c.X, row2)
+        first, end = joints_of(c, row0 // 3)
         for i in range(first, end):
             a0, a1, a2 = x0[i], x1[i] if count > 1 else 0.0, x2[i] if count > 2 else 0.0
             to = row_of(s.factor, i)
@@ -184,19 +180,15 @@ def moved_joints(c: Contacts, p: int) -> float:
 @kernel
 def add_rows(c: Contacts, p: int) -> None:
     """Add to both rows of `change` Xᵀ of both rows of `rows_left`."""
-    s, unknown, q = c.scratch.sticking, c.scratch.unknown, 0
+    s, q = c.scratch.sticking, 0
     to_a, to_b = row_of(s.change, 0), row_of(s.change, 1)
     a, b = row_of(s.rows_left, 0), row_of(s.rows_left, 1)
     while q < p:
-        count, row = rows_of_contact(c, q, p), int(unknown[q])
-        x0 = row_of(c.X, row)
-        x1, x2 = (
-            row_of(c.X, int(unknown[q + min(1, count - 1)])),
-            row_of(c.X, int(unknown[q + count - 1])),
-        )
+        count, row0, row1, row2 = rows_of_contact(c, q, p)
+        x0, x1, x2 = row_of(c.X, row0), row_of(c.X, row1), row_of(c.X, row2)
         a0, a1, a2 = a[q], a[q + 1] if count > 1 else 0.0, a[q + 2] if count > 2 else 0.0
         b0, b1, b2 = b[q], b[q + 1] if count > 1 else 0.0, b[q + 2] if count > 2 else 0.0
-        first, end = joints_of(c, row // 3)
+        first, end = joints_of(c, row0 // 3)
         for j in range(first, end):
             to_a[j] += a0 * x0[j] + a1 * x1[j] + a2 * x2[j]
             to_b[j] += b0 * x0[j] + b1 * x1[j] + b2 * x2[j]

@@ -85,6 +85,8 @@ class KernelCache(_Cache):
             found = CompileResult._rebuild(target_context, *form)
         except Exception:  # as it was written, but by another version of some package: anything may be missing
             return None
+        if getattr(sig, "return_type", None) not in (None, found.signature.return_type):
+            return None
         with suppress(OSError):
             _claim_once()
         return found
@@ -123,7 +125,7 @@ class KernelCache(_Cache):
         return tuple(hashlib.sha256(part).digest() for part in parts)
 
     def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return (sig, self._place(sig, codegen), *self._identity)
+        return (_arguments(sig), self._place(sig, codegen), *self._identity)
 
     def _place(self, sig: Any, codegen: Any) -> str:
         """Return what tells the files of a function apart: its signature, what it encloses, processor and versions.
@@ -132,13 +134,18 @@ class KernelCache(_Cache):
         """
         code = self._function.__code__
         where = (self._function.__module__, os.path.basename(code.co_filename), code.co_firstlineno, self._identity)
-        return repr((str(sig), codegen.magic_tuple(), compiler_and_processor(), where))
+        return repr((str(_arguments(sig)), codegen.magic_tuple(), compiler_and_processor(), where))
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         function = self._function
         name = re.sub(r"[^\w.]", "", f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}")
         digest = hashlib.sha256(self._place(sig, codegen).encode(errors="surrogatepass")).hexdigest()
         return cache_folder() / f"{name}-{digest[:32]}.nbc"
+
+
+def _arguments(sig: Any) -> Any:
+    """Return the types of the arguments of a signature: numba gives it with the type of the answer, or without."""
+    return tuple(getattr(sig, "args", sig))
 
 
 def _seal(code: bytes) -> bytes:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from numba import float64, int64
 
 import closedloop as cl
 from closedloop.jit import compile_cache
@@ -73,6 +74,17 @@ def test_the_next_process_finds_it(twice, folder):
     assert hits(third) == 2
     assert sorted(p.suffix for p in folder.iterdir()) == ["", ".nbc", ".nbc"]
     assert (folder / MARKER).is_file()
+
+
+def test_with_and_without_the_type_of_the_answer(twice, folder):
+    """A form is found whether it is asked for by its arguments alone or by its answer too, if that is the same."""
+    twice()(3)
+    asked = twice()
+    asked.compile(int64(int64))
+    assert hits(asked) == 1
+    other = twice()
+    other.compile(float64(int64))
+    assert (hits(other), other(3)) == (0, 6.0)
 
 
 def test_another_source_is_not_found(twice, folder):

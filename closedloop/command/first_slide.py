@@ -11,16 +11,14 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.plane import contact_frame
 from closedloop.scenario.gains import gains_fault
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 POSTURES, SEED = 2000, 0  # drawn, fewer for more than twenty joints
 MOST_RUNS = 24  # simulated
@@ -34,7 +32,6 @@ FORCES = (10.0, 5.0, 2.0, 1.0)  # N, tried in turn where none is asked for
 BEGIN, END, DURATION = 0.5, 3.5, 4.0  # of the slide and of the run, s
 SPEEDS = (0.02, 0.01, 0.005)  # m/s
 FREQUENCY = 15.0  # of a joint with its gains, rad/s; lowered where the step cannot carry them
-
 
 # What is looked at, in this order; a posture that fails late is nearly right.
 LIMITS, MOBILITY, DEXTERITY, EFFORT, RUN = range(5)

@@ -18,12 +18,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.compensation.observer import ObserverCompensation
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection, pack_sensor
-
-Array = NDArray[np.float64]
 
 # The contour is this much outside the unit circle, for the rounding of a root on it.
 ON_CIRCLE = 1e-12

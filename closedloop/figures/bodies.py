@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.dress import dress, explain_contact
 from closedloop.figures.style import MANY, MOST_CURVES, length_unit, new_figure, widen
 from closedloop.record.run import Run
@@ -14,8 +14,6 @@ from robot_models.coordinates import PLACES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 # What moves across, or turns, by no more than this, m or rad, does not: it has no panel.
 AT_REST = 1e-9

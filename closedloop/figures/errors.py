@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.record.run import Run
-
-Array = NDArray[np.float64]
 
 # A desired motion slower than this share of its largest step has no direction of its own.
 STILL = 1e-3

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.dress import legend_beside_title
 from closedloop.figures.style import COLOURS, new_figure
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN
@@ -16,8 +17,6 @@ from closedloop.record.run import Run
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 # Values that span more than this ratio are drawn on a logarithmic axis; what is below this share of the largest, or
 # of the impulse of the largest force in a step, is rounding.

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.dress import dress, explain_contact
 from closedloop.figures.style import MANY, MOST_CURVES, OTHERS, new_figure
 from closedloop.record.run import Run, units_by_kind
@@ -17,8 +17,6 @@ from robot_models import RobotModel
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 # A limit is drawn if the axis need not be longer than this times the range of the data for it; it is named in any case.
 ROOM = 2.0

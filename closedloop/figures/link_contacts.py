@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.dress import dress, explain_contact
 from closedloop.figures.style import COLOURS, MANY, MOST_CURVES, new_figure, widen
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
@@ -17,8 +18,6 @@ from closedloop.scenario.contact_names import names_of, patches_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 # What titles say where `contacts_drawn` takes points together.
 SUMMED = ", sums over points"

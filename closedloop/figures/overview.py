@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.bodies import AT_REST, bodies, has_bodies, rests
 from closedloop.figures.dress import (
     dress,
@@ -27,8 +27,6 @@ from closedloop.record.run import Run
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 # A path is drawn to scale if it is at least this share of its length wide.
 WIDE = 0.1

@@ -6,15 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, IntArray
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.parameters import parameter_block
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.together.records import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 AXES = ("n", "t1", "t2")
 WORDS = "torque, force, tip, tip.n, tip.t1, tip.t2, joint, joint.NAME, or law.KEY"

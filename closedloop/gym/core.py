@@ -11,6 +11,7 @@ from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.actions import Actions
 from closedloop.gym.now import Now
@@ -28,7 +29,6 @@ from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.time_step import whole_steps
 from closedloop.simulation.together.together import Together
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Numbers = NDArray[np.int64]
 

@@ -7,14 +7,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.core import Core
 from closedloop.gym.task import Task, task_of
 
-Array = NDArray[np.float64]
 Observation = Any
 RENDER_MODES = ("rgb_array", "human")
 

@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from closedloop.base.arrays import Array
 from closedloop.gym.policy import LinearPolicy
 from closedloop.gym.task import TASKS, Task
 from closedloop.gym.vector import ContactVectorEnv
-
-Array = NDArray[np.float64]
 
 # Cost of an episode that could not be simulated to its end, N²: worse than any that could.
 STOPPED = 1e4

@@ -8,12 +8,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.table import Reference
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.simulation.together.records import Between
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 # A tip is held if it is slower than this, m/s, and further from where it is wanted than this, m.

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
 from closedloop.control.law_input import LawInput
 from closedloop.gym.core import Core
-
-Array = NDArray[np.float64]
 
 # The parts, the words for them in a law, and scales: a force error of 10 N, a sum of 1 N s.
 FEATURES = {

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import fields_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-
-Array = NDArray[np.float64]
 
 # The key of a posture: what is drawn is added to each joint of the scenario's start.
 POSTURE = "start.q"

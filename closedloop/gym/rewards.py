@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.now import Now
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Term = Callable[[Now], Array]
 Ending = Callable[[Now], Flags]

@@ -12,13 +12,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.gym.core import Core
 from closedloop.gym.env import RENDER_MODES, ended_of, info_of, observation_space
 from closedloop.gym.task import Task, task_of
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Result = tuple[Any, Array, Flags, Flags, dict[str, Any]]
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, quaternions, round_down
 from closedloop.figures.scene.shapes import Shape, robot_shapes
 from closedloop.figures.scene.solids import BEYOND, solids_mesh
@@ -14,8 +15,6 @@ from closedloop.gym.core import Core
 from closedloop.simulation.engines.problem import Problem
 from robot_models.cached import cached_property
 from robot_models.coordinates import in_pinocchios_order, with_quaternions
-
-Array = NDArray[np.float64]
 
 # Inches, and dots for each: 640 by 480 pixels.
 SIZE, DOTS = (6.4, 4.8), 100

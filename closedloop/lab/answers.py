@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError, one_line
 from closedloop.base.interrupts import held_back
 from closedloop.figures.scene.joined import compile_rows
@@ -27,8 +27,6 @@ from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, kernels_of
 from closedloop.simulation.prepare import load_model, model_key, prepare
 from closedloop.simulation.simulate import check_engine, run_loop
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 NO_EVENTS = np.zeros((0, EVENT_WIDTH))
 # Steps of the run with which a loop is compiled.

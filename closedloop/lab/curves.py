@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.dress import position_rounding
 from closedloop.figures.errors import tip_errors
 from closedloop.figures.friction import friction_levels
@@ -24,8 +24,6 @@ from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.record.report.measures import SETTLED
 from closedloop.record.run import Run, units_by_kind
 from closedloop.scenario.units import with_unit
-
-Array = NDArray[np.float64]
 
 # Okabe and Ito's palette: told apart by colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8A8A8A", "#B8A500")

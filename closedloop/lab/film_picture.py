@@ -16,13 +16,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.scene.ghost import COLOUR, OPACITY
 from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, Scene
 from closedloop.figures.scene.shapes import Shape
 from closedloop.figures.style import widen
 from closedloop.lab.curves import Panel
-
-Array = NDArray[np.float64]
 
 # Inches, and dots for each: 1000 by 500 pixels; without curves 560 by 460.
 SIZE, ALONE, DOTS = (10.0, 5.0), (5.6, 4.6), 100

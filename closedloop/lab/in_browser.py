@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from closedloop.base.arrays import Array
 
 if TYPE_CHECKING:
     from closedloop.lab.app import Lab
-
-Array = NDArray[np.float64]
 
 PROGRAMS = "chromium", "chromium-browser", "google-chrome"
 # As where somebody works; without a graphics processor Chromium draws space in software only if it is allowed to.

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, one_line
 from closedloop.lab.controls import Control
 from closedloop.lab.history import Changes, with_change
@@ -21,8 +21,6 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.units import with_unit
 from closedloop.simulation.batch.simulate_batch import simulate_batch
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 CELLS = 40  # on either side
 BATCH = 160  # runs that are computed in one go; the first few, which show the shape, go by themselves

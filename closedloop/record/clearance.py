@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.record import Record
@@ -28,8 +29,6 @@ from robot_models import RobotModel
 from robot_models.collision import CollisionShape, collision_shapes
 from robot_models.coordinates import in_pinocchios_order
 from robot_models.loop_joint import WORLD
-
-Array = NDArray[np.float64]
 
 # Rows that are looked at first, and pairs of shapes that are compared at most.
 MOST_ROWS, MOST_PAIRS = 25, 400

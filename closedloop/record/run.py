@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
-
 
 def units_by_kind(units: str, kind: str) -> str:
     """Return the unit of an entry of a joint's column: of a joint or coordinate of this kind, from that for turning."""

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError, ScenarioError
 from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
@@ -19,8 +19,6 @@ from robot_models import RobotModel, Tool
 from robot_models.bodies import FreeBody, with_bodies
 from robot_models.coordinates import PARTS, PLACES, RATES, normalised, with_rotation_vectors
 from robot_models.joint_dynamics import joint_dynamics, loop_dynamics
-
-Array = NDArray[np.float64]
 
 
 def start_posture(scenario: Scenario, model: RobotModel) -> Array:

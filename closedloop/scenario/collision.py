@@ -15,8 +15,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError, ScenarioError
 from closedloop.mechanics.contacts.sections import COLLISION, ContactSection
 from closedloop.scenario.collision_pairs import pair_of
@@ -25,8 +25,6 @@ from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.collision import CollisionShape, collision_shapes
 from robot_models.loop_joint import WORLD
-
-Array = NDArray[np.float64]
 
 # Points of each edge of a cylinder on which it stands.
 FEET = 3

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.contacts.sections import EdgeSection
 from closedloop.mechanics.surface.kinds.box import Box
 from closedloop.mechanics.surface.kinds.capsule import Capsule
@@ -14,7 +14,6 @@ from closedloop.mechanics.surface.kinds.sphere import Sphere
 from closedloop.mechanics.surface.surface import Surface
 from robot_models.collision import CollisionShape
 
-Array = NDArray[np.float64]
 Parts = list[dict[str, Any]]
 
 

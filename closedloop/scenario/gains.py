@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
@@ -30,8 +31,6 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.scenario.arm import start_posture
 from closedloop.scenario.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 # Without a spring there is a double eigenvalue one, which rounding of 1e-16 splits by its square root, 1e-8.
 GROWING = 1.0 + 1e-6

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.transmission import transmission_constants
 from closedloop.mechanics.closure.baumgarte import linear_step
 from closedloop.mechanics.closure.contact_force import PRESSED
@@ -27,8 +28,6 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.arm import joint_friction_of
 from closedloop.scenario.gains import Rubbing, closed_mobility, feedbacks, without_normal
 from closedloop.scenario.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 # A swing whose rate of decay or frequency is off by a tenth of |λ| is another swing: its damping ratio is off by 0.1.
 WRONG_BY = 0.1

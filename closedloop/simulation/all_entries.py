@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.parameters import lists_per_joint
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.coordinates import in_pinocchios_order
 from robot_models.loop_posture import coordinate_rates, place_coordinates
-
-Array = NDArray[np.float64]
 
 
 def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.table import Reference
 from closedloop.jit.interim import at_hand
 from closedloop.jit.kernel import plain
@@ -25,8 +26,6 @@ from closedloop.simulation.engines.needs import arm_columns
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
 from robot_models.coordinates import continuous, with_quaternions
-
-Array = NDArray[np.float64]
 
 # Runs of one process after which it is worth reading the compiled form of `potential_energies` from the disk.
 FEW_RUNS = 3

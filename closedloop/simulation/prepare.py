@@ -6,10 +6,10 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robot_models
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Section
 from closedloop.control.drives import torque_limits, torque_steps
@@ -44,8 +44,6 @@ from closedloop.simulation.start import placed_surface, refuse_combinations, ref
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
-
-Array = NDArray[np.float64]
 
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
 ROBOT_BYTES = 200_000

@@ -6,8 +6,8 @@ from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.encoder import encoder_draws
 from closedloop.control.reference.desired import Desired, desired
 from closedloop.control.reference.force import force_at
@@ -18,8 +18,6 @@ from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import unit
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
-
-Array = NDArray[np.float64]
 
 # A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
 BEYOND = 1.001

@@ -8,9 +8,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
 from closedloop.base.interrupts import held_back
 from closedloop.jit.background import make_ready
@@ -35,8 +35,6 @@ from closedloop.simulation.loop_calls import Answers, begun, driver
 from closedloop.simulation.prepare import prepare
 from robot_models import RobotModel
 from robot_models.errors import shown
-
-Array = NDArray[np.float64]
 
 
 @arguments_checked(record="a function of the run, or (function, unit), by the name of its column")

@@ -13,9 +13,10 @@ import math
 import time as clock
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.record.run import Run
@@ -30,8 +31,6 @@ from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.state import StepState
 from closedloop.simulation.stepper import Mark, Stepper
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # Name of what drove a run, in the record: beside it that of a user's law, or "scenario".
 FROM_OUTSIDE = "torque from outside"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.edge import edge_key
 from closedloop.control.reference.force import force_at
@@ -23,8 +23,6 @@ from closedloop.mechanics.surface.surface import Surface
 from closedloop.scenario.arm import has_stops, start_positions, start_posture, start_velocities
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a
 # thousand newtons for each kilogram of apparent mass and each millimetre.

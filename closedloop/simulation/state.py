@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import ArmRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.record.columns.events import Event, events_of
 from robot_models.coordinates import with_quaternions
-
-Array = NDArray[np.float64]
 
 MODE_NAMES = {FREE: "free", PRESSED: "pressed", STUCK: "stuck"}
 

@@ -12,8 +12,8 @@ from struct import Struct
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.drives import cut_torque
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
@@ -28,8 +28,6 @@ from closedloop.simulation.engines.loops import kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Answers, single_calls
-
-Array = NDArray[np.float64]
 
 # A copy of the loop's memory, whole numbers and real ones, whether the scenario's law had started in it, and a copy of
 # the memory of the links' contacts. (A tuple with names would take longer to make, at every step, and arrays twice as

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.encoder import NO_ENCODER, encoder_kind
 from closedloop.loop.step.record_row import row_width
@@ -19,8 +19,6 @@ from closedloop.record.columns.added import recorded_states
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.stabiliser_sections import BaumgarteGains
 from closedloop.simulation.engines.needs import arm_columns
-
-Array = NDArray[np.float64]
 
 # A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
 MOST_NUMBERS = 200_000_000

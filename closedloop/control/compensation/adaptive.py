@@ -20,18 +20,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import RATE, SPEED_SCALE, Positive, gain_in
 from closedloop.control.compensation.model import desired_direction
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import TipMotion, surface_mobility
-
-Array = NDArray[np.float64]
 
 
 class AdaptiveCompensation(Compensation):

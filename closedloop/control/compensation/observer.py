@@ -16,17 +16,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import RATE, Positive
 from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import add_mass_times
 from closedloop.mechanics.closure.solve import back_substitute, forward_substitute
-
-Array = NDArray[np.float64]
 
 
 class ObserverCompensation(Compensation):

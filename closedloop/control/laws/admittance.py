@@ -22,16 +22,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import INERTIA, NotNegative, Positive, gain_in
 from closedloop.control.law import ControlLaw, commanded_force, force_error_rate
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import TipMotion, TipScratch, motion_along_surface, move_tip
-
-Array = NDArray[np.float64]
 
 
 class AdmittanceLaw(ControlLaw, TipMotion):

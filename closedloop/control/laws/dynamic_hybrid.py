@@ -16,9 +16,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.law import commanded_force
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import (
@@ -32,8 +30,6 @@ from closedloop.control.tip_space import (
     rest_of,
     wanted_acceleration,
 )
-
-Array = NDArray[np.float64]
 
 
 class DynamicHybridLaw(Approach, TipMotion):

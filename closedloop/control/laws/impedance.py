@@ -20,16 +20,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import NotNegative, gain_in
 from closedloop.control.law import ControlLaw, commanded_force
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import Posture, TipScratch, move_tip, surface_mobility
-
-Array = NDArray[np.float64]
 
 
 class ImpedanceLaw(ControlLaw, Posture):

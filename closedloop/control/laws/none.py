@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import Nothing
 from closedloop.control.law import ControlLaw
 from closedloop.control.law_input import LawInput
-
-Array = NDArray[np.float64]
 
 
 class NoLaw(ControlLaw):

@@ -17,14 +17,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.law import commanded_force
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import Approach, TipMotion, TipScratch, move_tip, wanted_acceleration
-
-Array = NDArray[np.float64]
 
 
 class OperationalSpaceLaw(Approach, TipMotion):

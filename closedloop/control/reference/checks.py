@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Size
 from closedloop.mechanics.surface.plane import unit
-
-Array = NDArray[np.float64]
 
 TURNS = Size(1e6, "", "no path goes round so often", 1e-9)
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.mechanics.surface.contact import edge_distance
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.surface import Surface
-
-Array = NDArray[np.float64]
 
 # Instants, beside the ends of its segments, at which a path is looked for beyond the edge of a surface; how far beyond
 # is rounding, m.

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.inverse_kinematics import (
     BROKEN,
@@ -41,8 +42,6 @@ from closedloop.jit.interim import call_once
 from closedloop.mechanics.loops.along_path import along_path
 from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.robot.pinocchio import Robot
-
-Array = NDArray[np.float64]
 
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
 SHORTEST = 1e-12  # s between knots

@@ -20,15 +20,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.curves import Curve
 from closedloop.control.reference.tip_path import Segment
 from closedloop.mechanics.surface.along import carry, shape_at
 from closedloop.mechanics.surface.placed import PlacedSurface
-
-Array = NDArray[np.float64]
 
 # Tolerances of a step of DOP853, and of the polynomials midway between knots: m, and as a share of the speed.
 RELATIVE, ABSOLUTE = 1e-11, 1e-14

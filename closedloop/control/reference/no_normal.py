@@ -9,14 +9,12 @@ seen whether it does so at once.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.mechanics.surface.gradient import gradients
 from closedloop.mechanics.surface.placed import PlacedSurface
-
-Array = NDArray[np.float64]
 
 # Instants, beside the ends of its segments, at which ∇φ is looked at.
 PATH_CHECKS = 300

@@ -13,15 +13,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.curves import Straight
 from closedloop.control.reference.geodesic import CarriedSegment, Rolling
 from closedloop.control.reference.timing import constant
 from closedloop.control.reference.tip_path import Segment, TipPath
 from closedloop.mechanics.surface.placed import PlacedSurface
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

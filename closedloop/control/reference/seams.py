@@ -7,12 +7,9 @@ the joint path has a knot at each of these instants.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.control.reference.tip_path import Segment
 from closedloop.mechanics.surface.placed import PlacedSurface
-
-Array = NDArray[np.float64]
 
 # Instants of a segment between which crossings are looked for.
 INSTANTS = 257

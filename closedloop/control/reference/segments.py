@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.curves import Straight
 from closedloop.control.reference.timing import Timing
 from closedloop.control.reference.tip_path import Segment
-
-Array = NDArray[np.float64]
 
 
 def through(times: Array, points: Array, origin: Array, timing: Timing) -> tuple[Segment, ...]:

@@ -6,15 +6,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.mechanics.surface.along import shape_at
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import contact_frame
-
-Array = NDArray[np.float64]
 
 # Instants at which the path is looked at, and by which share the tool may be larger than the hollow: rounding.
 PATH_CHECKS, ROUNDING = 200, 1e-9

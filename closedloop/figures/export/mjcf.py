@@ -17,7 +17,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from closedloop.base.errors import ScenarioError, printable
 from closedloop.base.files import write_whole
@@ -26,8 +26,6 @@ from closedloop.figures.export.mjcf_surface import add_surface
 from closedloop.figures.export.mjcf_text import element, numbers, quaternion
 from closedloop.figures.scene.scene import Scene, scene_of
 from closedloop.record.run import Run
-
-Array = NDArray[np.float64]
 
 ARM_GROUP = 1  # of the arm's geoms; the surface is in group 0
 TIP_RADIUS = 0.006  # m

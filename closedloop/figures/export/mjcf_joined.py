@@ -11,16 +11,14 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.export.mjcf_text import element, quaternion
 from closedloop.figures.scene.scene import Scene
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.record.columns.touching import placed_frame
 from robot_models.loop_joint import LoopJoint
-
-Array = NDArray[np.float64]
 
 BALL = 0.002  # radius of the ball that stands for a contact's point, m
 APART = 0.1  # of the arm's reach: between the two points that hold a hinge

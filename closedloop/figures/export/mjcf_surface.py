@@ -6,8 +6,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.export.mjcf_text import element, numbers, quaternion
 from closedloop.figures.scene.scene import Scene
@@ -18,8 +18,6 @@ from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.kinds.sphere import Sphere
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import unit
-
-Array = NDArray[np.float64]
 
 COLOUR = (0.77, 0.80, 0.84, 0.75)
 GRID = 129  # heights along a side at most, of what is no shape of MuJoCo's

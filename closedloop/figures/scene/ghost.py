@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.scene.shapes import Shape
-
-Array = NDArray[np.float64]
 
 #: Red, green, blue from 0 to 1: of Okabe and Ito's palette, and how much of what is behind a ghost it hides.
 COLOUR, OPACITY = (0.90, 0.62, 0.0), 0.35

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.errors import frame_of
 from closedloop.figures.scene.solids import solids_mesh
@@ -20,8 +21,6 @@ from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from robot_models.cached import cached_property
 from robot_models.loop_joint import WORLD
-
-Array = NDArray[np.float64]
 
 # The patch of the surface reaches this far beyond the path, m, or a share of the path's size.
 MARGIN, SHARE = 0.06, 0.3

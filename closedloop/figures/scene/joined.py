@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.scene.shapes import Shape, mark_shape
 from closedloop.mechanics.loops.bind import bound_by_loops, link_poses, loop_memory
 from closedloop.mechanics.loops.memory import GEAR
@@ -26,8 +27,6 @@ from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import robot_key
-
-Array = NDArray[np.float64]
 
 # The robots of the runs drawn last: what is computed of a robot's loops is kept with it, and takes as long as a run of
 # few steps.

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.ground import Ground, world_mesh
 from closedloop.figures.scene.joined import Joined, reactions_in, robot_in
@@ -27,8 +28,6 @@ from closedloop.record.run import Run
 from robot_models import RobotModel
 from robot_models.cached import cached_property
 from robot_models.coordinates import in_pinocchios_order
-
-Array = NDArray[np.float64]
 
 # Kinds and colours of the arrows, red, green, blue from 0 to 1: of Okabe and Ito's palette.
 LOOP, TOUCH = "loop force", "force between links"

@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from robot_models import RobotModel
 from robot_models.collision import collision_shapes
 from robot_models.mesh_files import mesh_file, source_folder
 
 if TYPE_CHECKING:
     import trimesh
-
-Array = NDArray[np.float64]
 
 # Triangles of one visual shape at most, where the library that reduces meshes is installed.
 MOST_TRIANGLES = 1500

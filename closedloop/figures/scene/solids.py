@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.contacts.surfaces import surface_of
 from closedloop.mechanics.surface.kinds.polyhedron import Polyhedron
 from closedloop.scenario.scenario import Scenario
 from robot_models.loop_joint import WORLD
 
-Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.uint32]]
 
 # They are drawn this far beyond the contacts, m.

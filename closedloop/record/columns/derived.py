@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.orientation import turned_by
 from closedloop.mechanics.loops.reactions import (
     LoopReactions,
@@ -24,8 +25,6 @@ from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.arm import has_stops, robot_of, stop_limits, without_tools
 from robot_models.coordinates import with_rotation_vectors
-
-Array = NDArray[np.float64]
 
 # A joint nearer to its limit than this, rad (m), may be at its stop; among several contacts a stop is a contact too and
 # kept closed by the stabiliser.

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
-
-Array = NDArray[np.float64]
 
 
 class Event(NamedTuple):

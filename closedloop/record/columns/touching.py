@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.contacts.edges import E1, ROUND1, choose_crossing, edges_of
 from closedloop.mechanics.contacts.shapes import SHAPE, lowest_point, make_shape_memory, shape_of
@@ -16,8 +16,6 @@ from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.scenario.contact_names import names_of
 from closedloop.scenario.scenario import Scenario
 from robot_models.loop_joint import WORLD
-
-Array = NDArray[np.float64]
 
 
 class Touching(NamedTuple):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.families import is_users
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
@@ -14,8 +14,6 @@ from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.columns.record import Record
 from closedloop.record.report.control_verdict import SPARSE, Bools, Signals
 from closedloop.scenario.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 # A path leads off the surface where it lies so much farther from it than it did, m: what the stiffness of an arm's law,
 # some 1e4 N/m, turns into a tenth of a newton.

@@ -30,10 +30,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.record.report.swings import GROWTH, Swing, lasting_swing, rms
 from closedloop.record.report.verdict import names_of
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Problem = dict[str, Any]
 

@@ -9,9 +9,8 @@ import math
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from closedloop.base.arrays import Array
 
 # A path that starts smoothly leaves an error as t⁵ at most. Its changes grow by (k + 1)⁴ from the first to the part
 # k after it; of growth it is so many times that, in so many successive parts, in each of which it rises by so much.

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.columns.record import Record
 from closedloop.record.report.measures import MEASURES
-
-Array = NDArray[np.float64]
 
 MAIN_COLUMNS = (
     "q", "v", "torque", "position", "velocity", "contact_force", "friction_force", "joint_friction", "measured_force",

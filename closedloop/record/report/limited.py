@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.drives import AS_ASKED
-
-Array = NDArray[np.float64]
 
 
 def count_limited(limited: Array, h: float, values: Any) -> None:

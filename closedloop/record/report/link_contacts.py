@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.mechanics.contacts.soft import is_soft
@@ -14,8 +15,6 @@ from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.contact_names import names_of
 from robot_models.coordinates import in_pinocchios_order
-
-Array = NDArray[np.float64]
 
 # Sets of modes that are looked at; and what is left of a row, of the largest, that depends on others.
 MOST_SETS, SAME_ROW = 20, 1e-9

@@ -13,8 +13,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.record_row import RECORDED
 from closedloop.record.columns.record import Record
@@ -28,8 +28,6 @@ from closedloop.record.report.step_columns import resolution_of, write_swings
 from closedloop.record.report.step_error import beside_of, write_beside
 from closedloop.record.report.step_variation import Swings
 from robot_models.coordinates import with_rotation_vectors
-
-Array = NDArray[np.float64]
 
 # So many rows at a time: their samples stay in the processor's cache.
 ROWS = 2048

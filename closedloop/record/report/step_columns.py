@@ -5,16 +5,14 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import scheme_of
 from closedloop.record.columns.record import Record
 from closedloop.record.report.step_variation import ENDING, SPAN, Swing, Swings, cut_slope, local_error
 from closedloop.scenario.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 # Rows in one mode of contact of which the signals are taken one by one.
 LONG = 2048

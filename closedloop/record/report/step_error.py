@@ -38,8 +38,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.compensation.observer import ObserverCompensation
 from closedloop.loop.events.table import IMPACT, LIFTOFF, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
@@ -49,8 +49,6 @@ from closedloop.record.report.growth import AT_REST, bounces_on, comes_out, grow
 from closedloop.record.report.step_columns import resolution_of
 from closedloop.record.report.step_variation import Swing, Swings
 from closedloop.scenario.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 # All after a jump that the last stage of rk4 already has comes a sixth of a step early, of a jump within a step up to a
 # third. Where joints are elastic the motors take the jump, and the rows of f do not show it.

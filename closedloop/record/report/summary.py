@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE
@@ -30,8 +30,6 @@ from closedloop.record.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import Rubbing, gains_fault
 from closedloop.scenario.modes import unresolved, unresolved_feedback, where_it_rubs
-
-Array = NDArray[np.float64]
 
 
 def summarise(run: Record) -> dict[str, Any]:

@@ -6,9 +6,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from closedloop.base.arrays import Array
 
 # A regular swing has so many periods, each so many rows long, and periods that vary by this share of their mean at
 # most. The times between crossings of noise vary by as much as their mean.

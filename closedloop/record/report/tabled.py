@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.measured import EVENTS_AT, FAILED_AT, WIDTH
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
@@ -17,8 +15,6 @@ from closedloop.record.report.verdict import Facts, judge, names_of, outside_by_
 from closedloop.scenario.gains import gains_fault
 from closedloop.scenario.modes import unresolved_feedback
 from closedloop.scenario.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 _AT = {name: at for at, name in enumerate(MEASURES)}
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN, EventRow
 from closedloop.record.report.control_signals import RELEASE, limited_joints, negative_gain, signals_of
 from closedloop.record.report.control_verdict import MEAN_SHARE, PATH_FLOOR, judge_control, judge_force, told
@@ -17,8 +18,6 @@ from closedloop.record.report.verdict import GOOD
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.lanes import LaneRuns
 from closedloop.simulation.engines.problem import Problem
-
-Array = NDArray[np.float64]
 
 
 def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:

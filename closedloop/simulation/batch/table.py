@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.record_row import ARM_RECORDED, RECORDED
@@ -23,8 +23,6 @@ from closedloop.simulation.batch.worker import Outcome
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 # Short names of the columns that are kept most.
 ALIASES = {"f": "contact_force", "e": "closure_error", "r": "position", "Q": "torque"}

@@ -19,8 +19,8 @@ from pathlib import Path
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, SingularClosureError, faults_on_one_line, one_line
 from closedloop.control.drives import DrivesSection
 from closedloop.jit.background import make_ready
@@ -59,8 +59,6 @@ from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import run_loop
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 SINGULAR_AT = FAILED_AT + NAMES.index("nonsingular")
 RAN, STOPPED, REFUSED, FAILED = "done", "stopped", "refused", "failed"

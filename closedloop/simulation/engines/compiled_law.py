@@ -9,10 +9,9 @@ from types import BuiltinFunctionType, FunctionType
 from typing import Any
 
 import numba
-import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.law_input import LawInput
 from closedloop.jit.calls import is_compiled
@@ -32,8 +31,6 @@ from closedloop.simulation.engines.law_source import (
     arguments_of,
     name_of,
 )
-
-Array = NDArray[np.float64]
 
 _READ = {d: types.Array(types.float64, d, "C", readonly=True) for d in (1, 2)}
 _TERMS: Any = types.NamedTuple((_READ[2], _READ[1], _READ[1], _READ[2], _READ[1]), Terms)  # type: ignore[no-untyped-call]

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import entry_address
 from closedloop.jit.dual import NotDualError, dual, refused_as_one_line
@@ -30,8 +31,6 @@ from closedloop.simulation.engines.at_addresses import Parts, measure_at, run_at
 from closedloop.simulation.engines.compiled import ALL, compiled_work
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import Addresses, proceed_at
-
-Array = NDArray[np.float64]
 
 # Directions of one run.
 DIRECTIONS = WIDE - 1

@@ -7,8 +7,8 @@ from traceback import extract_tb
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import (
     ChatterError,
     DivergenceError,
@@ -45,8 +45,6 @@ from closedloop.scenario.gains import feedbacks, gains_fault
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import families_in
 from closedloop.simulation.engines.problem import Problem, contact_members
-
-Array = NDArray[np.float64]
 
 
 def not_finite(torque: Array) -> str:

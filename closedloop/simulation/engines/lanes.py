@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import jit_disabled, plain
@@ -37,8 +37,6 @@ from closedloop.simulation.engines.lane_loop import SIGNALS, LaneAddresses, Size
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.needs import needs_general_form
 from closedloop.simulation.engines.problem import Problem
-
-Array = NDArray[np.float64]
 
 # Eight runs in lanes take as long as two by themselves; fewer than this many are run one by one.
 FEWEST = 3

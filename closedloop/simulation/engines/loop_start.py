@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.phases import MEASURED
 from closedloop.loop.step.make_loop import Loop
@@ -13,8 +11,6 @@ from closedloop.loop.step.seen import read_joints
 from closedloop.mechanics.loops.close import close_state, factor_rows
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.rows import locate_rows
-
-Array = NDArray[np.float64]
 
 
 def read_encoders(loop: Loop, table: Array) -> None:

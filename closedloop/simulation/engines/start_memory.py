@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.control.drives import DrivesSection
 from closedloop.control.reference.table import Reference
@@ -24,8 +23,6 @@ from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.simulation.engines.needs import arm_columns, reading_kind
 from closedloop.simulation.engines.packed import sticking
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
-
-Array = NDArray[np.float64]
 
 # Slip slower than this, m/s, is none: a tip that starts with it sticks, one that slows down to it may.
 STICK_SPEED = 1e-7

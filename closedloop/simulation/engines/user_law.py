@@ -21,8 +21,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, LawError, ScenarioError
 from closedloop.control.law_input import LawInput
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
@@ -35,7 +36,6 @@ from closedloop.simulation.engines.failures import not_finite, when
 from closedloop.simulation.engines.law_source import NUMBERS, RAISED, Arguments, arguments_of, law_failure
 from robot_models.cached import cached_property
 
-Array = NDArray[np.float64]
 Law = Callable[..., ArrayLike]
 """A user's control law: of a `LawInput`, or of time, s; q, q̇ (n,) read-only; `Terms` -> torque Q (n,), N m."""
 

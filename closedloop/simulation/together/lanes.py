@@ -18,8 +18,6 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.together.lane_steps import step_in_lanes
 from closedloop.simulation.together.records import GROUP, Group, Kept, LaneConstants
 
-Array = NDArray[np.float64]
-
 
 def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: Work) -> bool:
     """Whether a simulation whose torque is held may be stepped in lanes while its tip is on the surface."""

@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, IntArray
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.jit.background import make_ready
 from closedloop.jit.calls import entry_address
@@ -33,9 +34,6 @@ from closedloop.simulation.together.lane_steps import step_in_lanes
 from closedloop.simulation.together.lanes import Lanes, may_step_in_lanes
 from closedloop.simulation.together.member import step_members, strike
 from closedloop.simulation.together.records import BETWEEN, MEMBER, WAITING, Member
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Rows that the window of a member has beside those that it must keep: it moves them once in so many.
 SPARE = 64

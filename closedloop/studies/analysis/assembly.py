@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, ComplexArray
 from closedloop.base.errors import ScenarioError
 from closedloop.mechanics.integrators import AdaptiveIntegrator, Scheme, scheme_of
 from closedloop.simulation.engines.problem import Problem
 from closedloop.studies.analysis.discretise import step_of
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from closedloop.studies.analysis.reduced import Reduced
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Columns of the inputs.
 COMMAND, ACCELERATION, LOAD, NOISE = range(4)

@@ -10,16 +10,14 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import SimulationError
 from closedloop.loop.step.make_loop import Loop
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.memory import ContactMemory
 from closedloop.scenario.contact_names import names_of
 from closedloop.simulation.engines.problem import Problem
-
-Array = NDArray[np.float64]
 
 # What of the contacts' memory is their state, beside what the scenario says of them.
 STATE = (

@@ -5,11 +5,9 @@ from __future__ import annotations
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.studies.analysis.here import EventHere, Here
-
-Array = NDArray[np.float64]
 
 # Two steps whose differences are further apart than this share, at the best, show a function that has no derivative: of
 # those that have one they are nearer than a millionth. A first step whose differences are so near is short enough.

@@ -9,12 +9,10 @@ velocities, and an integrator that chooses its own steps the exponential, which 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.integrators import AdaptiveIntegrator, Scheme
-
-Array = NDArray[np.float64]
 
 
 def step_of(scheme: type[Scheme], A: Array, B: Array, h: float, leads: Array, exact: Array) -> tuple[Array, Array]:

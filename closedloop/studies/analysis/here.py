@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.encoder import DIFFERENCE, NO_ENCODER, EncoderParameters
 from closedloop.control.reference.table import Reference
@@ -30,8 +30,6 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import Answers, single_calls
 from closedloop.studies.analysis.closed_contacts import ClosedContacts
 from closedloop.studies.analysis.instant import Instant, parts_of, put
-
-Array = NDArray[np.float64]
 
 # Rows that bind whose singular value is below this share of the largest depend on others.
 DEPENDENT = 1e-9

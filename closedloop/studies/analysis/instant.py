@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.reference.table import Reference
@@ -25,8 +25,6 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import Answers, single_calls
 from closedloop.simulation.stepper import Stepper
 from closedloop.studies.analysis.closed_contacts import contacts_of, put_contacts
-
-Array = NDArray[np.float64]
 
 # What of the loop's memory is the state at a row, beside the states in z.
 KEPT = (

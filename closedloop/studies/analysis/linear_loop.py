@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from closedloop.base.arrays import Array, ComplexArray
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import missing_line
 from closedloop.scenario.scenario import Scenario
@@ -16,9 +17,6 @@ from closedloop.studies.analysis.margins import Margins, margins_of
 from closedloop.studies.analysis.poles import Pole, pole_at
 from closedloop.studies.analysis.port import Port, port_of
 from robot_models.cached import cached_property
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Parts that are no part of the loop.
 OUTSIDE = "surface"

@@ -14,11 +14,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from closedloop.base.arrays import Array, ComplexArray
 
 # |L| below which there is no loop.
 OPEN = 1e-12

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, ComplexArray
 from closedloop.studies.analysis.linear_loop import LinearLoop
 from closedloop.studies.analysis.margins import Margins
 from closedloop.studies.analysis.page import Page
 from closedloop.studies.analysis.poles import Pole
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from closedloop.base.arrays import Array, ComplexArray
 
 # −Re Y/|Y| up to which a port is passive: the rounding of a response; and what sampling makes of one that is 0, per
 # frequency in samples.

@@ -15,9 +15,9 @@ the surface.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import SimulationError
 from closedloop.control.drives import AS_ASKED
 from closedloop.loop.step.memory import RIGID_STICK
@@ -28,7 +28,6 @@ from closedloop.studies.analysis.derivatives import columns
 from closedloop.studies.analysis.here import Here, independent
 from closedloop.studies.analysis.instant import Instant, parts_of
 
-Array = NDArray[np.float64]
 Block = dict[str, dict[str, Array]]
 
 # First steps of the differences: of positions, rad (m), velocities, forces, N, and torques, N m; Richardson's

@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError
 from closedloop.base.second_process import Beside, possible
 from closedloop.mechanics.surface.compliances.none import Rigid
@@ -30,7 +30,6 @@ from closedloop.studies.analysis.linearise import instant_of, loop_at
 from closedloop.studies.analysis.ranges import Limit, Range, Trial, Value
 from robot_models import RobotModel
 
-Array = NDArray[np.float64]
 __all__ = ["Range", "Stability"]
 
 # Values at which a range is looked at, before the limits between them are solved for.

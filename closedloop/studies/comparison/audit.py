@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.explain import Hypothesis, Reason, explain
 from closedloop.studies.comparison.recording import Recording
 from closedloop.studies.identify.log import Log, LogError
 from closedloop.studies.identify.motion import usual_cutoff
-
-Array = NDArray[np.float64]
 
 ROWS = 1500
 # Rows at both ends that filters spoil, in periods of the cutoff.

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from closedloop.base.arrays import Array
 
 # A hypothesis is added while it explains this share of what is left, and so much of the whole.
 ENOUGH, OF_ALL = 0.2, 0.02

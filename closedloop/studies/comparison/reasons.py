@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.explain import Hypothesis
-
-Array = NDArray[np.float64]
 
 # Rows at which torques are explained.
 ROWS = 3000

@@ -8,17 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import fields_checked
+from closedloop.base.arrays import Array
 from closedloop.studies.identify.log import LogError, check_positions, check_velocities
 from closedloop.studies.identify.read import joints_of, listed, plain_name, run_of, table_of, time_of
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
     from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # What the columns of a force are called: one that is along the surface's normal, or three along the base's axes.
 FORCE = ("contact_force", "normal_force", "force", "f", "fn", "f_n")

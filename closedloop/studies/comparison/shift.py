@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from closedloop.base.arrays import Array
 from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording
-
-Array = NDArray[np.float64]
 
 # Shifts that are tried, the rows that they are tried on, and the share of the shorter one that must overlap.
 SHIFTS, TRIED_ROWS, OVERLAP = 800, 400, 0.5

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

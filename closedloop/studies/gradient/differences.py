@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -24,8 +25,6 @@ from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, E
 from closedloop.studies.gradient.keys import Direction, Keys
 from closedloop.studies.gradient.variants import PAST_A_ROW, Sample, difference, samples
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 DIFFERENCES = "central differences, Richardson"
 # Tables of one direction, and by how much each has shorter steps than the one before. Of a run with events the first is

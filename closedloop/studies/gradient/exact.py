@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError
 from closedloop.jit.background import make_ready, refused
 from closedloop.jit.background import start as start_compiling
@@ -44,7 +45,6 @@ from closedloop.studies.gradient.several import SHARE_OFF, not_unique
 from closedloop.studies.gradient.variants import Sample
 from robot_models import RobotModel
 
-Array = NDArray[np.float64]
 notices = logging.getLogger(__name__)
 
 DUALS, PREPARED, OF_COLUMNS = "dual numbers", "differences of the preparation", "differences of the columns"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from closedloop.base.arrays import Array
 
 # Steps of one table, each half of the one before.
 LEVELS = 3

@@ -9,9 +9,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import needs
 from closedloop.record.run import Run
@@ -26,7 +26,6 @@ from robot_models import RobotModel
 if TYPE_CHECKING:
     import pandas as pd
 
-Array = NDArray[np.float64]
 Entry = float | Array
 
 # A derivative whose error may be more than this share of it is named.

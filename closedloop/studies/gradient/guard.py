@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.dual import NotDualError
 from closedloop.record.run import Run
 from closedloop.studies.gradient.extrapolate import LOCATED, ROUNDING
@@ -17,7 +17,6 @@ from closedloop.studies.gradient.outputs import Output, slices_of
 from closedloop.studies.gradient.variants import Sample, difference, samples
 from robot_models import RobotModel
 
-Array = NDArray[np.float64]
 notices = logging.getLogger(__name__)
 
 # The two plain runs are off the scenario by the first of these shares of the keys' sizes. A derivative must be that of

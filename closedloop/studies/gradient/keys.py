@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import table_type, tables_of
-
-Array = NDArray[np.float64]
 
 # First step of the differences, as a share of the key's size; of a key that is 0, its size is taken for `SIZE_OF_ZERO`.
 SHARE, SIZE_OF_ZERO = 1e-2, 0.1

@@ -10,8 +10,8 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.by_contact import columns_by_contact
@@ -19,14 +19,11 @@ from closedloop.record.columns.derived import DERIVED
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.run import Run
 
-Array = NDArray[np.float64]
-
 EVENTS, AT, END = "event_", "@", "end"
 # Values of the summary that say how a run was computed: they are no function of the scenario.
 NOT_OF_THE_SCENARIO = ("wall_seconds",)
 # Times that are counted in rows: they are constant, but for jumps.
 COUNTED = ("time_in_contact", "position_limit_left_at", "velocity_limit_exceeded_at", "effort_limit_exceeded_at")
-
 
 # Summaries of runs that are still in use: several quantities are read of each.
 _summaries: WeakKeyDictionary[Run, dict[str, Any]] = WeakKeyDictionary()

@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import Prepared, prepared, structure
@@ -21,8 +21,6 @@ from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient.extrapolate import LEVELS, two_sided
 from closedloop.studies.gradient.keys import Direction, Keys
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # Two differences of steps that are a factor 2 apart agree to this share of themselves where a number enters linearly,
 # or to this many roundings of what they are of: entries of one array may differ by orders of magnitude.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
@@ -21,9 +21,6 @@ from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import check_engine, run_loop
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
-
 
 # What `difference` says of runs that differ in nothing but that an event is between other rows.
 PAST_A_ROW = "an event moves past a row"

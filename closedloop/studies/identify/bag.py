@@ -14,13 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.optional import missing_line
 from closedloop.figures.export.messages import DEFINITIONS
 from closedloop.studies.identify.log import LogError
-
-Array = NDArray[np.float64]
 
 JOINTS, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 NEEDS = missing_line("reading MCAP and rosbag2 needs", "mcap-ros2-support", "mcap")

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from closedloop.base.arrays import Array
 from closedloop.studies.identify.regressor import INERTIAL, Regressor
-
-Array = NDArray[np.float64]
 
 # Of columns of length one at random states, a diagonal entry of R: rounding gives 1e-14, true ones exceed 1e-5.
 RANK = 1e-9

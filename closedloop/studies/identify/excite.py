@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.base.optional import needs
 from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     import pandas
 
     from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # Instants at which a motion is judged, and of the fine table that its limits are kept on.
 JUDGED, FINE = 120, 600

@@ -20,11 +20,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, stats
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from closedloop.base.arrays import Array, Mask
 
 # Rounds of weighting: the weights follow from the residuals, and the residuals from the weights.
 ROUNDS = 20

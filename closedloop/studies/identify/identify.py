@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
 from closedloop.studies.identify.fit import Fit, fit, whiteness
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # The probability below which the residual is not white.
 WHITENESS_LEVEL = 1e-3

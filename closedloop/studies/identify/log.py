@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import fields_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 
 if TYPE_CHECKING:
     from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # A joint angle above this, in rad, is taken for one in degrees.
 LARGEST_TURN = 30.0

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal, stats
 
+from closedloop.base.arrays import Array
 from closedloop.studies.identify.log import Log, LogError
-
-Array = NDArray[np.float64]
 
 # Rows at which the regressor is evaluated, at most; a longer log is evaluated at every third, fifth ... row.
 EVALUATIONS = 240_000

@@ -18,13 +18,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
+
+from closedloop.base.arrays import Array
 
 if TYPE_CHECKING:
     from closedloop.studies.identify.identify import Identification
-
-Array = NDArray[np.float64]
 
 # ε: a change of the logarithms by one weighs as much as a tenth of a standard deviation of one estimate.
 PULL = 0.01

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.files import reason_of
 from closedloop.base.optional import needs
 from closedloop.studies.identify.log import Log, LogError
@@ -17,8 +17,6 @@ from closedloop.studies.identify.log import Log, LogError
 if TYPE_CHECKING:
     from closedloop.record.run import Run
     from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # What columns are called in logs, in the order in which the names are tried.
 NAMES = {

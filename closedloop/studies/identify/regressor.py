@@ -28,13 +28,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.studies.identify.motion import Motion
 
 if TYPE_CHECKING:
     from robot_models import RobotModel
 
-Array = NDArray[np.float64]
 Columns = Callable[[Array, Array, Array], Array]
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")

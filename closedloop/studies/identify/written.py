@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.base.files import write_whole
 from closedloop.studies.identify.physical import physical
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from closedloop.studies.identify.identify import Identification
-
-
-Array = NDArray[np.float64]
 
 
 def report(found: Identification) -> list[str]:

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.base.files import what_was_written
@@ -31,8 +30,6 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate
 from closedloop.studies.study.posture import ELBOW_UP
 from closedloop.studies.study.results import write_results
-
-Array = NDArray[np.float64]
 
 SETTLED_FROM, BAND = 1.5, 0.05  # s, N
 RISES_AT, RISE, FORCE_STEP, END = 7.0, 0.05, 3.0, 9.0  # s, s, N, s; the path ends at 6.5 s

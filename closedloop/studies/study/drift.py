@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.base.files import what_was_written, write_whole
@@ -41,8 +40,6 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import run_loop, simulate
 from closedloop.studies.study.posture import ELBOW_UP
-
-Array = NDArray[np.float64]
 
 SCHEMES = ("semi_implicit_euler", "explicit_euler", "rk4")
 STABILISERS = ("none", "baumgarte", "projection", "both")

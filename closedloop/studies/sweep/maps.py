@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import OutputError, ScenarioError
 from closedloop.base.files import kind_of, reason_of, write_whole
 from closedloop.figures.style import COLOURS, styled
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 FIGURES = ("min_contact_force", "peak_contact_force", "rms_force_error", "max_abs_closure_error")
 # Values of a third key that are drawn as curves of their own.

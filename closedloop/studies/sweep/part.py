@@ -9,8 +9,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants
@@ -24,8 +24,6 @@ from closedloop.simulation.engines.law_source import law_digest
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

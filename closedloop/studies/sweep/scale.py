@@ -6,8 +6,8 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.style import length_unit
 from closedloop.scenario.units import typeset, with_unit
@@ -15,8 +15,6 @@ from closedloop.scenario.units import typeset, with_unit
 if TYPE_CHECKING:
     import pyarrow as pa
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 # Larger numbers are not drawn: the edges of cells, and what lies between two of them, would overflow.
 LARGEST = 1e150

@@ -26,8 +26,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import OutputError
 from closedloop.base.files import reason_of, remove_unfinished, write_whole
 from closedloop.record.difference import difference
@@ -35,8 +35,6 @@ from closedloop.studies.sweep.part_file import read_part, write_part
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 FORMAT = "closedloop sweep 2"
 DESCRIPTION, LOCK = "sweep.json", "lock"

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, OutputError, ScenarioError
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
@@ -26,8 +26,6 @@ from closedloop.simulation.batch.simulate_batch import simulate_batch
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.studies.analysis.linearise import linearise
 from closedloop.studies.tune.given import Limit, Varied, with_numbers
-
-Array = NDArray[np.float64]
 
 AT = "@"
 # Margins of the force loop at an instant, and how each is read.

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.gradient.keys import Keys, indexed
 from closedloop.studies.shares import number_at, share_of
-
-Array = NDArray[np.float64]
 
 _ENTRY = re.compile(r"(.+?)\[(\d+)\]")
 _LIMIT = re.compile(r"\s*([\w@.]+)\s*(<=|>=)\s*(\S+)\s*")

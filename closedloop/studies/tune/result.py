@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.units import key_unit
@@ -17,8 +17,6 @@ from closedloop.studies.tune.search import BINDS, Found
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

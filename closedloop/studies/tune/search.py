@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize, nnls
 from scipy.stats import qmc
 
-Array = NDArray[np.float64]
+from closedloop.base.arrays import Array
+
 # Takes points (P, n), each number from 0 to 1; returns the values (P, V) of V variations, and by how much each of K
 # constraints is violated (P, V, K), as a share of its limit, negative where it is met; NaN where there is no run.
 Evaluate = Callable[[Array], tuple[Array, Array]]

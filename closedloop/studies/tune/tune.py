@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
@@ -19,8 +18,6 @@ from closedloop.studies.tune.evaluate import Runs
 from closedloop.studies.tune.given import limit_of, varied
 from closedloop.studies.tune.result import Tuning
 from closedloop.studies.tune.search import MEAN, WORST, Found, Search
-
-Array = NDArray[np.float64]
 
 MOST_STARTS = 1000
 # By which share of its range each number is moved to say how sensitive the optimum is.

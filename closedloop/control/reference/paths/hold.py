@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.reference.path import Path
 from closedloop.control.reference.tip_path import TipPath
-
-Array = NDArray[np.float64]
 
 
 class Hold(Path):

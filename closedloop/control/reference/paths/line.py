@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import SPEED, Direction, Instant, Number
 from closedloop.control.reference.checks import direction_along, interval
 from closedloop.control.reference.curves import Straight
 from closedloop.control.reference.path import Path
 from closedloop.control.reference.timing import constant, minimum_jerk
 from closedloop.control.reference.tip_path import Segment, TipPath
-
-Array = NDArray[np.float64]
 
 
 class Line(Path):

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.lists import MotionInstants, Points
 from closedloop.control.reference.path import Path
 from closedloop.control.reference.segments import through
 from closedloop.control.reference.timing import constant, minimum_jerk
 from closedloop.control.reference.tip_path import TipPath
-
-Array = NDArray[np.float64]
 
 
 class Waypoints(Path):

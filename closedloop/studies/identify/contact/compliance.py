@@ -11,14 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.studies.identify.contact.found import FEWEST, Part, known, missed, one, spread, unknown
 from closedloop.studies.identify.contact.sensor import Sensor
 from closedloop.studies.identify.contact.touch import Windows
 from closedloop.studies.identify.fit import Fit
 from closedloop.studies.identify.identify import Estimate
 from closedloop.studies.identify.motion import Motion, white_noise
-
-Array = NDArray[np.float64]
 
 # The tip has to sink in by so many times the noise of its filtered height, and by this, m.
 NOISES, LEAST = 3.0, 1e-8

@@ -6,13 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, Mask
 from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.identify import WHITENESS_LEVEL, Estimate
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Windows that a fit needs.
 FEWEST = 20

@@ -11,15 +11,13 @@ not the same in all directions.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from closedloop.base.arrays import Array
 from closedloop.studies.identify.contact.found import FEWEST, SURE, Part, known, missed, one, spread, unknown
 from closedloop.studies.identify.contact.sensor import Sensor
 from closedloop.studies.identify.contact.touch import Windows
 from closedloop.studies.identify.regressor import NOISY
-
-Array = NDArray[np.float64]
 
 # Below this share of its largest speed a tip may stick.
 SLOW = 0.05

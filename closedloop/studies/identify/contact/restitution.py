@@ -10,14 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from closedloop.base.arrays import Array
 from closedloop.studies.identify.contact.found import Part, unknown
 from closedloop.studies.identify.identify import Estimate
 from closedloop.studies.identify.motion import white_noise
 
-Array = NDArray[np.float64]
 # Coefficients (4,) of cubics through more and more rows, with their covariances.
 Cubics = list[tuple[Array, Array]]
 

@@ -17,16 +17,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.audit import EDGE, expected_force
 from closedloop.studies.comparison.recording import Recording
 from closedloop.studies.identify.contact.found import FEWEST, Part, known, one, unknown
 from closedloop.studies.identify.contact.touch import Touch, Windows
 from closedloop.studies.identify.fit import fit
-
-Array = NDArray[np.float64]
 
 # A force that varies by less than so many times what is left tells neither gain nor delay.
 VARIES = 2.0

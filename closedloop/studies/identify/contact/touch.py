@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, Mask
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.recording import Recording
 from closedloop.studies.identify.log import Log
 from closedloop.studies.identify.motion import EVALUATIONS, Motion, motion, usual_cutoff, white_noise
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # A force above this share of its range is surely of a contact; it counts as one above the other, or this many noises.
 SURELY, LEAST, NOISES = 0.5, 0.02, 5.0

@@ -16,7 +16,6 @@ from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, seconds_to_compile, start, takes_long
 from closedloop.jit.interim import Interim, at_hand, call_now
-from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
 from closedloop.loop.events.impacts import collide
@@ -53,8 +52,6 @@ class Answers:
         The problem and its loop's memory.
     interim : bool
         Whether an impact may be computed interpreted while its law is not compiled yet.
-    interpreting : callable
-        Whether the loop is interpreted at present: what an impact with stops calls by address is then, too.
 
     Attributes
     ----------
@@ -64,10 +61,8 @@ class Answers:
         Time of the first impact, s, which may have compiled its law.
     """
 
-    def __init__(
-        self, problem: Problem, loop: Loop, interim: bool = False, interpreting: Callable[[], bool] = lambda: False
-    ) -> None:
-        self._problem, self._loop, self._interim, self._interpreting = problem, loop, interim, interpreting
+    def __init__(self, problem: Problem, loop: Loop, interim: bool = False) -> None:
+        self._problem, self._loop, self._interim = problem, loop, interim
         self.events: Array = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
         self.compiling, self._struck = 0.0, False
 
@@ -78,9 +73,7 @@ class Answers:
             return
         self._problem.set_restitution(self._loop)
         began = clock.perf_counter()
-        if self._interim and self._loop.state.settings.stops != 0:  # what it calls by address has the form of the loop
-            (interpreted(collide) if self._interpreting() else collide)(self._loop.address)
-        elif self._interim:
+        if self._interim:
             call_now(collide, (self._loop.state.memory, self._loop.w.memory), self._loop.address)
         else:
             collide(self._loop.address)

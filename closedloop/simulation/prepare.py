@@ -27,7 +27,7 @@ from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.rates import check_rates
-from closedloop.scenario.arm import beside_bodies, free_bodies, joint_friction_of, robot_of
+from closedloop.scenario.arm import beside_bodies, free_bodies, has_stops, joint_friction_of, robot_of
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
@@ -99,7 +99,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
-    placed = None if not scenario.contact else cache.get(
+    placed = None if not (scenario.contact or has_stops(scenario, model)) else cache.get(
         ("contacts", *_contacts_key(scenario), q.tobytes()), lambda: placed_contacts(scenario, robot, q),
         lambda placed: SECTION_BYTES * len(placed.start),
     )  # fmt: skip

@@ -235,7 +235,7 @@ def run_loop(
     connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
     arrays = problem.table, problem.integrator.tableau(), rows
     step, many = driver(problem, kernel, loop, arrays, engine, tree, at_once)
-    answers = Answers(problem, loop, interim, lambda: isinstance(kernel, Interim) and kernel.interpreting)
+    answers = Answers(problem, loop, interim)
 
     def finish(done: int) -> None:
         call = partial(call_now, complete_record, loop_memory) if interim else complete_record

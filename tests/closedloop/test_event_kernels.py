@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from random_loop import loop_at_random
 from scipy.optimize import brentq
-from test_joint_stops import after_moreau
 
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.impacts import apply_impact, collide
+from closedloop.loop.events.impacts import apply_impact
 from closedloop.loop.events.locate import refine_bracket, slip_margin
 from closedloop.loop.events.phases import (
     AFTER_EVENT,
@@ -22,12 +21,10 @@ from closedloop.loop.events.phases import (
     STEP_END,
 )
 from closedloop.loop.events.projection import project
-from closedloop.loop.events.stops import BEYOND, PULLING, measure_stops, reach_stops
 from closedloop.loop.events.substep import too_many_events
 from closedloop.loop.events.table import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, EventRow
 from closedloop.loop.events.transitions import apply_event, end_stick_or_slip, find_direction
-from closedloop.loop.step.closed_loops import factorise_tip
-from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.simulation.engines.failures import _rubs_without_end
 
@@ -90,70 +87,6 @@ def test_a_tip_that_lands_sticks_where_it_hardly_slips(slip):
     assert state.mode == (STUCK if stuck else PRESSED)
     np.testing.assert_array_equal(w.tip.anchor, w.tip.p if stuck else 0.0)
     np.testing.assert_allclose(w.friction.direction, slip / np.linalg.norm(slip) if any(slip) else [0.6, -0.8])
-
-
-def test_a_joint_strikes_its_stop_only_if_it_moves_there():
-    """One that is let go is at its stop with the rounding of a velocity; one that is beyond it has passed it."""
-    for beyond, speed, strikes in (
-        (0.0, 1e-17, False),
-        (0.0, 1e-9, True),
-        (1e-12, 1e-12, True),
-        (1e-12, -1e-12, False),
-    ):
-        for side in (1.0, -1.0):
-            loop, _, _ = loop_at_random("wam_bounce", {"robot.stops": True})
-            state, constants, w = loop.state, loop.constants, loop.w
-            limits = constants.upper_stop if side > 0.0 else constants.lower_stop
-            w.q[:], w.v[:] = limits + side * beyond, [0.0, side * speed, 0.0, 0.0]
-            assert interpreted(reach_stops)(w, constants, state) == strikes
-            np.testing.assert_array_equal(w.stops.side, [0.0, side * strikes, 0.0, 0.0])
-            assert w.q[1] == (limits[1] if strikes else limits[1] + side * beyond)
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize("pushes", [True, False])
-@pytest.mark.parametrize("left", [0.1, 3.0, -0.2])
-def test_the_margin_of_stops_is_what_is_left_of_the_way_and_of_their_torque(side, pushes, left):
-    """The least of the distances of free joints from their stops and, where a stop pulls, its torque, negative."""
-    loop, H, rng = loop_at_random("wam_bounce", {"robot.stops": True})
-    state, constants, w = loop.state, loop.constants, loop.w
-    constants.lower_stop[:], constants.upper_stop[:], w.joint_friction.torque[:], w.tip.F[:] = (
-        -4.0,
-        4.0,
-        0.3,
-        rng.normal(size=3),
-    )
-    w.contacts.torque[:] = 99.0  # of contacts that there are not
-    w.stops.side[:], w.q[:] = [0.0, side, 0.0, 0.0], [0.0, 4.0 * side, (4.0 - left) * -side, (4.0 - left) * side]
-    assert interpreted(factorise_tip)(H, w, constants, state) == 0
-    C, w.torque[:], torque = rng.normal(size=4), rng.normal(size=4), -side * (2.0 if pushes else -2.0)
-    w.qdd[:] = np.linalg.solve(H, w.torque + w.joint_friction.torque + w.tip.A.T @ w.tip.F + torque * np.eye(4)[1] - C)
-    interpreted(measure_stops)(H, C, w, constants, state)
-    np.testing.assert_allclose(w.stops.torque, torque * np.eye(4)[1], atol=1e-12)
-    expected = min(left + BEYOND, PULLING - side * torque)
-    assert w.stops.margin == pytest.approx(expected, abs=1e-12)
-
-
-def test_a_blow_at_the_tip_is_taken_by_the_stops_that_push():
-    """Of joints at stops those let go that would have to pull: q̇ is the nearest that stops and surface allow."""
-    loop, H, rng = loop_at_random("wam_bounce", {"robot.stops": True, "impact.restitution": 0.0})
-    state, constants, w = loop.state, loop.constants, loop.w
-    sides, left = np.array([0.0, 1.0, -1.0, 1.0]), set()
-    stops = [-sides[j] * np.eye(4)[j] for j in range(1, 4)]
-    w.tip.carried[:] = 0.0
-    while len(left) < 8:
-        w.tip.A[:], w.v[:], w.stops.side[:] = rng.normal(size=(3, 4)), rng.normal(size=4) * (sides == 0.0), sides
-        assert interpreted(factorise_tip)(H, w, constants, state) == 0
-        w.impact.before[:] = w.tip.A @ w.v
-        if w.impact.before[0] > 0.0:
-            continue
-        v, w.y[:] = w.v.copy(), rng.normal(size=4)
-        interpreted(collide)(state.address)
-        assert state.status == 0
-        np.testing.assert_array_equal(w.v, v)
-        interpreted(apply_impulse)(w.L, w.tip.X, w.impact.compression, w.scratch.column, w.v)
-        np.testing.assert_allclose(w.v, after_moreau(H, v, [], [*stops, w.tip.A[0]], 0.0), atol=1e-10)
-        left.add(tuple(w.stops.side))
 
 
 def no_rows(state):

@@ -48,7 +48,7 @@ def test_at_a_stop_that_holds_a_joint():
         robot__stops=True, start__q=[9.99, 0.0, 0.0], start__v=[0.5, 0.0, 0.0], law__kp=[0.0] * 3, law__kd=[0.0] * 3
     )
     with pytest.raises(
-        cl.SimulationError, match=r"^linearise: joint X is at its stop at t = 0\.09 s, which is not lin"
+        cl.SimulationError, match=r"^linearise: at t = 0\.09 s joint X is at its stop, which is not lin"
     ):
         cl.linearise(scenario, at=0.09)
     assert len(cl.linearise(scenario, at=0.01).states) > 0

@@ -8,7 +8,7 @@ import robot_models
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.loops.drives import through_drives
-from closedloop.mechanics.loops.factor import PIVOT, factor, fewest_entries, force_of, meet, order_of, smallest_share
+from closedloop.mechanics.loops.factor import PIVOT, factor, fewest_entries, meet, order_of, smallest_share
 from closedloop.mechanics.loops.solve import basis_alike, basis_in_metric, leave_free, take_free
 from closedloop.mechanics.robot.pinocchio import Robot
 
@@ -28,22 +28,19 @@ def give_rows(rows, rank, rng):
 
 
 def test_factors_and_basis_are_those_of_the_rows(memory):
-    """Rank, motions that meet the rows, forces of the rows, and P in both metrics, by either basis."""
+    """Rank, motions that meet the rows, and P in both metrics, by either basis."""
     links, rows = memory
     for rank in range(N + 1):
         rng = np.random.default_rng(rank)
         give_rows(rows, rank, rng)
         scale = 1.0 / rows.scale
-        x, force = rng.normal(size=N), rng.normal(size=M)
+        x = rng.normal(size=N)
         interpreted(factor)(links, rows, rows.G @ x, M)
         assert links.rank == rank
         np.testing.assert_allclose((rows.G @ rows.met - rows.G @ x) / scale, 0.0, atol=1e-10)
         rows.met[:] = np.nan
         interpreted(meet)(links, rows, rows.G @ x)
         np.testing.assert_allclose((rows.G @ rows.met - rows.G @ x) / scale, 0.0, atol=1e-10)
-        torque = rows.G.T @ force
-        interpreted(force_of)(links, rows, torque)
-        np.testing.assert_allclose(rows.G.T @ rows.force, torque, atol=1e-10 * (1.0 + np.abs(torque).max()))
         L = np.tril(rng.normal(size=(N, N))) + 5.0 * np.eye(N)
         for metric in (np.eye(N), L, np.tril(L, -1) + np.eye(N)):
             if metric is L or metric[1, 0]:

@@ -7,7 +7,6 @@ locate       event functions, and the bracket around the instant of an event
 transitions  what an event does to the state and the contact mode
 impacts      impulses of the tip, and the rows of the table
 contacts     events of the contacts of the links
-stops        joints that reach their stops and leave them
 projection   a state moved onto the closure
 table        the table of events
 """

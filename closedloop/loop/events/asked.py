@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.locate import event_function, slip_margin
 from closedloop.loop.events.phases import FAILED, TERMS
-from closedloop.loop.events.stops import measure_stops
 from closedloop.loop.events.substep import save_state
 from closedloop.loop.step.contacts import WATCH
 from closedloop.loop.step.energy_supplied import power
@@ -33,8 +32,6 @@ def answer_asked(
     """
     alone = state.together == 0
     if alone and state.asked != DERIVE:
-        if state.settings.stops != 0:
-            measure_stops(H, C, w, constants, state)
         state.status = ask_contacts(state, WATCH)
         if state.status != OK:
             return FAILED
@@ -43,10 +40,7 @@ def answer_asked(
     elif state.asked == BEGIN_STEP:
         save_state(w, constants, state)
     elif state.asked == EVENT_VALUE:
-        stop = w.stops.margin  # an event of its own here
-        w.stops.margin = np.inf
         w.search.value = event_function(w, constants, state)
-        w.stops.margin = stop
         if state.friction.sticking == RIGID_STICK and state.mode == PRESSED and alone:
             begun, band = w.start.slip_speed, constants.capture_speed
             if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`

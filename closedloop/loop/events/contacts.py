@@ -1,9 +1,9 @@
 """Events of the contacts of the links: at one instant several may come together, part, slip or stick.
 
-While the contacts of links are open the tip and the stops are solved by themselves (`State.together` is 0), and what is
-here begins once one of them closes. First contacts that come together strike each other; then, with the terms of the
-state after that, the modes of all contacts are found (`closedloop.mechanics.contacts`). Each contact to which something
-happened has its own row in the table.
+The stops of joints are contacts, too. While all but the tip's are open the tip is solved by itself (`State.together` is
+0), and what is here begins once one of them closes. First contacts that come together strike each other; then, with
+the terms of the state after that, the modes of all contacts are found (`closedloop.mechanics.contacts`). Each contact
+to which something happened has its own row in the table.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
-from closedloop.mechanics.contacts.modes import HOVERING, TOUCHING, open_margin, touches
+from closedloop.mechanics.contacts.modes import TOUCHING, open_margin, touches
 from closedloop.mechanics.contacts.soft import stored_in
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         return ENLARGE_TABLE
     if state.together == 0:
         if pass_beside(links, c):
-            join_tip(w, links, c, constants, state)
+            join_tip(w, c, state)
         request_terms(state, AT_EVENT if state.together != 0 else AFTER_EVENT)
         return NEED_TERMS
     count_event(w, state)
@@ -78,7 +78,7 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
 def pass_beside(links: ContactLinks, c: Contacts) -> bool:
     """Let open contacts of links that come to their surface's level beyond its edge pass; whether others close."""
     closes = False
-    for i in range(1, links.points):
+    for i in range(1, links.points + links.stops):
         if open_margin(c, i) <= TOUCHING:
             c.past_edge[i] = 1.0 if c.inside[i] < 0.0 else 0.0
             closes = closes or c.past_edge[i] == 0.0
@@ -140,7 +140,7 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         state.mode = int(c.mode[0])
         w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
         if open_but_tip(links, c):
-            leave_tip(w, links, c, constants, state)
+            leave_tip(w, links, c, state)
         elif started and off_surfaces(links, c):
             state.projections, state.next_phase = 0, AFTER_EVENT
             request_terms(state, PROJECTION)
@@ -182,33 +182,25 @@ def stopped_by_others(links: ContactLinks, c: Contacts) -> bool:
 
 @kernel
 def open_but_tip(links: ContactLinks, c: Contacts) -> bool:
-    """Whether the contacts of links are all open: the tip and the stops are then solved by themselves."""
+    """Whether the contacts of links are all open, and no joint is at a stop: the tip is then solved by itself."""
     closed = 0
-    for i in range(1, links.points):
+    for i in range(1, links.points + links.stops):
         closed += 1 if c.mode[i] != FREE else 0
     return closed == 0
 
 
 @kernel
-def join_tip(w: Work, links: ContactLinks, c: Contacts, constants: Constants, state: State) -> None:
-    """Let the tip and the stops, as they are, take part where all contacts are solved together."""
-    state.together, w.stops.margin = 1, math.inf
+def join_tip(w: Work, c: Contacts, state: State) -> None:
+    """Let the tip, as it is, take part where all contacts are solved together."""
+    state.together = 1
     c.mode[0], c.cleared[0], c.friction.start_slip[0] = state.mode, state.cleared, w.start.slip_speed
     c.floor[0], c.event.turned[0] = min(w.tip.gap, 0.0), 0.0
     c.direction[0, 0], c.direction[0, 1] = w.friction.direction[0], w.friction.direction[1]
-    for i in range(links.points, links.points + links.stops):
-        j = int(c.joint[i])
-        held = w.stops.side[j]
-        low, high = w.q[j] - constants.lower_stop[j], constants.upper_stop[j] - w.q[j]
-        c.mode[i], c.side[i] = (FREE, 1.0) if held == 0.0 else (PRESSED, -held)
-        c.floor[i] = min(low, high, 0.0)
-        c.cleared[i] = 1.0 if min(low, high) > HOVERING else 0.0
-        w.stops.side[j], w.stops.torque[j] = 0.0, 0.0
 
 
 @kernel
-def leave_tip(w: Work, links: ContactLinks, c: Contacts, constants: Constants, state: State) -> None:
-    """Let the tip and the stops, as they are, be solved by themselves: the contacts of links are open."""
+def leave_tip(w: Work, links: ContactLinks, c: Contacts, state: State) -> None:
+    """Let the tip, as it is, be solved by itself: all other contacts are open."""
     state.together, state.event.kind, state.cleared, links.stepped = 0, 0, int(c.cleared[0]), 0
     w.contacts.power, w.contacts.power_rate = 0.0, 0.0
     w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
@@ -216,10 +208,6 @@ def leave_tip(w: Work, links: ContactLinks, c: Contacts, constants: Constants, s
         w.contacts.torque[j] = 0.0
     for i in range(3 * links.k):
         c.F[i] = 0.0
-    for i in range(links.points, links.points + links.stops):
-        j = int(c.joint[i])
-        w.stops.side[j] = 0.0 if c.mode[i] == FREE else -c.side[i]
-        w.q[j] = min(max(w.q[j], constants.lower_stop[j]), constants.upper_stop[j])
 
 
 @kernel

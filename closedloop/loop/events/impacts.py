@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import row_of
 from closedloop.loop.events.phases import MAX_RAPID
-from closedloop.loop.events.stops import MOST_TRIALS, note_sides, yield_stops
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN, write_event
 from closedloop.loop.step.entries import RESTART
 from closedloop.loop.step.evaluate import call_law
@@ -90,14 +89,7 @@ def collide(address: int) -> None:
         mu, rest = friction_of_impact(links, c, state.striking), own_rest_speed(c, state.striking, constants.rest_speed)
         strike_surface(c.scratch.slope, mu, rest, w, constants, state)
         return
-    if state.settings.stops == 0:
-        strike_surface(w.tip.S, constants.impact_friction, constants.rest_speed, w, constants, state)
-        return
-    note_sides(w)
-    for _ in range(MOST_TRIALS):
-        strike_surface(w.tip.S, constants.impact_friction, constants.rest_speed, w, constants, state)
-        if state.status != OK or not yield_stops(w, state):
-            return
+    strike_surface(w.tip.S, constants.impact_friction, constants.rest_speed, w, constants, state)
 
 
 @kernel

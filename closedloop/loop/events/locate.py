@@ -44,17 +44,17 @@ JUMP, AT_REST = 1e-3, 1.001e3 * STILL
 def event_function(w: Work, constants: Constants, state: State) -> float:
     """Return the event function, positive as long as nothing changes: a gap, m, a force, N, or a speed, mm/s.
 
-    Of joints with stops `Stops.margin` counts too, rad (m) or N m (N), and the gaps of open contacts of links where
-    one of them closes in the substep (`Trial.watched`): elsewhere they must not choose the instants that are tried.
+    The gaps of open contacts of links, and of stops, count too where one of them closes in the substep
+    (`Trial.watched`): elsewhere they must not choose the instants that are tried. That of a tip which has just left
+    the surface does not count then: it is rounding.
     """
     if state.together != 0:
         return float(w.contacts.margin)
-    stops: float = w.stops.margin
-    if state.trial.watched != 0:
-        stops = min(stops, float(w.contacts.margin))
+    others = float(w.contacts.margin) if state.trial.watched != 0 else np.inf
     if state.mode == FREE:
-        return min(float(w.tip.gap) if state.past_edge == 0 else 1.0, stops)
-    least: float = min(w.tip.rigid_force if state.settings.unilateral != 0 else 1.0, stops)
+        counts = state.past_edge == 0 and (state.trial.watched == 0 or state.cleared != 0)
+        return min(float(w.tip.gap) if counts else 1.0, others)
+    least: float = min(w.tip.rigid_force if state.settings.unilateral != 0 else 1.0, others)
     if w.tip.inside < least:
         least = w.tip.inside
     if state.friction.sticking in (RIGID_STICK, SPRING_STICK):

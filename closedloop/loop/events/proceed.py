@@ -67,7 +67,6 @@ from closedloop.loop.events.phases import (
     request_terms,
 )
 from closedloop.loop.events.projection import project
-from closedloop.loop.events.stops import measure_stops
 from closedloop.loop.events.substep import (
     advance_friction,
     check_stage,
@@ -135,7 +134,7 @@ def proceed(
         state.phase = STEP_END
         return TERMS
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
-    free = state.mode == FREE and state.settings.stops == 0 and state.together == 0
+    free = state.mode == FREE and state.together == 0
     state.begins = 1 if phase in (STEP_END, PART_END, AFTER_EVENT) else 0
     if phase in (STEP_END, PART_END, STAGE, AFTER_EVENT, ASKED) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows)
@@ -144,8 +143,6 @@ def proceed(
             return FAILED
         if phase == ASKED:
             return answer_asked(H, C, w, constants, state, table, rows)
-        if state.settings.stops != 0 and state.together == 0 and phase != STAGE:
-            measure_stops(H, C, w, constants, state)
     elif phase != IMPULSES_KNOWN:
         status = locate_tip(w, constants, state)
         if status != OK:

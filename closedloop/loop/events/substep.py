@@ -318,13 +318,10 @@ def check_step(w: Work, drift: float, state: State) -> int:
             trial = LOCATE_MINIMUM  # down and up again: locate the lowest point
         if w.tip.gap > leaving:
             state.cleared = 1
-    if state.together == 0:
-        if w.stops.margin < 0.0:
-            trial = REACH_EVENT if here else LOCATE_EVENT
-        if w.contacts.margin < 0.0:
-            trial, state.trial.watched = REACH_EVENT if here else LOCATE_EVENT, 1
-            w.start.value = min(w.start.value, w.start.contact_margin)
-            w.search.value = min(w.search.value, w.contacts.margin)
+    if state.together == 0 and w.contacts.margin < 0.0:
+        trial, state.trial.watched = REACH_EVENT if here else LOCATE_EVENT, 1
+        w.start.value = min(w.start.value, w.start.contact_margin)
+        w.search.value = min(w.search.value, w.contacts.margin)
     state.trial.purpose = trial
     if trial == NO_TRIAL:
         return BEGIN_SUBSTEP

@@ -31,28 +31,18 @@ from closedloop.loop.events.phases import (
     TOUCHING,
     request_terms,
 )
-from closedloop.loop.events.stops import (
-    BEYOND,
-    REACHED,
-    energy_of_jump,
-    reach_stops,
-    release_stops,
-)
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
 from closedloop.loop.events.table import (
     EDGE,
     LIFTOFF,
-    RELEASE,
     REVERSAL,
     SLIP_AGAIN,
     STICK,
-    STOP,
     TOUCHDOWN,
 )
 from closedloop.loop.step.closed_loops import factorise_tip
-from closedloop.loop.step.entries import LIMIT, RESTART, SLIDE
+from closedloop.loop.step.entries import LIMIT, SLIDE
 from closedloop.loop.step.entries import STICK as END_OF_SLIP
-from closedloop.loop.step.evaluate import call_law
 from closedloop.loop.step.locate import set_anchor
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.loop.step.soft_contact import rub_softly, spring_energy
@@ -104,7 +94,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
             return NEED_TERMS
     elif would_pull(w, state) or (state.mode == STUCK and cone_margin(w, state) < 0.0):
         return APPLY_EVENT
-    if min(w.stops.margin, w.contacts.margin) < 0.0:
+    if w.contacts.margin < 0.0:
         return APPLY_EVENT
     return resume_step(w, constants, state)
 
@@ -136,23 +126,6 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         w.impact.compression[i] = 0.0
         w.impact.decompression[i] = 0.0
     w.impact.discarded_rebound, w.impact.restitution_given, w.impact.energy_rested = 0.0, 0.0, 0.0
-    if w.stops.margin < BEYOND + REACHED:
-        if reach_stops(w, constants, state):
-            state.event.kind = STOP
-            log_event(w, constants, state, events, energy_of_jump(w))
-            call_law(state, RESTART)
-            request_terms(state, AFTER_EVENT)
-            return NEED_TERMS
-        if release_stops(w):
-            state.event.kind = RELEASE
-            log_event(w, constants, state, events, 0.0)
-            request_terms(state, AFTER_EVENT)
-            return NEED_TERMS
-    if (
-        state.settings.stops != 0 and state.mode == FREE and w.tip.gap > TOUCHING + REACHED
-    ):  # it was for a stop, and there is none
-        request_terms(state, AFTER_EVENT)
-        return NEED_TERMS
     if state.mode == FREE:
         # At the end of a step of first order the gap may be negative and the velocity upwards: contact, no impulse.
         state.phase, state.event.kind = IMPULSES_KNOWN, TOUCHDOWN

@@ -20,22 +20,20 @@ from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.memory import Constants, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.contact_force import factorise
-from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, back_substitute, forward_substitute
+from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, forward_substitute
 from closedloop.mechanics.loops.close import close_state
 from closedloop.mechanics.loops.drives import through_drives
-from closedloop.mechanics.loops.factor import factor, force_of
-from closedloop.mechanics.loops.memory import STOP, LoopLinks, LoopRows, loops_at
-from closedloop.mechanics.loops.passing import find_basis, find_required_on_the_way
+from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
+from closedloop.mechanics.loops.passing import find_required_on_the_way
 from closedloop.mechanics.loops.solve import (
     leave_free,
-    multiply_transposed,
     take_free,
 )
 
 Array = NDArray[np.float64]
 
 # What the loops are asked for.
-BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, IMPULSE, BIND_SEEN = range(9)
+BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, BIND_SEEN = range(7)
 
 
 @kernel_inlined
@@ -60,14 +58,10 @@ def closed_loops(address: int, what: int) -> int:
     CLOSE           move q and q̇ to the nearest state that the loops allow
     REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
                     tip's drift what BIND_TIP has added
-    STOP_TORQUE     write the torque of the stops, of `column` as for REACTION
-    IMPULSE         change q̇ by the impulses of loops and stops that it does not obey
     BIND_SEEN       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
-    for j in range(links.n if links.stops > 0 else 0):
-        rows.held[j] = w.stops.side[j]
     if what == BIND_TIP:
         bind_tip(links, rows, w, w.L, w.tip.X, w.tip.S)
         for k in range(3):
@@ -84,13 +78,9 @@ def closed_loops(address: int, what: int) -> int:
     elif what == BIND_ANSWER:
         leave_free(links, rows, w.scratch.column)
     elif what == DRIVE:
-        drive(links, rows, w.torque)
+        through_drives(links, rows, w.torque)
     elif what == CLOSE:
         close_state(links, rows, w.q, w.v)
-    elif what == STOP_TORQUE:
-        stop_torque(links, rows, w)
-    elif what == IMPULSE:
-        apply_impulses(links, rows, w)
     else:
         reaction(links, rows, w)
         for k in range(3):
@@ -121,23 +111,6 @@ def bind_tip(links: LoopLinks, rows: LoopRows, w: Work, L: Array, X: Array, S: A
 
 
 @kernel
-def drive(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
-    """Do `through_drives` with the rows located last, those of stops apart: a stop does not pass a torque on."""
-    held = False
-    for j in range(links.n if links.stops > 0 and links.undriven > 0 else 0):
-        held = held or rows.held[j] != 0.0
-    if not held:
-        through_drives(links, rows, torque)
-        return
-    m, rank = links.m, links.rank
-    links.m, links.ordered = m - links.stops, 0  # the rows of stops are the last
-    factor(links, rows, rows.drift, links.m)
-    through_drives(links, rows, torque)
-    links.m, links.ordered = m, 0
-    factor(links, rows, rows.drift, rank)
-
-
-@kernel
 def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Replace `column`, what is missing in the equation of motion, by the part of it that the loops can give."""
     forward_substitute(w.L, w.scratch.column, 0, links.n)
@@ -147,29 +120,6 @@ def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
         for j in range(i):
             s += w.L[i, j] * w.scratch.column[j]
         w.scratch.column[i] = s
-
-
-@kernel
-def stop_torque(links: LoopLinks, rows: LoopRows, w: Work) -> None:
-    """Write the torque of each stop that holds a joint, of what is missing in the equation of motion, `column`."""
-    sides = integers_at(links.bound, 3 * links.m)
-    force_of(links, rows, w.scratch.column)
-    for k in range(links.m):
-        if sides[k] == STOP:
-            w.stops.torque[sides[links.m + k]] = rows.force[k]
-
-
-@kernel
-def apply_impulses(links: LoopLinks, rows: LoopRows, w: Work) -> None:
-    """Change q̇ by the smallest impulse, in the measure of H, after which all rows are obeyed: no rebound."""
-    find_basis(links, rows, w.L, w.q, w.v)
-    for j in range(links.n):
-        rows.part[j] = w.v[j]
-    multiply_transposed(w.L, rows.part, links.n)
-    take_free(links, rows, rows.part)
-    back_substitute(w.L, rows.part, 0, links.n)
-    for j in range(links.n):
-        w.v[j] -= rows.part[j]
 
 
 @kernel

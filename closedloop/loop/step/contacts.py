@@ -21,6 +21,7 @@ from closedloop.loop.step.contact_rows import (
     locate_contacts,
     locate_joints,
     locate_points,
+    locate_stops,
     place_contacts,
 )
 from closedloop.loop.step.locate import set_anchor
@@ -80,7 +81,7 @@ def contacts_in_step(address: int, what: int) -> int:
     """Answer for the contacts, by the address of their memory; return a status of `closedloop.mechanics.closure.solve`.
 
     FORCE    write the forces at the state in `Work`, q̈, and the margin of the event function
-    WATCH    write the gaps of the links' contacts, all of them open, and the least as that margin
+    WATCH    write the gaps of the links' contacts and of the stops, all of them open, and the least as that margin
     SAVE     keep what a substep begins with
     PLACE    write where the contacts are, and which of them strikes alone
     IMPULSE  apply the impulses of contacts that come together to q̇; `happened` says what
@@ -99,8 +100,9 @@ def contacts_in_step(address: int, what: int) -> int:
             status = contact_forces(links, c, w, constants, state)
     elif what == WATCH:
         status = locate_points(links, c, w, constants, state)
+        locate_stops(links, c, w, constants)
         c.margin = math.inf
-        for i in range(1, links.points):
+        for i in range(1, links.points + links.stops):
             c.margin = min(c.margin, open_margin(c, i))
         w.contacts.margin = c.margin
     elif what == SAVE:
@@ -140,6 +142,7 @@ def contacts_in_step(address: int, what: int) -> int:
             status = begin_time_step(links, c, w.time)
         forget_joints(links, c)
         move(links, c, w)
+        put_at_stops(links, c, w, constants)
         if c.mode[0] == STUCK and c.event.happened[0] != 0.0:
             set_anchor(w, state)
         give_states(links, c, w.z)
@@ -289,6 +292,8 @@ LAST, MOST_OF = 1.0 / 4.0, 0.9
 MOST_TURN, UNTURNED = 0.25, 1e-6
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
+# A joint this near to its stop is at it, rad (m).
+AT_STOP = 1e-12
 # The speed of slip below which it is none, m/s: it ends if it becomes less, in a step, by more than to this share.
 STICK_SPEED, FADED = 1e-7, 0.5
 
@@ -429,6 +434,15 @@ def move(links: ContactLinks, c: Contacts, w: Work) -> None:
     answer(links, c, w)
     for j in range(links.n):
         w.v[j] += w.scratch.column[j]
+
+
+@kernel
+def put_at_stops(links: ContactLinks, c: Contacts, w: Work, constants: Constants) -> None:
+    """Put joints that are at their stops, but for the rounding of an instant, exactly there."""
+    for i in range(links.points, links.points + links.stops):
+        j = int(c.joint[i])
+        if c.mode[i] != FREE and abs(c.located[3 * i]) <= AT_STOP:
+            w.q[j] = constants.lower_stop[j] if c.side[i] > 0.0 else constants.upper_stop[j]
 
 
 @kernel

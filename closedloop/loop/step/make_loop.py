@@ -65,5 +65,5 @@ def make_loop(
     state.friction.size, state.joint_friction.size, state.compliance.size = friction, joint_friction, compliance
     state.addresses.constants, state.addresses.constants_size = address_of(constants.memory), constants.memory.size
     state.addresses.work, state.addresses.work_size = address_of(w.memory), w.memory.size
-    w.stops.margin = w.contacts.margin = w.tip.inside = np.inf  # of what there may not be: it is nowhere near
+    w.contacts.margin = w.tip.inside = np.inf  # of what there may not be: it is nowhere near
     return Loop(state, constants, w)

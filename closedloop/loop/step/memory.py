@@ -31,7 +31,6 @@ from closedloop.loop.step.records import (
     Search,
     Sensing,
     Start,
-    Stops,
     Supply,
     TipContact,
     TipFriction,
@@ -111,7 +110,6 @@ class Settings(Block):
     drives: int  # 1 if the drives have limits
     arm_at: int  # where in a row there is a `closedloop.loop.step.record_row.ArmRow`; 0: nowhere
     states_at: int  # where in a row the states of law and compensation are; 0: nowhere
-    stops: int  # 1 if the joints have stops
     balls: int  # ball joints
     feed_forward: int  # whether the law is told of the joints' desired acceleration
 
@@ -191,7 +189,6 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     s_p: float
     restitution: float
     rest_speed: float
-    stop_restitution: float  # of joints at their stops
     impact_friction: float
     stick_speed: float
     capture_speed: float  # up to which sticking is tried, m/s
@@ -247,7 +244,6 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     qdd: Annotated[Array, N]
     y: Annotated[Array, N]  # L⁻¹(Q − C)
     contacts: LinkContacts
-    stops: Stops
     J: Annotated[Array, 3, N]  # base axes
     reference: Reference  # at this instant
     qdd_des: Annotated[Array, N]  # see `closedloop.loop.step.reference_row.desired_acceleration`

@@ -95,16 +95,6 @@ class LinkContacts(Block, sizes=("n",)):
     torque: Annotated[Array, N]  # of the same forces, N m (N)
 
 
-class Stops(Block, sizes=("n",)):
-    """Joints at their stops, see `closedloop.loop.events.stops`."""
-
-    margin: float  # negative once a joint is beyond its stop, rad (m), or is pulled by it, N m (N)
-    side: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
-    torque: Annotated[Array, N]  # what the stops give, N m (N)
-    before: Annotated[Array, N]  # q̇ before an impact, rad/s (m/s), and the sides
-    held: Annotated[Array, N]
-
-
 class JointFriction(Block, sizes=("n",)):
     """Friction in the joints: what it is asked of each, and its answer −dry − viscous, N m (N)."""
 

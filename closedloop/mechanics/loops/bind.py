@@ -15,7 +15,6 @@ from closedloop.mechanics.loops.memory import (
     IDLE,
     POSITION,
     ROTATION,
-    STOP,
     Bound,
     LoopMemory,
     make_loop_memory,
@@ -37,8 +36,8 @@ NO_ROW = 1e-11
 
 
 @lru_cache(maxsize=8)
-def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
-    """Return what the loop joints of a robot bind, and if asked for the stops of its joints."""
+def bound_by_loops(robot: Robot) -> Bound:
+    """Return what the loop joints of a robot bind."""
     model, tree = robot.model, robot.tree
     poses = link_poses(tree, model.home)
     rows: list[tuple[int, int, int, Array, Array, Array, Array, Array]] = []
@@ -58,9 +57,6 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
         rows += [(POSITION, a, b, at_a, at_b, zero, axes_b[:, i], none) for i in positions]
         for i, j in rotations:
             rows.append((ROTATION, a, b, at_a, at_b, axes_a[:, j], _sign(i, j) * axes_b[:, i], none))
-    if stops:
-        for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
-            rows.append((STOP, j, -1, zero, zero, zero, zero, np.array([low, high, 0.0, 0.0, 0.0])))
     kinds, one_sides, other_sides, *parts = zip(*rows, strict=True)
     undriven = (~model.driven).astype(np.float64)
     at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
@@ -87,8 +83,7 @@ def _lengths(tree: Tree, bound: Bound) -> tuple[NDArray[np.bool_], Array]:
     That is the longest that each is at some postures; at others, where the mechanism lies flat, it may be nothing.
     """
     memory, random = make_loop_memory(tree, bound), np.random.default_rng(0)
-    stops = bound.sides[: bound.m] == STOP
-    idle, lengths = ~stops, stops.astype(np.float64)
+    idle, lengths = np.ones(bound.m, dtype=np.bool_), np.zeros(bound.m)
     for _ in range(POSTURES):
         memory.rows.q[:] = random.normal(size=tree.n)
         interpreted(locate_rows)(memory.links, memory.rows)
@@ -103,9 +98,9 @@ def loop_memory(robot: Robot) -> LoopMemory:
     return make_loop_memory(robot.tree, bound_by_loops(robot))
 
 
-def step_memory(robot: Robot, stops: bool) -> LoopMemory:
-    """Return the same for the steps of a run: without rows that no joint can move, and with stops if asked for."""
-    bound = bound_by_loops(robot, stops)
+def step_memory(robot: Robot) -> LoopMemory:
+    """Return the same for the steps of a run: without rows that no joint can move."""
+    bound = bound_by_loops(robot)
     sides = bound.sides.reshape(4, -1)
     moving = sides[0] != IDLE
     parts = {name: getattr(bound, name)[moving] for name in ("at_a", "at_b", "along_a", "along_b", "value", "scale")}

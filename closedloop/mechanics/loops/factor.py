@@ -188,26 +188,6 @@ def meet(links: LoopLinks, rows: LoopRows, b: Array) -> None:
 
 
 @kernel
-def force_of(links: LoopLinks, rows: LoopRows, t: Array) -> None:
-    """Write forces (m,) of the rows with Gᵀ force = t (n,), zero of dependent rows."""
-    of_rows, joints = order_of(links)
-    F, x, rank = rows.factors, rows.along, links.rank
-    for k in range(rank):
-        s = t[joints[k]]
-        for i in range(k):
-            s -= F[k, i] * x[i]
-        x[k] = s * F[k, k]
-    for k in range(links.m):
-        rows.force[k] = 0.0
-    for k in range(rank - 1, -1, -1):
-        s = x[k]
-        for i in range(k + 1, rank):
-            s -= F[k, i] * x[i]
-        x[k] = s
-        rows.force[of_rows[k]] = rows.scale[of_rows[k]] * s
-
-
-@kernel
 def smallest_share(links: LoopLinks, rows: LoopRows) -> float:
     """Return how far the last of the independent rows is outside the span of the others, by its usual length.
 

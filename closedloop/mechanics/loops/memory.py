@@ -33,7 +33,6 @@ class LoopLinks(Block):
     spanned: int  # directions of the basis
     known: int  # how many were where the loops were closed last, 0: not known
     undriven: int  # joints without a drive
-    stops: int  # how many of the rows are stops of joints
     loop: int  # address of the memory of the loop that it is for, see `closedloop.loop.step.memory`; 0: none
     bound: int  # address of what each row binds, see `Bound.sides`
     order: int  # address of the rows and of the joints in the order of elimination
@@ -57,10 +56,9 @@ class LoopRows(Block, sizes=("n", "m")):
     at_b: Annotated[Array, M, 3]
     along_a: Annotated[Array, M, 3]  # and a direction
     along_b: Annotated[Array, M, 3]
-    value: Annotated[Array, M, 5]  # a distance, m; the coefficients of a gear; the lower and the upper stop of a joint
+    value: Annotated[Array, M, 5]  # a distance, m, or the coefficients of a gear
     scale: Annotated[Array, M]  # one over the usual length of each row
     undriven: Annotated[Array, N]  # 1 for a joint without a drive
-    held: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
     clear: Annotated[Array, M]  # of a point whose first error is above this, m, only errors and rates are written
     G: Annotated[Array, M, N]  # written, as all that follow: the rows, their drift, error and its rate
     drift: Annotated[Array, M]
@@ -71,7 +69,6 @@ class LoopRows(Block, sizes=("n", "m")):
     reduced: Annotated[Array, M, N + 1]  # the same solved for the joints that they determine: the free ones' part
     met: Annotated[Array, N]  # a motion that meets the rows
     along: Annotated[Array, M]  # scratch
-    force: Annotated[Array, M]  # forces of the rows
     basis: Annotated[Array, N, N]  # orthonormal, of P, see `closedloop.mechanics.loops.solve`
     share: Annotated[Array, N]  # scratch: coordinates in the basis
     part: Annotated[Array, N]  # L⁻ᵀ part is the acceleration that the rows require
@@ -98,7 +95,7 @@ class LoopRows(Block, sizes=("n", "m")):
 LOOP_LINKS = LoopLinks.count()
 
 # Kinds of rows, see `closedloop.mechanics.loops.rows`.
-POSITION, ROTATION, DISTANCE, GEAR, STOP, IDLE = range(6)
+POSITION, ROTATION, DISTANCE, GEAR, IDLE = range(5)
 
 
 @kernel
@@ -169,7 +166,6 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     scratch = np.zeros(plain(work_size)(tree.n))
     links.address, links.numbers, links.total = address_of(links.memory), address_of(rows.memory), rows.memory.size
     links.n, links.m, links.undriven = *sizes, int(bound.undriven.sum())
-    links.stops = int(np.count_nonzero(bound.sides[: bound.m] == STOP))
     order = np.arange(bound.m + tree.n, dtype=np.int64)
     links.bound, links.order = address_of(bound.sides), address_of(order)
     links.tree_blocks, links.tree_carrier, links.tree_serial = tree.blocks, tree.carrier, tree.serial

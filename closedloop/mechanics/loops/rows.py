@@ -1,12 +1,11 @@
 """The rows of loop joints at a state: G q̇ = 0 and G q̈ = −drift, with their error and its rate (Eqs. 1-6).
 
-A row is of one of six kinds. With a and b points of either side, and u and w directions fixed to them,
+A row is of one of five kinds. With a and b points of either side, and u and w directions fixed to them,
 
     POSITION    e = u·(a − b)       u fixed to the side of b: the two points stay together along u
     ROTATION    e = u·w             the two directions stay perpendicular
     DISTANCE    e = |a − b| − l
     GEAR        e = q1 − P(q2)      P a polynomial
-    STOP        e = q1 − limit      of a joint that is at a stop; of one that is not there is no row, but zeros
     IDLE        zeros               what no joint of the tree can move, as across a planar mechanism
 
 A loop joint of the paper is a set of them: its R (Eq. 2) has the forces of these rows as columns, and the drift is its
@@ -28,7 +27,6 @@ from closedloop.mechanics.loops.memory import (
     IDLE,
     POSITION,
     ROTATION,
-    STOP,
     LoopLinks,
     LoopRows,
     tree_at,
@@ -61,7 +59,7 @@ def place_rows(links: LoopLinks, rows: LoopRows) -> None:
 def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
     """Write the rows G and their error, and if asked for their drift and rate."""
     tree, work = tree_at(links), vector_at(links.scratch, links.scratch_size)
-    if links.m > links.stops:
+    if links.m > 0:
         sines(tree, rows.q, work)
         motion(tree, rows.v, work)
     sides = integers_at(links.bound, 4 * links.m)
@@ -83,14 +81,6 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
             continue
         if kind == IDLE:
             rows.error[k], rows.rate[k], rows.drift[k] = 0.0, 0.0, 0.0
-            continue
-        if kind == STOP:
-            side = rows.held[one]
-            there = 1.0 if side != 0.0 else 0.0
-            rows.G[k, one], rows.rate[k], rows.drift[k] = there, there * rows.v[one], 0.0
-            rows.error[k] = 0.0
-            if side != 0.0:
-                rows.error[k] = rows.q[one] - (rows.value[k, 1] if side > 0.0 else rows.value[k, 0])
             continue
         if kind == ROTATION:
             _rotation(tree, work, rows, k, one, other, moving)

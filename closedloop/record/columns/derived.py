@@ -26,9 +26,8 @@ from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.arm import has_stops, robot_of, stop_limits, without_tools
 from robot_models.coordinates import with_rotation_vectors
 
-# A joint nearer to its limit than this, rad (m), may be at its stop; among several contacts a stop is a contact too and
-# kept closed by the stabiliser.
-AT_STOP, AT_CONTACT = 1e-9, 1e-7
+# A joint nearer to its limit than this, rad (m), may be at its stop, where the stabiliser keeps it.
+AT_STOP = 1e-7
 # Labels of the parts of a wrench.
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
@@ -125,9 +124,8 @@ def stop_torque(run: Record) -> Array:
 def at_stop(run: Record) -> NDArray[np.bool_]:
     """Return which joints are at a stop in each row, (N, n); all False where there are no stops."""
     lower, upper = stop_limits(run.scenario, run.model)
-    near = AT_CONTACT if run.scenario.contact else AT_STOP
     q = loop_positions(run)
-    found: NDArray[np.bool_] = (q >= upper - near) | (q <= lower + near)
+    found: NDArray[np.bool_] = (q >= upper - AT_STOP) | (q <= lower + AT_STOP)
     return found
 
 

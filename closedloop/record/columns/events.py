@@ -41,7 +41,7 @@ class Event(NamedTuple):
         energy. It is 0 for all other events.
     contact : int
         Number of the contact: 0 is the tip; the scenario's sections [[contact]] follow in their order, and then the
-        joints that have stops. In a run without sections [[contact]] the number of a stop is 0.
+        joints that have stops.
     """
 
     time: float

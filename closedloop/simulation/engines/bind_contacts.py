@@ -13,10 +13,11 @@ from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
 from closedloop.jit.user_code import of_users
+from closedloop.loop.step.memory import Constants
 from closedloop.mechanics.contacts.edges import PARTNER, choose_crossing, edges_of
 from closedloop.mechanics.contacts.friction import STICKING, contact_frictions, coulomb_of, law_at, plain_friction
 from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
-from closedloop.mechanics.contacts.modes import HOVERING
+from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING
 from closedloop.mechanics.contacts.rolling import roll_on_plane, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.shapes import EDGE, SHAPE, Shapes, make_shape_memory, shape_of
@@ -186,6 +187,20 @@ def rest_states(scenario: Scenario, placed: ContactPlaces, v: Array, memory: Con
                 z[at : at + int(c.friction.states[i])] = law_at(*laws[i]).rested()
 
 
+def stops_at_start(memory: ContactMemory, constants: Constants, q: Array, v: Array) -> bool:
+    """Return whether a joint is at a stop at the start, at rest or leaving; one that moves on strikes it at once."""
+    links, c, held = memory.links, memory.contacts, False
+    for i in range(links.points, links.points + links.stops):
+        j = int(c.joint[i])
+        low, high = q[j] - constants.lower_stop[j], constants.upper_stop[j] - q[j]
+        if min(low, high) <= HOVERING:
+            moves_on = (v[j] if low <= high else -v[j]) < 0.0
+            if moves_on:
+                c.cleared[i], c.floor[i] = 1.0, min(low, high) + 2.0 * CLOSED_GAP
+            held = held or not moves_on
+    return held
+
+
 def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
     """Return the rows of each contact, see `ContactPlaces`."""
     poses = link_poses(robot.tree, robot.model.loop_home)
@@ -206,10 +221,9 @@ def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
     kinds = np.array(
         [*[POSITION] * m, *(a for a, _ in sides), *(b for _, b in sides), *[0, 1, 1] * len(sections)], dtype=np.int64
     )
+    points_a, points_b, directions = (np.array(rows, dtype=np.float64).reshape(m, 3) for rows in (at_a, at_b, along))
     none = np.zeros((m, 3))
-    return Bound(
-        kinds, np.array(at_a), np.array(at_b), none, np.array(along), np.zeros((m, 5)), np.ones(m), np.zeros(robot.n)
-    )
+    return Bound(kinds, points_a, points_b, none, directions, np.zeros((m, 5)), np.ones(m), np.zeros(robot.n))
 
 
 def shapes_of(sections: tuple[ContactSection, ...], robot: Robot) -> tuple[Array, Array]:

@@ -73,7 +73,7 @@ class Kind(NamedTuple):
 def kind_of(problem: Problem) -> Kind | None:
     """Return what a run must have in common with the others in its lanes; None for one that cannot use lanes."""
     scenario = problem.scenario
-    if not can_use_lanes(scenario) or problem.general or problem.bound or problem.mode != PRESSED:
+    if not can_use_lanes(scenario) or problem.general or problem.robot.model.loops or problem.mode != PRESSED:
         return None
     return Kind(
         scenario.surface.contact, scenario.time.integrator, problem.robot, problem.steps, problem.h, problem.nodes,

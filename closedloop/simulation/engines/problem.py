@@ -34,7 +34,7 @@ from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.simulation.engines.bind_ball import ball_memory
-from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states
+from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
 from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
@@ -91,12 +91,12 @@ class Problem(ScenarioNumbers):
             ball = ball_memory(self.robot, self.surface, self.scenario.tool.radius, state.address)
             state.ball.at = ball.links.address
             loop.w.keep_alive(ball=ball)
-        if self.bound:
-            loops = step_memory(self.robot, self.stopped)
+        if self.robot.model.loops:
+            loops = step_memory(self.robot)
             state.loops.at, loops.links.loop = loops.address, state.address
             loop.w.keep_alive(loops=loops)
         if self.robot.model.loops and state.settings.seen != 0:
-            seen = step_memory(self.robot, self.stopped)
+            seen = step_memory(self.robot)
             state.loops.seen_at, seen.links.loop = seen.address, state.address
             loop.w.keep_alive(seen_loops=seen)
         write_constants(self, loop.constants)
@@ -107,7 +107,8 @@ class Problem(ScenarioNumbers):
             points = len(self.scenario.contact or ())
             contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(points)
             contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
-            state.together = self.placed.starts_closed
+            held = stops_at_start(contacts, loop.constants, self.q, self.v)
+            state.together = int(self.placed.starts_closed or held)
             contacts.links.undecided = contacts.links.fresh = state.together
             loop.w.keep_alive(contacts=contacts)
         if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:

@@ -142,16 +142,6 @@ class ScenarioNumbers:
         return needs_general_form(self.scenario) or has_stops(self.scenario, model) or undriven
 
     @property
-    def bound(self) -> bool:
-        """Whether there are loops, or stops of joints that are rows beside those of loops."""
-        return bool(self.robot.model.loops) or self.stopped
-
-    @property
-    def stopped(self) -> bool:
-        """Whether joints have stops."""
-        return has_stops(self.scenario, self.robot.model)
-
-    @property
     def row_width(self) -> int:
         """Numbers in a recorded row."""
         contacts = len(self.scenario.contact or ())

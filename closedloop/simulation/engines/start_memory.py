@@ -36,7 +36,6 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
     constants.lower_stop[:], constants.upper_stop[:] = stop_limits(problem.scenario, robot.model)
     constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
-    constants.stop_restitution = problem.scenario.robot.stop_restitution
     constants.sensor[:], constants.support[:], constants.stick_speed = (
         problem.sensor.par.memory, robot.support, STICK_SPEED,
     )  # fmt: skip
@@ -74,7 +73,6 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
         sticking(problem.friction),
         sticking(problem.joint_friction),
     )
-    to.stops = problem.stopped
     to.feed_forward = problem.scenario.reference.orientation != "free"
     state.sensor.sampled = problem.sensor.sampled
     transmission = problem.scenario.transmission

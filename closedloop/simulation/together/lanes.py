@@ -28,7 +28,7 @@ def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: W
     members = problem.friction.member, problem.law.member
     asked = (
         settings.stages != 1, not settings.semi_implicit, settings.adaptive, settings.project, settings.encoder,
-        settings.elastic, settings.drives, settings.arm_at, settings.stops, settings.balls,
+        settings.elastic, settings.drives, settings.arm_at, settings.balls,
     )  # fmt: skip
     return (
         not jit_disabled()

@@ -135,13 +135,6 @@ def run_to(problem: Problem, row: int) -> Instant:
     stepper.back_to(mark)
     state, w = stepper.loop.state, stepper.loop.w
     contacts = contacts_of(problem, stepper.loop, row * h)
-    if problem.stopped and np.any(w.stops.side):
-        joint = problem.robot.joint_names[int(np.flatnonzero(w.stops.side)[0])]
-        raise SimulationError(
-            f"linearise: joint {joint} is at its stop at t = {row * h:g} s, which is not linearised; take another "
-            "instant",
-            row * h,
-        )
     values = {name: np.array(attrgetter(name)(w)) for name in KEPT}
     if state.settings.encoder != NO_ENCODER and state.phase == MEASURED:
         values |= {"q": np.array(w.encoders.true_q), "v": np.array(w.encoders.true_v)}

@@ -63,7 +63,7 @@ class AdaptiveRun:
         state = self.memory.state
         sticking, several = state.friction.sticking, state.contacts.at != 0
         self.may_rub = sticking != SMOOTH
-        ends = problem.surface.ends or state.settings.stops != 0 or several
+        ends = problem.surface.ends or several
         self.has_events = state.settings.unilateral != 0 or sticking == RIGID_STICK or ends
         self.instants = problem.h * np.arange(problem.steps + 1, dtype=np.float64)
         self.row, self.time, self.y = 0, 0.0, self.memory.get()
@@ -230,19 +230,14 @@ class AdaptiveRun:
 
             return at
 
-        # After liftoff the gap grows with the cube of time at first, no faster than the error; and so does the way of a
-        # joint from its stop.
-        leaving, stop = max(SHALLOW, 10.0 * self.tolerance), None
-        if state.settings.stops != 0 and state.together == 0:
-            stop = first_crossing(value("stops.margin"), length, leaving)
-            length = length if stop is None else stop
+        # After liftoff the gap grows with the cube of time at first, no faster than the error.
+        leaving, closes = max(SHALLOW, 10.0 * self.tolerance), None
         if state.contacts.entry != 0 and state.together == 0:
             closes = first_crossing(value("contacts.margin"), length)
-            if closes is not None:
-                stop = length = closes
+            length = length if closes is None else closes
         if state.mode != FREE or state.together != 0:
             event = first_crossing(value("search.value"), length)
-            return stop if event is None else event
+            return closes if event is None else event
         event = first_crossing(
             value("search.value"), length, SHALLOW if state.cleared != 0 else leaving, value("tip.rate")
         )
@@ -250,13 +245,13 @@ class AdaptiveRun:
             state.cleared = 1
             if state.settings.unilateral != 0 and w.tip.gap > leaving:
                 state.past_edge = 0
-        return stop if event is None else event
+        return closes if event is None else event
 
     def apply_event(self, within: Callable[[float], Array], event: float, interval: Interval) -> None:
         """Apply the event; the state is then that just after it."""
         memory, begin, later = self.memory, self.time, 0.0
         before, write_back = State(memory.state.memory.copy()), memory.copied()
-        again = before.mode != FREE or before.settings.stops != 0 or before.contacts.entry != 0
+        again = before.mode != FREE or before.contacts.entry != 0
         while True:
             self.time = begin + event + later
             self.time = memory.apply_event(self.time, within(self.time), interval)

@@ -43,6 +43,18 @@ def bar(name: str, steps: int) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextmanager
+def reporting(
+    progress: bool | Callable[[int, int], None] | None, name: str, total: int
+) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of (done, in all): `progress` itself, if it is True a bar, else one that shows nothing."""
+    if progress is True:
+        with bar(name, total) as report:
+            yield report
+    else:
+        yield progress or (lambda done, total: None)
+
+
+@contextmanager
 def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
     """Yield a function of (runs done, runs in all) that shows them with their rate and the time left.
 

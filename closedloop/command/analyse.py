@@ -6,12 +6,12 @@ Exit status: 0 done; 2 the input is at fault; 3 the run stops before the instant
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.base.files import made_folder, what_was_written
+from closedloop.base.plain import plain
 from closedloop.command.border import DONE, Parser, run_command
 
 if TYPE_CHECKING:
@@ -153,9 +153,7 @@ def _varied(
             "vary": [along.key, over.key],
             "boundary": [{along.key: value} | limit.as_dict() for value, limit in boundary],
         }  # fmt: skip
-    found["trials"] = [
-        {"values": t.values, "expected": t.expected, "seen": t.seen if math.isfinite(t.seen) else None} for t in trials
-    ]
+    found["trials"] = plain([asdict(trial) for trial in trials])
     if trials:
         lines += ["", f"beside it, from t = {study.base.time:g} s on:", *map(trial_line, trials)]
     return lines, found, drawn

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
 from closedloop.base.errors import OutputError
@@ -43,18 +44,8 @@ def _main(words: list[str]) -> int:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
-    if options.study == "drift":
-        from closedloop.studies.study import drift
-
-        drift.run(folder, quick=options.quick, as_json=options.json)
-    elif options.study == "surfaces":
-        from closedloop.studies.study import surfaces
-
-        surfaces.run(folder, quick=options.quick, as_json=options.json)
-    else:
-        from closedloop.studies.study import controllers
-
-        controllers.run(folder, quick=options.quick, as_json=options.json)
+    study = import_module(f"closedloop.studies.study.{options.study}")
+    study.run(folder, quick=options.quick, as_json=options.json)
     return DONE
 
 

@@ -13,6 +13,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
 from closedloop.base.interrupts import held_back
+from closedloop.base.progress import reporting
 from closedloop.jit.background import make_ready
 from closedloop.jit.interim import Interim, call_now, not_compiled_first
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
@@ -93,7 +94,8 @@ def simulate(
     try:
         with held_back(), not_compiled_first():
             problem = prepare(scenario, model)
-        rows, events, failure, seconds = _looped(problem, law, progress, engine)
+        with reporting(progress, problem.scenario.name, problem.steps) as report:
+            rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     except KeyboardInterrupt as stop:
         if problem is None:
             raise  # a second one, which does not wait
@@ -122,18 +124,6 @@ def simulate(
         failure.run = run
         raise failure
     return run
-
-
-def _looped(
-    problem: Problem, law: Law | None, progress: bool | Callable[[int, int], None], engine: str
-) -> tuple[Array, Array, SimulationError | None, float]:
-    """Step the problem, as `run_loop` does, and show how far it is."""
-    if progress is True:
-        from closedloop.base.progress import bar
-
-        with bar(problem.scenario.name, problem.steps) as report:
-            return run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
-    return run_loop(problem, law, progress or _silent, engine, keep_interrupted=True, interim=True)
 
 
 def with_own_columns(run: Run, record: Recorded) -> Run:

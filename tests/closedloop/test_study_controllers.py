@@ -7,7 +7,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.command.study import main
-from closedloop.studies.study import controllers
+from closedloop.studies.study import controllers, results
 
 
 def test_measures_of_known_signals():
@@ -96,7 +96,7 @@ def test_a_run_that_cannot_go_on_is_a_cell_with_its_reason(monkeypatch):
     def stop(scenario, engine):
         raise cl.DivergenceError("stopped at t = 1 s: the motion diverges", 1.0)
 
-    monkeypatch.setattr(controllers, "simulate", stop)
+    monkeypatch.setattr(results, "simulate", stop)
     row = controllers.cell("paper", "coulomb")
     assert "diverges" in row["reason"]
     assert np.isnan(row["force_rms"])

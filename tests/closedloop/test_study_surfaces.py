@@ -7,7 +7,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.command.study import main
-from closedloop.studies.study import surfaces
+from closedloop.studies.study import results, surfaces
 
 
 def test_measures_of_known_signals():
@@ -43,7 +43,7 @@ def test_a_run_that_cannot_go_on_is_a_cell_with_its_reason(monkeypatch):
     def stop(scenario, engine):
         raise cl.DivergenceError("stopped at t = 1 s: the motion diverges", 1.0)
 
-    monkeypatch.setattr(surfaces, "simulate", stop)
+    monkeypatch.setattr(results, "simulate", stop)
     row = surfaces.cell("paper", surfaces.BREATHING, None)
     assert "diverges" in row["reason"]
     assert surfaces.text_of(row, "force_rms") == "stopped"

@@ -8,7 +8,6 @@ contact, where the force jumps at an instant that moves with the step, and which
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
+from closedloop.base.plain import plain
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.columns.record import Record
 from closedloop.record.report.measures import MEASURES
@@ -88,8 +88,8 @@ def _column(run: Record, column: Array, other: Array, name: str) -> dict[str, An
         off = np.linalg.norm(off, axis=1) if vector else np.max(off, axis=1)
     at = int(np.argmax(off))
     return {
-        "max": _number(off[at]),
-        "rms": _number(np.sqrt(np.mean(off * off))),
+        "max": plain(off[at]),
+        "rms": plain(np.sqrt(np.mean(off * off))),
         "unit": run.units(name),
         "at": float(run.time[at]),
     }
@@ -139,11 +139,7 @@ def measured_step_error(halved: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def _largest(off: Array) -> float | None:
-    return _number(np.max(off)) if off.size else None
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return plain(np.max(off)) if off.size else None
 
 
 def halved_rows(halved: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:

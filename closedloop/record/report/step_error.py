@@ -40,6 +40,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.base.plain import plain
 from closedloop.control.compensation.observer import ObserverCompensation
 from closedloop.loop.events.table import IMPACT, LIFTOFF, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
@@ -266,10 +267,7 @@ def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
     difference of the run at half the step, see `closedloop.record.report.halved`, and no estimate; ``why_not``: why f
     or the position is not known, or None.
     """
-    force, extremes, position = (
-        value if value is not None and np.isfinite(value) else None
-        for value in (values[f"step_error_{name}"] for name in ("force", "extremes", "position"))
-    )
+    force, extremes, position = (plain(values[f"step_error_{name}"]) for name in ("force", "extremes", "position"))
     why = None
     if not len(run):
         why = "no row could be computed"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.base.plain import plain
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE
@@ -65,7 +66,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
         "joints": {
-            name: {key: _finite(column[j]) for key, column in joints.items()}
+            name: {key: plain(column[j]) for key, column in joints.items()}
             for j, name in enumerate(run.model.joint_names if len(run) else ())
         },
         "loops": _loops(run),
@@ -132,7 +133,7 @@ def _wrist(run: Record) -> dict[str, float | None] | None:
     if len(run) == 0 or not (run.scenario.tool.mass or run.scenario.model_error.payload):
         return None
     parts = {"max_force": run.wrist_wrench[:, :3], "max_moment": run.wrist_wrench[:, 3:]}
-    return {name: _finite(np.max(np.linalg.norm(part, axis=1))) for name, part in parts.items()}
+    return {name: plain(np.max(np.linalg.norm(part, axis=1))) for name, part in parts.items()}
 
 
 def _tool(run: Record) -> dict[str, float | None] | None:
@@ -140,8 +141,8 @@ def _tool(run: Record) -> dict[str, float | None] | None:
     if len(run) == 0 or getattr(run.scenario.reference, "orientation", "free") == "free":
         return None
     return {
-        "max_orientation_error": _finite(np.max(run.orientation_error)),
-        "max_angle": _finite(np.max(run.tool_angle)),
+        "max_orientation_error": plain(np.max(run.orientation_error)),
+        "max_angle": plain(np.max(run.tool_angle)),
     }
 
 
@@ -150,10 +151,6 @@ def run_gains_fault(run: Record) -> str:
     if run.law != "scenario":
         return ""
     return gains_fault(run.scenario, robot_of(run.scenario, run.model))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def joint_measures(run: Record) -> dict[str, Array]:

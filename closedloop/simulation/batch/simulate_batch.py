@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import needs
+from closedloop.base.progress import reporting
 from closedloop.base.second_process import cores
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
@@ -109,12 +109,7 @@ def simulate_batch(
         for i, outcome in zip(blocks[at], some, strict=True):
             outcomes[i] = outcome
 
-    with ExitStack() as open_until_done:
-        if progress is True:
-            from closedloop.base.progress import bar
-
-            progress = open_until_done.enter_context(bar(scenario.name, len(points)))
-        report = progress or _silent
+    with reporting(progress, scenario.name, len(points)) as report:
         side_by_side(
             one, len(blocks), threads, lambda: Worker(engine, columns, model, len(points), shared, law),
             lambda: report(done.count, len(points)), done,
@@ -224,7 +219,3 @@ def _points(changes: Mapping[str, Sequence[Any]], grid: bool) -> list[tuple[Any,
             f"changes: {said} values: give each as many, one for each run, or combine them all: grid=True"
         )
     return list(zip(*values, strict=True))
-
-
-def _silent(done: int, total: int) -> None:
-    """Report nothing."""

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
 from closedloop.base.arrays import Array, ComplexArray
+from closedloop.base.plain import plain
 
 # |L| below which there is no loop.
 OPEN = 1e-12
@@ -65,8 +66,8 @@ class Margins:
 
     def as_dict(self) -> dict[str, Any]:
         """Return them as plain values; what is infinite, or has no place, is None."""
-        found: dict[str, Any] = asdict(self) | {"decibels": self.decibels}
-        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in found.items()}
+        found: dict[str, Any] = plain(asdict(self) | {"decibels": self.decibels})
+        return found
 
 
 def margins_of(transfer: Callable[[Array], ComplexArray], grid: Array, cut: str, stable: bool) -> Margins:

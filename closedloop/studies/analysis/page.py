@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from closedloop.base.errors import ClosedLoopError
+from closedloop.base.plain import plain
 from closedloop.scenario.units import key_unit
 from closedloop.studies.analysis.linear_loop import LinearLoop
 from closedloop.studies.analysis.margins import Margins
@@ -155,16 +156,17 @@ class Page:
         """Return the page as plain values, for JSON: what is infinite, or not known, is None."""
         loop, port = self.loop, self.loop.port()
         band = loop.bandwidth() if loop.mode else math.inf
-        return {
+        found: dict[str, Any] = plain({
             "sentence": self.sentence(), "time": loop.time, "dt": loop.dt, "stable": loop.stable,
-            "states": [list(each) for each in loop.states],
+            "states": loop.states,
             "poles": [pole.as_dict() for pole in loop.poles()],
             "margins": {name: one.as_dict() for name, one in self.margins.items()},
-            "bandwidth": band if math.isfinite(band) else None,
+            "bandwidth": band,
             "passive": port.passive if loop.mode else None, "active_at": port.active_at if loop.mode else None,
             "limits": {k: v if isinstance(v, str) else v.as_dict() for k, v in self.limits.items()},
-            "longest_delay": self.delay if self.delay is not None and math.isfinite(self.delay) else None,
-        }  # fmt: skip
+            "longest_delay": self.delay,
+        })  # fmt: skip
+        return found
 
 
 def trial_line(trial: Trial) -> str:

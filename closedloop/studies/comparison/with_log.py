@@ -11,6 +11,7 @@ import numpy as np
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
+from closedloop.base.plain import plain
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -113,10 +114,10 @@ class LogComparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison for a program."""
-        report: dict[str, Any] = {"shift": self.shift, "overlap": self.overlap, "notes": list(self.notes)}
+        report: dict[str, Any] = {"shift": self.shift, "overlap": self.overlap, "notes": self.notes}
         for key, each in self.differences.items():
             report[key] = {
-                "labels": list(each.labels), "unit": each.unit, "rms": each.rms.tolist(), "size": each.size.tolist(),
+                "labels": each.labels, "unit": each.unit, "rms": each.rms, "size": each.size,
                 "reasons": [_reason(reason) for reason in each.reasons],
             }  # fmt: skip
         if self.audit is not None:
@@ -125,7 +126,8 @@ class LogComparison:
                 "rms_as_normal_force": self.audit.usual, "consistent": self.audit.consistent,
                 "torque_explained": self.audit.explained, "reasons": [_reason(x) for x in self.audit.reasons],
             }  # fmt: skip
-        return report
+        found: dict[str, Any] = plain(report)
+        return found
 
     def figure(self) -> Figure:
         """Return a figure: log and run one over the other, and their difference below, for each quantity."""
@@ -281,7 +283,6 @@ def _explained(reasons: Sequence[Reason]) -> list[str]:
 
 def _reason(reason: Reason) -> dict[str, Any]:
     return {
-        "name": reason.name, "unit": reason.unit, "labels": list(reason.labels), "value": reason.value.tolist(),
-        "half_interval": reason.half.tolist(), "alone": reason.alone, "explained": 1.0 - reason.left,
-        "as_well": list(reason.as_well),
+        "name": reason.name, "unit": reason.unit, "labels": reason.labels, "value": reason.value,
+        "half_interval": reason.half, "alone": reason.alone, "explained": 1.0 - reason.left, "as_well": reason.as_well,
     }  # fmt: skip

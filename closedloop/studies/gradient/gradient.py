@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import needs
+from closedloop.base.progress import reporting
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.gradient.differences import Along, Part, along
@@ -152,12 +152,7 @@ def differentiated(
 ) -> Gradient:
     """Return the derivatives of outputs of a run; see `gradient`."""
     directions = varied.directions
-    with ExitStack() as open_until_done:
-        if progress is True:
-            from closedloop.base.progress import bar
-
-            progress = open_until_done.enter_context(bar(f"derivatives of {varied.scenario.name}", 6 * len(directions)))
-        report = progress or _silent
+    with reporting(progress, f"derivatives of {varied.scenario.name}", 6 * len(directions)) as report:
         base = _sampled(run, outputs)
         by_duals = exact(varied, run, base, outputs, model, report, workers)
         parts = [by_duals.outputs, [each for each in outputs if each not in by_duals.outputs]]
@@ -248,7 +243,3 @@ def _named(of: str, direction: Direction, part: Part, values: Array) -> list[str
 
 def _entry(array: Array) -> Entry:
     return float(array) if array.ndim == 0 else array
-
-
-def _silent(done: int, total: int) -> None:
-    """Report nothing."""

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
+from closedloop.base.progress import reporting
 from closedloop.base.second_process import Beside
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import threads_for
@@ -50,11 +51,7 @@ def gradients(
     shared = threads_for(COMPILED, workers) > 1
     found: dict[int, Gradient] = {}
     with ExitStack() as open_until_done:
-        if progress is True:
-            from closedloop.base.progress import bar
-
-            progress = open_until_done.enter_context(bar("derivatives", len(scenarios)))
-        report = progress or (lambda *_: None)
+        report = open_until_done.enter_context(reporting(progress, "derivatives", len(scenarios)))
 
         def take(some: range) -> dict[int, Gradient]:
             for i in some:

@@ -13,6 +13,7 @@ from scipy import stats
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
+from closedloop.base.plain import plain
 from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
 from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.log import Log, checked
@@ -57,6 +58,11 @@ class Estimate(NamedTuple):
     unit: str
     grouping: str
     why: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it without its name."""
+        found = {"value": self.value, "interval": [self.low, self.high], "unit": self.unit, "grouping": self.grouping}
+        return found | ({"not_identifiable": self.why} if self.why else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,34 +168,24 @@ class Identification:
 
     def summary(self) -> dict[str, Any]:
         """Return the result as a dictionary of numbers, lists and texts; unknown values are None."""
-
-        def number(x: float) -> float | None:
-            return float(x) if np.isfinite(x) else None
-
         joints = {
             name: {
-                "relative_error": number(self.relative_error[j]),
-                "held_out_error": number(self.held_out[j]),
-                "residual": number(self.solution.sigma[j]),
-                "residual_over_noise": number(self.above_noise[j]),
-                "whiteness": number(self.whiteness[j]),
-                "used_share": float(self.used[:, j].mean()),
+                "relative_error": self.relative_error[j],
+                "held_out_error": self.held_out[j],
+                "residual": self.solution.sigma[j],
+                "residual_over_noise": self.above_noise[j],
+                "whiteness": self.whiteness[j],
+                "used_share": self.used[:, j].mean(),
             }
             for j, name in enumerate(self.robot.joint_names)
         }
-        parameters = {
-            e.name: {
-                "value": number(e.value), "interval": [number(e.low), number(e.high)], "unit": e.unit,
-                "grouping": e.grouping, **({"not_identifiable": e.why} if e.why else {}),
-            }
-            for e in self.estimates
-        }  # fmt: skip
-        return {
+        found: dict[str, Any] = plain({
             "robot": self.robot.name, "method": self.method, "confidence": self.confidence,
-            "cutoff_hz": self.motion.cutoff, "windows": len(self.time), "condition": number(self.solution.condition),
-            "correlated_windows": self.solution.lags, "joints": joints, "parameters": parameters,
-            "model_misses_something": list(self.misses),
-        }  # fmt: skip
+            "cutoff_hz": self.motion.cutoff, "windows": len(self.time), "condition": self.solution.condition,
+            "correlated_windows": self.solution.lags, "joints": joints,
+            "parameters": {e.name: e.as_dict() for e in self.estimates}, "model_misses_something": self.misses,
+        })  # fmt: skip
+        return found
 
 
 @arguments_checked()

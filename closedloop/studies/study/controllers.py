@@ -20,16 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
-from closedloop.base.files import what_was_written
 from closedloop.base.progress import bar
-from closedloop.record.report.control_verdict import told
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.simulate import simulate
-from closedloop.studies.study.posture import ELBOW_UP
-from closedloop.studies.study.results import write_results
+from closedloop.studies.study.results import ELBOW_UP, conclude, force_and_path, measured
 
 SETTLED_FROM, BAND = 1.5, 0.05  # s, N
 RISES_AT, RISE, FORCE_STEP, END = 7.0, 0.05, 3.0, 9.0  # s, s, N, s; the path ends at 6.5 s
@@ -90,18 +85,12 @@ def measures(run: Run) -> dict[str, float]:
     """Return what is measured of a run that reaches its end; see the module's text."""
     late = (run.time >= SETTLED_FROM) & (run.time < RISES_AT)
     error = run.contact_force - run.reference_force
-    force, after = error[late], run.time >= RISES_AT
-    off = run.position - run.reference_tip
+    after = run.time >= RISES_AT
     normal = np.asarray(run.scenario.surface.normal) / np.linalg.norm(run.scenario.surface.normal)
-    off = (off - np.outer(off @ normal, normal))[late]
     over = np.abs(error[after]) > BAND
     last = float(np.max(run.time[after], where=over, initial=0.0)) if not over[-1] else math.inf
-    return {
-        "force_rms": float(np.sqrt(np.mean(force**2))),
-        "force_peak": float(np.max(np.abs(force))),
-        "path_rms": float(1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1)))),
-        "settling": max(0.0, last - RISES_AT),
-    }
+    found = force_and_path(error[late], (run.position - run.reference_tip)[late], normal)
+    return found | {"settling": max(0.0, last - RISES_AT)}
 
 
 def scenario_of(controller: str, friction: str, ideal: bool = False) -> Scenario:
@@ -126,14 +115,8 @@ def scenario_of(controller: str, friction: str, ideal: bool = False) -> Scenario
 
 def cell(controller: str, friction: str, ideal: bool = False) -> dict[str, Any]:
     """Run one controller on one kind of friction; a run that cannot go on is its reason."""
-    row: dict[str, Any] = {"controller": controller, "friction": friction, "reason": ""}
-    try:
-        run = simulate(scenario_of(controller, friction, ideal), engine="compiled")
-        return row | measures(run) | {"control_verdict": told(run.summary())}
-    except InterruptedRunError:
-        raise
-    except ClosedLoopError as error:
-        return row | dict.fromkeys(MEASURES, math.nan) | {"control_verdict": "", "reason": faults_on_one_line(error)}
+    row = {"controller": controller, "friction": friction}
+    return measured(row, scenario_of(controller, friction, ideal), measures, MEASURES)
 
 
 def measure(quick: bool = False) -> list[dict[str, Any]]:
@@ -150,15 +133,10 @@ def measure(quick: bool = False) -> list[dict[str, Any]]:
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:
     """Do the study, write controllers.json, controllers.csv and the figure into `folder`, and print the table."""
     results = measure(quick)
-    said = write_results(
-        folder, "controllers", ["controller", "friction", *MEASURES, "control_verdict", "reason"], results
-    )
+    columns = ["controller", "friction", *MEASURES, "control_verdict", "reason"]
+    rows = [[row[column] for column in columns] for row in results]
     figure = draw_controllers(results, folder)
-    if as_json:
-        print(said)
-    else:
-        print_table(results)
-        print(what_was_written("controllers.json", "controllers.csv", figure, folder=folder))
+    conclude(folder, "controllers", results, columns, rows, [figure], None if as_json else print_table)
     return results
 
 
@@ -177,9 +155,11 @@ CAPTION = (
 
 def cell_text(row: dict[str, Any], key: str) -> str:
     """Return a measure in two digits, or in a word what there is instead."""
-    value = row[key]
     if row["reason"]:
         return "stopped"
+    value = row.get(key, "stopped")
+    if isinstance(value, str):
+        return value
     if math.isinf(value):
         return "never"
     return f"{value:.2g}" if value >= 1e-3 else ("0" if value == 0.0 else "<0.001")
@@ -198,16 +178,12 @@ def print_table(results: list[dict[str, Any]]) -> None:
     table.add_column("controller", no_wrap=True)
     for friction in frictions:
         table.add_column(friction, justify="right")
-    for key, title in TITLES.items():
+    for key, title in (TITLES | {"control_verdict": CONTROL}).items():
         table.add_row(Text(title, style="bold"))
         for controller in dict.fromkeys(row["controller"] for row in results):
             mine = [row for row in results if row["controller"] == controller]
             table.add_row(f"  {controller}", *(cell_text(row, key) for row in mine))
         table.add_section()
-    table.add_row(Text(CONTROL, style="bold"))
-    for controller in dict.fromkeys(row["controller"] for row in results):
-        mine = [row for row in results if row["controller"] == controller]
-        table.add_row(f"  {controller}", *(row.get("control_verdict") or "stopped" for row in mine))
     console.print(table)
 
 

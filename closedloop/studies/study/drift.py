@@ -14,10 +14,7 @@ itself is unstable and puts it beside the theory of `closedloop.mechanics.closur
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
-import json
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -26,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
-from closedloop.base.files import what_was_written, write_whole
 from closedloop.loop.step.record_row import recorded
 from closedloop.mechanics.closure.baumgarte import (
     baumgarte_gains,
@@ -39,7 +35,7 @@ from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import run_loop, simulate
-from closedloop.studies.study.posture import ELBOW_UP
+from closedloop.studies.study.results import ELBOW_UP, conclude, print_table
 
 SCHEMES = ("semi_implicit_euler", "explicit_euler", "rk4")
 STABILISERS = ("none", "baumgarte", "projection", "both")
@@ -201,18 +197,9 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> dict[str, A
     from closedloop.studies.study.drift_figures import draw_drift
 
     results = measure(quick)
-    write_whole(folder / "drift.json", (json.dumps(_without_nan(results), indent=2) + "\n").encode())
-    text = io.StringIO(newline="")
-    writer = csv.writer(text)
-    writer.writerow(["integrator", "stabiliser", "step [s]", "speed [m/s]", "tolerance", "largest |e| [m]"])
-    writer.writerows(_csv_rows(results))
-    write_whole(folder / "drift.csv", text.getvalue().encode())
+    columns = ["integrator", "stabiliser", "step [s]", "speed [m/s]", "tolerance", "largest |e| [m]"]
     figures = draw_drift(results, folder)
-    if as_json:
-        print(json.dumps(_without_nan(results), indent=2))
-    else:
-        print_tables(results)
-        print(what_was_written("drift.json", "drift.csv", *figures, folder=folder))
+    conclude(folder, "drift", results, columns, _csv_rows(results), figures, None if as_json else print_tables)
     return results
 
 
@@ -225,35 +212,13 @@ def _csv_rows(results: dict[str, Any]) -> Iterable[list[Any]]:
         yield [row["integrator"], row["stabiliser"], PAPER_STEP, PAPER_SPEED, "", row["error"]]
 
 
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    drawn = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
-    for column in columns:
-        first = column == columns[0]
-        drawn.add_column(column, justify="left" if first else "right", no_wrap=first)
-    for row in rows:
-        drawn.add_row(*row)
-    Console(highlight=False).print(drawn)
-
-
 def print_tables(results: dict[str, Any]) -> None:
     """Print what was measured beside what theory says."""
     for stabiliser, title in (
         ("none", "drift without stabiliser: |e| grows like h^p and v^q"),
         ("baumgarte", "with Baumgarte's (T: auto): where |e| settles grows like h^p and v^q"),
     ):
-        _print_table(
+        print_table(
             title,
             ("integrator", "p measured", "p theory", "q measured", "q theory", "|e| at 1 ms, 18 mm/s"),
             (
@@ -270,12 +235,12 @@ def print_tables(results: dict[str, Any]) -> None:
             ),
         )
     for row in results["against_tolerance"]:
-        _print_table(
+        print_table(
             "largest |e| in m without stabiliser, by time.tolerance",
             ("integrator", *(f"{tolerance:g}" for tolerance in row["values"])),
             [(row["integrator"], *(f"{e:.1g}" for e in row["errors"]))],
         )
-    _print_table(
+    print_table(
         "largest |e| in m at 1 ms and 18 mm/s, by stabiliser (Baumgarte's T: auto)",
         ("integrator", *STABILISERS),
         (
@@ -283,7 +248,7 @@ def print_tables(results: dict[str, Any]) -> None:
             for scheme in SCHEMES
         ),
     )
-    _print_table(
+    print_table(
         'Baumgarte: largest stable h/T, and what time_constant = "auto" takes',
         ("integrator", "ζ", "limit, theory", "limit, measured", "h/T of auto", "e per step at most ×"),
         (

@@ -19,17 +19,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
-from closedloop.base.files import what_was_written
 from closedloop.base.progress import bar
-from closedloop.record.report.control_verdict import told
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.simulate import simulate
-from closedloop.studies.study.results import write_results
+from closedloop.studies.study.results import conclude, force_and_path, measured, print_table
 
 SETTLED_FROM = 1.5  # s
 STEP, SAMPLE = 0.00025, 0.001  # s
@@ -84,27 +78,13 @@ def soft(law: str, stiffness: float) -> Scenario:
 def measures(run: Run) -> dict[str, float]:
     """Return what is measured of a run that reaches its end; see the module's text."""
     late = run.time >= SETTLED_FROM
-    error = (run.contact_force - run.reference_force)[late]
-    off = (run.position - run.reference_tip)[late]
-    normal = run.surface_normal[late]
-    off = off - np.sum(off * normal, axis=1)[:, None] * normal
-    return {
-        "force_rms": float(np.sqrt(np.mean(error**2))),
-        "force_peak": float(np.max(np.abs(error))),
-        "path_rms": float(1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1)))),
-    }
+    error, off = run.contact_force - run.reference_force, run.position - run.reference_tip
+    return force_and_path(error[late], off[late], run.surface_normal[late])
 
 
 def cell(law: str, on: str, scenario: Scenario) -> dict[str, Any]:
     """Run one law on one surface, which `on` names; a run that cannot go on is its reason."""
-    row: dict[str, Any] = {"law": law, "on": on, "reason": ""}
-    try:
-        run = simulate(scenario, engine="compiled")
-        return row | measures(run) | {"control_verdict": told(run.summary())}
-    except InterruptedRunError:
-        raise
-    except ClosedLoopError as error:
-        return row | dict.fromkeys(MEASURES, math.nan) | {"control_verdict": "", "reason": faults_on_one_line(error)}
+    return measured({"law": law, "on": on}, scenario, measures, MEASURES)
 
 
 def measure(quick: bool = False) -> list[dict[str, Any]]:
@@ -132,13 +112,10 @@ TITLES = {"force_rms": "force RMS\nN", "force_peak": "force peak\nN", "path_rms"
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:
     """Do the study, write surfaces.json, surfaces.csv and the figure into `folder`, and print the tables."""
     results = measure(quick)
-    said = write_results(folder, "surfaces", ["law", "on", *MEASURES, "control_verdict", "reason"], results)
+    columns = ["law", "on", *MEASURES, "control_verdict", "reason"]
+    rows = [[row[column] for column in columns] for row in results]
     figure = draw_surfaces(results, folder)
-    if as_json:
-        print(said)
-    else:
-        print_tables(results)
-        print(what_was_written("surfaces.json", "surfaces.csv", figure, folder=folder))
+    conclude(folder, "surfaces", results, columns, rows, [figure], None if as_json else print_tables)
     return results
 
 
@@ -151,27 +128,26 @@ def text_of(row: dict[str, Any], key: str) -> str:
 
 def print_tables(results: list[dict[str, Any]]) -> None:
     """Print a table of the laws on the surface that breathes, and one of the force error against stiffness."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, width=110)
-    hard = Table(box=box.SIMPLE_HEAD, title=BREATHING, title_justify="left")
-    hard.add_column("law", no_wrap=True)
-    for title in TITLES.values():
-        hard.add_column(title, justify="right")
-    hard.add_column("control")
-    for row in (row for row in results if row["on"] == BREATHING):
-        hard.add_row(row["law"], *(text_of(row, key) for key in MEASURES), row.get("control_verdict") or "stopped")
-    console.print(hard)
+    print_table(
+        BREATHING,
+        ["law", *TITLES.values(), "control"],
+        [
+            [row["law"], *(text_of(row, key) for key in MEASURES), row.get("control_verdict") or "stopped"]
+            for row in results
+            if row["on"] == BREATHING
+        ],
+        width=110,
+    )
     soft_rows = [row for row in results if row["on"] != BREATHING]
-    table = Table(box=box.SIMPLE_HEAD, title="soft, breathes: force RMS, N, and the control", title_justify="left")
-    table.add_column("law", no_wrap=True)
-    for on in dict.fromkeys(row["on"] for row in soft_rows):
-        table.add_column(on, justify="right")
-    for law in dict.fromkeys(row["law"] for row in soft_rows):
-        table.add_row(law, *(f"{text_of(row, 'force_rms')} {_short(row)}" for row in soft_rows if row["law"] == law))
-    console.print(table)
+    by_law: dict[str, list[str]] = {}
+    for row in soft_rows:
+        by_law.setdefault(row["law"], []).append(f"{text_of(row, 'force_rms')} {_short(row)}")
+    print_table(
+        "soft, breathes: force RMS, N, and the control",
+        ["law", *dict.fromkeys(row["on"] for row in soft_rows)],
+        [[law, *said] for law, said in by_law.items()],
+        width=110,
+    )
 
 
 def _short(row: dict[str, Any]) -> str:

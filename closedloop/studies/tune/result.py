@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.base.plain import plain
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.units import key_unit
@@ -137,22 +138,17 @@ class Tuning:
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain numbers."""
-
-        def plain(x: float) -> float | None:
-            return float(x) if math.isfinite(x) else None
-
-        return {
+        found: dict[str, Any] = plain({
             "feasible": self.feasible, "optimal": self.optimal, "minimised": self.minimised, "robust": self.robust,
-            "value": plain(self.value), "value_before": plain(self.value_before),
+            "value": self.value, "value_before": self.value_before,
             "numbers": {each.name: number for each, number in zip(self.vary, self.numbers, strict=True)},
             "before": {each.name: each.present for each in self.vary},
-            "values": {name: [plain(x) for x in by] for name, by in self.values.items()},
-            "values_before": {name: [plain(x) for x in by] for name, by in self.values_before.items()},
+            "values": self.values, "values_before": self.values_before,
             "limits": [str(limit) for limit in self.limits], "binds": self.binds(), "unmet": self.unmet(),
-            "variations": self.variations, "slope": plain(self.found.slope),
-            "sensitivity": {name: [plain(x) for x in both] for name, both in self.sensitivity.items()},
-            "starts": [plain(end) for end in self.found.ends], "runs": self.runs,
-        }  # fmt: skip
+            "variations": self.variations, "slope": self.found.slope, "sensitivity": self.sensitivity,
+            "starts": self.found.ends, "runs": self.runs,
+        })  # fmt: skip
+        return found
 
     def figure(self) -> Figure:
         """Return a figure of the contact force before and now, of the scenario without variations."""

@@ -14,6 +14,7 @@ from scipy import stats
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
+from closedloop.base.plain import plain
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording, checked, read_recording
@@ -89,20 +90,11 @@ class ContactIdentification:
 
     def summary(self) -> dict[str, Any]:
         """Return it as a dictionary; unknown values are None."""
-
-        def number(x: float) -> float | None:
-            return float(x) if np.isfinite(x) else None
-
-        return {
-            "closed": self.closed, "free": self.free, "confidence": self.confidence, "misses": list(self.misses),
-            "parameters": {
-                e.name: {
-                    "value": number(e.value), "interval": [number(e.low), number(e.high)], "unit": e.unit,
-                    "grouping": e.grouping, **({"not_identifiable": e.why} if e.why else {}),
-                }
-                for e in self.estimates
-            },
-        }  # fmt: skip
+        found: dict[str, Any] = plain({
+            "closed": self.closed, "free": self.free, "confidence": self.confidence, "misses": self.misses,
+            "parameters": {e.name: e.as_dict() for e in self.estimates},
+        })  # fmt: skip
+        return found
 
     def figure(self) -> Figure:
         """Return a figure of the measured and the predicted values of each part, and the residual."""

@@ -11,7 +11,7 @@ import json
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from closedloop.base.errors import (
 )
 from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated, word_for
-from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
+from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, as_command
 from closedloop.command.cautions import warn_of_gains, warn_of_hulls, warn_of_no_surface, warn_of_other_texts
 from closedloop.command.help import list_of_sections, scenario_parser
 from closedloop.command.job import Job, halved, simulated, without_stabiliser
@@ -43,12 +43,9 @@ if TYPE_CHECKING:
     from closedloop.record.run import Run
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(arguments: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(arguments: list[str]) -> int:
     overrides, rest = split_overrides(arguments)
     if any(isinstance(value, str) and ":" in value for value in overrides.values()):
         from closedloop.scenario.user_module import name_members

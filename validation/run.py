@@ -10,13 +10,12 @@ import argparse
 import importlib
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
-from closedloop.command.border import Parser, run_command
+from closedloop.command.border import Parser, as_command
 from robot_models import ClosedLoopError, ModelError
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
@@ -26,12 +25,9 @@ class InputError(ClosedLoopError, ValueError):
     """An argument is at fault."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command("validation", stopped=())
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("validation", _main, arguments, stopped=())
-
-
-def _main(words: list[str]) -> int:
     options = _parser().parse_args(words)
     for name in ("states", "seed", "state"):
         value = getattr(options, name)

@@ -274,21 +274,19 @@ def _is_abandoned(path: Path) -> bool:
         return _same(file, path)
 
 
-def made_folder(out: str | None) -> Path | None:
-    """Return the folder for the results, which is made; None where there is none.
+def made_folder(out: str | Path) -> Path:
+    """Return the folder for the results, which is made.
 
     Raises
     ------
     OutputError
         If it cannot be made.
     """
-    if out is None:
-        return None
     folder = Path(out)
     try:
         probe_folder(folder)
     except (OSError, ValueError) as error:
-        raise OutputError(f"--out {out!r}: cannot be written: {reason_of(error)}; name another folder") from None
+        raise OutputError(f"--out {str(out)!r}: cannot be written: {reason_of(error)}; name another folder") from None
     return folder
 
 

@@ -6,13 +6,13 @@ Exit status: 0 done; 2 the input is at fault; 3 the run stops before the instant
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.base.files import made_folder, what_was_written
 from closedloop.base.plain import plain
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, as_command
 
 if TYPE_CHECKING:
     from closedloop.studies.analysis.ranges import Range
@@ -22,12 +22,9 @@ if TYPE_CHECKING:
 POINTS, TRIED = 60, (0.25, 0.5, 0.75)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     from closedloop.scenario.load import load_scenario
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.user_module import name_members
@@ -53,7 +50,7 @@ def _main(words: list[str]) -> int:
     if len(options.vary) > 2:
         raise ScenarioError("command line: --vary: at most two keys, one that is solved for and one along it")
     ranges = [_range(text) for text in options.vary]
-    folder = made_folder(options.out)
+    folder = made_folder(options.out) if options.out else None
 
     from closedloop.studies.analysis.instant import refuse_outside
     from closedloop.studies.analysis.page import page_of

@@ -16,6 +16,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import wraps
 from typing import NoReturn
 
 from closedloop.base.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
@@ -52,6 +53,24 @@ class Parser(argparse.ArgumentParser):
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         """Leave after --help."""
         raise Left
+
+
+def as_command(
+    name: str = "closedloop", stopped: tuple[type[ClosedLoopError], ...] = (SimulationError, ClusterError)
+) -> Callable[[Callable[[list[str]], int]], Callable[..., int]]:
+    """Return a decorator that makes a command of a function of words, which are the process's if left out.
+
+    See `run_command`.
+    """
+
+    def of(main: Callable[[list[str]], int]) -> Callable[..., int]:
+        @wraps(main)
+        def run(arguments: Sequence[str] | None = None) -> int:
+            return run_command(name, main, arguments, stopped=stopped)
+
+        return run
+
+    return of
 
 
 def run_command(

@@ -6,19 +6,15 @@ Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 
 from closedloop.base.errors import printable
 from closedloop.base.files import made_folder, what_was_written, write_whole
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, as_command
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     from closedloop.command.identify import mapped
     from closedloop.scenario.load import load_scenario
     from closedloop.scenario.overrides import split_overrides
@@ -46,7 +42,7 @@ def _main(words: list[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
     options = parser.parse_args(rest)
     name_members(overrides.items())
-    folder = made_folder(options.out)
+    folder = made_folder(options.out) if options.out else None
 
     from closedloop.simulation.prepare import load_model
     from closedloop.studies.comparison.recording import read_recording

@@ -15,19 +15,15 @@ from multiprocessing import active_children, get_context
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, as_command
 from closedloop.command.pieces import Piece, pieces
 from closedloop.jit.background import notices, seconds_of
 
 MOST_WORKERS = 8  # more would wait for what is compiled one after the other
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit status."""
-    return run_command("closedloop", compile_command, arguments)
-
-
-def compile_command(arguments: list[str]) -> int:
+@as_command()
+def main(arguments: list[str]) -> int:
     """Compile everything, with a line for each piece, and return the exit status."""
     from closedloop.jit.cache_folder import cache_folder, why_not_kept
     from closedloop.jit.kernel import jit_disabled

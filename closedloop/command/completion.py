@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from typing import NamedTuple
 
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, as_command
 from closedloop.command.table import COMMANDS, Command, imported
 
 
@@ -34,12 +34,9 @@ class Words(NamedTuple):
     values: Mapping[str, list[str]]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     parser = Parser(
         prog="closedloop completion",
         description="Print the completion script of a shell: commands, options, scenarios, robots and keys.",

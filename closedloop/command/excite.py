@@ -5,28 +5,18 @@ Exit status: 0 done; 2 the input is at fault (one line on standard error).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
-from closedloop.base.errors import ModelError, OutputError, printable
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.base.errors import ModelError, printable
+from closedloop.command.border import DONE, Parser, as_command
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     options = _parser().parse_args(words)
-    from closedloop.base.files import probe_folder, reason_of, what_was_written, write_whole
+    from closedloop.base.files import made_folder, what_was_written, write_whole
     from closedloop.studies.identify.excite import excite
 
-    folder = Path(options.out)
-    try:
-        probe_folder(folder)
-    except (OSError, ValueError) as error:
-        raise OutputError(f"--out {options.out!r}: cannot be written: {reason_of(error)}") from None
+    folder = made_folder(options.out)
     found = excite(
         options.robot, [name.strip() for name in options.target.split(",") if name.strip()],
         duration=options.duration, harmonics=options.harmonics, rate=options.rate,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, as_command
 from closedloop.figures.export.csv_table import write_csv
 from closedloop.figures.export.mcap_file import write_mcap
 from closedloop.figures.export.mjcf import write_mjcf
@@ -18,12 +17,8 @@ FORMATS = {"csv": write_csv, "mcap": write_mcap, "mjcf": write_mjcf}
 ENDINGS = {"mjcf": "xml"}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit status."""
-    return run_command("closedloop", export_command, arguments)
-
-
-def export_command(arguments: list[str]) -> int:
+@as_command()
+def main(arguments: list[str]) -> int:
     """Write a run file in another format, and return the exit status.
 
     Raises

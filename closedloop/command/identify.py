@@ -6,12 +6,11 @@ Exit status: 0 done; 2 the input is at fault (one line on standard error).
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from closedloop.base.errors import ModelError, OutputError, printable
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.base.errors import ModelError, printable
+from closedloop.command.border import DONE, Parser, as_command
 
 if TYPE_CHECKING:
     from robot_models import RobotModel
@@ -19,15 +18,12 @@ if TYPE_CHECKING:
 TERMS = ("viscous", "dry", "offset", "stribeck", "drive_inertia")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     options = _parser().parse_args(words)
     import robot_models
-    from closedloop.base.files import probe_folder, reason_of, what_was_written
+    from closedloop.base.files import made_folder, what_was_written
     from closedloop.studies.identify.identify import identify
     from closedloop.studies.identify.read import read_log
     from closedloop.studies.identify.written import report, write
@@ -37,11 +33,7 @@ def _main(words: list[str]) -> int:
         raise ModelError(f"--terms {options.terms}: {unknown[0]!r} is none of {', '.join(TERMS)}")
     gain = [_number(entry, "--gain") for entry in options.gain.split(",")]
     normal = None if options.contact is None else [_number(entry, "--contact") for entry in options.contact.split(",")]
-    folder = Path(options.out)
-    try:
-        probe_folder(folder)
-    except (OSError, ValueError) as error:
-        raise OutputError(f"--out {options.out!r}: cannot be written: {reason_of(error)}") from None
+    folder = made_folder(options.out)
     robot = robot_models.load(options.robot)
     if len(gain) not in (1, robot.n):
         raise ModelError(f"--gain {options.gain}: {len(gain)} numbers: one, or {robot.n}, one for each joint")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.interrupts import Terminated
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, as_command
 from closedloop.lab.server import is_loopback
 from closedloop.lab.start import NEEDS, lab, open_in_browser
 from closedloop.scenario.overrides import split_overrides
@@ -23,12 +22,8 @@ if TYPE_CHECKING:
 ANSWERED = 0.5
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit status."""
-    return run_command("closedloop", lab_command, arguments)
-
-
-def lab_command(arguments: list[str]) -> int:
+@as_command()
+def main(arguments: list[str]) -> int:
     """Open the lab, wait for Ctrl-C, and return the exit status.
 
     Raises

@@ -2,19 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from closedloop.command.border import DONE, Parser, run_command
-
-
-def scenarios(arguments: Sequence[str] | None = None) -> int:
-    """List the shipped scenarios, and return the exit status."""
-    return run_command("closedloop", _scenarios, arguments)
-
-
-def version(arguments: Sequence[str] | None = None) -> int:
-    """Print the versions that a run depends on, and return the exit status."""
-    return run_command("closedloop", _version, arguments)
+from closedloop.command.border import DONE, Parser, as_command
 
 
 def list_of_scenarios() -> str:
@@ -34,7 +22,9 @@ def versions() -> str:
     return ", ".join(f"{name} {version}" for name, version in package_versions().items())
 
 
-def _scenarios(words: list[str]) -> int:
+@as_command()
+def scenarios(words: list[str]) -> int:
+    """List the shipped scenarios, and return the exit status."""
     Parser(
         prog="closedloop scenarios", description="List the shipped scenarios, for `closedloop run NAME`."
     ).parse_args(words)
@@ -42,7 +32,9 @@ def _scenarios(words: list[str]) -> int:
     return DONE
 
 
-def _version(words: list[str]) -> int:
+@as_command()
+def version(words: list[str]) -> int:
+    """Print the versions that a run depends on, and return the exit status."""
     Parser(prog="closedloop version", description="Print the versions that a run depends on.").parse_args(words)
     print(versions().replace(", ", "\n"))
     return DONE

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from closedloop.base.errors import OutputError, ScenarioError, one_line, printable
 from closedloop.base.files import what_was_written, write_whole
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, as_command
 
 if TYPE_CHECKING:
     from closedloop.mechanics.robot.pinocchio import Robot
     from closedloop.scenario.scenario import Scenario
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     options = _parser().parse_args(words)
     file = Path(options.name if options.name.endswith(".toml") else f"{options.name}.toml")
     _refuse_to_replace(file)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from closedloop.base.errors import printable
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, as_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,12 +14,9 @@ if TYPE_CHECKING:
     from robot_models import RobotModel
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     parser = Parser(
         prog="closedloop robots",
         description="List what can be named as robot.model, or show one robot: joints, limits and frames.",

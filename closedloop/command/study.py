@@ -6,13 +6,11 @@ Exit status: 0 done; 2 the input is at fault (one line on standard error).
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from closedloop.base.errors import OutputError
-from closedloop.command.border import DONE, Parser, run_command
+from closedloop.base.files import made_folder
+from closedloop.command.border import DONE, Parser, as_command
 
 STUDIES = {
     "drift": "closure drift against step, speed and stabiliser; Baumgarte's limit",
@@ -21,12 +19,9 @@ STUDIES = {
 }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command("closedloop study")
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop study", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     studies = "\n".join(f"  {name:12} {what}" for name, what in STUDIES.items())
     parser = Parser(
         prog="closedloop study",
@@ -38,16 +33,7 @@ def _main(words: list[str]) -> int:
     parser.add_argument("--quick", action="store_true", help="fewer points, in a few seconds")
     parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
     options = parser.parse_args(words)
-    folder = Path(options.out) if options.out else Path("out") / f"study_{options.study}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
+    folder = made_folder(options.out or Path("out") / f"study_{options.study}")
     study = import_module(f"closedloop.studies.study.{options.study}")
     study.run(folder, quick=options.quick, as_json=options.json)
     return DONE
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,20 +6,16 @@ Exit status: 0 done; 2 the input is at fault; 3 no point that was tried meets th
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from typing import Any
 
 from closedloop.base.errors import ScenarioError, printable
 from closedloop.base.files import made_folder, what_was_written
-from closedloop.command.border import DONE, STOPPED, Parser, run_command
+from closedloop.command.border import DONE, STOPPED, Parser, as_command
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command()
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop", _main, arguments)
-
-
-def _main(words: list[str]) -> int:
     from closedloop.scenario.load import load_scenario
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.user_module import name_members
@@ -31,7 +27,7 @@ def _main(words: list[str]) -> int:
         raise ScenarioError("command line: name what varies, such as --vary law.kd=5:200")
     scenario = load_scenario(options.scenario, overrides)
     ranges = [_range(text) for text in options.vary]
-    folder = made_folder(options.out)
+    folder = made_folder(options.out) if options.out else None
     if folder is not None:
         from closedloop.base.files import write_whole
 

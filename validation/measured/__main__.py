@@ -10,12 +10,11 @@ import argparse
 import importlib
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
-from closedloop.command.border import Parser, run_command
+from closedloop.command.border import Parser, as_command
 
 AGREES, DIFFERS = 0, 1
 ROBOTS = {
@@ -26,12 +25,9 @@ ROBOTS = {
 }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command("validation.measured", stopped=())
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("validation.measured", _main, arguments, stopped=())
-
-
-def _main(words: list[str]) -> int:
     listed = "\n".join(f"  {name:8} {what}" for name, what in ROBOTS.items())
     parser = Parser(
         prog="python -m validation.measured",

@@ -11,7 +11,7 @@ from typing import Any
 
 from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
-from closedloop.command.border import Parser, run_command
+from closedloop.command.border import Parser, as_command
 from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.bodies import BODIES
@@ -26,12 +26,9 @@ DRAKE_SHARE = 10
 MOST_ROLLOUTS = 16
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command("validation.speed", stopped=())
+def main(words: list[str]) -> int:
     """Measure, print the tables, and write JSON if asked."""
-    return run_command("validation.speed", _main, arguments, stopped=())
-
-
-def _main(words: list[str]) -> int:
     options = _parser().parse_args(words)
     for name in ("repeats", "steps", "runs"):
         if getattr(options, name) is not None and getattr(options, name) < 1:

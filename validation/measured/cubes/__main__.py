@@ -15,7 +15,7 @@ import numpy as np
 
 from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written, write_whole
-from closedloop.command.border import Parser, run_command
+from closedloop.command.border import Parser, as_command
 from closedloop.command.lab import serve
 from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.comparing import FITTED, engines, fits, fitted, held_out, tried
@@ -28,12 +28,9 @@ from validation.measured.cubes.tosses import Toss, first_row, mean_errors, read
 LAWS = ("newton", "poisson", "stronge")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@as_command("validation.measured.cubes", stopped=())
+def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    return run_command("validation.measured.cubes", _main, arguments, stopped=())
-
-
-def _main(words: list[str]) -> int:
     names = [engine.name for engine in engines()]
     parser = Parser(prog="python -m validation.measured.cubes", description="Fit engines to tosses, and draw them.")
     parser.add_argument(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shlex
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
@@ -11,6 +10,7 @@ from html import escape
 from textwrap import shorten
 from typing import Any
 
+from closedloop.base.plain import plain
 from validation.cells import Cell, Comparison
 from validation.report_tables import MARKS, Section, check_rows, details, grid, title_of
 
@@ -73,7 +73,7 @@ class Report:
             "comparisons": [asdict(c) | {"passed": c.passed} for c in self.comparisons],
             "sections": [asdict(s) for s in self.sections],
         }
-        return json.dumps(_finite(data), indent=2, ensure_ascii=False)
+        return json.dumps(plain(data), indent=2, ensure_ascii=False)
 
     def to_markdown(self) -> str:
         """Return the tables in Markdown, for the appendix of a paper."""
@@ -97,16 +97,6 @@ class Report:
 
     def __str__(self) -> str:
         return self.to_markdown()
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    return value
 
 
 def _ending(report: Report) -> str:

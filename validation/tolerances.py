@@ -53,9 +53,16 @@ def amplification(H: Array, J: Array, A: Array) -> float:
         Mass matrix, tip Jacobian and closure row.
     """
     D = 1.0 / np.sqrt(np.diag(H))
-    row = A * D
-    size = float(np.linalg.norm(row))
+    size = float(np.linalg.norm(A * D))
+    return condition(H, A[None]) * (float(np.linalg.norm(J * D)) / size) ** 2 if size > 0.0 else np.inf
+
+
+def condition(H: Array, A: Array) -> float:
+    """Return by how much Eq. 24 with the rows A (m, n) can magnify a relative error of its entries, joints to scale."""
+    D = 1.0 / np.sqrt(np.diag(H))
+    rows = A * D
+    size = float(np.linalg.norm(rows))
     if size == 0.0:
         return np.inf
-    K = np.block([[H * np.outer(D, D), row[:, None] / size], [row[None, :] / size, np.zeros((1, 1))]])
-    return float(np.linalg.cond(K)) * (float(np.linalg.norm(J * D)) / size) ** 2
+    K = np.block([[H * np.outer(D, D), rows.T / size], [rows / size, np.zeros((len(A), len(A)))]])
+    return float(np.linalg.cond(K))

@@ -72,22 +72,13 @@ def evaluate(engine: Engine, method: str, s: State, b: float, offset: float) -> 
     return {name: np.atleast_1d(np.asarray(part, dtype=np.float64)) for name, part in zip(names, parts, strict=True)}
 
 
-def closure_right_side(engine: Engine, s: State) -> float:
-    """Return b of Eq. 24 at a state: −nᵀJ̇ᵣq̇ and what the state asks for beyond it, m/s²."""
-    return s.b - float(s.normal @ engine.drift(s.q, s.v))
-
-
-def plane_offset(engine: Engine, s: State) -> float:
-    """Return the d of the plane that leaves the state's closure error at its q, m."""
-    return float(s.normal @ engine.position(s.q)) - s.error
-
-
 def truths_of(reference: Engine, states: list[State]) -> list[Truth]:
     """Ask the reference for everything, and state the scales: what each error is relative to."""
     values = []
     for s in states:
         found: dict[str, Array] = {}
-        b, offset = closure_right_side(reference, s), plane_offset(reference, s)
+        b = right_side(s, {"drift": reference.drift(s.q, s.v)})
+        offset = float(s.normal @ reference.position(s.q)) - s.error  # d of the plane that the tip is off by e
         for method in METHODS:
             found |= evaluate(reference, method, s, b, offset)
         values.append(found)
@@ -119,7 +110,7 @@ def truths_of(reference: Engine, states: list[State]) -> list[Truth]:
 
 
 def right_side(s: State, values: dict[str, Array]) -> float:
-    """Return b of Eq. 24 from the drift in `values`."""
+    """Return b of Eq. 24 from the drift in `values`: −nᵀJ̇ᵣq̇ and what the state asks for beyond it, m/s²."""
     return s.b - float(s.normal @ values["drift"])
 
 

@@ -6,7 +6,6 @@ Exit status: 0 done; 2 the input is at fault (one line on standard error).
 from __future__ import annotations
 
 import argparse
-from importlib import import_module
 from pathlib import Path
 
 from closedloop.base.files import made_folder
@@ -34,6 +33,8 @@ def main(words: list[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
     options = parser.parse_args(words)
     folder = made_folder(options.out or Path("out") / f"study_{options.study}")
-    study = import_module(f"closedloop.studies.study.{options.study}")
+    from closedloop.studies.study import controllers, drift, surfaces
+
+    study = {"drift": drift, "controllers": controllers, "surfaces": surfaces}[options.study]
     study.run(folder, quick=options.quick, as_json=options.json)
     return DONE

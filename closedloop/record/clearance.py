@@ -174,16 +174,12 @@ def _pairs(run: Record, mechanism: Any, solids: tuple[Solid, ...]) -> list[tuple
     parents = [int(parent) for parent in mechanism.parents]
     found = []
     for a, b in combinations(solids, 2):
-        joined = a.joint == b.joint or parents[a.joint] == b.joint or parents[b.joint] == a.joint
-        joined = a.joint == b.joint or (joined and not _is_free(mechanism, max(a.joint, b.joint)))
+        joined = parents[a.joint] == b.joint or parents[b.joint] == a.joint
+        free = mechanism.joints[max(a.joint, b.joint)].nv == 6  # that of a free body joins it to nothing
+        joined = a.joint == b.joint or (joined and not free)
         if not joined and frozenset((a.joint, b.joint)) not in touching:
             found.append((a, b))
     return found
-
-
-def _is_free(mechanism: Any, joint: int) -> bool:
-    """Whether a joint is that of a free body, which is joined to nothing."""
-    return bool(mechanism.joints[joint].nv == 6)
 
 
 def _planes(run: Record, mechanism: Any) -> list[tuple[Plane, frozenset[int]]]:

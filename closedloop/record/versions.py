@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import sys
-from functools import cache, lru_cache
+from functools import cache
 from importlib import metadata
 
 
 def package_versions() -> dict[str, str]:
     """Return the versions of Python and of the packages whose arithmetic a run depends on."""
-    return dict(_versions())
-
-
-@lru_cache(maxsize=1)
-def _versions() -> dict[str, str]:
     names = ("closedloop", "pin", "numpy", "numba", "llvmlite")
     return {"python": sys.version.split()[0]} | {name: _version(name) for name in names}
 

@@ -29,6 +29,7 @@ from validation.surfaces.cases import (
     oracle_with_tool,
     shape_of,
 )
+from validation.tolerances import condition
 
 # How far the tip is off the surface, and from the surface's origin along it, m.
 OFF, ALONG = 0.002, 0.08
@@ -104,17 +105,6 @@ def well_posed(case: Case) -> bool:
     S = A @ np.linalg.solve(H, A.T)
     jams = case.material == SLIDES and S[0, 0] < 2.0 * FRICTION * float(np.hypot(S[0, 1], S[0, 2]))
     return not jams and condition(H, A if case.sticks else A[:1]) < WORST_CONDITION
-
-
-def condition(H: Array, A: Array) -> float:
-    """Return by how much Eq. 24 with the rows A (m, n) can magnify a relative error of its entries, joints to scale."""
-    D = 1.0 / np.sqrt(np.diag(H))
-    rows = A * D
-    size = float(np.linalg.norm(rows))
-    if size == 0.0:
-        return np.inf
-    K = np.block([[H * np.outer(D, D), rows.T / size], [rows / size, np.zeros((len(A), len(A)))]])
-    return float(np.linalg.cond(K))
 
 
 def _on_surface(shape: Shape, rng: np.random.Generator) -> Array:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.record.report.swings import GROWTH, Swing, lasting_swing, rms
-from closedloop.record.report.verdict import names_of
+from closedloop.record.report.verdict import names_of, problem_of
 
 Bools = NDArray[np.bool_]
 Problem = dict[str, Any]
@@ -120,18 +120,18 @@ def judge_control(
     stopped : str, optional
         Why the simulation could not go on.
     """
-    problems = [_problem("stopped", f"what was commanded was not done: {stopped}")] if stopped else []
+    problems = [problem_of("stopped", f"what was commanded was not done: {stopped}")] if stopped else []
     unknown: list[str] = []
     if signals is not None:
         with np.errstate(all="ignore"):
             problems += _contact(signals, unknown) + _path(signals)
             if signals.negative_gain:
                 text = f"{signals.negative_gain} is below 0: the feedback drives the arm away, however slowly"
-                problems.append(_problem("unstable", text))
+                problems.append(problem_of("unstable", text))
             if signals.sparse:
                 unknown.append(f"oscillation: rows are {signals.h:g} s apart, steps are shorter")
     problems += [
-        _problem(
+        problem_of(
             "saturated", f"a limit of [drives] cuts the torque of joint {name} in {100 * share:.3g} % of the rows, "
             f"more than {100 * SATURATED_SHARE:g} %", at,
         )
@@ -152,7 +152,7 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
         if s.approaching:
             unknown.append("contact: the path had not reached the surface at the end")
             return []
-        return [_problem("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and did not occur",
+        return [problem_of("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and did not occur",
                          rows[0] * s.h)]  # fmt: skip
     first = min([*met[:1], *np.ceil(struck[:1] / s.h).astype(int)])  # an impact leaves no row in contact
     rows = rows[min(int(np.searchsorted(rows, first)), rows.size - 1) :]
@@ -164,7 +164,9 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
     if count >= BOUNCES:
         at = float(s.touchdowns[s.touchdowns > begin][0])
         said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, at most {BOUNCES - 1} belong to a touchdown"
-        problems = [problem for problem in problems if problem["name"] != "bouncing"] + [_problem("bouncing", said, at)]
+        problems = [problem for problem in problems if problem["name"] != "bouncing"] + [
+            problem_of("bouncing", said, at)
+        ]
     if lost:
         return problems
     # Of rows without a gap a view, as it is in most runs.
@@ -195,8 +197,8 @@ def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, 
     text = f"off the surface from {begin:.4g} to {end:.4g} s, {100 * share:.3g} % of the time commanded, more than "
     text += f"{100 * bound:g} %" + (" at the end" if lost else "")
     if struck:
-        return _problem("bouncing", f"after an impact {text}", begin), lost
-    return _problem("lost_contact", text, begin), lost
+        return problem_of("bouncing", f"after an impact {text}", begin), lost
+    return problem_of("lost_contact", text, begin), lost
 
 
 def judge_force(miss: Array, scale: float, h: float, rows: NDArray[np.int64], sparse: bool = False) -> list[Problem]:
@@ -227,12 +229,12 @@ def judge_force(miss: Array, scale: float, h: float, rows: NDArray[np.int64], sp
         changes = abs(mean - before) > STILL_CHANGING * abs(mean)
         text = f"f is {mean:+.3g} N off on average at the end, more than {MEAN_SHARE * scale:.3g} N"
         text, name = (f"{text}, and still changes", "not_settled") if changes else (text, "force_error")
-        problems.append(_problem(name, text, rows[-tenth] * h))
+        problems.append(problem_of(name, text, rows[-tenth] * h))
     error = math.sqrt(np.dot(late, late) / late.size)
     if not error <= RMS_SHARE * scale:
         at = rows[rows.size // 2 + int(np.argmax(np.abs(late)))] * h
         text = f"{error:.3g} N RMS, more than {RMS_SHARE * scale:.3g} N; most, {off:.3g} N, at {at:.4g} s"
-        problems.append(_problem("force_error", text, at))
+        problems.append(problem_of("force_error", text, at))
     if not sparse:
         problems += _swinging(lasting_swing(miss, SWING_SHARE * scale, h, rows[0] * h), "force", "N")
     return problems
@@ -251,7 +253,7 @@ def _path(s: Signals) -> list[Problem]:
     if not error <= bound:
         worst = int(np.argmax(square))
         text = f"{error:.3g} m RMS along the surface, more than {bound:.2g} m; most, {np.sqrt(square[worst]):.3g} m"
-        problems.append(_problem("path_error", text, worst * s.h))
+        problems.append(problem_of("path_error", text, worst * s.h))
     if not s.sparse and len(square) >= LEAST_ROWS:
         part = s.off * s.led[:, None]
         along = np.linalg.eigh(np.cov(part[len(part) // 2 :], rowvar=False))[1][:, -1]  # where it varies most
@@ -267,11 +269,7 @@ def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
         f"the {what} swings by ±{swing.amplitude:.3g} {unit} with {1.0 / swing.period:.3g} Hz, which {kind}: "
         f"{swing.growth:.3g} times as much in the last third as in the first"
     )
-    return [_problem("oscillation", text, swing.at)]
-
-
-def _problem(name: str, text: str, at: float | None = None) -> Problem:
-    return {"name": name, "at": None if at is None else float(at), "text": text}
+    return [problem_of("oscillation", text, swing.at)]
 
 
 def told(facts: Mapping[str, Any]) -> str:

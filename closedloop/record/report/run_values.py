@@ -8,7 +8,6 @@ wam_slide, and compiling it 10 s.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,7 +55,7 @@ def run_values(run: Record) -> Any:
     Scale(tally.scale).start_energy = run.kinetic_energy[0] + run.potential_energy[0]
     Scale(tally.scale).start_supplied = run.energy_supplied[0]
     memory, signals = np.empty((Sample.count(n), min(ROWS, count))), np.empty((1 + n, 0))
-    for rows in _some_at_a_time(count):
+    for rows in (slice(begin, min(begin + ROWS, count)) for begin in range(0, count, ROWS)):
         sample = Sample(memory[:, : rows.stop - rows.start], n)
         _sample_rows(run, rows, Scale(tally.scale), sample)
         if rows.start == 0:
@@ -81,10 +80,6 @@ def run_values(run: Record) -> Any:
     values.largest_rate_cut = np.max(run.event_rate_cut, initial=0.0)
     values.events[:] = np.bincount(run.event_kind, minlength=values.events.size + 1)[1:]
     return values
-
-
-def _some_at_a_time(count: int) -> Iterator[slice]:
-    return (slice(begin, min(begin + ROWS, count)) for begin in range(0, count, ROWS))
 
 
 def _sample_rows(run: Record, rows: slice, scale: Scale, sample: Sample) -> None:

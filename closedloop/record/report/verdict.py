@@ -172,22 +172,22 @@ def judge(
     """
     problems = []
     if facts.stopped:
-        problems.append(_problem("stopped", facts.stopped))
+        problems.append(problem_of("stopped", facts.stopped))
     if facts.steps >= 0:
         problems += [p for p in (_energy(facts), _chatter(facts), _closure(facts)) if p]
     if SHAKEN & {problem["name"] for problem in problems}:
         fault = gains()
         if fault:
-            problems.insert(0, _problem("gains", fault))
+            problems.insert(0, problem_of("gains", fault))
     if facts.steps >= 0:
         problems += _limits(facts) + _saturation(facts)
         problems += [
-            _problem(name, f"the scenario keeps to this assumption of the paper, and it failed: {measured}", at)
+            problem_of(name, f"the scenario keeps to this assumption of the paper, and it failed: {measured}", at)
             for name, (at, measured) in facts.failed.items()
         ]
-        problems += _step(facts) + [_problem("resolution", text) for text in facts.unresolved]
+        problems += _step(facts) + [problem_of("resolution", text) for text in facts.unresolved]
         if {*SHAKEN, "step"} & {problem["name"] for problem in problems}:
-            problems += [_problem("resolution", text) for text in feedback()]
+            problems += [problem_of("resolution", text) for text in feedback()]
     return problems
 
 
@@ -235,8 +235,8 @@ def _energy(facts: Facts) -> dict[str, Any] | None:
     if left <= bound:
         return None
     if left == math.inf:
-        return _problem("energy", "the energy that is unaccounted for is not known: it is not a number in the record")
-    return _problem(
+        return problem_of("energy", "the energy that is unaccounted for is not known: it is not a number in the record")
+    return problem_of(
         "energy", f"{left:.3g} J are unaccounted for, more than {bound:.2g} J: try a shorter step or lower gains"
     )
 
@@ -257,7 +257,7 @@ def _chatter(facts: Facts) -> dict[str, Any] | None:
     steps = facts.steps * (time.step / NOMINAL_STEP if own_steps else 1.0)
     if facts.events > max(EVENTS_OF_A_BOUNCE * _bounces(facts.scenario), steps / STEPS_TO_AN_EVENT):
         text += f"{'; ' if text else ''}{facts.events} events in {facts.steps} steps"
-    return _problem("chatter", text) if text else None
+    return problem_of("chatter", text) if text else None
 
 
 def _bounces(scenario: Scenario) -> int:
@@ -277,7 +277,7 @@ def _closure(facts: Facts) -> dict[str, Any] | None:
     if error <= bound and depth <= bound:
         return None
     what = f"{depth:.2g} m inside the surface" if depth >= error else f"{error:.2g} m off the surface in contact"
-    return _problem("closure", f"the tip is {what}, more than {bound:.2g} m")
+    return problem_of("closure", f"the tip is {what}, more than {bound:.2g} m")
 
 
 def _limits(facts: Facts) -> list[dict[str, Any]]:
@@ -296,14 +296,14 @@ def _limits(facts: Facts) -> list[dict[str, Any]]:
                 text = f"moves with up to {value:.3g} {unit_here}, its limit is {model.velocity_limit[j]:g}"
             else:
                 text = f"is asked for up to {value:.3g} {unit_here}, its limit is {model.effort_limit[j]:g}"
-            problems.append(_problem(name, f"joint {model.joint_names[j]} {text}", at))
+            problems.append(problem_of(name, f"joint {model.joint_names[j]} {text}", at))
     return problems
 
 
 def _step(facts: Facts) -> list[dict[str, Any]]:
     """Return the problem of a force that the step leaves uncertain, in a list; empty if there is none."""
     if facts.halved_stopped and not facts.stopped:
-        return [_problem("step", f"the run at half the step could not go on: {facts.halved_stopped}")]
+        return [problem_of("step", f"the run at half the step could not go on: {facts.halved_stopped}")]
     error, asked = facts.measures["step_error_force"], facts.measures["largest_reference_force"] or 0.0
     share = MEASURED_SHARE if facts.halved else ESTIMATED_SHARE
     if error is None or math.isnan(error) or not asked > 0.0 or error <= share * asked:
@@ -317,7 +317,7 @@ def _step(facts: Facts) -> list[dict[str, Any]]:
     )
     if facts.events >= STRIKES:
         text += "; where bounces go on, each depends on all steps before it, and no step is short enough"
-    return [_problem("step", text)]
+    return [problem_of("step", text)]
 
 
 def _saturation(facts: Facts) -> list[dict[str, Any]]:
@@ -325,14 +325,15 @@ def _saturation(facts: Facts) -> list[dict[str, Any]]:
     shares, since = facts.joints["torque_limited_share"], facts.joints["torque_limited_at"]
     names = facts.model.joint_names
     return [
-        _problem("saturation", f"[drives] cuts the torque of joint {name} in {100.0 * share:.3g} % of the rows", at)
+        problem_of("saturation", f"[drives] cuts the torque of joint {name} in {100.0 * share:.3g} % of the rows", at)
         for name, share, at in zip(names, shares, since, strict=True)
         if share > SATURATED_SHARE
     ]
 
 
-def _problem(name: str, text: str, at: float | None = None) -> dict[str, Any]:
-    return {"name": name, "at": at, "text": text}
+def problem_of(name: str, text: str, at: float | None = None) -> dict[str, Any]:
+    """Return a problem: its name, its instant, s, None if it has none, and what is wrong in words."""
+    return {"name": name, "at": None if at is None else float(at), "text": text}
 
 
 def _number(value: float | None) -> float:

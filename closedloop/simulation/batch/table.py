@@ -7,6 +7,7 @@ and a value that does not exist is empty, not NaN.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -178,3 +179,10 @@ def _whole_column(column: Array | None, kind: pa.DataType) -> pa.Array:
         count, wide = column.shape
         values = pa.ListArray.from_arrays(pa.array(wide * np.arange(count + 1, dtype=np.int32)), values)
     return pa.ListArray.from_arrays(pa.array([0, len(column)], pa.int32()), values).cast(kind)
+
+
+def one_number(value: Any) -> float:
+    """Return a cell of a table as a number: of one for each joint the largest in size, NaN where there is none."""
+    if value is None or (isinstance(value, list) and (not value or any(each is None for each in value))):
+        return math.nan
+    return float(max(map(abs, value)) if isinstance(value, list) else value)

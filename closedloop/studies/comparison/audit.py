@@ -16,6 +16,7 @@ from scipy import signal
 
 from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.record.report.swings import rms
 from closedloop.studies.comparison.explain import Hypothesis, Reason, explain
 from closedloop.studies.comparison.recording import Recording
 from closedloop.studies.identify.log import Log, LogError
@@ -177,8 +178,3 @@ def force_hypotheses(force: Array, rate: Array) -> list[Hypothesis]:
         Hypothesis("gain beyond 1", "1", force[:, None]),
         Hypothesis("delay", "s", -rate[:, None]),
     ]
-
-
-def rms(x: Array) -> float:
-    """Return the root of the mean square."""
-    return float(np.sqrt(np.mean(np.square(x))))

@@ -6,7 +6,6 @@ surface and the same noise, and differences of a row are differences of the laws
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
@@ -21,6 +20,7 @@ from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.units import with_unit
 from closedloop.simulation.batch.simulate_batch import simulate_batch
+from closedloop.simulation.batch.table import one_number
 from closedloop.simulation.engines.loops import COMPILED
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def compare(
         units |= {each: ((table.schema.field(each).metadata or {}).get(b"units") or b"").decode() for each in of}
         frame = table.select([*(over or ()), "status", "verdict", "control_verdict", "reason", *of]).to_pandas()
         for each in of:
-            frame[each] = [_one_number(value) for value in frame[each]]
+            frame[each] = [one_number(value) for value in table[each].to_pylist()]
         frame.insert(0, "scenario", name)
         tables.append(frame)
     return Comparison(pd.concat(tables, ignore_index=True), tuple(of), units)
@@ -164,13 +164,6 @@ def _listed(words: list[str]) -> str:
     if len(words) <= NAMED:
         return ", ".join(words)
     return f"{words[0]}, {words[1]} ... {words[-1]} ({len(words)} values)"
-
-
-def _one_number(value: Any) -> float:
-    """Return a value as a number; NaN where there is none."""
-    if value is None:
-        return math.nan
-    return float(np.max(np.abs(value))) if np.ndim(value) else float(value)
 
 
 def _named(scenarios: Mapping[str, Scenario] | Sequence[Scenario | str]) -> dict[str, Scenario]:

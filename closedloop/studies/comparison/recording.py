@@ -11,8 +11,17 @@ import numpy as np
 
 from closedloop.base.arguments import fields_checked
 from closedloop.base.arrays import Array
-from closedloop.studies.identify.log import LogError, check_positions, check_velocities
-from closedloop.studies.identify.read import joints_of, listed, plain_name, run_of, table_of, time_of
+from closedloop.studies.identify.log import LogError, check_positions, check_time, check_velocities
+from closedloop.studies.identify.read import (
+    column_named,
+    in_radians,
+    joints_of,
+    listed,
+    plain_name,
+    run_of,
+    table_of,
+    time_of,
+)
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
@@ -21,8 +30,6 @@ if TYPE_CHECKING:
 # What the columns of a force are called: one that is along the surface's normal, or three along the base's axes.
 FORCE = ("contact_force", "normal_force", "force", "f", "fn", "f_n")
 FORCES = (("force_{}", "xyz"), ("f{}", "xyz"), ("f_{}", "xyz"), ("force.{}", "xyz"), ("wrench.force.{}", "xyz"))
-# The largest share of a step by which the times of rows may be uneven.
-UNEVEN = 0.5
 FEWEST = 50
 
 
@@ -119,7 +126,7 @@ def read_recording(
     torque, v = (joints_of(table, what, given, robot, path) for what in ("torque", "v"))
     if not degrees:
         check_positions(q, robot, str(path))
-    turns = np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
+    turns = in_radians(robot, degrees)
     force = _force(table, force_names, path)
     return checked(
         Recording(
@@ -139,7 +146,7 @@ def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | No
     plain = {plain_name(name): name for name in table}
     if asked:
         names = [name.strip() for name in asked.split(",")]
-        found = [name if name in table else plain.get(name.lower()) for name in names]
+        found = column_named(table, names)
         if len(names) not in (1, 3) or None in found:
             missing = next((name for name, at in zip(names, found, strict=True) if at is None), None)
             reason = f"no column {missing!r}" if missing else f"{len(names)} names: one, or three"
@@ -181,16 +188,7 @@ def checked(recording: Recording, robot: RobotModel) -> Recording:
             raise LogError(f"{where}: {name} has shape {np.shape(x)}: must be {' or '.join(map(str, shapes))}")
         if not np.isfinite(x).all():
             raise LogError(f"{where}: {name} in row {int(np.argwhere(~np.isfinite(x))[0][0])} is not finite")
-    steps = np.diff(time)
-    usual = float(np.median(steps))
-    if usual <= 0.0:
-        raise LogError(f"{where}: time does not increase: it must be in s, a row after the other")
-    odd = np.flatnonzero(np.abs(steps - usual) > UNEVEN * usual)
-    if len(odd):
-        raise LogError(
-            f"{where}: time jumps by {steps[odd[0]]:.6g} s after row {odd[0]}, where rows are {usual:.6g} s apart: cut "
-            "the log there, or resample it"
-        )
+    usual = check_time(time, where)
     if recording.v is not None:
         check_velocities(np.asarray(recording.q), np.asarray(recording.v), usual, robot, where)
     return recording

@@ -13,10 +13,11 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.plain import plain
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.record.report.swings import rms
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate
-from closedloop.studies.comparison.audit import Audit, audit, force_hypotheses, rms
+from closedloop.studies.comparison.audit import Audit, audit, force_hypotheses
 from closedloop.studies.comparison.explain import NOTHING, Reason, explain
 from closedloop.studies.comparison.reasons import of_joints, of_torques
 from closedloop.studies.comparison.recording import FEWEST, Recording, checked, of_run, read_recording

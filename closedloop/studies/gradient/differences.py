@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import Array
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
-from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, floor, one_sided, two_sided
 from closedloop.studies.gradient.keys import Direction, Keys
@@ -147,7 +147,7 @@ def along(
         points = [
             (d, sign * steps[d] * 0.5**level) for d in todo for sign in (-1.0, 1.0) for level in range(LEVELS)
         ]  # fmt: skip
-        ran = samples([variant(keys, *point) for point in points], read, model, report, workers)
+        ran = samples([partial(keys.scenario_at, {d: change}) for d, change in points], read, model, report, workers)
         for i, d in enumerate(todo):
             mine = ran[2 * LEVELS * i : 2 * LEVELS * (i + 1)]
             _take(found[d], steps[d], d.step, base, mine[:LEVELS], mine[LEVELS:], scatter)
@@ -161,11 +161,6 @@ def along(
             )
             known.best = replace(estimate, kink=estimate.kink | jumps)
     return found
-
-
-def variant(keys: Keys, direction: Direction, change: float) -> Callable[[], Scenario]:
-    """Return what makes the scenario with a number changed; see `samples`."""
-    return lambda: keys.scenario_at({direction: change})
 
 
 def _take(

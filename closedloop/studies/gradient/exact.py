@@ -12,7 +12,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ from closedloop.studies.gradient.differences import Along
 from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, two_sided
 from closedloop.studies.gradient.guard import NOISE, agreeing, rounded
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys
-from closedloop.studies.gradient.outputs import Output, slices_of
+from closedloop.studies.gradient.outputs import Output, slices_of, values_of
 from closedloop.studies.gradient.seeds import Seeds, seeds_of
 from closedloop.studies.gradient.several import SHARE_OFF, not_unique
 from closedloop.studies.gradient.variants import Sample
@@ -56,7 +56,7 @@ SAME = 1e-9
 OF_STEP = 0.1
 
 
-class Exact:
+class Exact(NamedTuple):
     """The derivatives of outputs along directions that dual numbers give.
 
     Attributes
@@ -69,8 +69,9 @@ class Exact:
         Why some are less exact.
     """
 
-    def __init__(self, found: dict[Direction, Along], outputs: list[Output], problems: list[str]) -> None:
-        self.found, self.outputs, self.problems = found, outputs, problems
+    found: dict[Direction, Along]
+    outputs: list[Output]
+    problems: list[str]
 
 
 NOTHING = Exact({}, [], [])
@@ -274,7 +275,7 @@ class _Reader:
             moved["potential_energy"] = energies_of_rows(problem.robot.tree, positions["q"])
             moved |= positions | positions_told(problem, positions)
             made = replace(run, columns={name: moved[name] for name in run.columns})
-            return np.concatenate([each.of(made).ravel() for each in outputs])
+            return values_of(outputs, made)
 
         step = OF_STEP * direction.step
         steps = step * 0.5 ** np.arange(LEVELS)

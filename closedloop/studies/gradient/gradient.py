@@ -19,7 +19,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.studies.gradient.differences import Along, Part, along
 from closedloop.studies.gradient.exact import exact
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys, indexed
-from closedloop.studies.gradient.outputs import Output, output
+from closedloop.studies.gradient.outputs import Output, output, values_of
 from closedloop.studies.gradient.variants import Sample, sample, simulated
 from robot_models import RobotModel
 
@@ -161,20 +161,16 @@ def differentiated(
             if some:
                 base = _sampled(run, some)
                 rest = [d for d in directions if d not in found]
-                found = found | along(varied, rest, base, partial(_read, some), model, report, workers)
+                found = found | along(varied, rest, base, partial(values_of, some), model, report, workers)
                 made.append(_gathered(varied, run, some, base.values, {d: found[d] for d in directions}))
     joined = _joined(made, [each.name for each in outputs])
     return replace(joined, problems=(*by_duals.problems, *joined.problems))
 
 
-def _read(outputs: Sequence[Output], run: Run) -> Array:
-    return np.concatenate([each.of(run).ravel() for each in outputs])
-
-
 def _sampled(run: Run, outputs: Sequence[Output]) -> Sample:
     """Return what is kept of the run itself."""
     scale = [np.full(value.size, np.max(np.abs(value), initial=0.0)) for value in (each.of(run) for each in outputs)]
-    return replace(sample(run, partial(_read, outputs)), scale=np.concatenate(scale))
+    return replace(sample(run, partial(values_of, outputs)), scale=np.concatenate(scale))
 
 
 def _joined(parts: Sequence[Gradient], names: Sequence[str]) -> Gradient:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from closedloop.jit.dual import NotDualError
 from closedloop.record.run import Run
 from closedloop.studies.gradient.extrapolate import LOCATED, ROUNDING
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys
-from closedloop.studies.gradient.outputs import Output, slices_of
+from closedloop.studies.gradient.outputs import Output, slices_of, values_of
 from closedloop.studies.gradient.variants import Sample, difference, samples
 from robot_models import RobotModel
 
@@ -43,14 +44,13 @@ def agreeing(
     slices, good = slices_of(outputs, run), np.zeros(len(outputs), dtype=bool)
     noise = NOISE * (LOCATED if base.happened else ROUNDING)
 
-    def read(made: Run) -> Array:
-        return np.concatenate([each.of(made).ravel() for each in outputs])
-
     whys = []
     for beside in BESIDE:
         changes = {d: beside * weight * d.step / SHARE for d, weight in zip(rows, weights, strict=True)}
         sides = [{d: sign * change for d, change in changes.items()} for sign in (-1.0, 1.0)]
-        minus, plus = samples([_changed(keys, side) for side in sides], read, model, report, workers)
+        minus, plus = samples(
+            [partial(keys.scenario_at, side) for side in sides], partial(values_of, outputs), model, report, workers
+        )
         whys.append(difference(base, minus) or difference(base, plus))
         if whys[-1]:
             continue
@@ -113,7 +113,3 @@ def rounded(run: Run, output: Output) -> float:
         if column.dtype.kind == "f" and run.units(name) == output.units:
             sizes.append(float(np.max(np.abs(column[np.isfinite(column)]), initial=0.0)))
     return max(sizes)
-
-
-def _changed(keys: Keys, changes: dict[Direction, float]) -> Callable[[], Any]:
-    return lambda: keys.scenario_at(changes)

@@ -93,9 +93,8 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
     summary = _summary(run)
     if name in JOINT_MEASURES and not whole:
         value: Any = [joint[name] for joint in summary["joints"].values()]
-        read: Callable[[Run], Any] = _of_joints(name)
     elif name in summary and not whole:
-        value, read = summary[name], _of_summary(name)
+        value = summary[name]
     else:
         known = "a value of the summary, COLUMN@T or event_time"
         if whole:
@@ -111,15 +110,14 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
     if name in COUNTED:
         raise ScenarioError(f"of: {name}: has no derivative: it is counted in rows; events are in event_time")
     measure = MEASURES.get(name) or JOINT_MEASURES.get(name)
+
+    def read(made: Run) -> Any:
+        found = _summary(made)
+        if isinstance(value, list):
+            return [_there(each[name]) for each in found["joints"].values()]
+        return _there(found[name])
+
     return Output(name, read, measure.units if measure else "")
-
-
-def _of_summary(name: str) -> Callable[[Run], Any]:
-    return lambda run: _there(_summary(run)[name])
-
-
-def _of_joints(name: str) -> Callable[[Run], Any]:
-    return lambda run: [_there(joint[name]) for joint in _summary(run)["joints"].values()]
 
 
 def _there(value: Any) -> Any:
@@ -156,6 +154,11 @@ def _column(name: str, column: str, instant: str | None, run: Run, whole: bool) 
             raise ScenarioError(f"of: {name}: must be an instant of the run, {column}@0 to {column}@{end:g}, or @{END}")
         row = int(np.argmin(np.abs(run.time - t)))
     return Output(name, lambda made: getattr(made, column)[row], units, column)
+
+
+def values_of(outputs: Sequence[Output], run: Run) -> Array:
+    """Return all outputs of a run, one after the other."""
+    return np.concatenate([each.of(run).ravel() for each in outputs])
 
 
 def slices_of(outputs: Sequence[Output], run: Run) -> list[slice]:

@@ -58,7 +58,8 @@ def not_unique(run: Run) -> NotUnique | None:
     sections = run.scenario.contact
     if not sections:
         return None
-    rubs, seen = np.array([_rubs(section) for section in sections]), set[bytes]()
+    rubs = np.array([c.compliance is None and (c.friction > 0.0 or c.friction_law is not None) for c in sections])
+    seen = set[bytes]()
     for event in run.events:
         if event.contact > 0 and event.kind in DECIDED:
             row = int(np.searchsorted(run.time, event.time, side="right")) - 1
@@ -67,8 +68,3 @@ def not_unique(run: Run) -> NotUnique | None:
                 return NotUnique(event.time, f"{event.kind} of {names_of(sections)[event.contact - 1]}")
             seen.add(modes)
     return None
-
-
-def _rubs(section: Any) -> bool:
-    """Whether a contact is rigid and has friction."""
-    return section.compliance is None and (section.friction > 0.0 or section.friction_law is not None)

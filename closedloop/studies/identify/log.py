@@ -99,7 +99,7 @@ def checked(log: Log, robot: RobotModel) -> Log:
             )
         order = [log.joint_names.index(name) for name in robot.joint_names]
         q, torque, v = q[:, order], torque[:, order], None if v is None else v[:, order]
-    _check_time(time, where)
+    check_time(time, where)
     check_positions(q, robot, where)
     if np.ptp(q, axis=0).max() < 1e-3:
         raise LogError(
@@ -110,7 +110,8 @@ def checked(log: Log, robot: RobotModel) -> Log:
     return Log(time, q, torque, robot.joint_names, v, where)
 
 
-def _check_time(time: Array, where: str) -> None:
+def check_time(time: Array, where: str) -> float:
+    """Return the median time between rows (N,), s; raise LogError if time runs backwards, or jumps."""
     steps = np.diff(time)
     if not np.isfinite(time).all():
         raise LogError(f"{where}: time in row {int(np.flatnonzero(~np.isfinite(time))[0])} is not finite")
@@ -124,6 +125,7 @@ def _check_time(time: Array, where: str) -> None:
             f"{where}: time jumps by {steps[k]:.6g} s after row {k} ({len(odd)} such places), where rows are "
             f"{usual:.6g} s apart: cut the log there, or resample it"
         )
+    return usual
 
 
 def check_positions(q: Array, robot: RobotModel, where: str) -> None:

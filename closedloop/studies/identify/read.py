@@ -80,11 +80,16 @@ def read_log(
             )
     assert q is not None
     assert torque is not None
-    turns = np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
+    turns = in_radians(robot, degrees)
     return Log(
         time, q * turns, torque * np.asarray(gain, dtype=np.float64), robot.joint_names,
         None if v is None else v * turns, str(path),
     )  # fmt: skip
+
+
+def in_radians(robot: RobotModel, degrees: bool) -> Array | float:
+    """Return what positions (N, n) of a file, which may be in degrees, are multiplied by."""
+    return np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
 
 
 def log_of_run(run: Run, source: str = "the run") -> Log:
@@ -183,21 +188,23 @@ def plain_name(name: str) -> str:
 
 def time_of(table: dict[str, Array], given: str | None, path: Path) -> Array:
     """Return the column of the time."""
-    names = {plain_name(name): name for name in table}
-    for name in (given,) if given else NAMES["time"]:
-        if name in table:
+    for name in column_named(table, (given,) if given else NAMES["time"]):
+        if name is not None:
             return table[name]
-        if name.lower() in names:
-            return table[names[name.lower()]]
     wanted = given or " or ".join(NAMES["time"][:3])
     raise LogError(
         f"{path}: no column {wanted} for the time: name it, as in --columns time=NAME; it has {listed(table)}"
     )
 
 
+def column_named(table: dict[str, Array], names: Sequence[str]) -> list[str | None]:
+    """Return which columns have these names, be it in another case or with a unit behind; None for one that has not."""
+    plain = {plain_name(name): name for name in table}
+    return [name if name in table else plain.get(name.lower()) for name in names]
+
+
 def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: RobotModel, path: Path) -> Array | None:
     """Return the columns of a quantity, (N, n) in the robot's order, or None if it is not there."""
-    plain = {plain_name(name): name for name in table}
     n = robot.n
     labels = [list(robot.joint_names), [str(k + 1) for k in range(n)], [str(k) for k in range(n)]]
     asked = given.get(what)
@@ -208,21 +215,25 @@ def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: 
         patterns = [asked] if asked else [form.format(name, "{}") for name in NAMES[what] for form in FORMS]
         tried = [[pattern.format(label) for label in row] for row in labels for pattern in patterns]
     for names in tried:
-        found = [name if name in table else plain.get(name.lower()) for name in names]
+        found = column_named(table, names)
         if len(found) == n and None not in found:
             return np.stack([table[name] for name in found if name is not None], axis=1)
     if asked:
-        missing = next((name for name in tried[0] if name not in table and name.lower() not in plain), None)
-        reason = f"no column {missing!r}" if missing else f"{len(tried[0])} columns for {n} joints"
+        missing = _lacking(table, tried[0])[:1]
+        reason = f"no column {missing[0]!r}" if missing else f"{len(tried[0])} columns for {n} joints"
         raise LogError(f"{path}: --columns {what}={asked}: {reason}; it has {listed(table)}")
     for names in tried[: len(patterns)] if what != "v" else ():  # by the joints' names
-        lacking = [name for name in names if name not in table and name.lower() not in plain]
+        lacking = _lacking(table, names)
         if 0 < len(lacking) < n:
             raise LogError(
                 f"{path}: has {what} of {n - len(lacking)} of {n} joints: no column of numbers {lacking[0]!r}; it has "
                 f"{listed(table)}"
             )
     return None
+
+
+def _lacking(table: dict[str, Array], names: Sequence[str]) -> list[str]:
+    return [name for name, found in zip(names, column_named(table, names), strict=True) if found is None]
 
 
 def listed(table: dict[str, Array]) -> str:

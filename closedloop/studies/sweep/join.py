@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from closedloop.base.errors import OutputError
 from closedloop.base.files import remove_unfinished, write_whole
@@ -83,7 +83,9 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
         found = counted = None
         with unreadable_is_none():
             found = json.loads(description_of(out))
-            counted = _counted_all(pieces(out))
+            counted = _Counts(Counter(), Counter(), Counter())
+            for rows in pieces(out):
+                counted.add(rows)
     except OSError as error:
         if isinstance(error, OutputError):
             raise
@@ -93,7 +95,7 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
         raise occupied(out, "is damaged")
     if kept is not None and not kept.exists():
         raise OutputError(f"--out {out}: is done, but {kept} is gone; remove the table to run it again")
-    return Joined(out, kept, *counted)
+    return Joined(out, kept, *map(dict, counted))
 
 
 def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -> Joined:
@@ -120,19 +122,14 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
     description = json.dumps({"format": FORMAT, "identity": store.identity})
     attributes = {METADATA: description}
     kept = out.with_suffix(".nc") if store.identity["keep"] else None
-    counts: Counter[str] = Counter()
-    verdicts: Counter[str] = Counter()
-    controls: Counter[str] = Counter()
+    counts = _Counts(Counter(), Counter(), Counter())
 
     def write(done: Done) -> None:
         def write_table(file: BinaryIO) -> None:
             with open_table(file, columns, description) as table:
                 for rows in _rows(store, parts, done.check):
                     table.write_table(rows, row_group_size=2**30)
-                    statuses, bad, uncontrolled = _counted(rows)
-                    counts.update(statuses)
-                    verdicts.update(bad)
-                    controls.update(uncontrolled)
+                    counts.add(rows)
 
         if kept is None and store.overwrite:
             _remove_columns(out)
@@ -148,7 +145,7 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
             f"--out {out}: {error}; what was done is kept: once there is room, the same command goes on"
         ) from None
     store.remove()
-    return Joined(out, kept, dict(counts), dict(verdicts), dict(controls))
+    return Joined(out, kept, *map(dict, counts))
 
 
 def _remove_columns(out: Path) -> None:
@@ -173,22 +170,19 @@ def _rows(store: Store, parts: int, check: Callable[[], None]) -> Iterator[pa.Ta
             waiting = []
 
 
-def _counted_all(pieces: Iterable[pa.Table]) -> tuple[dict[str, int], dict[str, int], dict[str, int]]:
-    counts: tuple[Counter[str], Counter[str], Counter[str]] = Counter(), Counter(), Counter()
-    for rows in pieces:
-        for count, more in zip(counts, _counted(rows), strict=True):
-            count.update(more)
-    return dict(counts[0]), dict(counts[1]), dict(counts[2])
+class _Counts(NamedTuple):
+    """How many runs have each status, and each verdict of either kind that is not good."""
 
+    statuses: Counter[str]
+    verdicts: Counter[str]
+    controls: Counter[str]
 
-def _counted(rows: pa.Table) -> tuple[dict[str, int], dict[str, int], dict[str, int]]:
-    """Return how many runs have each status, and each verdict of either kind that is not good."""
-
-    def bad(name: str) -> dict[str, int]:
-        said = Counter(rows[name].to_pylist() if name in rows.column_names else ())
-        return {word: many for word, many in said.items() if word is not None and word.partition(";")[0] != GOOD}
-
-    return dict(Counter(rows["status"].to_pylist())), bad(VERDICT), bad(CONTROL)
+    def add(self, rows: pa.Table) -> None:
+        """Count the runs of some rows too."""
+        self.statuses.update(rows["status"].to_pylist())
+        for count, name in ((self.verdicts, VERDICT), (self.controls, CONTROL)):
+            said = rows[name].to_pylist() if name in rows.column_names else ()
+            count.update(word for word in said if word is not None and word.partition(";")[0] != GOOD)
 
 
 def _of_netcdf(path: Path) -> Any:

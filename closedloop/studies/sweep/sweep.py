@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 import robot_models
@@ -90,7 +91,9 @@ class Sweep:
         design = self.design
         versions = package_versions()
         if design.kind == LATIN:
-            versions["scipy"] = _version_of_scipy()
+            versions["scipy"] = version("scipy")
+        # The text of a user's class, or a robot's file, may change between a kill and what follows.
+        digests = {name: source_digest(families()[key].get(name)) for key, name in self._members}
         return {
             "scenario": self.scenario.to_toml(),
             "robot": self._robots(),
@@ -102,7 +105,7 @@ class Sweep:
             "engine": self.engine,
             "versions": versions,
             "kernels": cache_folder().name,
-            **({"members": self._digests()} if self._members else {}),
+            **({"members": digests} if digests else {}),
             **({"law": self.law, "law_digest": self.law_digest} if self.law else {}),
         }
 
@@ -143,12 +146,8 @@ class Sweep:
                 found += [(axis.key, name) for name in axis.values if isinstance(name, str) and ":" in name]
         return tuple(found)
 
-    def _digests(self) -> dict[str, str]:
-        """Return a digest of the text of each user's class: it may change between a kill and what follows."""
-        return {name: source_digest(families()[key].get(name)) for key, name in self._members}
-
     def _robots(self) -> dict[str, str]:
-        """Return a digest of each robot that a run may load: a file may change between a kill and what follows."""
+        """Return a digest of each robot that a run may load."""
         section = self.scenario.robot
         names = {section.model}
         for axis in self.design.axes:
@@ -166,9 +165,3 @@ class Sweep:
             whole = (model.text, model.armature.tolist(), model.home.tolist(), model.tip)
             digests[name] = hashlib.sha256(json.dumps(whole).encode()).hexdigest()
         return digests
-
-
-def _version_of_scipy() -> str:
-    import scipy
-
-    return str(scipy.__version__)

@@ -23,6 +23,7 @@ from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import simulate_batch
+from closedloop.simulation.batch.table import one_number
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.studies.analysis.linearise import linearise
 from closedloop.studies.tune.given import Limit, Varied, with_numbers
@@ -146,7 +147,7 @@ class Runs:
             table = simulate_batch(self.scenario, changes, engine=self._engine, workers=self._workers)
             ran = np.array([status == "done" for status in table.column("status").to_pylist()])
             for i in plain:
-                column = [_one_number(value) for value in table.column(self.names[i]).to_pylist()]
+                column = [one_number(value) for value in table.column(self.names[i]).to_pylist()]
                 found[:, i] = np.where(ran, column, math.nan)
         if len(plain) < len(self.names):
             variants = Variants(self.scenario, tuple(changes))
@@ -196,13 +197,6 @@ class Runs:
         given = [self.scenario.to_toml(), ranges, self.names, self.variations]
         digest = hashlib.sha256(json.dumps(given, sort_keys=True, default=str).encode()).hexdigest()
         return json.dumps({"tuning": digest})
-
-
-def _one_number(value: Any) -> float:
-    """Return a value as a number: of one for each joint the largest in size."""
-    if value is None or (isinstance(value, list) and (not value or any(each is None for each in value))):
-        return math.nan
-    return float(np.max(np.abs(value))) if isinstance(value, list) else float(value)
 
 
 def _is_number(text: str) -> bool:

@@ -100,7 +100,7 @@ if TYPE_CHECKING:
     from closedloop.studies.comparison.recording import Recording as Recording
     from closedloop.studies.comparison.with_log import compare_log as compare_log
     from closedloop.studies.gradient.gradient import gradient as gradient
-    from closedloop.studies.gradient.many import gradients as gradients
+    from closedloop.studies.gradient.gradient import gradients as gradients
     from closedloop.studies.gradient.sensitivities import sensitivities as sensitivities
     from closedloop.studies.identify.contact.identify_contact import identify_contact as identify_contact
     from closedloop.studies.identify.excite import excite as excite
@@ -146,7 +146,7 @@ _HOME = {
     "excite": "studies.identify.excite",
     "figures": "figures",
     "gradient": "studies.gradient.gradient",
-    "gradients": "studies.gradient.many",
+    "gradients": "studies.gradient.gradient",
     "halve": "simulation.halve",
     "identify": "studies.identify.identify",
     "identify_contact": "studies.identify.contact.identify_contact",

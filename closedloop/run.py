@@ -28,9 +28,17 @@ from closedloop.base.errors import (
 from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, as_command
-from closedloop.command.cautions import warn_of_gains, warn_of_hulls, warn_of_no_surface, warn_of_other_texts
 from closedloop.command.help import list_of_sections, scenario_parser
-from closedloop.command.job import Job, halved, simulated, without_stabiliser
+from closedloop.command.job import (
+    Job,
+    halved,
+    simulated,
+    warn_of_gains,
+    warn_of_hulls,
+    warn_of_no_surface,
+    warn_of_other_texts,
+    without_stabiliser,
+)
 from closedloop.command.lists import list_of_scenarios, versions
 from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.members import member_digests

@@ -1,21 +1,22 @@
 """Standard output and standard error whose errors stop no command.
 
 The reader of a pipe may have ended (``| head -1``), the disk may be full, a stream may be closed, or its encoding may
-lack characters. Errors are kept and reported afterwards; nothing raises, not even when Python ends.
+lack characters, which others then replace. Errors are kept and reported afterwards; nothing raises, not even when
+Python ends.
 """
 
 from __future__ import annotations
 
+import codecs
 import errno
 import io
 import os
 import select
 import sys
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import IO, Any
-
-from closedloop.command.plain_text import HANDLER
 
 
 class Patient(io.RawIOBase):
@@ -106,3 +107,41 @@ def _patient(stream: Any) -> tuple[IO[str], list[Patient]]:
         write_through=stream.write_through,
     )
     return text, [raw]
+
+
+HANDLER = "closedloop.command.streams"
+ALIKE = {
+    "−": "-", "–": "-", "—": "-", "…": "...", "×": "x", "·": "*", "≤": "<=", "≥": ">=", "≈": "~", "→": "->", "←": "<-",
+    "∞": "inf", "√": "sqrt", "∂": "d", "°": " deg", "•": "*", "‘": "'", "’": "'", "“": '"', "”": '"', "„": '"',
+    "µ": "u", "✓": "ok", "✗": "X", "\u0307": "'", "\u0308": "''", "█": "#",
+}  # fmt: skip
+
+
+def plain(character: str) -> str:
+    """Return ASCII for one character."""
+    if character.isascii():
+        return character
+    if character in ALIKE:
+        return ALIKE[character]
+    name = unicodedata.name(character, "")
+    if name.startswith("GREEK SMALL LETTER ") and name.count(" ") == 3:
+        return name.rpartition(" ")[2].lower()
+    if name.startswith("GREEK CAPITAL LETTER ") and name.count(" ") == 3:
+        return name.rpartition(" ")[2].capitalize()
+    if name.startswith("BOX DRAWINGS"):
+        horizontal, vertical = "HORIZONTAL" in name, "VERTICAL" in name
+        return "-" if horizontal and not vertical else "|" if vertical and not horizontal else "+"
+    parts = unicodedata.normalize("NFKD", character)
+    if parts == character:
+        return character.encode("ascii", "backslashreplace").decode("ascii")
+    dotted = "'" if "\u0307" in parts else ""  # a derivative in time
+    return "".join(plain(part) for part in parts if not unicodedata.combining(part)) + dotted
+
+
+def _replace(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(map(plain, error.object[error.start : error.end])), error.end
+
+
+codecs.register_error(HANDLER, _replace)

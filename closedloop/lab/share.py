@@ -1,8 +1,9 @@
-"""A run as one page of HTML: the page of the lab without its server, in a file that needs no network."""
+"""A run as one page of HTML: the page of the lab without its server, in a file that needs no network; and shown."""
 
 from __future__ import annotations
 
 import html
+import tempfile
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +15,7 @@ from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.drawn import curves, robot_message, run_message, space_message, spread
 from closedloop.lab.messages import in_text
+from closedloop.lab.page import in_notebook
 from closedloop.lab.strip import tiles
 from closedloop.record.run import Run
 
@@ -86,3 +88,43 @@ def share(run: Run, path: str | Path, command: str = "", ghosts: Sequence[Ghost]
         If the file cannot be written.
     """
     return write_whole(path, page_of(run, command, ghosts).encode())
+
+
+HEIGHT = 640  # px in a notebook
+
+
+def show_run(run: Run, path: str | Path | None = None) -> Path | Any:
+    """Show the replay of a run.
+
+    Parameters
+    ----------
+    run : Run
+    path : path, optional
+        Write the page there instead of showing it.
+
+    Returns
+    -------
+    Path or IPython.display.HTML
+        The file; in a notebook, without `path`, what it displays.
+
+    Raises
+    ------
+    ScenarioError
+        If the run has no rows.
+    OutputError
+        If the file cannot be written.
+    """
+    if path is not None:
+        return share(run, path)
+    if in_notebook():
+        from IPython.display import HTML
+
+        inside = html.escape(page_of(run), quote=True)
+        frame = f'<iframe srcdoc="{inside}" width="100%" height="{HEIGHT}" style="border:0"></iframe>'
+        return HTML(frame)  # type: ignore[no-untyped-call]
+    import webbrowser
+
+    folder = Path(tempfile.mkdtemp(prefix="closedloop-"))
+    page = share(run, folder / f"{run.scenario.name}.html")
+    webbrowser.open(page.as_uri())
+    return page

@@ -31,7 +31,7 @@ from closedloop.record.columns.recorded import (
     Column,
     columns_there,
 )
-from closedloop.record.halved import checked_comparison
+from closedloop.record.report.halved import checked_comparison
 from closedloop.record.run import Run
 from closedloop.record.save import (
     ADDED,

@@ -50,7 +50,7 @@ def units_by_kind(units: str, kind: str) -> str:
 DRAWN_BY = {
     "plot": "closedloop.figures.overview:plot",
     "html": "closedloop.figures.html:html",
-    "show": "closedloop.lab.show:show_run",
+    "show": "closedloop.lab.share:show_run",
     "animate": "closedloop.lab.animate:animate",
 }
 

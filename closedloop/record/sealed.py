@@ -4,7 +4,7 @@
 
 A file whose seal is broken is damaged. But anyone can seal a file, and HDF5 that reads damaged bytes may loop for ever,
 deaf to Ctrl-C, or end the process: it reads in this process what this user has written on this machine, and nothing
-else. That is told by the second number, an HMAC with a key (`closedloop.record.seal_key`). Any other file, with a seal
+else. That is told by the second number, an HMAC with a key of this user (`seal_key`). Any other file, with a seal
 or without (made before there was one, or changed by another program, which cuts it off), is read by a process of its
 own, which can be ended.
 """
@@ -16,9 +16,13 @@ import hmac
 import io
 import json
 import os
+import secrets
 import stat
 import subprocess
 import sys
+import tempfile
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -27,7 +31,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.errors import RunFileError
 from closedloop.base.files import kind_of, reason_of
-from closedloop.record.seal_key import seal_key
+from closedloop.jit.cache_folder import trusted_content, trusted_root
 
 _WORDS = b"\nclosedloop SHA-256 of all bytes before this line: "
 # With and without the HMAC, which lines of earlier versions lack.
@@ -153,3 +157,44 @@ def _read_apart(path: Path, size: int, names: list[str]) -> tuple[Attributes, Co
         columns[name] = np.frombuffer(rest[at : at + length], dtype).reshape(shape).copy()
         at += length
     return said["attributes"], columns
+
+
+NAME, LENGTH = "closedloop-seal-key", 32
+
+
+@cache
+def seal_key() -> bytes:
+    """Return the key of this user, made if there is none: 32 random bytes in the cache folder, for this user to read.
+
+    What is signed with it was written by a process of this user on this machine. Where it cannot be kept safely each
+    process has its own, and knows what it has written.
+    """
+    with suppress(OSError):
+        root = trusted_root()
+        if root is not None:
+            path = root / NAME
+            if not path.exists():
+                _make(path)
+            if _is_private(path) and len(key := trusted_content(path) or b"") == LENGTH:
+                return key
+    return secrets.token_bytes(LENGTH)
+
+
+def _make(path: Path) -> None:
+    """Write a key, unless another process has."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file, name = tempfile.mkstemp(dir=path.parent)  # for this user alone
+    try:
+        with os.fdopen(file, "wb") as key:
+            key.write(secrets.token_bytes(LENGTH))
+        with suppress(FileExistsError):
+            os.link(name, path)
+    finally:
+        os.unlink(name)
+
+
+def _is_private(path: Path) -> bool:
+    """Whether nobody else can have read it; where files have no such modes (Windows) a user's profile is private."""
+    found = path.lstat()
+    others = stat.S_IRWXG | stat.S_IRWXO
+    return stat.S_ISREG(found.st_mode) and not (hasattr(os, "geteuid") and found.st_mode & others)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,13 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Section
 from closedloop.control.drives import torque_limits, torque_steps
-from closedloop.control.encoder import check_steps
+from closedloop.control.encoder import check_steps, encoder_draws
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.control.reference.desired import Desired
-from closedloop.control.sensor import pack_sensor
+from closedloop.control.reference.desired import Desired, desired
+from closedloop.control.reference.force import force_at
+from closedloop.control.reference.table import DrawnRow, Reference, TableRow
+from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
 from closedloop.control.transmission import transmission_constants
 from closedloop.jit.parameters import pack
@@ -26,6 +29,8 @@ from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
 from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.plane import unit
 from closedloop.mechanics.surface.rates import check_rates
 from closedloop.scenario.arm import beside_bodies, free_bodies, has_stops, joint_friction_of, robot_of
 from closedloop.scenario.collision import with_collision_shapes
@@ -39,7 +44,6 @@ from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.packed import PackedLaw, pack_compliance, pack_friction, pack_law
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.start_memory import STICK_SPEED
-from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
@@ -220,3 +224,51 @@ def _believed_compensation(scenario: Scenario) -> Compensation:
             "that could be wrong; use compensation.kind = 'model', or leave model_error.friction out"
         )
     return section.model_copy(update=wrong)
+
+
+# A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
+BEYOND = 1.001
+
+
+def reference_table(
+    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, steps: int, nodes: int, cache: Cache
+) -> tuple[Desired, Array]:
+    """Return what is desired, and the table of it, `nodes` rows to a step, with noise in its last columns."""
+    n = robot.n
+    instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
+    row = DrawnRow if scenario.reads_encoders else TableRow
+    spare = row.count(n) - Reference.count(n)
+    motion = (
+        scenario.robot.model_dump_json(),
+        scenario.tool.model_dump_json(),
+        scenario.reference.model_dump_json(),
+        q.tobytes(),
+        _path_key(scenario, surface),
+    )
+    tool = unit(scenario.tool.axis, "tool.axis"), scenario.tool.radius
+    wanted = cache.get_shared(
+        ("desired", *motion),
+        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, *tool),
+        lambda made: 3 * made.joints.q.nbytes,
+    )
+    wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
+    noisy = scenario.sensor.noise > 0.0
+    table = cache.get(
+        ("table", *motion, instants.size, float(instants[1]), spare, noisy),
+        lambda: wanted.table(instants, spare=spare),
+        lambda made: made.nbytes,
+    )
+    table[:, Reference.place("force", n)] = force_at(wanted.profile, wanted.force, instants)
+    if noisy:  # else its column has the zeros that it was made with
+        table[::nodes, TableRow.place("noise", n)] = draws(scenario.sensor, steps + 1)
+    if scenario.reads_encoders:
+        table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(scenario.encoder, steps + 1, n)
+    return wanted, table
+
+
+def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
+    """Return what of the surface the path depends on."""
+    if surface.fixed_plane:
+        return surface.normal.tobytes()
+    sections = scenario.surface.model_dump_json(), scenario.surface_motion.model_dump_json()
+    return (*sections, surface.origin.tobytes(), scenario.time.duration)

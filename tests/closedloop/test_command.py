@@ -8,8 +8,7 @@ import pytest
 
 from closedloop.base.errors import ClusterError, ScenarioError, SimulationError
 from closedloop.command.border import Parser, run_command
-from closedloop.command.plain_text import HANDLER, plain
-from closedloop.command.streams import patient_output
+from closedloop.command.streams import HANDLER, patient_output, plain
 
 
 def raising(error):

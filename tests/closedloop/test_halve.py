@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.record.halved import checked_comparison
-from closedloop.record.report.halved import MOVES, _away_from_changes
+from closedloop.record.report.halved import MOVES, _away_from_changes, checked_comparison
 from closedloop.record.report.verdict import MEASURED_SHARE
 
 SHORT = {"time.duration": 0.04, "reference.start": 0.0, "reference.stop": 0.2, "law.pd_start": 0.0}

@@ -18,13 +18,12 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.figures import draw_figures
-from closedloop.record import seal_key as seal_key_module
 from closedloop.record import sealed
 from closedloop.record.columns.recorded import COLUMNS
 from closedloop.record.hdf5_reader import read_hdf5
 from closedloop.record.report import print_report
 from closedloop.record.save import attributes
-from closedloop.record.seal_key import seal_key
+from closedloop.record.sealed import seal_key
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +151,7 @@ def test_a_seal_without_a_signature_is_one(copy, saved):
 def test_the_key_is_the_users_alone(tmp_path, monkeypatch):
     """Made once for this user to read; one that others can read or write is not used, nor one of another length."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    key, file = seal_key.__wrapped__(), tmp_path / "cache" / seal_key_module.NAME
+    key, file = seal_key.__wrapped__(), tmp_path / "cache" / sealed.NAME
     assert seal_key.__wrapped__() == key == file.read_bytes()
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     for mode in (0o640, 0o604, 0o620):
@@ -164,7 +163,7 @@ def test_the_key_is_the_users_alone(tmp_path, monkeypatch):
     (tmp_path / "cache").chmod(0o700)
     assert seal_key.__wrapped__() == key
     file.write_bytes(b"short")
-    assert len(seal_key.__wrapped__()) == seal_key_module.LENGTH
+    assert len(seal_key.__wrapped__()) == sealed.LENGTH
     assert list((tmp_path / "cache").iterdir()) == [file]
 
 

@@ -18,15 +18,13 @@ from closedloop.record.columns.record import Record
 from closedloop.record.report.assumptions import assumptions
 from closedloop.record.report.control_signals import limited_joints, run_signals
 from closedloop.record.report.control_verdict import judge_control
-from closedloop.record.report.friction_direction import friction_off_slip
 from closedloop.record.report.halved import measured_step_error
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import Scale, energy_left, torque_power
 from closedloop.record.report.run_values import columns_of, run_values
 from closedloop.record.report.step_error import run_force_not_known, step_error, unknown_because, why_not_known
-from closedloop.record.report.undetermined import not_determined_from
-from closedloop.record.report.undriven import motions_without_drive
+from closedloop.record.report.undetermined import friction_off_slip, motions_without_drive, not_determined_from
 from closedloop.record.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import Rubbing, gains_fault

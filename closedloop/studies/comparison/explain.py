@@ -2,7 +2,7 @@
 
 The share that a hypothesis explains is that of the residual's sum of squares. The interval of its coefficient takes
 into account that neighbouring rows of a residual are alike: N is divided by the number of rows that are alike, from the
-sum of its autocorrelations (Bartlett).
+sum of its autocorrelations (Bartlett). Here are hypotheses for joints and for torques, too.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.mechanics.robot.pinocchio import Robot
 
 # A hypothesis is added while it explains this share of what is left, and so much of the whole.
 ENOUGH, OF_ALL = 0.2, 0.02
@@ -150,3 +151,61 @@ def alike_rows(x: Array) -> float:
     ends = np.flatnonzero(correlation <= 0.0)
     upto = int(ends[0]) if len(ends) else lags + 1
     return float(max(1.0, 1.0 + 2.0 * correlation[1:upto].sum()))
+
+
+# Rows at which torques are explained.
+ROWS = 3000
+
+
+def of_joints(residual: Array, names: Sequence[str], v: Array, torque: Array) -> tuple[Array, list[Hypothesis]]:
+    """Return the residual of positions as one column, and why it might not be zero."""
+    N, n = residual.shape
+    hypotheses = [
+        Hypothesis("delay", "s", -v.reshape(-1, 1)),
+        Hypothesis("offset", "rad (m)", _blocks(np.ones((N, n))), names),
+        Hypothesis("give under the drives' torque", "rad/(N m)", _blocks(torque), names),
+    ]
+    return residual.reshape(-1), hypotheses
+
+
+def of_torques(
+    residual: Array,
+    time: Array,
+    names: Sequence[str],
+    motion: tuple[Array, Array, Array],
+    torque: Array,
+    robot: Robot | None,
+    normal: Array | None,
+) -> tuple[Array, list[Hypothesis]]:
+    """Return the residual of torques, at some rows, as one column, and why it might not be zero."""
+    q, v, a = motion
+    rows = np.unique(np.linspace(0, len(time) - 1, ROWS).astype(int))
+    rate = np.gradient(torque, time, axis=0)
+    slow = 1e-3 * np.abs(v).max(axis=0) + 1e-9
+    hypotheses = [
+        Hypothesis("offset", "N m (N)", _blocks(np.ones((len(rows), v.shape[1]))), names),
+        Hypothesis("dry friction", "N m (N)", _blocks(np.tanh(v[rows] / slow)), names),
+        Hypothesis("viscous friction", "N m s/rad", _blocks(v[rows]), names),
+        Hypothesis("delay", "s", -rate[rows].reshape(-1, 1)),
+        Hypothesis("gain beyond 1", "1", _blocks(torque[rows]), names),
+    ]
+    if robot is not None:
+        gravity = np.asarray(robot.model.pinocchio_model().gravity.linear)
+        payload, pressing = np.empty((2, len(rows), v.shape[1]))
+        for k, row in enumerate(rows):
+            terms = robot.terms(q[row], v[row])
+            payload[k] = terms.jacobian.T @ (terms.jacobian @ a[row] + terms.drift - gravity)
+            if normal is not None:
+                pressing[k] = -terms.jacobian.T @ normal[row]
+        hypotheses.append(Hypothesis("payload at the tip", "kg", payload.reshape(-1, 1)))
+        if normal is not None:
+            hypotheses.append(Hypothesis("force along the normal at the tip", "N", pressing.reshape(-1, 1)))
+    return residual[rows].reshape(-1), hypotheses
+
+
+def _blocks(columns: Array) -> Array:
+    """Return (N n, n): for each joint a column that is zero in the rows of the others."""
+    N, n = columns.shape
+    spread = np.zeros((N, n, n))
+    spread[:, np.arange(n), np.arange(n)] = columns
+    return spread.reshape(N * n, n)

@@ -18,8 +18,7 @@ from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate
 from closedloop.studies.comparison.audit import Audit, audit, force_hypotheses
-from closedloop.studies.comparison.explain import NOTHING, Reason, explain
-from closedloop.studies.comparison.reasons import of_joints, of_torques
+from closedloop.studies.comparison.explain import NOTHING, Reason, explain, of_joints, of_torques
 from closedloop.studies.comparison.recording import FEWEST, Recording, checked, of_run, read_recording
 from closedloop.studies.comparison.shift import OVERLAP, shift_of
 from closedloop.studies.identify.log import LogError

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import groupby
 from typing import Any, get_args
 
 from closedloop.base.errors import ScenarioError
@@ -152,8 +153,12 @@ def _which(section: str, rest: str, names: Sequence[str]) -> str:
     if table is not None and first in table.model_fields:
         said = " or ".join(f"'{section}.{name}.{rest}'" for name in ("0", *names[:1], ALL))
         return f"which {section}? {said}, which is for all"
-    listed = ", ".join(f"{name!r} ({i})" for i, name in enumerate(names))
-    return f"there is no {section} {shown(first)}; there are {listed}" if names else f"the list [[{section}]] is empty"
+    listed = []
+    for stem, group in groupby(enumerate(names), lambda numbered: _stem(numbered[1])):
+        (i, name), *more = group
+        listed.append(f"{stem!r} ({i} to {more[-1][0]})" if more else f"{name!r} ({i})")
+    there = f"there is no {section} {shown(first)}; there are {', '.join(listed)}"
+    return there if names else f"the list [[{section}]] is empty"
 
 
 def described_key(key: str) -> str:

@@ -64,6 +64,13 @@ def test_what_names_no_contact_is_refused(key, words):
     assert words in str(refused.value)
 
 
+def test_points_of_one_table_are_listed_by_its_name():
+    """Twenty corners of five boxes are five names."""
+    words = r"there is no contact 'box9'; there are 'box 1' \(0 to 3\), .*'box 5' \(16 to 19\)$"
+    with pytest.raises(cl.ScenarioError, match=words):
+        cl.load_scenario("tower", {"contact.box9.friction": 0.3})
+
+
 def test_no_contacts_and_two_of_a_name():
     """Neither is guessed at."""
     with pytest.raises(cl.ScenarioError, match=r"the scenario has no \[\[contact\]\]"):

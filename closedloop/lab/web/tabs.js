@@ -153,10 +153,10 @@ class Events {
       cell.firstChild.style.background = tint(EVENT[m.kind] ?? "#8A8A8A");
       return cell;
     };
-    const rows = run.marks.map((m) => [`${m.time.toFixed(4)} s`, kind(m), m.of, m.place.map((x) => Number(x.toFixed(4))).join("  ")]);
+    const rows = run.marks.map((m) => [m.time.toFixed(4), kind(m), m.of, m.place.map((x) => Number(x.toFixed(3))).join("  ")]);
     const more = run.events > run.marks.length ? make("p", { className: "hint", textContent: `the first ${run.marks.length} of ${run.events} events` }) : "";
     this.element.replaceChildren(...(rows.length
-      ? [table(["time", "event", "of", "where [m]"], rows, (k) => this.seek(this.marks[k].time)), more]
+      ? [table(["time [s]", "event", "of", "where [m]"], rows, (k) => this.seek(this.marks[k].time)), more]
       : [make("p", { className: "hint", textContent: "Nothing happened to the contact in this run: it neither began nor ended, stuck nor slipped." })]));
   }
 }

@@ -8,15 +8,13 @@ import closedloop as cl
 from closedloop.control.seen import Seen
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.belief import believe
-from closedloop.loop.step.closed_loops import BIND_LOAD, IMPULSE, REACTION, closed_loops, drive, factorise_tip
+from closedloop.loop.step.closed_loops import BIND_LOAD, REACTION, closed_loops, factorise_tip
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.loop.step.joint_friction import _delayed, add_joint_friction, hold_joints, stick_or_slip_joints
 from closedloop.loop.step.locate import locate_tip, off_anchor, set_anchor
 from closedloop.loop.step.seen import MOTORS_MEASURED, read_joints, see
 from closedloop.loop.step.soft_contact import soft_contact_force, spring_energy
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.mechanics.loops.bind import step_memory
-from closedloop.mechanics.loops.factor import factor
 from closedloop.mechanics.loops.rows import locate_rows
 
 SHORT, HOLD = {"time.duration": 0.01}, {"reference": {"kind": "hold"}}
@@ -251,7 +249,7 @@ def test_joints_stick_where_their_motion_has_turned():
 
 
 def test_loops_take_what_they_bind_in_the_measure_of_the_mass():
-    """Mobility and drift of the tip, what is left of a load, reactions and impulses: by the null space of the rows."""
+    """Mobility and drift of the tip, what is left of a load, and reactions: by the null space of the rows."""
     loop, H, rng = loop_at_random("five_bar", SHORT | HOLD)
     state, constants, w = loop.state, loop.constants, loop.w
     drift = w.tip.drift_c.copy()
@@ -275,29 +273,6 @@ def test_loops_take_what_they_bind_in_the_measure_of_the_mass():
     ask(state.loops.at, REACTION)
     np.testing.assert_allclose(w.scratch.column, load - H @ free @ load, atol=1e-9)
     np.testing.assert_allclose(w.tip.drift_c, drift, atol=1e-12)
-    v = w.v.copy()
-    ask(state.loops.at, IMPULSE)
-    np.testing.assert_allclose(w.v, free @ H @ v, atol=1e-9)
-
-
-@pytest.mark.parametrize("drives", [1, 2])
-def test_a_stop_passes_no_torque_to_the_drives(drives):
-    """What joints without a drive would give goes through the loops as if no joint were at its stop."""
-    problem, rng = cl.prepare(cl.load_scenario("five_bar", SHORT | HOLD)), np.random.default_rng(0)
-    links, rows = step_memory(problem.robot, True)
-    assert links.stops == 4
-    rows.q[:], rows.undriven[:], links.undriven = problem.q, np.arange(4) >= drives, 4 - drives
-    asked, given, torque = rng.normal(size=4), [], rows.met.copy()
-    for side in (0.0, 1.0, -1.0):
-        rows.held[1] = side
-        interpreted(locate_rows)(links, rows)
-        interpreted(factor)(links, rows, rows.drift, links.m)
-        rank, torque = links.rank, asked.copy()
-        interpreted(drive)(links, rows, torque)
-        assert links.rank == rank == (3 if side else 2)
-        given.append(torque)
-    np.testing.assert_allclose(given[1:], [given[0]] * 2, atol=1e-12)
-    assert not np.any(given[0][drives:])
 
 
 @pytest.mark.parametrize("elastic", [1, MOTORS_MEASURED])

@@ -15,14 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import closedloop as cl
+from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.simulation.engines.problem import Problem
 from validation.plant import Catch, catch_of
-
-Array = NDArray[np.float64]
 
 MOMENTS, SPIN, G = np.array([2e-3, 3e-3, 4.5e-3]), (1.0, 6.0, -2.0), 9.81
 RADIUS, ROLLING, PIVOTING, SPEED, TURN = 0.1, 0.002, 0.001, 0.3, 2.0
@@ -164,8 +162,7 @@ def _turn(q: Array) -> Array:
     """Return the rotation (3, 3) of a unit quaternion."""
     w, x = q[0], q[1:]
     cross = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
-    turn: Array = np.eye(3) + 2.0 * (w * cross + cross @ cross)
-    return turn
+    return np.eye(3) + 2.0 * (w * cross + cross @ cross)
 
 
 def _in_base(q: Array, v: Array) -> Array:

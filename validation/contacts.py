@@ -11,15 +11,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.impact import apply_impulses
 from closedloop.mechanics.contacts.memory import ContactMemory, make_contact_memory
 from validation.plant import Catch, catch_of
-
-Array = NDArray[np.float64]
 
 # Cases of every fault, and what the laws may be off, of the largest impulse and velocity.
 CASES, TOLERANCE = 12, 1e-10

@@ -16,14 +16,12 @@ from xml.etree import ElementTree
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 import closedloop as cl
 import closedloop.gym  # registers the environments
+from closedloop.base.arrays import Array
 from closedloop.base.files import write_whole
 from closedloop.figures.export.mjcf import mjcf_of
-
-Array = NDArray[np.float64]
 
 TORQUE = 60.0
 # Of the policy: it holds the posture and presses.

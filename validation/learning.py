@@ -16,15 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import closedloop as cl
+from closedloop.base.arrays import Array
 from closedloop.base.files import write_whole
 from closedloop.gym import TASKS
 from closedloop.gym.learn import Episodes, learn_to_press
 from closedloop.gym.policy import LinearPolicy
-
-Array = NDArray[np.float64]
 
 PRESS = str(TASKS["press"].scenario)
 SECONDS, SETTLED = 1.5, 0.5

@@ -160,8 +160,7 @@ def _baumgarte_sign(engine: Engine, sound: Engine) -> dict[str, Callable[..., An
     own = type(engine).stabilised
 
     def stabilised(self: Engine, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
-        b: float = own(self, q, v, normal, offset, -np.asarray(gains))
-        return b
+        return own(self, q, v, normal, offset, -np.asarray(gains))
 
     return {"stabilised": stabilised}
 

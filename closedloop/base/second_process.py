@@ -62,8 +62,7 @@ class Beside(Generic[T]):
                 done, answer = False, None
             self.stop()
             if done:
-                found: T = answer
-                return found
+                return answer
         return self._work()
 
     def stop(self) -> None:

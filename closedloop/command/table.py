@@ -57,8 +57,7 @@ COMMANDS = (
 def imported(command: Command) -> Callable[[list[str]], int]:
     """Import the module of a command and return its function."""
     module, _, function = command.main.partition(":")
-    found: Callable[[list[str]], int] = getattr(import_module(module), function)
-    return found
+    return getattr(import_module(module), function)
 
 
 def find(name: str) -> Command | None:

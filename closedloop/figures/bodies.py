@@ -41,8 +41,7 @@ def turned(quaternions: Array) -> Array:
     """Return the angle (N,), rad, from 0 to π, by which each of unit quaternions (N, 4) is turned from the first."""
     along = np.abs(quaternions @ quaternions[0])
     across = np.linalg.norm(quaternions - np.sign(quaternions @ quaternions[0])[:, None] * quaternions[0], axis=1)
-    angles: Array = 2.0 * np.arctan2(across * np.sqrt(np.maximum(1.0 - 0.25 * across**2, 0.0)), along)
-    return angles
+    return 2.0 * np.arctan2(across * np.sqrt(np.maximum(1.0 - 0.25 * across**2, 0.0)), along)
 
 
 def body_motions(run: Run) -> dict[str, tuple[Array, Array]]:

@@ -47,26 +47,22 @@ def directions(run: Run) -> Array:
     else:
         found = step[np.maximum.accumulate(np.where(moves, np.arange(len(run)), np.argmax(moves)))]
     found = _along(found, normals)  # of a surface that curves away since
-    unit_vectors: Array = found / np.sqrt(_dot(found, found))[:, None]
-    return unit_vectors
+    return found / np.sqrt(_dot(found, found))[:, None]
 
 
 def _along(x: Array, normals: Array) -> Array:
     """Return the parts of vectors (N, 3) along the surface."""
-    part: Array = x - _dot(x, normals)[:, None] * normals
-    return part
+    return x - _dot(x, normals)[:, None] * normals
 
 
 def _dot(x: Array, y: Array) -> Array:
     """Return the inner products (N,) of vectors (N, 3)."""
-    found: Array = np.einsum("ij,ij->i", x, y)
-    return found
+    return np.einsum("ij,ij->i", x, y)
 
 
 def sideways(run: Run, along: Array) -> Array:
     """Return the direction across the path (N, 3) in the surface, on the left of `along` (N, 3) seen from outside."""
-    across: Array = np.cross(run.surface_normal, along)
-    return across
+    return np.cross(run.surface_normal, along)
 
 
 def tip_errors(run: Run) -> TipErrors:
@@ -77,5 +73,4 @@ def tip_errors(run: Run) -> TipErrors:
 
 def force_error(run: Run, force: Array) -> Array:
     """Return f − f_des (N,), N, of a force (N,), N; NaN while the tip is free."""
-    error: Array = np.where(run.mode != FREE, force - run.reference_force, np.nan)
-    return error
+    return np.where(run.mode != FREE, force - run.reference_force, np.nan)

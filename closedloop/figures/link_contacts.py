@@ -71,14 +71,12 @@ class Drawn(NamedTuple):
 
     def force(self, run: Run) -> Array:
         """Return the sum of the normal forces (N,), N."""
-        total: Array = run.link_forces[:, self.numbers].sum(axis=1)
-        return total
+        return run.link_forces[:, self.numbers].sum(axis=1)
 
     def friction(self, run: Run) -> Array:
         """Return the sum of the sizes of friction (N,), N."""
         both = run.link_frictions.reshape(len(run), -1, 2)[:, self.numbers]
-        total: Array = np.hypot(both[..., 0], both[..., 1]).sum(axis=1)
-        return total
+        return np.hypot(both[..., 0], both[..., 1]).sum(axis=1)
 
 
 def contacts_drawn(run: Run) -> tuple[list[Drawn], str]:

@@ -71,14 +71,12 @@ class Actions:
     def physical(self, action: Array) -> Array:
         """Return actions (N, k) from −1 to 1 in SI units."""
         share = 0.5 * (action + 1.0)
-        both: Array = (1.0 - share) * self.low + share * self.high  # exact at either end
-        return both
+        return (1.0 - share) * self.low + share * self.high  # exact at either end
 
     def normal(self, values: Array) -> Array:
         """Return the action (k,) from −1 to 1 that sets these values, SI units, cut to what can be set."""
         span = np.where(self.high > self.low, self.high - self.low, 1.0)
-        found: Array = np.clip(2.0 * (values - self.low) / span - 1.0, -1.0, 1.0)
-        return found
+        return np.clip(2.0 * (values - self.low) / span - 1.0, -1.0, 1.0)
 
 
 def _parts(name: str, problem: Problem) -> list[tuple[str, list[tuple[int, int]]]]:

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
-from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, IntArray, Mask
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.actions import Actions
 from closedloop.gym.now import Now
@@ -28,9 +27,6 @@ from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.time_step import whole_steps
 from closedloop.simulation.together.together import Together
-
-Flags = NDArray[np.bool_]
-Numbers = NDArray[np.int64]
 
 # An episode without on-target time at its end succeeds if the tip is so near to its path, m.
 NEAR = 0.005
@@ -108,8 +104,8 @@ class Core:
         self.parameters: list[dict[str, Any]] = [{} for _ in range(count)]
         self._drawn = np.zeros((count, len(self.drawn_keys)))
         self.reasons = [""] * count
-        self.succeeded: Flags = np.zeros(count, dtype=np.bool_)
-        self.cut: Numbers = np.zeros(count, dtype=np.int64)
+        self.succeeded: Mask = np.zeros(count, dtype=np.bool_)
+        self.cut: IntArray = np.zeros(count, dtype=np.int64)
 
     def _values_of_scenario(self, problem: Problem) -> Array:
         """Return what the scenario itself would set in place of an action, SI units."""
@@ -181,7 +177,7 @@ class Core:
 
     @property
     def now_width(self) -> int:
-        """Numbers in a recorded row."""
+        """IntArray in a recorded row."""
         return int(self.together.rows.shape[1])
 
     def start(self, some: Sequence[int]) -> None:
@@ -223,7 +219,7 @@ class Core:
             )
         return given
 
-    def step(self, action: Array, some: Numbers) -> tuple[Array, Flags, Flags]:
+    def step(self, action: Array, some: IntArray) -> tuple[Array, Mask, Mask]:
         """Step these environments with the actions (N, k), and return rewards, terminated and truncated (N,)."""
         now, together = self.now, self.together
         which: Any = some if some.size < self.count else slice(None)
@@ -256,7 +252,7 @@ class Core:
             self.reasons[i] = TIME_UP
         return self._rewards(active, failed), terminated, truncated
 
-    def _advance(self, went: Flags) -> None:
+    def _advance(self, went: Mask) -> None:
         """Bring up to date what is counted from instant to instant, of those that went on."""
         now, period = self.now, self.period
         now.left -= went
@@ -274,7 +270,7 @@ class Core:
         now.force_sum += period * np.where(touching & went, now.wanted_force - now.measured, 0.0)
         now.force_square += np.where(went, period * error * error, 0.0)
 
-    def _judge(self, going: Flags, at_end: Flags) -> None:
+    def _judge(self, going: Mask, at_end: Mask) -> None:
         """Find which episodes have succeeded."""
         now, hold, goal = self.now, self.task.hold, self.task.goal
         if goal is not None:
@@ -290,7 +286,7 @@ class Core:
             self.reasons[i] = SUCCESS
         self.succeeded |= won
 
-    def _rewards(self, active: Flags, failed: Flags) -> Array:
+    def _rewards(self, active: Mask, failed: Mask) -> Array:
         """Return the rewards (N,): the terms' sum, and where an episode failed the most that was left to lose."""
         now, total = self.now, np.zeros(self.count)
         self.terms: dict[str, Array] = {}
@@ -318,8 +314,7 @@ class Core:
 
     def privileged(self) -> Array:
         """Return the privileged observations (N, k)."""
-        both: Array = np.concatenate([self._truth.read(self.now), self._drawn], axis=1)
-        return both
+        return np.concatenate([self._truth.read(self.now), self._drawn], axis=1)
 
     def close(self) -> None:
         """End the threads."""

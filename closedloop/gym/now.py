@@ -6,15 +6,12 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, Mask
 from closedloop.control.reference.table import Reference
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.simulation.together.records import Between
-
-Flags = NDArray[np.bool_]
 
 # A tip is held if it is slower than this, m/s, and further from where it is wanted than this, m.
 SLOW, AWAY = 2e-3, 2e-3
@@ -99,7 +96,7 @@ class Now:
         self.time: Array = np.zeros(count)
         self.phase: Array = np.zeros(count)
         self.left: Array = np.zeros(count)
-        self.touched: Flags = np.zeros(count, dtype=np.bool_)
+        self.touched: Mask = np.zeros(count, dtype=np.bool_)
         self.on_target: Array = np.zeros(count)
         self.jammed: Array = np.zeros(count)
         self.force_sum: Array = np.zeros(count)
@@ -119,14 +116,14 @@ class Now:
         return self._known[name]
 
     @property
-    def contact(self) -> Flags:
+    def contact(self) -> Mask:
         """Whether the tip touches the surface."""
-        return cast(Flags, self._once("contact", lambda: self._mode != FREE))
+        return cast(Mask, self._once("contact", lambda: self._mode != FREE))
 
     @property
-    def sticks(self) -> Flags:
+    def sticks(self) -> Mask:
         """Whether it sticks to it."""
-        return cast(Flags, self._once("sticks", lambda: self._mode == STUCK))
+        return cast(Mask, self._once("sticks", lambda: self._mode == STUCK))
 
     @property
     def free_share(self) -> Array:
@@ -139,10 +136,9 @@ class Now:
         return cast(Array, self._once("force_error", lambda: self.force - self.wanted_force))
 
     @property
-    def held(self) -> Flags:
+    def held(self) -> Mask:
         """Whether a contact of a link is closed, and the tip is slow and not at the desired position."""
         off, speed = self.tip - self.wanted_tip, self.tip_velocity
         slow = (speed * speed).sum(axis=1) < SLOW * SLOW
         touching = (self.link_forces > 0.0).any(axis=1)
-        found: Flags = slow & touching & ((off * off).sum(axis=1) > AWAY * AWAY)
-        return found
+        return slow & touching & ((off * off).sum(axis=1) > AWAY * AWAY)

@@ -27,8 +27,7 @@ def _one(now_part: Array) -> Array:
 
 
 def _path_error(now: Now) -> Array:
-    error: Array = now.tip - now.wanted_tip
-    return error
+    return now.tip - now.wanted_tip
 
 
 # Beyond any run that does not end: a joint's speed ends one at 1e6 rad/s (m/s).

@@ -50,8 +50,7 @@ class LinearPolicy:
         total = np.zeros(len(seen)) + weights[..., len(FEATURES)]
         for k, (name, (_, scale)) in enumerate(FEATURES.items()):
             total = total + weights[..., k] * (scale * seen[:, self._place(name)])
-        action: Array = (total / (1.0 + np.abs(total)))[:, None]
-        return action
+        return (total / (1.0 + np.abs(total)))[:, None]
 
     def _place(self, name: str) -> int:
         if name not in self.names:

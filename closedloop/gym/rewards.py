@@ -10,61 +10,52 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, Mask
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.now import Now
 
-Flags = NDArray[np.bool_]
 Term = Callable[[Now], Array]
-Ending = Callable[[Now], Flags]
+Ending = Callable[[Now], Mask]
 
 
 def force(now: Now) -> Array:
     """−|f − f_des|/f_des, at least −1."""
     scale = np.maximum(np.abs(now.wanted_force), 1.0)
-    cost: Array = -np.minimum(np.abs(now.force_error) / scale, 1.0)
-    return cost
+    return -np.minimum(np.abs(now.force_error) / scale, 1.0)
 
 
 def path(now: Now) -> Array:
     """−(distance from the path)/10 mm, at least −1."""
-    cost: Array = -np.minimum(now.path_error / 0.01, 1.0)
-    return cost
+    return -np.minimum(now.path_error / 0.01, 1.0)
 
 
 def smooth(now: Now) -> Array:
     """−(mean square change of the action)/4: 0 to −1."""
     change = now.action - now.action_before
-    cost: Array = -0.25 * (change * change).mean(axis=1)
-    return cost
+    return -0.25 * (change * change).mean(axis=1)
 
 
 def overload(now: Now) -> Array:
     """−(how far the largest force is above twice the wanted one)/f_des, at least −1."""
     scale = np.maximum(np.abs(now.wanted_force), 1.0)
-    cost: Array = -np.clip((now.largest_force - 2.0 * scale) / scale, 0.0, 1.0)
-    return cost
+    return -np.clip((now.largest_force - 2.0 * scale) / scale, 0.0, 1.0)
 
 
 def loss(now: Now) -> Array:
     """−(share of the time off the surface, once it has been touched)."""
-    cost: Array = np.where(now.touched, -now.free_share, 0.0)
-    return cost
+    return np.where(now.touched, -now.free_share, 0.0)
 
 
 def travel(now: Now) -> Array:
     """−(distance of the tip from the desired one)/10 mm, at least −1, contacts of links or not."""
     off = now.tip - now.wanted_tip
-    cost: Array = -np.minimum(np.sqrt((off * off).sum(axis=1)) / 0.01, 1.0)
-    return cost
+    return -np.minimum(np.sqrt((off * off).sum(axis=1)) / 0.01, 1.0)
 
 
 def knock(now: Now) -> Array:
     """−(largest force of a contact of a link)/100 N, at least −1."""
-    cost: Array = -np.minimum(now.largest_link_force / 100.0, 1.0)
-    return cost
+    return -np.minimum(now.largest_link_force / 100.0, 1.0)
 
 
 TERMS: dict[str, Term] = {
@@ -79,9 +70,8 @@ def excessive_force(limit: float) -> Ending:
     Of the tip's contact, and of those of links.
     """
 
-    def excessive(now: Now) -> Flags:
-        over: Flags = np.maximum(now.largest_force, now.largest_link_force) > limit
-        return over
+    def excessive(now: Now) -> Mask:
+        return np.maximum(now.largest_force, now.largest_link_force) > limit
 
     return excessive
 
@@ -89,9 +79,8 @@ def excessive_force(limit: float) -> Ending:
 def jammed(after: float) -> Ending:
     """Return the ending of a tip that contacts of links hold still for so long, s, though it is wanted elsewhere."""
 
-    def jammed_now(now: Now) -> Flags:
-        held: Flags = now.jammed >= after * (1.0 - 1e-9)
-        return held
+    def jammed_now(now: Now) -> Mask:
+        return now.jammed >= after * (1.0 - 1e-9)
 
     return jammed_now
 
@@ -99,17 +88,15 @@ def jammed(after: float) -> Ending:
 def lowered(depth: float) -> Ending:
     """Return whether the tip is below z = −`depth`, m: a goal."""
 
-    def deep(now: Now) -> Flags:
-        there: Flags = now.tip[:, 2] <= -depth
-        return there
+    def deep(now: Now) -> Mask:
+        return now.tip[:, 2] <= -depth
 
     return deep
 
 
-def contact_lost(now: Now) -> Flags:
+def contact_lost(now: Now) -> Mask:
     """Whether the tip has left the surface and was off it since the control instant before."""
-    lost: Flags = now.touched & (now.free_share >= 1.0)
-    return lost
+    return now.touched & (now.free_share >= 1.0)
 
 
 def as_terms(given: Mapping[str, Any]) -> dict[str, tuple[float, Term]]:

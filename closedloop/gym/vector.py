@@ -12,15 +12,14 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, Mask
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.gym.core import Core
 from closedloop.gym.env import RENDER_MODES, ended_of, info_of, observation_space
 from closedloop.gym.task import Task, task_of
 
-Flags = NDArray[np.bool_]
-Result = tuple[Any, Array, Flags, Flags, dict[str, Any]]
+Result = tuple[Any, Array, Mask, Mask, dict[str, Any]]
 
 
 class ContactVectorEnv(VectorEnv[Any, Any, Any]):
@@ -72,7 +71,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self.single_observation_space = observation_space(self.core, privileged)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._over: Flags = np.ones(num_envs, dtype=np.bool_)
+        self._over: Mask = np.ones(num_envs, dtype=np.bool_)
         self._everyone = np.arange(num_envs)
         self._begun = False
         self._view: Any = None

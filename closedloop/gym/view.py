@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, quaternions, round_down
+from closedloop.figures.scene.ground import grid_triangles
+from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, joint_frames, mechanism_of, quaternions, round_down
 from closedloop.figures.scene.shapes import Shape, robot_shapes
 from closedloop.figures.scene.solids import BEYOND, solids_mesh
 from closedloop.gym.core import Core
 from closedloop.simulation.engines.problem import Problem
 from robot_models.cached import cached_property
-from robot_models.coordinates import in_pinocchios_order, with_quaternions
+from robot_models.coordinates import with_quaternions
 
 # Inches, and dots for each: 640 by 480 pixels.
 SIZE, DOTS = (6.4, 4.8), 100
@@ -29,12 +30,7 @@ class _Arm:
     """The arm of an environment: its shapes, and the frames that they are in."""
 
     def __init__(self, problem: Problem) -> None:
-        import pinocchio as pin
-
-        self._pin: Any = pin
         self.model = problem.robot.model
-        self.mechanism: Any = self.model.pinocchio_model()
-        self._data = self.mechanism.createData()
         self._tip = problem.robot.tip
         self.scale = round_down(LONGEST * problem.robot.reach / max(abs(problem.scenario.law.force), 1.0))
 
@@ -45,10 +41,7 @@ class _Arm:
 
     def places(self, q: Array) -> tuple[Array, Array]:
         """Return the axes (k, 3, 3) and origins (k, 3) of the base and each joint."""
-        given = in_pinocchios_order(with_quaternions(q, self.model.joint_types), self.model.joint_types)
-        self._pin.forwardKinematics(self.mechanism, self._data, np.ascontiguousarray(given))
-        places = list(self._data.oMi)
-        return np.array([p.rotation for p in places]), np.array([p.translation for p in places])
+        return joint_frames(self.model, with_quaternions(q, self.model.joint_types))
 
 
 def patch(problem: Problem, around: Array) -> tuple[Array, Array, Array]:
@@ -232,7 +225,7 @@ class Browser:
             {"joint": s.joint, "kind": "", "colour": s.colour, "vertices": s.vertices,
              "faces": np.asarray(s.faces, np.uint32)} for s in arm.shapes
         ]  # fmt: skip
-        joints = arm.mechanism.njoints
+        joints = mechanism_of(arm.model).njoints
         self._tell("robot", {
             "joints": joints + 1, "ground": joints, "meanings": MEANINGS, "clear": [], "shapes": shapes, "robot": 1,
         })  # fmt: skip
@@ -261,12 +254,8 @@ def _surface(problem: Problem) -> tuple[Array, NDArray[np.uint32]]:
     start = problem.robot.position(problem.q)
     if not problem.scenario.has_surface:
         return solids_mesh(problem.scenario, start[None])
-    points, side = np.stack(patch(problem, start), axis=-1).reshape(-1, 3), SQUARES + 1
-    corner = (np.arange(SQUARES)[:, None] * side + np.arange(SQUARES)).ravel()
-    faces = np.vstack([
-        np.column_stack([corner, corner + side, corner + 1]),
-        np.column_stack([corner + 1, corner + side, corner + side + 1]),
-    ]).astype(np.uint32)  # fmt: skip
+    points = np.stack(patch(problem, start), axis=-1).reshape(-1, 3)
+    faces = grid_triangles(SQUARES + 1, SQUARES + 1)
     return np.nan_to_num(points), faces[np.isfinite(points[faces]).all(axis=(1, 2))]
 
 

@@ -194,8 +194,7 @@ class Solids:
 
     def points(self, axes: Array, origins: Array) -> Array:
         """Return the vertices (k, 3), m, base frame, where the joints' frames are so."""
-        placed: Array = np.einsum("kij,kj->ki", axes[self._joints], self._vertices) + origins[self._joints]
-        return placed
+        return np.einsum("kij,kj->ki", axes[self._joints], self._vertices) + origins[self._joints]
 
     def seen(self, space: Any, axes: Array, origins: Array) -> Faces:
         """Return the front sides as faces in the picture, where the joints' frames are so."""

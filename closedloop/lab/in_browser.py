@@ -178,5 +178,4 @@ def slider_at(page: Any, key: str) -> Any:
 
 def slider_of(page: Any, key: str) -> dict[str, float]:
     """Return the box of the slider of a key, px: x, y, width and height."""
-    box: dict[str, float] = slider_at(page, key).bounding_box()
-    return box
+    return slider_at(page, key).bounding_box()

@@ -239,13 +239,12 @@ def _holds(solid: Solid, pose: Array, point: Array) -> bool:
 def _lowest(shape: CollisionShape, n: Array) -> Array:
     """Return how far along the normals n (N, 3), in its axes, the lowest point of a shape is from its origin, m."""
     if shape.kind == "mesh":
-        lowest: Array = np.min(n @ _hull(shape.vertices.tobytes()).T, axis=1)
-        return lowest
+        return np.min(n @ _hull(shape.vertices.tobytes()).T, axis=1)
     found = []
     for part in parts_of(replace(shape, place=np.eye(4)), ""):
         H = np.array(part.get("half_axes") or np.zeros((1, 3)))
         found.append(n @ np.array(part["at"]) - np.linalg.norm(n @ H.T, axis=1) - part.get("radius", 0.0))
-    return np.min(found, axis=0)  # type: ignore[no-any-return]
+    return np.min(found, axis=0)
 
 
 @lru_cache(maxsize=128)

@@ -128,8 +128,7 @@ class Run:
     def __getattr__(self, name: str) -> NDArray[Any]:
         there = self.__dict__.get("columns", {})  # none while it is being copied
         if name in there:
-            column: NDArray[Any] = there[name]
-            return column
+            return there[name]
         if there and name in SURFACE_COLUMNS and not self.scenario.has_surface:
             return self._without_surface(name)
         if name in DERIVED:
@@ -138,8 +137,7 @@ class Run:
             return column
         if there and self.scenario.contact and name in (of_contacts := columns_by_contact(self.scenario.contact)):
             base, k = of_contacts[name]
-            part: NDArray[Any] = there[base][:, k]
-            return part
+            return there[base][:, k]
         raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join((*there, *DERIVED))}")
 
     def _without_surface(self, name: str) -> NDArray[Any]:
@@ -251,8 +249,7 @@ class Run:
         ValueError
             If the run has no row.
         """
-        figure: Figure = _drawn(self, "plot")
-        return figure
+        return _drawn(self, "plot")
 
     def _repr_html_(self) -> str:
         return str(_drawn(self, "html"))
@@ -293,8 +290,7 @@ class Run:
         OutputError
             If the file cannot be written, or there is no ffmpeg for a .mp4.
         """
-        film: Path = _drawn(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
-        return film
+        return _drawn(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
 
 
 def _drawn(run: Run, how: str, *arguments: Any, **options: Any) -> Any:

@@ -154,8 +154,7 @@ def hull_corners(vertices: Array) -> Array:
     """Return the corners (k, 3) of the convex hull of points (V, 3), in their order."""
     from scipy.spatial import ConvexHull
 
-    corners: Array = vertices[np.sort(ConvexHull(vertices).vertices)]
-    return corners
+    return vertices[np.sort(ConvexHull(vertices).vertices)]
 
 
 def _hollow(shape: CollisionShape) -> float:

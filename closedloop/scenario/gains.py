@@ -211,8 +211,7 @@ def without_normal(mobility: Array, normal: Array, push: Array) -> Array:
     A push (n,) along the joints has friction in it, as the normal (n,) has not: a torque that presses also brakes.
     """
     along = float(normal @ mobility @ push)
-    held: Array = mobility - np.outer(mobility @ push, normal @ mobility) / along if along > 0.0 else mobility
-    return held
+    return mobility - np.outer(mobility @ push, normal @ mobility) / along if along > 0.0 else mobility
 
 
 def feedbacks(scenario: Scenario, robot: Robot, rubbing: Rubbing | None = None) -> list[Feedback]:
@@ -268,8 +267,7 @@ def closed_mobility(robot: Robot, q: Array, mobility: NDArray[Any]) -> Array:
         each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
     rows, _ = loop_rows(robot, *at)
     G = rows[0]
-    free: Array = mobility - mobility @ G.T @ np.linalg.pinv(G @ mobility @ G.T, rcond=REDUNDANT) @ G @ mobility
-    return free
+    return mobility - mobility @ G.T @ np.linalg.pinv(G @ mobility @ G.T, rcond=REDUNDANT) @ G @ mobility
 
 
 def _scalar(spring: str, stiffness: float, damper: str, damping: float) -> Feedback:

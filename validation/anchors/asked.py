@@ -118,7 +118,7 @@ class Asked:
         method = getattr(self._engine, name, None)
         if method is None:
             raise Unanswered(f"it has no method {name}")
-        return method  # type: ignore[no-any-return]
+        return method
 
     def _ask(self, name: str, *state: Array) -> Array:
         return np.asarray(self._method(name)(*state), dtype=float)

@@ -33,8 +33,7 @@ class Robot:
 def read(name: str) -> dict[str, Any]:
     """Return the data of a reference, ``name``.json beside this file."""
     text = files("validation.anchors").joinpath(f"{name}.json").read_text(encoding="utf-8")
-    data: dict[str, Any] = json.loads(text)
-    return data
+    return json.loads(text)
 
 
 def robot(

@@ -12,17 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
 import closedloop as cl
+from closedloop.base.arrays import Array
 from closedloop.studies.identify.identify import Identification
 from closedloop.studies.identify.log import Log
 from closedloop.studies.identify.motion import motion
 from closedloop.studies.identify.physical import physical
 from closedloop.studies.identify.written import robot_files
 from validation.measured.judged import Judged
-
-Array = NDArray[np.float64]
 
 # Instants of the log that are begun at, how long each is simulated, s, and the step, s.
 STARTS, LASTS, STEP = 10, 2.0, 1e-3

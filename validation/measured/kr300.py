@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.studies.identify.fit import fit
 from closedloop.studies.identify.identify import Identification, identify
@@ -31,8 +32,6 @@ from closedloop.studies.identify.motion import joined, motion
 from validation.measured.data_file import DATA, columns
 from validation.measured.forward import add_forward
 from validation.measured.judged import Judged, add_parameters, add_torques
-
-Array = NDArray[np.float64]
 
 STEP = 0.004  # s
 RATIOS: Array = np.array([1798 / 7, 1872 / 7, 757 / 3, 221.0, 5032 / 21, 206793 / 1340])

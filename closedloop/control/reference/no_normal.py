@@ -74,8 +74,7 @@ def _cosines(found: Array) -> Array:
     """Return the cosines between neighbours of gradients (N, 3): (N − 1,), 1 where one of them is zero."""
     sizes = np.linalg.norm(found, axis=1)
     both = sizes[1:] * sizes[:-1]
-    out: Array = np.divide(np.sum(found[1:] * found[:-1], axis=1), both, out=np.ones(both.size), where=both > 0.0)
-    return out
+    return np.divide(np.sum(found[1:] * found[:-1], axis=1), both, out=np.ones(both.size), where=both > 0.0)
 
 
 def _least(surface: PlacedSurface, tip: TipPath, before: float, at: float, after: float) -> float:

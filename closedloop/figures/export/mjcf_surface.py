@@ -74,8 +74,7 @@ def _origin(placed: PlacedSurface) -> Array:
 
 def _tangential(scene: Scene, placed: PlacedSurface) -> Array:
     """Return where the drawn patch of the surface lies along its tangents (k, 2), m, from its origin."""
-    along: Array = (scene.ground.mesh[0] - placed.origin) @ placed.frame[1:].T
-    return along
+    return (scene.ground.mesh[0] - placed.origin) @ placed.frame[1:].T
 
 
 def _add_heights(

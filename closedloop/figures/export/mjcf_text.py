@@ -27,11 +27,9 @@ def numbers(values: ArrayLike, digits: int = 17) -> str:
 
 
 def _listed(values: ArrayLike) -> list[Any]:
-    listed: list[Any] = np.asarray(values).ravel().tolist()
-    return listed
+    return np.asarray(values).ravel().tolist()
 
 
 def quaternion(axes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the unit quaternion (4,), the real part first, of a rotation matrix (3, 3)."""
-    found: NDArray[np.float64] = quaternions(np.asarray(axes)[None])[0]
-    return found
+    return quaternions(np.asarray(axes)[None])[0]

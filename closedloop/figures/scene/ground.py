@@ -82,7 +82,7 @@ class Ground:
                 break
             except ScenarioError:
                 continue
-        return vertices, _triangles(a.size, b.size)
+        return vertices, grid_triangles(a.size, b.size)
 
     @property
     def there(self) -> bool:
@@ -119,7 +119,7 @@ def floor_mesh(scenario: Scenario, points: Array) -> tuple[Array, NDArray[np.uin
             low, high = along.min(axis=0), along.max(axis=0)
             margin = max(MARGIN, FLOOR * float(np.max(high - low)))
             corners = [(x, y) for x in (low[0] - margin, high[0] + margin) for y in (low[1] - margin, high[1] + margin)]
-            return through + np.array(corners) @ frame[1:], _triangles(2, 2)
+            return through + np.array(corners) @ frame[1:], grid_triangles(2, 2)
     return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32)
 
 
@@ -136,10 +136,10 @@ def _whole(placed: PlacedSurface, cells: int) -> tuple[Array, NDArray[np.uint32]
         sides = cells, CELLS
     vertices = placed.origin + grid @ placed.frame[1:]
     none = np.zeros_like(vertices)
-    return placed.follow(0.0, np.zeros(len(vertices)), (vertices, none, none))[0], _triangles(*sides)
+    return placed.follow(0.0, np.zeros(len(vertices)), (vertices, none, none))[0], grid_triangles(*sides)
 
 
-def _triangles(rows: int, columns: int) -> NDArray[np.uint32]:
+def grid_triangles(rows: int, columns: int) -> NDArray[np.uint32]:
     """Return the triangles (2 (rows − 1)(columns − 1), 3) of a grid of vertices, row after row."""
     first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     corner = first[:, None]
@@ -151,5 +151,4 @@ def thin_out(points: Array, most: int = 400) -> Array:
     """Return so many of the points (N, 3) at most, evenly spaced in their order, without those that are no numbers."""
     rows = np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)
     few: Array = points[np.unique(rows)]
-    finite: Array = few[np.all(np.isfinite(few), axis=1)]
-    return finite
+    return few[np.all(np.isfinite(few), axis=1)]

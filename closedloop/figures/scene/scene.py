@@ -132,22 +132,20 @@ class Scene:
 
     def joint_places(self, row: int) -> tuple[Array, Array]:
         """Return the axes (n + 1, 3, 3) and origins (n + 1, 3), m, of the base and of each joint's frame in a row."""
-        return _places(self.model).at(in_pinocchios_order(self.run.q[row], self.model.joint_types))
+        return joint_frames(self.model, self.run.q[row])
 
     def tip_place(self, row: int) -> Array:
         """Return the tip (3,), m, base frame, from the joints' frames as they are drawn, not from the record."""
         frame, (axes, origins) = self._tip_frame, self.joint_places(row)
-        tip: Array = origins[frame.parentJoint] + axes[frame.parentJoint] @ frame.placement.translation
-        return tip
+        return origins[frame.parentJoint] + axes[frame.parentJoint] @ frame.placement.translation
 
     def tip_axes(self, axes: Array) -> Array:
         """Return the axes of the tip's frame, as columns (3, 3), base frame, where those of the joints' are `axes`."""
-        turned: Array = axes[self._tip_frame.parentJoint] @ self._tip_frame.placement.rotation
-        return turned
+        return axes[self._tip_frame.parentJoint] @ self._tip_frame.placement.rotation
 
     @cached_property
     def _tip_frame(self) -> Any:
-        model = _places(self.model).model
+        model = mechanism_of(self.model)
         return model.frames[model.getFrameId(self.tip)]
 
     def arrows(self, rows: Sequence[int] | NDArray[np.int64]) -> list[list[Arrow]]:
@@ -192,7 +190,7 @@ class Scene:
     @cached_property
     def touching(self) -> tuple[Touching, ...]:
         """The contacts of the links."""
-        return contacts_of(self.run.scenario, _places(self.model).model)
+        return contacts_of(self.run.scenario, mechanism_of(self.model))
 
     @property
     def kinds(self) -> list[str]:
@@ -227,18 +225,18 @@ class Scene:
     @cached_property
     def body_frames(self) -> frozenset[int]:
         """The numbers of the joints that move free bodies, their sliders included, and what hangs on these bodies."""
-        mechanism, first = _places(self.model).model, set(self.run.model.bodies)
+        mechanism, first = mechanism_of(self.model), set(self.run.model.bodies)
         moved = [k for k in range(1, mechanism.njoints) if mechanism.joints[k].idx_v in first]
         return frozenset(k for k in range(1, mechanism.njoints) if set(moved) & set(self.supports(k)))
 
     def supports(self, joint: int) -> list[int]:
         """Return the numbers of the joints from the base to one, the base's own, 0, first."""
-        return [int(each) for each in _places(self.model).model.supports[joint]]
+        return [int(each) for each in mechanism_of(self.model).supports[joint]]
 
     @cached_property
     def size(self) -> float:
         """How far the furthest joint is along those before it, m, or the extent of the robot or the path if larger."""
-        mechanism, far = _places(self.model).model, [0.0]
+        mechanism, far = mechanism_of(self.model), [0.0]
         for parent, place in zip(list(mechanism.parents)[1:], list(mechanism.jointPlacements)[1:], strict=True):
             far.append(far[parent] + float(np.linalg.norm(place.translation)))
         spread = np.ptp(np.vstack([self.joint_places(0)[1], self.tip_place(0)]), axis=0)
@@ -289,19 +287,15 @@ def quaternions(axes: Array) -> Array:
     return found[:, [3, 0, 1, 2]]
 
 
-class _Places:
-    """A robot's joint frames at a posture."""
-
-    def __init__(self, model: RobotModel) -> None:
-        self.model: Any = model.pinocchio_model()
-
-    def at(self, q: Array) -> tuple[Array, Array]:
-        data = self.model.createData()  # of its own: several threads draw
-        pin.forwardKinematics(self.model, data, np.ascontiguousarray(q))
-        places: Sequence[Any] = list(data.oMi)
-        return np.array([p.rotation for p in places]), np.array([p.translation for p in places])
-
-
 @lru_cache(maxsize=8)
-def _places(model: RobotModel) -> _Places:
-    return _Places(model)
+def mechanism_of(model: RobotModel) -> Any:
+    """Return Pinocchio's model of a robot, made once."""
+    return model.pinocchio_model()
+
+
+def joint_frames(model: RobotModel, q: Array) -> tuple[Array, Array]:
+    """Return the axes (n + 1, 3, 3) and origins (n + 1, 3), m, of the base and of each joint's frame at q (nq,)."""
+    mechanism = mechanism_of(model)
+    data = mechanism.createData()  # of its own: several threads draw
+    pin.forwardKinematics(mechanism, data, np.ascontiguousarray(in_pinocchios_order(q, model.joint_types)))
+    return np.array([p.rotation for p in data.oMi]), np.array([p.translation for p in data.oMi])

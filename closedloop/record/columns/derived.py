@@ -48,8 +48,7 @@ def loop_positions(run: Record) -> Array:
 
 def tip_force(run: Record) -> Array:
     """Return f n and friction, (N, 3), N, base axes."""
-    force: Array = run.contact_force[:, None] * run.surface_normal + run.friction_force
-    return force
+    return run.contact_force[:, None] * run.surface_normal + run.friction_force
 
 
 def reactions_of(run: Record, robot: Robot) -> LoopReactions:
@@ -60,8 +59,7 @@ def reactions_of(run: Record, robot: Robot) -> LoopReactions:
 
 def _drive(run: Record) -> Array:
     """Return what drives the links in each row, (N, n), N m (N): Q, or what elastic joints pass on."""
-    found: Array = run.transmitted_torque if run.scenario.transmission.elastic else run.torque
-    return found
+    return run.transmitted_torque if run.scenario.transmission.elastic else run.torque
 
 
 def tip_moment(run: Record) -> Array:
@@ -96,15 +94,13 @@ def tool_angle(run: Record) -> Array:
     robot = robot_of(run.scenario, without_tools(run.model))
     axis = robot.tip_axes(run.q) @ unit(run.scenario.tool.axis, "tool.axis")
     across = np.linalg.norm(np.cross(axis, run.surface_normal), axis=1)
-    angle: Array = np.degrees(np.arctan2(across, -np.sum(axis * run.surface_normal, axis=1)))
-    return angle
+    return np.degrees(np.arctan2(across, -np.sum(axis * run.surface_normal, axis=1)))
 
 
 def orientation_error(run: Record) -> Array:
     """Return the angle between the tip's frames at q and at q_des in each row, (N,), degrees."""
     robot = robot_of(run.scenario, without_tools(run.model))
-    error: Array = np.degrees(turned_by(robot.tip_axes(run.q), robot.tip_axes(run.reference_position)))
-    return error
+    return np.degrees(turned_by(robot.tip_axes(run.q), robot.tip_axes(run.reference_position)))
 
 
 def stop_torque(run: Record) -> Array:
@@ -125,8 +121,7 @@ def at_stop(run: Record) -> NDArray[np.bool_]:
     """Return which joints are at a stop in each row, (N, n); all False where there are no stops."""
     lower, upper = stop_limits(run.scenario, run.model)
     q = loop_positions(run)
-    found: NDArray[np.bool_] = (q >= upper - AT_STOP) | (q <= lower + AT_STOP)
-    return found
+    return (q >= upper - AT_STOP) | (q <= lower + AT_STOP)
 
 
 DERIVED: dict[str, DerivedColumn] = {

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, Mask
 from closedloop.base.families import is_users
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.columns.record import Record
-from closedloop.record.report.control_verdict import SPARSE, Bools, Signals
+from closedloop.record.report.control_verdict import SPARSE, Signals
 from closedloop.scenario.scenario import Scenario
 
 # A path leads off the surface where it lies so much farther from it than it did, m: what the stiffness of an arm's law,
@@ -59,7 +59,7 @@ def run_signals(run: Record) -> Signals | None:
 
 
 def signals_of(
-    scenario: Scenario, h: float, force: Array, wanted: Array, touching: Bools, path: tuple[Array, Array, Array],
+    scenario: Scenario, h: float, force: Array, wanted: Array, touching: Mask, path: tuple[Array, Array, Array],
     touchdowns: Array, own_law: bool = False,
 ) -> Signals:  # fmt: skip
     """Return the signals of N rows.

@@ -30,11 +30,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, Mask
 from closedloop.record.report.swings import GROWTH, Swing, lasting_swing, rms
 from closedloop.record.report.verdict import names_of, problem_of
 
-Bools = NDArray[np.bool_]
 Problem = dict[str, Any]
 
 # A tenth of the force, RMS: tools that polish and grind are sold with ±1 N of 10 N. Shipped scenarios whose control is
@@ -93,12 +92,12 @@ class Signals(NamedTuple):
     h: float
     force: Array
     wanted: Array
-    touching: Bools
-    commanded: Bools
+    touching: Mask
+    commanded: Mask
     approaching: bool
     off: Array | None
     tip: Array
-    led: Bools
+    led: Mask
     touchdowns: Array
     sparse: bool
     negative_gain: str = ""

@@ -194,8 +194,7 @@ def checked_comparison(found: Any) -> dict[str, Any]:
         good = good and all(_is_table(row, spec) for row in found[name].values())
     if not good:
         raise RunFileError("is damaged: attribute 'halved' is not a comparison with a run at half the step")
-    table: dict[str, Any] = found
-    return table
+    return found
 
 
 def _is_table(row: dict[str, Any], spec: dict[str, str]) -> bool:

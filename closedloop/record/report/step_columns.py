@@ -79,8 +79,7 @@ def cut_slopes(signals: Array) -> Array:
     """Return the differences of signals (k, N) from row to row, isolated ones cut, (k, max(N - 1, 0))."""
     steps = np.zeros((signals.shape[0], max(signals.shape[1], 1) + 1))  # beside the first and the last there is none
     np.subtract(signals[:, 1:], signals[:, :-1], out=steps[:, 1:-1])
-    cut: Array = interpreted(cut_slope)(steps[:, :-2], steps[:, 1:-1], steps[:, 2:])
-    return cut
+    return interpreted(cut_slope)(steps[:, :-2], steps[:, 1:-1], steps[:, 2:])
 
 
 def variation(signal: Array, order: int = 1) -> float:

@@ -192,8 +192,7 @@ def _numbers(x: Array) -> str:
 
 def _normal_at(problem: Problem, q: Array, t: float) -> Array:
     """Return the unit normal (3,) of the surface at the tip, base frame."""
-    normal: Array = problem.surface.touching(problem.robot.position(q), t=t).frame[0]
-    return normal
+    return problem.surface.touching(problem.robot.position(q), t=t).frame[0]
 
 
 def raised_by_member(problem: Problem, loop: Loop) -> LawError:

@@ -173,8 +173,7 @@ class LaneRuns:
         if not self._has_misses:  # of all lanes at once: they are in the same cache lines
             np.copyto(self._misses, self._signals[:, 0].T)
             self._has_misses = True
-        miss: Array = self._misses[lane]
-        return miss
+        return self._misses[lane]
 
     def signals(self, lane: int) -> tuple[Array, Array, Array, Array]:
         """Return f_des, (N,), f, (N,), the tip less its path along the surface, (N, 3), and the path, (N, 3)."""

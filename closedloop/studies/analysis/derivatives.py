@@ -85,5 +85,4 @@ def _apart(here: Here, value: Array, wide: Array, near: Array, step: Array) -> A
         return np.asarray(np.maximum.reduceat(np.abs(x), firsts, axis=-1))
 
     rounding = 1e-12 * (largest(value) + 1e-3) / step
-    found: Array = np.max(largest(near - wide) / (largest(near) + rounding / 1e-7 + 1e-300), axis=1)
-    return found
+    return np.max(largest(near - wide) / (largest(near) + rounding / 1e-7 + 1e-300), axis=1)

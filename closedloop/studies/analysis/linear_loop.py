@@ -165,8 +165,7 @@ class LinearLoop:
                 width = max(abs(pole.s.real) / (2.0 * math.pi), 1e-6 * peak)
                 points.append(peak + width * np.linspace(-4.0, 4.0, 33))
         joined = np.unique(np.concatenate(points))
-        found: Array = joined[(joined >= low) & (joined < nyquist)]
-        return found
+        return joined[(joined >= low) & (joined < nyquist)]
 
     def loop_transfer(self, frequency: ArrayLike, cut: str = "sensor") -> ComplexArray:
         """Return L at frequencies, Hz, (k,), with the loop cut at the sensor, or at the torque of a joint.

@@ -66,8 +66,7 @@ class Margins:
 
     def as_dict(self) -> dict[str, Any]:
         """Return them as plain values; what is infinite, or has no place, is None."""
-        found: dict[str, Any] = plain(asdict(self) | {"decibels": self.decibels})
-        return found
+        return plain(asdict(self) | {"decibels": self.decibels})
 
 
 def margins_of(transfer: Callable[[Array], ComplexArray], grid: Array, cut: str, stable: bool) -> Margins:

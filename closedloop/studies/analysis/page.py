@@ -156,7 +156,7 @@ class Page:
         """Return the page as plain values, for JSON: what is infinite, or not known, is None."""
         loop, port = self.loop, self.loop.port()
         band = loop.bandwidth() if loop.mode else math.inf
-        found: dict[str, Any] = plain({
+        return plain({
             "sentence": self.sentence(), "time": loop.time, "dt": loop.dt, "stable": loop.stable,
             "states": loop.states,
             "poles": [pole.as_dict() for pole in loop.poles()],
@@ -166,7 +166,6 @@ class Page:
             "limits": {k: v if isinstance(v, str) else v.as_dict() for k, v in self.limits.items()},
             "longest_delay": self.delay,
         })  # fmt: skip
-        return found
 
 
 def trial_line(trial: Trial) -> str:

@@ -126,8 +126,7 @@ class LogComparison:
                 "rms_as_normal_force": self.audit.usual, "consistent": self.audit.consistent,
                 "torque_explained": self.audit.explained, "reasons": [_reason(x) for x in self.audit.reasons],
             }  # fmt: skip
-        found: dict[str, Any] = plain(report)
-        return found
+        return plain(report)
 
     def figure(self) -> Figure:
         """Return a figure: log and run one over the other, and their difference below, for each quantity."""
@@ -245,8 +244,7 @@ def _at(time: Array, run: Run, name: str) -> Array:
     """Return a column of the run at these instants, between its rows by a line."""
     column: Array = getattr(run, name)
     if column.ndim == 1:
-        between: Array = np.interp(time, run.time, column)
-        return between
+        return np.interp(time, run.time, column)
     return np.stack([np.interp(time, run.time, x) for x in column.T], axis=1)
 
 

@@ -69,8 +69,7 @@ def one_sided(h: float, at: Array, beside: Array, scatter: Array) -> tuple[Array
 
 def floor(h: float, scatter: Array) -> Array:
     """Return what the scatter of the values alone makes of the smallest difference."""
-    least: Array = scatter / (abs(h) * 0.5 ** (LEVELS - 1))
-    return least
+    return scatter / (abs(h) * 0.5 ** (LEVELS - 1))
 
 
 def _extrapolated(differences: Array, order: int) -> tuple[Array, Array]:

@@ -155,8 +155,7 @@ def _product(x: Array, y: Array) -> Array:
     """Return xᵀy of x (R, b) and y (R, c), (b, c); a small one without the threads of the linear algebra library."""
     if x.size * y.shape[1] > LARGE:
         return np.asarray(x.T @ y)
-    found: Array = np.einsum("ti,tk->ik", x, y)
-    return found
+    return np.einsum("ti,tk->ik", x, y)
 
 
 def _squares(x: Array, used: Mask, sigma: Array) -> Array:
@@ -175,8 +174,7 @@ def correlation(residual: Array, used: Mask, lag: int = 1) -> Array:
     both = used[lag:] & used[:-lag]
     x, y = residual[lag:] * both, residual[:-lag] * both
     scale = np.sqrt((x**2).sum(axis=0) * (y**2).sum(axis=0))
-    found: Array = (x * y).sum(axis=0) / np.where(scale > 0.0, scale, 1.0)
-    return found
+    return (x * y).sum(axis=0) / np.where(scale > 0.0, scale, 1.0)
 
 
 def whiteness(residual: Array, used: Mask) -> Array:

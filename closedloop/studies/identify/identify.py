@@ -157,8 +157,7 @@ class Identification:
     @property
     def above_noise(self) -> Array:
         """Standard deviation of the residual over that of the torque's own white noise, (n,)."""
-        found: Array = self.solution.sigma / np.maximum(self.motion.torque_noise, 1e-300)
-        return found
+        return self.solution.sigma / np.maximum(self.motion.torque_noise, 1e-300)
 
     @property
     def misses(self) -> tuple[str, ...]:
@@ -179,13 +178,12 @@ class Identification:
             }
             for j, name in enumerate(self.robot.joint_names)
         }
-        found: dict[str, Any] = plain({
+        return plain({
             "robot": self.robot.name, "method": self.method, "confidence": self.confidence,
             "cutoff_hz": self.motion.cutoff, "windows": len(self.time), "condition": self.solution.condition,
             "correlated_windows": self.solution.lags, "joints": joints,
             "parameters": {e.name: e.as_dict() for e in self.estimates}, "model_misses_something": self.misses,
         })  # fmt: skip
-        return found
 
 
 @arguments_checked()

@@ -81,8 +81,7 @@ def joined(motions: Sequence[Motion]) -> Motion:
 def white_noise(x: Array) -> Array:
     """Return the standard deviation of the white noise in each column, (n,), from its fourth differences."""
     # The coefficients 1 -4 6 -4 1 have the sum of squares 70.
-    found: Array = np.median(np.abs(np.diff(x, 4, axis=0)), axis=0) / (0.6745 * np.sqrt(70.0))
-    return found
+    return np.median(np.abs(np.diff(x, 4, axis=0)), axis=0) / (0.6745 * np.sqrt(70.0))
 
 
 def usual_cutoff(log: Log) -> float:
@@ -159,5 +158,4 @@ def _between(q: Array, known: NDArray[np.int64]) -> Array:
     """Return q with the rows that are not known from a cubic through the known ones beside them."""
     from scipy.interpolate import CubicSpline
 
-    found: Array = CubicSpline(known, q[known], axis=0)(np.arange(len(q)))
-    return found
+    return CubicSpline(known, q[known], axis=0)(np.arange(len(q)))

@@ -134,8 +134,7 @@ class Runs:
     def as_it_is(self) -> Array:
         """Return the values of the scenario's own numbers, (V, names), be they in their ranges or not."""
         own = with_numbers(self.scenario, self.some, [each.present for each in self.some])
-        values: Array = self._run([own])[0]
-        return values
+        return self._run([own])[0]
 
     def _run(self, changed: list[dict[str, Any]]) -> Array:
         """Run the scenario with each of these overrides under all variations, in one batch."""

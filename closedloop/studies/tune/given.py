@@ -86,8 +86,7 @@ class Limit:
     def violation(self, value: Array) -> Array:
         """Return by how much values violate it, as a share of the limit; negative where they meet it."""
         beyond = value - self.limit if self.most else self.limit - value
-        share: Array = beyond / (abs(self.limit) or 1.0)
-        return share
+        return beyond / (abs(self.limit) or 1.0)
 
     def __str__(self) -> str:
         return f"{self.name} {'<=' if self.most else '>='} {self.limit:g}"

@@ -138,7 +138,7 @@ class Tuning:
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain numbers."""
-        found: dict[str, Any] = plain({
+        return plain({
             "feasible": self.feasible, "optimal": self.optimal, "minimised": self.minimised, "robust": self.robust,
             "value": self.value, "value_before": self.value_before,
             "numbers": {each.name: number for each, number in zip(self.vary, self.numbers, strict=True)},
@@ -148,7 +148,6 @@ class Tuning:
             "variations": self.variations, "slope": self.found.slope, "sensitivity": self.sensitivity,
             "starts": self.found.ends, "runs": self.runs,
         })  # fmt: skip
-        return found
 
     def figure(self) -> Figure:
         """Return a figure of the contact force before and now, of the scenario without variations."""

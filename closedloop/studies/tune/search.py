@@ -227,8 +227,7 @@ class Search:
             objective, z0, jac=True, method="SLSQP", bounds=bounds, constraints=given,
             options={"maxiter": most, "ftol": close},
         )  # fmt: skip
-        end: Array = np.clip(found.x[:n], 0.0, 1.0)
-        return end
+        return np.clip(found.x[:n], 0.0, 1.0)
 
     def _explained(self, x: Array) -> tuple[float, Array, Array, Array]:
         """Return the slope that multipliers of what binds leave over, as a share of the value, and the multipliers."""

@@ -12,14 +12,12 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 import closedloop as cl
+from closedloop.base.arrays import Array
 from closedloop.scenario.scenario import Scenario
 from validation.measured.cubes.engine import CUBE, STEPS, CubeEngine, Parameter, corners, gravity, moment
 from validation.measured.cubes.tosses import MASS, RATE, Toss
-
-Array = NDArray[np.float64]
 
 MODEL = """<mujoco><option gravity="0 0 {g!r}"/><worldbody><body name="cube"><freejoint/>
 <inertial mass="{mass!r}" pos="0 0 0" diaginertia="{moment!r} {moment!r} {moment!r}"/>

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.drake import DrakeCube
 from validation.measured.cubes.engine import CubeEngine
@@ -21,8 +22,6 @@ from validation.measured.cubes.flight import fitted_start, flight, heights
 from validation.measured.cubes.mujoco import MuJoCoCube
 from validation.measured.cubes.tosses import RATE, Toss, errors, first_row, mean_errors
 from validation.measured.data_file import DATA
-
-Array = NDArray[np.float64]
 
 FITTED = DATA / "cube_fits.json"
 # The package that an engine needs.
@@ -64,8 +63,7 @@ def engines() -> list[CubeEngine]:
 
 def fits() -> dict[str, Any]:
     """Return what `python -m validation.measured.cubes` has written: values and cost by engine."""
-    found: dict[str, Any] = json.loads(FITTED.read_text(encoding="utf-8"))
-    return found
+    return json.loads(FITTED.read_text(encoding="utf-8"))
 
 
 def fitted(engine: CubeEngine) -> list[float]:

@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from validation.measured.cubes.engine import CUBE, STEPS, CubeEngine, Parameter, corners, gravity, moment
 from validation.measured.cubes.tosses import MASS, RATE, Toss
-
-Array = NDArray[np.float64]
 
 
 class DrakeCube(CubeEngine):

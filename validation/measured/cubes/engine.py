@@ -8,12 +8,8 @@ from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from validation.measured.cubes.tosses import GRAVITY, SIDE, Toss
-
-Array = NDArray[np.float64]
 
 # Steps between two rows.
 STEPS = 8

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.figures.style import COLOURS, STROKES, new_figure, styled
 from validation.measured.cubes.comparing import Tried
@@ -15,7 +14,6 @@ from validation.measured.cubes.tosses import RATE, Toss, errors
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 BAND = (25.0, 75.0)
 SHOWN = 10
 

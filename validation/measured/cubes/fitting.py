@@ -6,13 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from closedloop.base.arrays import Array
 from validation.measured.cubes.engine import CubeEngine
 from validation.measured.cubes.tosses import Toss, first_row, mean_errors
-
-Array = NDArray[np.float64]
 
 # Every so many tosses one is fitted to, so many in all; the others judge.
 EVERY, TOSSES = 10, 40

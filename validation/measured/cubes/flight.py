@@ -7,13 +7,11 @@ velocity, so the rows of the flight give position, velocity, orientation and ang
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from closedloop.base.arrays import Array
 from validation.measured.cubes.engine import corners
 from validation.measured.cubes.tosses import FALL, RATE, Toss, first_row
-
-Array = NDArray[np.float64]
 
 # Half the side of the cube in the log and the height of its lowest corner above which it has touched nothing, m.
 SIDE, CLEAR = 0.1026, 0.006
@@ -24,8 +22,7 @@ FEWEST_ROWS, STEPS = 5, 4
 def heights(toss: Toss) -> Array:
     """Return the height of the lowest corner of a sharp cube at each row, m."""
     turned = rotations(toss.states).as_matrix()[:, 2, :]
-    lowest: Array = toss.states[:, 6] + (turned @ np.array(corners(SIDE, 0.0)).T).min(axis=1)
-    return lowest
+    return toss.states[:, 6] + (turned @ np.array(corners(SIDE, 0.0)).T).min(axis=1)
 
 
 def rotations(states: Array) -> Rotation:

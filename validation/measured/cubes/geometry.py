@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from validation.measured.cubes.flight import FEWEST_ROWS, flight, rotations
 from validation.measured.cubes.tosses import RATE, Toss
-
-Array = NDArray[np.float64]
 
 # Rows at the end of a toss that are taken for rest.
 LAST = 8

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from validation.measured.cubes.comparing import interval
 from validation.measured.cubes.engine import corners
 from validation.measured.cubes.flight import SIDE, flight, rotations
 from validation.measured.cubes.tosses import RATE, Toss
-
-Array = NDArray[np.float64]
 
 # Rows before and after an impact, those in which the corner may be lowest, and how high all others have to be, m.
 BEFORE, AFTER, ABOUT, CLEAR = 7, 5, (-2, 4), 0.012
@@ -58,8 +57,7 @@ def corner_impacts(tosses: Sequence[Toss]) -> list[Corner]:
 def _rate(path: Array, rows: NDArray[np.int64], at: int) -> Array:
     """Return the velocity (3,) at a row of a parabola through others, m/s."""
     t = (rows - at) / RATE
-    fitted: Array = np.linalg.lstsq(np.stack([t**p for p in range(3)], axis=1), path[rows], rcond=None)[0][1]
-    return fitted
+    return np.linalg.lstsq(np.stack([t**p for p in range(3)], axis=1), path[rows], rcond=None)[0][1]
 
 
 def impact_lines(tosses: Sequence[Toss]) -> list[str]:

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from validation.measured.cubes.engine import CUBE, STEPS, CubeEngine, Parameter, corners, gravity, moment
 from validation.measured.cubes.tosses import MASS, RATE, Toss
-
-Array = NDArray[np.float64]
 
 MODEL = """<mujoco><option timestep="{step!r}" gravity="0 0 {g!r}" cone="elliptic" impratio="10"/>
 <default><geom friction="{mu!r} 0 0" solref="{time!r} {ratio!r}" condim="3"/></default>

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from validation.measured.data_file import columns
-
-Array = NDArray[np.float64]
 
 RATE = 148.0  # Hz
 SIDE = 0.1048  # m, as published; so is what follows

@@ -90,11 +90,10 @@ class ContactIdentification:
 
     def summary(self) -> dict[str, Any]:
         """Return it as a dictionary; unknown values are None."""
-        found: dict[str, Any] = plain({
+        return plain({
             "closed": self.closed, "free": self.free, "confidence": self.confidence, "misses": self.misses,
             "parameters": {e.name: e.as_dict() for e in self.estimates},
         })  # fmt: skip
-        return found
 
     def figure(self) -> Figure:
         """Return a figure of the measured and the predicted values of each part, and the residual."""

@@ -63,8 +63,7 @@ class Sensor:
 
     def contact_force(self, windows: Windows, value: Array) -> Array:
         """Return the force of the contact in each window, (R, c), N, if these are bias, payload and delay."""
-        found: Array = windows.forces(float(value[-1])) - np.einsum("tcm,m->tc", self.columns, value[:-1])
-        return found
+        return windows.forces(float(value[-1])) - np.einsum("tcm,m->tc", self.columns, value[:-1])
 
 
 def of_free_rows(windows: Windows, gravity: Array, z: float) -> Sensor:

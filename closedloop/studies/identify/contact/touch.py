@@ -85,8 +85,7 @@ def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
 
 def _averaged(x: Array, stride: int) -> Array:
     count = len(x) // stride
-    found: Array = x[: count * stride].reshape(count, stride, *x.shape[1:]).mean(axis=1)
-    return found
+    return x[: count * stride].reshape(count, stride, *x.shape[1:]).mean(axis=1)
 
 
 def _told(touch: Touch) -> Touch:

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.core import Core
 from closedloop.gym.task import Task, task_of
@@ -53,7 +54,6 @@ class ContactEnv(gymnasium.Env[Observation, Any]):
         self.observation_space = observation_space(self.core, privileged)
         self._only = np.zeros(1, dtype=np.int64)
         self._over = True
-        self._view: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -110,17 +110,10 @@ class ContactEnv(gymnasium.Env[Observation, Any]):
         if self.render_mode is None:
             gymnasium.logger.warn('render: the environment was made without render_mode; give "rgb_array" or "human"')
             return None
-        if self._view is None:
-            from closedloop.gym.view import view_of
-
-            self._view = view_of(self.render_mode, self.core)
-        return self._view.show(0)
+        return self.core.show(self.render_mode, 0)
 
     def close(self) -> None:
         """End what the environment has begun."""
-        if self._view is not None:
-            self._view.close()
-            self._view = None
         self.core.close()
 
 
@@ -131,29 +124,25 @@ def observation_space(core: Core, privileged: bool) -> spaces.Space[Any]:
     return spaces.Dict({"policy": core.observation_space, "critic": core.privileged_space})
 
 
-def info_of(core: Core, i: int) -> dict[str, Any]:
-    """Return the truth about environment `i` at its control instant."""
+def truth_of(core: Core) -> dict[str, Array]:
+    """Return the truth about all environments at their control instants: arrays with a row for each.
+
+    "force_rms" is the root mean square of the force's error since the reset, N.
+    """
     now = core.now
-    return {
-        "time": float(now.time[i]),
-        "force": float(now.force[i]),
-        "wanted_force": float(now.wanted_force[i]),
-        "largest_force": float(now.largest_force[i]),
-        "largest_link_force": float(now.largest_link_force[i]),
-        "impulse": float(now.impulse[i]),
-        "contact": bool(now.contact[i]),
-        "path_error": float(now.path_error[i]),
-        "force_rms": rms(core, i),
-        "cut": int(core.cut[i]),
-        "is_success": bool(core.succeeded[i]),
-        "privileged": core.privileged()[i],
-        "parameters": dict(core.parameters[i]),
-    }
+    names = (
+        "time", "force", "wanted_force", "largest_force", "largest_link_force", "impulse", "contact", "path_error",
+    )  # fmt: skip
+    mean = np.divide(now.force_square, now.time, out=np.zeros(core.count), where=now.time > 0.0)
+    return {name: getattr(now, name) for name in names} | {
+        "force_rms": np.sqrt(mean), "cut": core.cut, "is_success": core.succeeded, "privileged": core.privileged(),
+    }  # fmt: skip
 
 
-def rms(core: Core, i: int) -> float:
-    """Return the root mean square of the force's error since the reset, N."""
-    return float(np.sqrt(core.now.force_square[i] / core.now.time[i])) if core.now.time[i] > 0.0 else 0.0
+def info_of(core: Core, i: int) -> dict[str, Any]:
+    """Return the truth about environment `i` at its control instant, and what its episode has drawn."""
+    told = {name: values[i].item() if values.ndim == 1 else values[i] for name, values in truth_of(core).items()}
+    return {**told, "parameters": dict(core.parameters[i])}
 
 
 def ended_of(core: Core, i: int, over: bool) -> dict[str, Any]:

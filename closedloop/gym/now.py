@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -118,22 +118,22 @@ class Now:
     @property
     def contact(self) -> Mask:
         """Whether the tip touches the surface."""
-        return cast(Mask, self._once("contact", lambda: self._mode != FREE))
+        return self._once("contact", lambda: self._mode != FREE)
 
     @property
     def sticks(self) -> Mask:
         """Whether it sticks to it."""
-        return cast(Mask, self._once("sticks", lambda: self._mode == STUCK))
+        return self._once("sticks", lambda: self._mode == STUCK)
 
     @property
     def free_share(self) -> Array:
         """Share of the rows since the control instant before at which the tip was off the surface."""
-        return cast(Array, self._once("free_share", lambda: self._free / self.steps))
+        return self._once("free_share", lambda: self._free / self.steps)
 
     @property
     def force_error(self) -> Array:
         """True force minus the desired one, N."""
-        return cast(Array, self._once("force_error", lambda: self.force - self.wanted_force))
+        return self._once("force_error", lambda: self.force - self.wanted_force)
 
     @property
     def held(self) -> Mask:

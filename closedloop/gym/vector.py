@@ -16,7 +16,7 @@ from closedloop.base.arrays import Array, Mask
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.gym.core import Core
-from closedloop.gym.env import RENDER_MODES, ended_of, info_of, observation_space
+from closedloop.gym.env import RENDER_MODES, ended_of, info_of, observation_space, truth_of
 from closedloop.gym.task import Task, task_of
 
 Result = tuple[Any, Array, Mask, Mask, dict[str, Any]]
@@ -74,7 +74,6 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self._over: Mask = np.ones(num_envs, dtype=np.bool_)
         self._everyone = np.arange(num_envs)
         self._begun = False
-        self._view: Any = None
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -166,23 +165,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _infos(self, went: NDArray[np.int64]) -> dict[str, Any]:
         """Return the truth about all environments, arrays with a row for each."""
-        core, now = self.core, self.core.now
-        mean = np.divide(now.force_square, now.time, out=np.zeros(self.num_envs), where=now.time > 0.0)
-        told: dict[str, Any] = {
-            "time": now.time.copy(),
-            "force": now.force.copy(),
-            "wanted_force": now.wanted_force.copy(),
-            "largest_force": now.largest_force.copy(),
-            "largest_link_force": now.largest_link_force.copy(),
-            "impulse": now.impulse.copy(),
-            "contact": now.contact.copy(),
-            "path_error": now.path_error.copy(),
-            "force_rms": np.sqrt(mean),
-            "cut": core.cut.copy(),
-            "is_success": core.succeeded.copy(),
-            "privileged": core.privileged(),
-        }
-        told |= {f"reward/{name}": value for name, value in core.terms.items()}
+        told = {name: values.copy() for name, values in truth_of(self.core).items()}
+        told |= {f"reward/{name}": value for name, value in self.core.terms.items()}
         everyone = np.ones(self.num_envs, dtype=np.bool_)
         stepped = everyone if went.size == self.num_envs else np.isin(self._everyone, went)
         masks = {f"_{name}": stepped if name.startswith("reward/") else everyone for name in told}
@@ -197,15 +181,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         if self.render_mode is None:
             gymnasium.logger.warn('render: the environment was made without render_mode="rgb_array"')
             return None
-        if self._view is None:
-            from closedloop.gym.view import view_of
-
-            self._view = view_of(self.render_mode, self.core)
-        return tuple(self._view.show(i) for i in range(self.num_envs))
+        return tuple(self.core.show(self.render_mode, i) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""
-        if self._view is not None:
-            self._view.close()
-            self._view = None
         self.core.close()

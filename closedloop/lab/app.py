@@ -35,7 +35,7 @@ from closedloop.lab.messages import pack
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import Pins
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, new_token
-from closedloop.lab.share import page
+from closedloop.lab.share import hello, page
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import variants
@@ -338,13 +338,8 @@ class Lab:
             self._last.pop(slot, None)
 
     def _hello(self, fresh: bool = False) -> None:
-        scenario, model = self.history.base, self.answers.model(self.history.base)
-        about = scenario.description
-        title = scenario.name if scenario.name == model.name else f"{scenario.name} ({model.name})"
-        message = {
-            "kind": "hello", "live": True, "name": scenario.name, "title": title, "fresh": fresh,
-            "about": about[:1].upper() + about[1:],
-        }  # fmt: skip
+        base = self.history.base
+        message = hello(base, self.answers.model(base), live=True, fresh=fresh)
         self.tell("hello", message)
         self._last["hello"] = pack(message | {"fresh": False})
 

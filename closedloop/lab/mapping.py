@@ -15,7 +15,6 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, one_line
 from closedloop.lab.controls import Control
-from closedloop.lab.history import Changes, with_change
 from closedloop.record.report.verdict import GOOD
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.units import with_unit
@@ -76,8 +75,7 @@ class Axis:
 
     def value(self, cell: int) -> Any:
         """Return the key's value in a cell."""
-        number = float(self.values[cell])
-        held, index = self.control.value, self.control.index
+        number, held, index = float(self.values[cell]), self.control.value, self.control.index
         if index is None:
             return number
         value = [*held[:index], number, *held[index + 1 :]]
@@ -117,14 +115,8 @@ class Map:
         self.grid = np.full((self.y.values.size, self.x.values.size), np.nan)
         self.state = np.full_like(self.grid, np.nan)
 
-    def changes(self, row: int, column: int, before: Changes | None = None) -> Changes:
-        """Return the changes of the scenario that make the run of a cell, on top of others."""
-        made = dict(before or {})
-        for key, value in self._values(row, column).items():
-            made = with_change(made, key, value)
-        return made
-
-    def _values(self, row: int, column: int) -> dict[str, Any]:
+    def values(self, row: int, column: int) -> dict[str, Any]:
+        """Return the values of both keys in a cell."""
         values = {self.x.control.key: self.x.value(column), self.y.control.key: self.y.value(row)}
         if self.x.control.key == self.y.control.key and self.x.control.index is not None:  # two entries of one list
             values[self.x.control.key][self.x.control.index] = self.x.value(column)[self.x.control.index]
@@ -149,7 +141,7 @@ class Map:
             if stop():
                 return
             cells = order[done : done + (batch if done else min(batch, FIRST))]
-            points = [self._values(*cell) for cell in cells]
+            points = [self.values(*cell) for cell in cells]
             columns = {key: [point[key] for point in points] for key in points[0]}
             try:
                 self._take(cells, simulate_batch(self.scenario, columns, model=self.model))

@@ -18,6 +18,8 @@ from closedloop.lab.messages import in_text
 from closedloop.lab.page import in_notebook
 from closedloop.lab.strip import tiles
 from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario
+from robot_models import RobotModel
 
 # Frames of the replay at most, parts of the time of which a curve shows the extremes, and columns besides the panels.
 MOST_FRAMES, CELLS = 500, 400
@@ -40,7 +42,7 @@ def page_of(run: Run, command: str = "", ghosts: Sequence[Ghost] = ()) -> str:
     scene, summary = scene_of(run, ghosts), run.summary()
     drawn = curves(run, None, COLUMNS, CELLS)
     messages = [
-        hello(run, live=False, command=command),
+        hello(run.scenario, run.model, live=False) | {"scenario": run.scenario.to_toml(), "command": command},
         run_message(run, drawn, line="", n=1, partial=False) | {"columns": list(COLUMNS)},
         {"kind": "strip", "tiles": tiles(run, summary)},
         robot_message(scene),
@@ -49,13 +51,11 @@ def page_of(run: Run, command: str = "", ghosts: Sequence[Ghost] = ()) -> str:
     return page(f"{run.scenario.name}, {run.model.name}", messages)
 
 
-def hello(run: Run, *, live: bool, command: str = "") -> dict[str, Any]:
-    """Return the message with what a page is about: its title, the scenario in words and as a file, and a command."""
-    name, robot, about = run.scenario.name, run.model.name, run.scenario.description
-    return {
-        "kind": "hello", "live": live, "name": name, "title": name if name == robot else f"{name} ({robot})",
-        "about": about[:1].upper() + about[1:], "scenario": run.scenario.to_toml(), "command": command,
-    }  # fmt: skip
+def hello(scenario: Scenario, model: RobotModel, **more: Any) -> dict[str, Any]:
+    """Return the message with what a page is about: its title, the scenario in words, and more."""
+    name, about = scenario.name, scenario.description
+    title = name if name == model.name else f"{name} ({model.name})"
+    return {"kind": "hello", "name": name, "title": title, "about": about[:1].upper() + about[1:], **more}
 
 
 def page(title: str, messages: Sequence[Any] = (), theme: str = "") -> str:

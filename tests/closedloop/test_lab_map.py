@@ -29,7 +29,7 @@ def test_the_cells_of_a_map_are_the_runs_of_their_changes():
     assert list(found.fill(batch=6)) == [6, 12]
     history = History(base, "wam_slide")
     for cell in ((0, 3), (2, 1)):
-        run = cl.simulate(history.scenario(found.changes(*cell)), engine="compiled")
+        run = cl.simulate(history.scenario(found.values(*cell)), engine="compiled")
         assert found.grid[cell] == run.summary()["peak_contact_force"]
     assert sorted(coarse_first(9, 10)) == [(i, j) for i in range(9) for j in range(10)]
     assert coarse_first(9, 10)[:4] == [(0, 0), (0, 8), (8, 0), (8, 8)]

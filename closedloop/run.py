@@ -17,14 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from closedloop.base.errors import (
-    ClosedLoopError,
-    InterruptedRunError,
-    OutputError,
-    ScenarioError,
-    lines_of,
-    printable,
-)
+from closedloop.base.errors import ClosedLoopError, InterruptedRunError, OutputError, ScenarioError, lines_of, printable
 from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, as_command

@@ -17,6 +17,16 @@ if TYPE_CHECKING:
 AXES = ("x", "y", "z")
 
 
+def part_labels(
+    joints: tuple[str, ...], coordinates: tuple[str, ...], contacts: tuple[str, ...]
+) -> dict[str, tuple[str, ...]]:
+    """Return what the parts of a column are called, by the dimension that they are along."""
+    return {
+        "joint": joints, "coordinate": coordinates, "axis": AXES, "component": WRENCH,
+        "contact": contacts, "contact_tangent": tangents_of(contacts),
+    }  # fmt: skip
+
+
 def data_frame(
     columns: Mapping[str, NDArray[Any]], dims: Mapping[str, tuple[str, ...]], joints: tuple[str, ...],
     coordinates: tuple[str, ...], contacts: tuple[str, ...], units: Callable[[str], str],
@@ -43,20 +53,11 @@ def data_frame(
 
     parts: dict[str, NDArray[Any]] = {}
     of: dict[str, str] = {}
+    labels_of_parts = part_labels(joints, coordinates, contacts)
     for name, dimensions in dims.items():
         if name == "time":
             continue
-        values, labels = (
-            columns[name],
-            {
-                "joint": joints,
-                "coordinate": coordinates,
-                "axis": AXES,
-                "component": WRENCH,
-                "contact": contacts,
-                "contact_tangent": tangents_of(contacts),
-            }.get(dimensions[-1], ()),
-        )
+        values, labels = columns[name], labels_of_parts.get(dimensions[-1], ())
         if not labels and values.ndim == 2:  # a column of one's own
             labels = tuple(map(str, range(1, values.shape[1] + 1)))
         for k, label in enumerate(labels):

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from closedloop.base.files import write_whole
 from closedloop.base.optional import needs
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
-from closedloop.record.columns.derived import DERIVED, WRENCH
+from closedloop.record.columns.derived import DERIVED
+from closedloop.record.frame import part_labels
 from closedloop.record.run import Run, units_by_kind
-from closedloop.scenario.contact_names import labels_of, tangents_of
-
-AXES = ("x", "y", "z")
+from closedloop.scenario.contact_names import labels_of
 
 
 def write_csv(run: Run, path: str | Path) -> list[Path]:
@@ -48,11 +47,8 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
     values, dims = getattr(run, name), (run.specs.get(name) or DERIVED[name]).dims
     if len(dims) == 1:
         return {_header(name, run.units(name)): values}
-    names = labels_of(run.scenario.contact or ())
-    contacts = {"contact": names, "contact_tangent": tangents_of(names)}
-    coordinates = {"coordinate": run.model.coordinate_names}
-    entries_of = coordinates | {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH} | contacts
-    entries = entries_of.get(dims[1]) or tuple(map(str, range(1, values.shape[1] + 1)))
+    known = part_labels(run.model.joint_names, run.model.coordinate_names, labels_of(run.scenario.contact or ()))
+    entries = known.get(dims[1]) or tuple(map(str, range(1, values.shape[1] + 1)))
     found = {}
     for k, entry in enumerate(entries):
         if dims[1] == "coordinate":

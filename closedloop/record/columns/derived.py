@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.control.reference.orientation import turned_by
-from closedloop.mechanics.loops.reactions import (
-    LoopReactions,
-    loop_reactions,
-    loop_rows,
-    share_of_rows,
-)
+from closedloop.mechanics.loops.reactions import LoopReactions, loop_reactions, loop_rows, share_of_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.record import Record

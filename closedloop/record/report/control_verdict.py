@@ -104,9 +104,7 @@ class Signals(NamedTuple):
 
 
 def judge_control(
-    signals: Signals | None,
-    limited: Mapping[str, tuple[float, float]],
-    stopped: str | None = None,
+    signals: Signals | None, limited: Mapping[str, tuple[float, float]], stopped: str | None = None
 ) -> tuple[list[Problem], list[str]]:
     """Return what is wrong with the control, as `closedloop.record.report.verdict.judge` does, and what is not known.
 

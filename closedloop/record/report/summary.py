@@ -138,10 +138,7 @@ def _tool(run: Record) -> dict[str, float | None] | None:
     """Return how far the tool turned from its reference and from the normal at most, degrees; None if it is free."""
     if len(run) == 0 or getattr(run.scenario.reference, "orientation", "free") == "free":
         return None
-    return {
-        "max_orientation_error": plain(np.max(run.orientation_error)),
-        "max_angle": plain(np.max(run.tool_angle)),
-    }
+    return {"max_orientation_error": plain(np.max(run.orientation_error)), "max_angle": plain(np.max(run.tool_angle))}
 
 
 def run_gains_fault(run: Record) -> str:

@@ -119,13 +119,7 @@ def simulate_batch(
 
 
 def in_blocks(
-    variants: Variants,
-    points: Sequence[Sequence[Any]],
-    engine: str,
-    runs: int,
-    threads: int = 1,
-    *,
-    lanes: bool = True,
+    variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int, threads: int = 1, *, lanes: bool = True
 ) -> list[list[int]]:
     """Return the numbers of all points: in blocks of those that may share SIMD lanes, the others one by one.
 

@@ -36,12 +36,7 @@ from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, 
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
 from closedloop.record.report.step_columns import resolution_of
-from closedloop.record.report.step_error import (
-    beside_of,
-    unknown_because,
-    why_force_not_known,
-    write_beside,
-)
+from closedloop.record.report.step_error import beside_of, unknown_because, why_force_not_known, write_beside
 from closedloop.record.report.step_variation import Swings
 from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.gains import Rubbing

@@ -106,7 +106,6 @@ class Core:
         self.reasons = [""] * count
         self.succeeded: Mask = np.zeros(count, dtype=np.bool_)
         self.cut: IntArray = np.zeros(count, dtype=np.int64)
-        self._view: Any = None
 
     def _values_of_scenario(self, problem: Problem) -> Array:
         """Return what the scenario itself would set in place of an action, SI units."""
@@ -309,14 +308,6 @@ class Core:
             raise ScenarioError(f"rewards: {total[i]} at t = {now.time[i]:g} s: {named}: must be finite numbers")
         return total
 
-    def show(self, render_mode: str, i: int) -> Any:
-        """Return a picture of environment `i`, or show it in the browser; see `closedloop.gym.view`."""
-        if self._view is None:
-            from closedloop.gym.view import view_of
-
-            self._view = view_of(render_mode, self)
-        return self._view.show(i)
-
     def observe(self) -> Array:
         """Return the observations (N, k)."""
         return self._observed.read(self.now)
@@ -326,8 +317,5 @@ class Core:
         return np.concatenate([self._truth.read(self.now), self._drawn], axis=1)
 
     def close(self) -> None:
-        """End the threads and what is shown."""
-        if self._view is not None:
-            self._view.close()
-            self._view = None
+        """End the threads."""
         self.together.close()

@@ -18,7 +18,28 @@ Observation = Any
 RENDER_MODES = ("rgb_array", "human")
 
 
-class ContactEnv(gymnasium.Env[Observation, Any]):
+class Shown:
+    """What environments show, from when it is first asked for; see `closedloop.gym.view`."""
+
+    core: Core
+    _view: Any = None
+
+    def _show(self, render_mode: str, i: int) -> Any:
+        """Return a picture of environment `i`, or show it in the browser."""
+        if self._view is None:
+            from closedloop.gym.view import view_of
+
+            self._view = view_of(render_mode, self.core)
+        return self._view.show(i)
+
+    def _close(self) -> None:
+        if self._view is not None:
+            self._view.close()
+            self._view = None
+        self.core.close()
+
+
+class ContactEnv(gymnasium.Env[Observation, Any], Shown):
     """An arm in hard contact, as an environment of Gymnasium.
 
     Parameters
@@ -110,11 +131,11 @@ class ContactEnv(gymnasium.Env[Observation, Any]):
         if self.render_mode is None:
             gymnasium.logger.warn('render: the environment was made without render_mode; give "rgb_array" or "human"')
             return None
-        return self.core.show(self.render_mode, 0)
+        return self._show(self.render_mode, 0)
 
     def close(self) -> None:
         """End what the environment has begun."""
-        self.core.close()
+        self._close()
 
 
 def observation_space(core: Core, privileged: bool) -> spaces.Space[Any]:

@@ -16,13 +16,13 @@ from closedloop.base.arrays import Array, Mask
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.gym.core import Core
-from closedloop.gym.env import RENDER_MODES, ended_of, info_of, observation_space, truth_of
+from closedloop.gym.env import RENDER_MODES, Shown, ended_of, info_of, observation_space, truth_of
 from closedloop.gym.task import Task, task_of
 
 Result = tuple[Any, Array, Mask, Mask, dict[str, Any]]
 
 
-class ContactVectorEnv(VectorEnv[Any, Any, Any]):
+class ContactVectorEnv(VectorEnv[Any, Any, Any], Shown):
     """Environments of one task, each to the bit what the single one with its seed is.
 
     Parameters
@@ -181,8 +181,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         if self.render_mode is None:
             gymnasium.logger.warn('render: the environment was made without render_mode="rgb_array"')
             return None
-        return tuple(self.core.show(self.render_mode, i) for i in range(self.num_envs))
+        return tuple(self._show(self.render_mode, i) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""
-        self.core.close()
+        self._close()

@@ -6,11 +6,12 @@ in the background (`closedloop.jit.background`) calls `compile_these` for a few 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from closedloop.jit.background import BESIDE_STEP
 from closedloop.jit.dual import FORM
 
 if TYPE_CHECKING:
@@ -29,28 +30,28 @@ class Piece(NamedTuple):
         Compiles it.
     after : str
         The kernel that has to be there: `compile` would compile that too.
-    family : str
-        The same for pieces that share most of their functions.
     """
 
     kernel: str
     what: str
     compile: Callable[[], Any]
     after: str = ""
-    family: str = "the step"
+
+    @property
+    def family(self) -> str:
+        """The same for pieces that share most of their functions."""
+        return "" if self.kernel.startswith("entry_of_") else str(self.kernel in BESIDE_STEP)
 
 
 def pieces() -> tuple[Piece, ...]:
     """Return everything that ships, in the order of how many runs need it."""
-    from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
-
     return (
         Piece("walk", "inverse kinematics of a path", _problem),
         Piece("sample_spline", "a path of joints", _problem),
-        Piece("proceed_at", "the step", lambda: _run(PINOCCHIO)),
-        Piece("complete_record", "the end of a record", lambda: _run(PINOCCHIO), "proceed_at"),
+        Piece("proceed_at", "the step", _step),
+        Piece("complete_record", "the end of a record", _record),
         Piece("collide", "impacts", _impacts),
-        Piece("run_compiled", "the compiled engine's terms", lambda: _run(COMPILED), "proceed_at"),
+        Piece("run_compiled", "the compiled engine's terms", _compiled_engine, "proceed_at"),
         Piece("measure_rows", "values of a batch's runs", _measures, "run_compiled"),
         Piece("run_in_lanes", "eight runs of a batch at a time", _batch, "measure_rows"),
         Piece("_impact", "a single impact", _impact),
@@ -58,12 +59,12 @@ def pieces() -> tuple[Piece, ...]:
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
         Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),
         Piece("potential_energies", "potential energy of a record", _energies),
-        Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops"), family="links"),
-        Piece("along_path", "loops along a path", lambda: _loops("along_path"), family="links"),
-        Piece("closed_to", "a closed start", lambda: _loops("closed_to"), family="links"),
-        Piece("rows_along", "loops of a record", lambda: _loops("rows_along"), family="links"),
-        Piece("contacts_in_step", "contacts of the links", _contacts, family="links"),
-        Piece("ball_tip", "the round end of a tool", _ball_tip, family="links"),
+        Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops")),
+        Piece("along_path", "loops along a path", lambda: _loops("along_path")),
+        Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
+        Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
+        Piece("contacts_in_step", "contacts of the links", _contacts),
+        Piece("ball_tip", "the round end of a tool", _ball_tip),
         Piece("step_members", "simulations side by side", _together, "run_compiled"),
         Piece("strike", "impacts in them", _strike),
         Piece("step_in_lanes", "eight of them in SIMD lanes", _together_in_lanes),
@@ -145,7 +146,7 @@ def _laws() -> Iterable[Piece]:
     from closedloop.jit.calls import entry_address
 
     for what, entry in _members():
-        yield Piece(getattr(entry, "__name__", ""), what, partial(entry_address, entry), family="")
+        yield Piece(getattr(entry, "__name__", ""), what, partial(entry_address, entry))
 
 
 def _members() -> Iterable[tuple[str, Any]]:
@@ -177,16 +178,17 @@ def _members() -> Iterable[tuple[str, Any]]:
                 yield f"{what} {kind}", entry_of(member)
 
 
-def compile_these(names: Iterable[str]) -> None:
-    """Compile these kernels, in the order of `pieces`."""
+def compile_these(names: Sequence[str]) -> None:
+    """Compile these kernels, in this order."""
     from closedloop.jit import cache_folder
 
-    cache_folder.make_folders, wanted = False, set(names)
-    for piece in pieces():
-        if piece.kernel in wanted:
-            piece.compile()
-    if any(name.endswith(FORM) for name in wanted):
-        _duals(wanted)
+    cache_folder.make_folders, known = False, pieces()
+    for name in names:
+        for piece in known:
+            if piece.kernel == name:
+                piece.compile()
+    if any(name.endswith(FORM) for name in names):
+        _duals(names)
 
 
 def _duals(names: Collection[str]) -> None:
@@ -210,20 +212,37 @@ def _problem() -> Problem:
     return prepare(load_scenario("planar2_slide", {"time.duration": 0.002}))
 
 
-def _run(engine: str) -> None:
+def _step() -> None:
+    from closedloop.jit.calls import entry_address
+    from closedloop.simulation.engines.proceed import proceed_at
+
+    entry_address(proceed_at)
+
+
+def _record() -> None:
+    import numpy as np
+
+    from closedloop.jit.kernel import direct
+    from closedloop.loop.step.record_row import complete_record
+
+    direct(complete_record, 0, np.zeros((0, 0)), 0)
+
+
+def _compiled_engine() -> None:
     from closedloop.jit.interim import not_compiled_first
+    from closedloop.simulation.engines.loops import COMPILED
     from closedloop.simulation.simulate import run_loop
 
     with not_compiled_first():  # the path is a piece of its own
         problem = _problem()
-    run_loop(problem, engine=engine)
+    run_loop(problem, engine=COMPILED)
 
 
 def _impacts() -> None:
     from closedloop.jit.kernel import direct
     from closedloop.loop.events.impacts import collide
 
-    direct(collide, _problem().loop().address)
+    direct(collide, 0)
 
 
 def _energies() -> None:

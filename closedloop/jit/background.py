@@ -1,9 +1,9 @@
 """Compiling in a background process, while the run is interpreted.
 
-The process has low priority, no terminal and no output, outlives the one that started it, and writes compiled code into
-the cache's folder. There is at most one for each folder: it holds a lock on the folder's marker, inherited from the
-process that started it and released when it ends. With ``CLOSEDLOOP_BACKGROUND_COMPILE=0`` there are no such processes:
-code is compiled before it is run.
+A process has low priority, no terminal and no output, outlives the one that started it, and writes compiled code into
+the cache's folder. In each folder there is at most one for the step and, with a second core, one for what the step
+calls by address. It holds a lock on a file there, inherited from the process that started it and released when it ends.
+With ``CLOSEDLOOP_BACKGROUND_COMPILE=0`` there are no such processes: code is compiled before it is run.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ import subprocess
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from closedloop.jit.cache_folder import MARKER, cache_folder, claim, why_not_kept
+from closedloop.base.second_process import cores
+from closedloop.jit.cache_folder import MARKER, SECOND_LOCK, cache_folder, claim, why_not_kept
 from closedloop.jit.kernel import jit_disabled, needs_compiling
 
 try:
@@ -30,7 +32,9 @@ VARIABLE = "CLOSEDLOOP_BACKGROUND_COMPILE"
 # What is said about compiling, a line each: commands print it on standard error.
 notices = logging.getLogger("closedloop.compiling")
 
-NICE, LONGEST = 19, 900  # the priority: the lowest; s, after which the process is given up
+# The priorities: the lowest, and a little more for what an interpreted step can call as soon as it is compiled.
+NICE = {MARKER: 19, SECOND_LOCK: 10}
+LONGEST = 900  # s, after which a process is given up
 
 
 class Long(NamedTuple):
@@ -42,46 +46,56 @@ class Long(NamedTuple):
 
 # As `closedloop compile` prints them; the others are compiled in silence, in a second or two.
 TAKES_LONG = {
-    "proceed_at": Long("the step", 21.0),
+    "proceed_at": Long("the step", 16.0),
     "run_in_lanes": Long("the step of eight runs at a time", 13.0),
-    "contacts_in_step": Long("contacts of links", 15.0),
-    "closed_loops": Long("loops and stops", 8.0),
+    "contacts_in_step": Long("contacts of links", 19.0),
+    "closed_loops": Long("loops and stops", 5.0),
     "proceed_at_dual8": Long("derivatives of the step", 22.0),
     "contacts_in_step_dual8": Long("derivatives of contacts of links", 17.0),
     "closed_loops_dual8": Long("derivatives of loops", 9.0),
     "walk": Long("the inverse kinematics of a path", 4.0),
-    "along_path": Long("loops along a path", 5.0),
+    "along_path": Long("loops along a path", 3.0),
 }
 BRIEF = 1.5  # s, of the others
+# What shares its functions with contacts and loops and hardly any with the step, or asks a surface.
+BESIDE_STEP = frozenset((
+    "contacts_in_step", "closed_loops", "along_path", "closed_to", "rows_along", "ball_tip",
+    "put_on_surface", "normals_on_surface", "gradients_on_surface",
+))  # fmt: skip
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
+# Who needs something now compiles it, if the process in the background has it later than in so many times that time.
+WORTH_WAITING = 1.5
 
 # The first process started ends at once, so that nobody has to wait for the one that compiles. Linux shares a processor
 # between sessions first, and the priority of a process counts in its own session only: the session's is lowered too.
-_DETACHED = f"""
-import os
+_DETACHED = """
+import os, sys
 if os.fork():
     os._exit(0)
-os.nice({NICE})
+os.nice(int(sys.argv[1]))
 try:
     with open("/proc/self/autogroup", "w") as group:
-        group.write("{NICE}")
+        group.write(sys.argv[1])
 except OSError:
     pass
 """
 _PROGRAM = f"""{_DETACHED}
-import signal, sys
+import signal
 signal.alarm({LONGEST})
-if sys.argv[1] not in sys.path:
-    sys.path.insert(0, sys.argv[1])
+if sys.argv[2] not in sys.path:
+    sys.path.insert(0, sys.argv[2])
 from closedloop.command.pieces import compile_these
-compile_these(sys.argv[2:])
+compile_these(sys.argv[3:])
 """
 
 _lock = threading.Lock()
 _asked: set[str] = set()  # names of what this process has had compiled in the background
 _waited_for: set[str] = set()  # names of what this process has waited for
 _said: set[str] = set()  # of what sort a line has been said already
+_expected: dict[
+    str, float
+] = {}  # when each process is to be done, by its lock, as this one has started or first met it
 _BEHIND, _WAITING, _HERE = "in the background", "waiting", "here"
 
 
@@ -102,8 +116,22 @@ def refused() -> str:
 left_to_another = False
 
 
+def lock_of(name: str) -> str:
+    """Return the file that is locked by the process which compiles an entry kernel, or others of its kind."""
+    beside = name in BESIDE_STEP or name.startswith("entry_of_")
+    return SECOND_LOCK if beside and cores() > 1 else MARKER
+
+
+def _by_lock(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the names that each of the processes compiles, in their order."""
+    each: dict[str, list[str]] = {}
+    for name in names:
+        each.setdefault(lock_of(name), []).append(name)
+    return each
+
+
 def start(functions: Sequence[Callable[..., Any]], quietly: bool = False) -> None:
-    """Start a process that compiles entry kernels, unless one is running or these were requested before.
+    """Start processes that compile entry kernels in this order, unless such are running or these were requested before.
 
     A line says so where that takes long, unless `quietly`.
     """
@@ -114,30 +142,38 @@ def start(functions: Sequence[Callable[..., Any]], quietly: bool = False) -> Non
         if reason := why_not_kept():
             _say(_BEHIND, f"compiling {_named(names)} would take longer than this run, and cannot be kept: {reason}")
             return
-        lock = _take_lock()
-        loud = not quietly and not TAKES_LONG.keys().isdisjoint(names)
-        if lock is None:
-            if loud:
-                _say(_BEHIND, f"compiling {_named(names)} in another process; this run is interpreted meanwhile")
-            return
-        try:
-            _spawn(names, lock)
-        except (OSError, subprocess.SubprocessError) as error:  # no process or memory is left
-            _say(_BEHIND, f"compiling {_named(names)} in the background is not possible: {error}; it is interpreted")
-            return
-        finally:
-            os.close(lock)
-        _asked.update(names)
+        for lock, share in _by_lock(names).items():
+            _start_one(lock, share, not quietly and not TAKES_LONG.keys().isdisjoint(names), _named(names))
+
+
+def _start_one(file: str, names: list[str], loud: bool, what: str) -> None:
+    """Start the process of one lock, unless it is running."""
+    lock = _take_lock(file)
+    began = clock.monotonic() + BRIEF
+    expected = {name: began + after for name, after in zip(names, accumulate(map(_seconds, names)), strict=True)}
+    if lock is None:
+        _expected.update(expected | _expected)
         if loud:
-            _say(
-                _BEHIND,
-                f"compiling {_named(names)} in the background, once for this installation; this run is interpreted "
-                "meanwhile",
-            )
+            _say(_BEHIND, f"compiling {what} in another process; this run is interpreted meanwhile")
+        return
+    try:
+        _spawn(names, lock, NICE[file])
+    except (OSError, subprocess.SubprocessError) as error:  # no process or memory is left
+        _say(_BEHIND, f"compiling {what} in the background is not possible: {error}; it is interpreted")
+        return
+    finally:
+        os.close(lock)
+    _asked.update(names)
+    _expected.update(expected)
+    if loud:
+        _say(
+            _BEHIND,
+            f"compiling {what} in the background, once for this installation; this run is interpreted meanwhile",
+        )
 
 
 def make_ready(*functions: Callable[..., Any]) -> None:
-    """Announce what is about to be compiled here, if anything; wait if a background process is compiling it.
+    """Announce what is about to be compiled here, if anything; wait if a background process has it sooner.
 
     Each function is waited for once, and no longer than compiling it takes: the other process may be stopped, or get
     no processor on a busy machine, as its priority is the lowest.
@@ -145,12 +181,12 @@ def make_ready(*functions: Callable[..., Any]) -> None:
     missing = [function for function in functions if needs_compiling(function)]
     if not missing:
         return
-    new = {function.__name__ for function in missing} - _waited_for
-    if new and not refused() and not why_not_kept() and _at_work():
+    names = [function.__name__ for function in missing]
+    new, soon = set(names) - _waited_for, _seconds_left(names) < WORTH_WAITING * seconds_of(names)
+    if new and soon and not refused() and not why_not_kept() and _at_work(new):
         _waited_for.update(new)
-        if not TAKES_LONG.keys().isdisjoint(f.__name__ for f in missing):
-            what = _named([function.__name__ for function in missing])
-            _say(_WAITING, f"compiling {what}: waiting for the process that does it in the background ...")
+        if not TAKES_LONG.keys().isdisjoint(names):
+            _say(_WAITING, f"compiling {_named(names)}: waiting for the process that does it in the background ...")
         if wait_until_done(missing, seconds_of(new)):
             return
         missing = [function for function in missing if needs_compiling(function)]
@@ -160,7 +196,7 @@ def make_ready(*functions: Callable[..., Any]) -> None:
 
 
 def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: float = PATIENCE) -> bool:
-    """Wait for the process in the background, if there is one, so many seconds at most, or until these are compiled.
+    """Wait for the processes in the background, if there are any, so many seconds at most, or until these are compiled.
 
     Returns
     -------
@@ -169,8 +205,9 @@ def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: floa
     """
     until = clock.monotonic() + patience
     while True:
-        done = bool(functions) and not any(needs_compiling(function) for function in functions)
-        if done or clock.monotonic() > until or not _at_work():
+        missing = [function.__name__ for function in functions if needs_compiling(function)]
+        done = bool(functions) and not missing
+        if done or clock.monotonic() > until or not _at_work(missing):
             return done
         clock.sleep(BETWEEN_LOOKS)
 
@@ -185,9 +222,26 @@ def seconds_to_compile(functions: Sequence[Callable[..., Any]]) -> float:
     return seconds_of(function.__name__ for function in functions if needs_compiling(function))
 
 
+def seconds_left(functions: Sequence[Callable[..., Any]]) -> float:
+    """Return how long, about, s, the processes in the background still take for these entry kernels.
+
+    Each has a core of its own as long as nothing else runs.
+    """
+    return _seconds_left([function.__name__ for function in functions if needs_compiling(function)])
+
+
+def _seconds_left(names: Collection[str]) -> float:
+    unknown, now = seconds_of(name for name in names if name not in _expected), clock.monotonic()
+    return max(0.0, unknown, *(_expected[name] - now for name in names if name in _expected))
+
+
 def seconds_of(names: Iterable[str]) -> float:
     """Return the processor time, about, s, of compiling the entry kernels of these names."""
-    return sum(TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF for name in names)
+    return sum(map(_seconds, names))
+
+
+def _seconds(name: str) -> float:
+    return TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF
 
 
 def compiling_notice(names: Sequence[str] = ()) -> str:
@@ -211,23 +265,23 @@ def _say(sort: str, line: str) -> None:
         notices.info(line)
 
 
-def _spawn(names: Sequence[str], lock: int) -> None:
+def _spawn(names: Sequence[str], lock: int, nice: int) -> None:
     home = str(Path(__file__).resolve().parents[2])
     flags = ["-P", *(["-O"] * sys.flags.optimize), *(["-I"] if sys.flags.isolated else [])]
     environment = os.environ | {VARIABLE: "0"}
     if os.environ.get("NUMBA_CACHE_DIR"):  # which may be relative to the current folder
         environment["NUMBA_CACHE_DIR"] = str(cache_folder().parent)
     subprocess.run(
-        [sys.executable, *flags, "-c", _PROGRAM, home, *names],
+        [sys.executable, *flags, "-c", _PROGRAM, str(nice), home, *names],
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=os.sep,
         env=environment, start_new_session=True, pass_fds=[lock], check=True, timeout=30.0,
     )  # fmt: skip
 
 
-def _take_lock() -> int | None:
-    """Return the open file of the marker, locked; None if a process that compiles has it."""
+def _take_lock(file: str) -> int | None:
+    """Return a file of the folder, opened and locked; None if a process that compiles has it."""
     claim(cache_folder())
-    lock = os.open(cache_folder() / MARKER, os.O_RDWR)
+    lock = os.open(cache_folder() / file, os.O_RDWR | (os.O_CREAT if file == SECOND_LOCK else 0), 0o644)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -236,12 +290,14 @@ def _take_lock() -> int | None:
     return lock
 
 
-def _at_work() -> bool:
-    """Whether a process compiles into the folder."""
-    try:
-        lock = _take_lock()
-    except OSError:
-        return False
-    if lock is not None:
+def _at_work(names: Iterable[str] = ()) -> bool:
+    """Whether a process compiles into the folder; one that these are left to, if there are any."""
+    for file in _by_lock(names) or (MARKER, SECOND_LOCK):
+        try:
+            lock = _take_lock(file)
+        except OSError:
+            continue
+        if lock is None:
+            return True
         os.close(lock)
-    return lock is None
+    return False

@@ -2,6 +2,7 @@
 
     ROOT/closedloop-0123456789abcdef/       a digest of the text of all kernel files, of compiler and processor
         closedloop-cache                    the marker: we made this folder; its time stamp is that of the last use
+        closedloop-called                   empty; locked while what a step calls is compiled in the background
         step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.jit.compile_cache`
 
 Folders of other versions of the source are kept for a month after their last use. Before one is removed, the folder's
@@ -49,7 +50,7 @@ SETTINGS = (
     "DEBUG_NRT", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS", "EXTEND_VARIABLE_LIFETIMES",
 )  # fmt: skip
 
-MARKER = "closedloop-cache"
+MARKER, SECOND_LOCK = "closedloop-cache", "closedloop-called"
 MAGIC = b"closedloop code 1\n"  # the end of every file
 FOLDER_NAME = re.compile(r"closedloop-[0-9a-f]{16}")
 FILE_NAME = re.compile(r"[\w.]+-[0-9a-f]{32}\.nbc(\.tmp\.[0-9a-f]{16})?")
@@ -315,7 +316,9 @@ def _remove(folder: Path) -> None:
 
 
 def _is_code(entry: os.DirEntry[str]) -> bool:
-    """Whether a file was written by `KernelCache`, whole or (until it was killed) in part."""
+    """Whether a file was written by `KernelCache`, whole or (until it was killed) in part; or is the empty lock."""
+    if entry.name == SECOND_LOCK:
+        return entry.is_file(follow_symlinks=False) and entry.stat().st_size == 0
     found = FILE_NAME.fullmatch(entry.name)
     if not (found and entry.is_file(follow_symlinks=False)):
         return False

@@ -4,7 +4,7 @@ A plug-in is compiled separately, into an entry with two integer arguments: the 
 (`closedloop.loop.step.memory.loop_at`), and which of its functions to call. The loop reads the entry's address from its
 memory and calls it, at some 2 ns over an inlined call, and is not compiled again for another plug-in.
 
-In interpreted code an address is a number under which the Python function is registered.
+In interpreted code an address is a negative number under which the Python function is registered, or machine code's.
 """
 
 from __future__ import annotations
@@ -24,13 +24,20 @@ _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 _interpreted: dict[int, Entry] = {}
 _with_buffers: dict[int, Entry] = {}
-_numbers = count(1)
+_numbers = count(-1, -1)
 _addresses: WeakKeyDictionary[Any, int] = WeakKeyDictionary()  # of machine code, by the entries that keep it
 
 
 def call_at(address: int, loop: int, what: int) -> int:
     """Call the entry at an address with its two numbers, and return its answer."""
-    return _interpreted[int(address)](int(loop), int(what))
+    number = int(address)
+    return (_interpreted[number] if number < 0 else _machine_code(number))(int(loop), int(what))
+
+
+@cache
+def _machine_code(address: int) -> Entry:
+    """Return the compiled entry at an address for interpreted code to call."""
+    return _CALLBACK(address)
 
 
 # What Python raises where buffers cannot do what arrays can.
@@ -46,7 +53,7 @@ def call_with_buffers(address: int, loop: int, what: int) -> int:
     number = int(address)
     entry = _with_buffers.get(number)
     if entry is None:
-        return _interpreted[number](int(loop), int(what))
+        return call_at(number, loop, what)
     try:
         return entry(int(loop), int(what))
     except NOT_WITH_BUFFERS as error:

@@ -18,8 +18,11 @@ from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.jit.kernel import direct, needs_compiling
 
 # Calls after which it is known how long they take; seconds between two looks for the compiled form; and how many times
-# longer than compiling the rest of a run must take, interpreted, for it to wait for the compiler instead.
-PROBE, BETWEEN_LOOKS, WORTH_WAITING = 50, 0.5, 1.5
+# longer than compiling the rest of a run must take, interpreted, for it to wait for the compiler, which then has all
+# cores.
+PROBE, BETWEEN_LOOKS, WORTH_WAITING = 50, 0.5, 1.0
+# What is called by address is well before the rest if it takes less than this share of the time.
+MUCH_SOONER = 0.5
 # Calls of each function that were interpreted so far in this process: many short runs are as good as a long one.
 _so_far: Counter[str] = Counter()
 
@@ -27,7 +30,7 @@ _so_far: Counter[str] = Counter()
 class Interim:
     """A kernel that is called again and again: interpreted, until its compiled form is there.
 
-    After the first calls it is known what is sooner. Where compiling is, it is done, or waited for, at once; else a
+    After the first calls, and at each look, it is known what is sooner. Where compiling is, it is waited for; else a
     process in the background does it (`closedloop.jit.background`), and this one goes over to the compiled form as
     soon as that is on the disk. Each call begins from what the last one left, so nothing depends on when that is.
 
@@ -39,12 +42,14 @@ class Interim:
         What a call reads and changes: it is put back if a call must be begun again, or is interrupted.
     calls : int
         How many calls there will be, about.
-    seconds : float
-        How long compiling takes, about.
     with_it : sequence of callables
         What else the caller will want compiled.
     on_compiled : callable
         Called before the compiled form is, for the first time.
+    called : sequence of callables
+        What of this it calls by address.
+    on_called_compiled : callable
+        Called once these are compiled, though the kernel itself is not: from then on it may call them so.
     later : sequence of callables
         What later runs will want: compiled in the background as well, and not waited for.
     buffers : bool
@@ -62,19 +67,21 @@ class Interim:
         function: Callable[..., Any],
         written: Sequence[NDArray[Any]],
         calls: int,
-        seconds: float,
         with_it: Sequence[Callable[..., Any]] = (),
         on_compiled: Callable[[], None] = lambda: None,
         later: Sequence[Callable[..., Any]] = (),
         buffers: bool = False,
+        called: Sequence[Callable[..., Any]] = (),
+        on_called_compiled: Callable[[], None] = lambda: None,
     ) -> None:
         self._function, self._twin, self._written = function, interpreted(function), written
         self._quick, self._with_buffers = interpreted(function, buffers), buffers
-        self._calls, self._seconds, self._with_it = calls, seconds, (function, *with_it)
+        self._calls, self._with_it = calls, (function, *with_it)
         self._later = later
-        self._on_compiled = on_compiled
+        self._on_compiled, self._on_called_compiled, self._called = on_compiled, on_called_compiled, called
         self._compiled: Callable[..., Any] | None = None
-        self._done, self._seconds_done, self._look_at, self._decided = 0, 0.0, 0.0, False
+        self._done, self._look_at = 0, 0.0
+        self._since, self._seconds_since = 0, 0.0  # calls since the last look, and their time, s
         self.compiling = 0.0
 
     @property
@@ -87,12 +94,10 @@ class Interim:
         if self._compiled is not None:
             return self._compiled(*arguments)
         began = clock.perf_counter()
-        if began >= self._look_at:
+        if began >= self._look_at or self._done == PROBE:
             self._look_at = began + BETWEEN_LOOKS
-            if not any(map(needs_compiling, self._with_it)):
+            if self._is_to_be_compiled():
                 return self._compile(arguments)(*arguments)
-            if self._decided:
-                self._compile_behind()  # again, if another process was compiling something else
         before = _copies(self._written)
         busy = clock.thread_time()  # of the processor: on a loaded machine compiling takes longer by as much
         try:
@@ -105,12 +110,33 @@ class Interim:
             _put_back(self._written, before)
             raise
         _so_far[self._function.__name__] += 1
+        if self._done > 0:  # the first call makes the interpreted functions
+            self._since, self._seconds_since = self._since + 1, self._seconds_since + clock.thread_time() - busy
         self._done += 1
-        self._seconds_done += clock.thread_time() - busy
-        if not self._decided and (self._done >= PROBE or _so_far[self._function.__name__] >= PROBE > self._calls):
-            self._decided = True
-            self._decide((self._calls - self._done) * self._seconds_done / self._done, arguments)
         return answer
+
+    def _is_to_be_compiled(self) -> bool:
+        """Whether the compiled form is there, or waiting for it is sooner; if not, have it compiled in the background.
+
+        The pace is that of the calls since the last look: those of a run's phases differ by far. It is about to change
+        if what is called by address is compiled well before the rest.
+        """
+        if not any(map(needs_compiling, self._with_it)):
+            return True
+        if self._done < PROBE and not _so_far[self._function.__name__] >= PROBE > self._calls:
+            return False
+        background.start([function for function in (*self._with_it, *self._later) if needs_compiling(function)])
+        left = (self._calls - self._done) * self._seconds_since / self._since if self._since else 0.0
+        self._since, self._seconds_since = 0, 0.0
+        wait = background.seconds_left(self._with_it)
+        self.left = left
+        if self._called and not any(map(needs_compiling, self._called)):
+            self._called = ()
+            self._on_called_compiled()
+            return False
+        if self._called and background.seconds_left(self._called) < MUCH_SOONER * wait:
+            return False
+        return left > WORTH_WAITING * wait
 
     def _interpret(self, arguments: tuple[Any, ...], before: Sequence[NDArray[Any]]) -> Any:
         """Call the kernel interpreted: with buffers, or with arrays where it cannot do with them."""
@@ -126,17 +152,6 @@ class Interim:
                 _put_back(self._written, before)
                 self._with_buffers = False
         return self._twin(*arguments)
-
-    def _decide(self, left: float, arguments: tuple[Any, ...]) -> None:
-        """Wait for the compiler, or let it work in the background, when the rest would take `left` seconds."""
-        if left > WORTH_WAITING * self._seconds:
-            self._compile(arguments)
-        else:
-            self._compile_behind()
-
-    def _compile_behind(self) -> None:
-        wanted = (*self._with_it, *self._later)
-        background.start([function for function in wanted if needs_compiling(function)])
 
     def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         began = clock.perf_counter()
@@ -159,7 +174,7 @@ def _put_back(arrays: Sequence[NDArray[Any]], before: Sequence[NDArray[Any]]) ->
 
 def call_now(function: Callable[..., Any], written: Sequence[NDArray[Any]], *arguments: Any) -> Any:
     """Call a kernel once, interpreted if its compiled form is not there; `written` as for `Interim`."""
-    return function(*arguments) if at_hand(function) else Interim(function, written, 1, 0.0)(*arguments)
+    return function(*arguments) if at_hand(function) else Interim(function, written, 1)(*arguments)
 
 
 # Processor time, s, of the calls of each function that `call_once` has interpreted: many are as good as a long one.
@@ -177,6 +192,12 @@ def not_compiled_first() -> Iterator[None]:
         yield
     finally:
         _compiled_first.reset(token)
+
+
+def compile_ahead(functions: Sequence[Callable[..., Any]]) -> None:
+    """Have compiled in the background what a run will want that may begin interpreted: within `not_compiled_first`."""
+    if not _compiled_first.get():
+        background.start([function for function in functions if not at_hand(function)])
 
 
 def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], brief: bool, *arguments: Any) -> Any:

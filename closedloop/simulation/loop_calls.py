@@ -7,20 +7,23 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import SimulationError
+from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
-from closedloop.jit.background import make_ready, seconds_to_compile, start, takes_long
-from closedloop.jit.interim import Interim, at_hand, call_now
+from closedloop.jit.background import make_ready, start, takes_long
+from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.closed_loops import closed_loops
+from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.solve import LAW_FAILED
@@ -28,11 +31,18 @@ from closedloop.mechanics.loops.along_path import along_path
 from closedloop.mechanics.loops.close import closed_to
 from closedloop.mechanics.loops.reactions import rows_along
 from closedloop.mechanics.robot.tree import Tree, potential_energies
+from closedloop.mechanics.surface.contact import normals_on_surface, put_on_surface
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.scenario.arm import has_stops
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.engines.bind_contacts import entries_of_contacts
 from closedloop.simulation.engines.failures import failure_of, raised_by_member
 from closedloop.simulation.engines.loops import COMPILED, kernels_of
+from closedloop.simulation.engines.needs import entries_of
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, set_events
+from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, proceed_at, set_events
 from closedloop.simulation.engines.user_law import Law, UserLaw
+from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 Call = Callable[[Array], int]
@@ -40,7 +50,7 @@ Call = Callable[[Array], int]
 # Evaluations between two returns to Python's bookkeeping, where nothing else is asked for.
 CHUNK = 400
 # What a run calls once or twice before and after its loop, interpreted where it is not compiled yet; and with loops.
-USED_ONCE, WITH_LOOPS = (walk, sample_spline, potential_energies), (along_path, closed_to, rows_along)
+USED_ONCE, WITH_LOOPS = (potential_energies, walk, sample_spline), (rows_along, along_path, closed_to)
 
 
 class Answers:
@@ -218,8 +228,26 @@ def _compiled_arguments(
     return (tree, scratch, address_of(addresses.memory)), addresses
 
 
+def have_compiled(scenario: Scenario, model: RobotModel) -> None:
+    """Have compiled in the background what a run of a scenario will want, before its path is known.
+
+    A run that begins interpreted does so, and not one that is over before it would ask for compiled code.
+    """
+    if scenario.time.duration < PROBE * scenario.time.step:
+        return
+    surface = PlacedSurface(scenario.surface, scenario.surface_motion, np.eye(3), np.zeros(3), below_start=False)
+    called = [*surface.entries().values(), *([] if surface.fixed_plane else (put_on_surface, normals_on_surface))]
+    called += [closed_loops] if model.loops else []
+    called += entries_of(scenario, model).values()
+    if scenario.contact or has_stops(scenario, model):
+        with suppress(ScenarioError):  # which is said in its turn
+            called += entries_of_contacts(scenario)
+        called.append(contacts_in_step)
+    compile_ahead([*called, proceed_at, complete_record, collide, *USED_ONCE, *(WITH_LOOPS if model.loops else ())])
+
+
 def begun(
-    engine: str, problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
+    engine: str, problem: Problem, loop: Loop, connect: Callable[..., None], law: Law | None
 ) -> Callable[..., int]:
     """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
     kernels, called = kernels_of(engine), problem.called(loop, user_law=law is not None)
@@ -233,9 +261,14 @@ def begun(
     waited_for = [*kernels, *filter(takes_long, called)]
     if not all(map(at_hand, waited_for)):
         calls = problem.steps * problem.integrator.stages
-        seconds = seconds_to_compile((kernels[0], *with_it))
         again = law is None  # which has a memory of its own, and is not asked twice
-        return Interim(kernels[0], loop.written, calls, seconds, with_it, connect, once, again)
+
+        def connect_called() -> None:
+            connect(loop_compiled=False)
+
+        return Interim(
+            kernels[0], loop.written, calls, with_it, connect, once, again, called if again else (), connect_called
+        )
     make_ready(*waited_for)
     start([function for function in (*with_it, *once) if not at_hand(function)])
     return kernels[0]

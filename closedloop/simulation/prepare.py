@@ -44,6 +44,7 @@ from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.packed import PackedLaw, pack_compliance, pack_friction, pack_law
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.start_memory import STICK_SPEED
+from closedloop.simulation.loop_calls import have_compiled
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
@@ -88,6 +89,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     refuse_lengths(scenario, model)
     q, v = start_state(scenario, model)
     refuse_combinations(scenario, model)
+    have_compiled(scenario, model)
     if model.loops:
         q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
     surface, now, mode = cache.get(

@@ -11,18 +11,24 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
+from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.jit import background, cache_folder
 from closedloop.jit.cache_folder import MARKER
 from closedloop.loop.events.impacts import collide
+from closedloop.loop.step.closed_loops import closed_loops
+from closedloop.loop.step.contacts import contacts_in_step
+from closedloop.loop.step.entries import law_entry
+from closedloop.mechanics.loops.along_path import along_path
+from closedloop.mechanics.loops.reactions import rows_along
 from closedloop.simulation.engines.lane_loop import run_in_lanes
 from closedloop.simulation.engines.proceed import proceed_at
 
 ROOT = Path(cl.__file__).parent.parent
 # In place of the compiler: say who it is, and stay until it is told to go.
 SLEEPER = """
-import sys, time
-open(os.path.join({folder!r}, "who-" + "-".join(sys.argv[2:])), "w").write(
+import time
+open(os.path.join({folder!r}, "who-" + "-".join(sys.argv[3:])), "w").write(
     f"{{os.getpid()}} {{os.getsid(0)}} {{os.getppid()}} {{os.nice(0)}} {{os.getcwd()}}")
 while not os.path.exists(os.path.join({folder!r}, "go")):
     time.sleep(0.01)
@@ -41,6 +47,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(background, "_asked", set())
     monkeypatch.setattr(background, "_said", set())
     monkeypatch.setattr(background, "_waited_for", set())
+    monkeypatch.setattr(background, "_expected", {})
+    monkeypatch.setattr(background, "cores", lambda: 2)
     monkeypatch.setattr(background, "needs_compiling", lambda function: True)
     monkeypatch.delenv(background.VARIABLE)
     yield notes
@@ -64,7 +72,7 @@ def test_a_process_in_the_background(folder, caplog):
     process, session, parent, nice, where = who(folder, "proceed_at", "collide")
     assert int(session) != os.getsid(0)
     assert int(parent) != os.getpid() != int(process)
-    assert int(nice) == min(19, os.nice(0) + background.NICE)
+    assert int(nice) == min(19, os.nice(0) + background.NICE[MARKER])
     assert where == os.sep
     (line,) = caplog.messages
     assert line.startswith("compiling the step in the background, once for this installation")
@@ -89,6 +97,60 @@ def test_one_at_a_time(folder, monkeypatch, caplog):
     assert who(folder, "collide")[0] != first
 
 
+def test_two_at_a_time(folder, caplog):
+    """The step, and what it calls by address: each name is one process's, and neither is begun again meanwhile."""
+    wanted = [closed_loops, law_entry(PaperLaw), contacts_in_step, proceed_at, collide, rows_along]
+    with caplog.at_level("INFO", "closedloop.compiling"):
+        background.start(wanted)
+        beside = ("closed_loops", "entry_of_PaperLaw", "contacts_in_step", "rows_along")
+        processes = who(folder, *beside), who(folder, "proceed_at", "collide")
+        background.start([*wanted, along_path])
+    assert processes[0][0] != processes[1][0]
+    assert int(processes[0][3]) < int(processes[1][3])  # an interpreted step can call what is compiled
+    assert len(list(folder.iterdir())) == 2
+    (line,) = caplog.messages
+    assert line.startswith("compiling the step in the background, once")
+    os.kill(int(processes[1][0]), signal.SIGKILL)
+    assert background.wait_until_done([closed_loops], patience=0.2) is False
+    assert background._at_work(["closed_loops"])
+    assert not background._at_work(["proceed_at"])
+
+
+def test_one_core_has_one_process(folder, monkeypatch):
+    """There a second one would only take time from the first."""
+    monkeypatch.setattr(background, "cores", lambda: 1)
+    background.start([contacts_in_step, proceed_at])
+    who(folder, "contacts_in_step", "proceed_at")
+    background.start([along_path])
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_how_long_it_still_takes(folder, monkeypatch):
+    """The longer of the two processes, each of which compiles in its order; less what has passed."""
+    clock = SimulatedClock()
+    monkeypatch.setattr(background, "clock", clock)
+    background.start([contacts_in_step, proceed_at, collide, rows_along])
+    both = {name: background.seconds_of([name]) for name in ("contacts_in_step", "proceed_at", "collide")}
+    least = max(both["contacts_in_step"], both["proceed_at"] + both["collide"])
+    assert least <= background.seconds_left([contacts_in_step, collide]) <= least + background.BRIEF
+    assert background.seconds_left([proceed_at]) < background.seconds_left([proceed_at, collide])
+    before = background.seconds_left([contacts_in_step])
+    clock.sleep(5.0)
+    assert background.seconds_left([contacts_in_step]) == pytest.approx(before - 5.0)
+    clock.sleep(100.0)
+    assert background.seconds_left([contacts_in_step]) == 0.0
+    assert background.seconds_left([run_in_lanes]) == background.seconds_of(["run_in_lanes"])  # nobody is at it
+
+
+def test_who_needs_what_comes_last_compiles_it(folder, caplog):
+    """The inverse kinematics of a path, which is wanted now and behind the step in the background."""
+    background.start([proceed_at, walk])
+    who(folder, "proceed_at", "walk")
+    with caplog.at_level("INFO", "closedloop.compiling"):
+        background.make_ready(walk)
+    assert caplog.messages[-1].startswith("compiling the inverse kinematics of a path (once for this installation")
+
+
 def test_who_needs_it_waits(folder, monkeypatch, caplog):
     """For the process that is at it, until what is needed is there, and no longer."""
     background.start([proceed_at])
@@ -105,7 +167,7 @@ class SimulatedClock:
     """A clock that goes on only while somebody sleeps."""
 
     def __init__(self):
-        self.now = 0.0
+        self.now = time.monotonic()
 
     def monotonic(self):
         """Return the time, s."""
@@ -121,12 +183,13 @@ def test_nobody_waits_longer_than_compiling_takes(folder, monkeypatch):
     background.start([proceed_at, run_in_lanes])
     who(folder, "proceed_at", "run_in_lanes")
     clock = SimulatedClock()
+    began = clock.now
     monkeypatch.setattr(background, "clock", clock)
     wanted = [(proceed_at,), (proceed_at, run_in_lanes), (run_in_lanes, collide), (proceed_at,), (collide,)]
     for functions in wanted * 3:
         background.make_ready(*functions)
     needed = background.seconds_of({function.__name__ for functions in wanted for function in functions})
-    assert 0.9 * needed < clock.now < needed + len(wanted) * 3 * background.BETWEEN_LOOKS
+    assert 0.9 * needed < clock.now - began < needed + len(wanted) * 3 * background.BETWEEN_LOOKS
 
 
 def test_who_needs_what_never_comes_compiles_it(folder, caplog):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from difflib import get_close_matches
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,20 @@ from closedloop.jit.pointers import address_of
 from closedloop.jit.user_code import of_users
 from closedloop.loop.step.memory import Constants
 from closedloop.mechanics.contacts.edges import PARTNER, choose_crossing, edges_of
-from closedloop.mechanics.contacts.friction import STICKING, contact_frictions, coulomb_of, law_at, plain_friction
+from closedloop.mechanics.contacts.friction import (
+    STICKING,
+    contact_frictions,
+    coulomb_of,
+    law_at,
+    plain_friction,
+    rub_entry,
+)
 from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING
 from closedloop.mechanics.contacts.rolling import roll_on_plane, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.shapes import EDGE, SHAPE, Shapes, make_shape_memory, shape_of
-from closedloop.mechanics.contacts.soft import compliances_of, is_soft
+from closedloop.mechanics.contacts.soft import compliances_of, depth_entry, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import SurfaceFriction
@@ -67,6 +74,19 @@ class ContactPlaces(NamedTuple):
     def starts_closed(self) -> bool:
         """Whether a contact of a link is closed at the start."""
         return any(gap <= HOVERING and inside >= 0.0 for gap, inside in self.start)
+
+
+def entries_of_contacts(scenario: Scenario) -> list[Any]:
+    """Return what the contacts of the links call by address."""
+    sections = scenario.contact or ()
+    names = names_of(sections)
+    surfaces = surfaces_of(sections, names).values()
+    compliances = compliances_of(scenario.compliance, sections, names, len(sections) + 1)
+    return [
+        *(entry for surface in surfaces for entry in surface.entries().values()),
+        *(depth_entry(type(section)) for section, _ in compliances.members.values()),
+        *(rub_entry(type(section)) for section, _ in laws_of(scenario, names).values()),
+    ]
 
 
 def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> ContactMemory:

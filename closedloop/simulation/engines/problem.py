@@ -9,7 +9,6 @@ import numpy as np
 
 from closedloop.base.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.base.families import is_users
-from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law_input import LawInput
 from closedloop.jit.calls import entry_address
@@ -19,23 +18,20 @@ from closedloop.loop.events.phases import STEP_END
 from closedloop.loop.step.ball_tip import ball_tip
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
-from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.loop.step.make_loop import Loop, make_loop
 from closedloop.loop.step.memory import Constants
 from closedloop.loop.step.record_row import ContactRow
-from closedloop.loop.step.soft_contact import compliance_entry
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.sections import AS_IMPACT
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.friction.law import Slip
-from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
-from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.simulation.engines.bind_ball import ball_memory
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
 from closedloop.simulation.engines.loop_start import read_encoders
+from closedloop.simulation.engines.needs import entries_of
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
 from closedloop.simulation.engines.start_memory import write_constants, write_start, write_state
@@ -124,18 +120,7 @@ class Problem(ScenarioNumbers):
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:
         """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
-        found: dict[str, Any] = self.surface.entries()
-        if self.general and not user_law:
-            found["law"] = law_entry(self.law.member)
-            if self.compensation.member is not NoCompensation:
-                found["compensation"] = law_entry(self.compensation.member)
-        if self.compliance.member is not Rigid:
-            found["compliance"] = compliance_entry(self.compliance.member)
-        if self.friction.member is not NoFriction:
-            found["friction"] = friction_entry(self.friction.member)
-        if self.joint_friction.member is not NoFriction:
-            found["joint_friction"] = joint_friction_entry(self.joint_friction.member)
-        return found
+        return self.surface.entries() | entries_of(self.scenario, self.robot.model, user_law)
 
     def called(self, loop: Loop, user_law: bool = False) -> list[Any]:
         """Return all entry kernels that the loop of this memory calls by address; see `loop` for `user_law`."""
@@ -154,6 +139,7 @@ class Problem(ScenarioNumbers):
         user_law: Callable[[bool], None] | None = None,
         compiled: bool = True,
         form: Callable[[Any], Any] = as_it_is,
+        loop_compiled: bool = True,
     ) -> None:
         """Write into a loop's memory the addresses of what it calls: of machine code, or for an interpreted loop.
 
@@ -168,6 +154,8 @@ class Problem(ScenarioNumbers):
             interpreted refuses what the next one would.
         form : callable
             Returns the form of an entry that is called, see `closedloop.jit.dual.dual`.
+        loop_compiled : bool
+            Whether the loop itself is machine code too; interpreted, it can call what is.
 
         Raises
         ------
@@ -178,7 +166,7 @@ class Problem(ScenarioNumbers):
         def address(entry: Any) -> int:
             return entry_address(form(entry)) if compiled else twin_address(entry)
 
-        loop.state.proceed = address(proceed_at)
+        loop.state.proceed = address(proceed_at) if loop_compiled else twin_address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
             getattr(loop.state, name).entry = _address_of(form(entry), name, getattr(self.scenario, name), compiled)
         if loop.state.loops.at != 0:

@@ -18,11 +18,10 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import Plane
 from closedloop.record.columns.added import recorded_states
-from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.stabiliser_sections import BaumgarteGains
 from closedloop.simulation.engines.bind_contacts import ContactPlaces
-from closedloop.simulation.engines.needs import arm_columns, needs_general_form
+from closedloop.simulation.engines.needs import arm_columns, calls_law
 from closedloop.simulation.engines.packed import PackedLaw
 
 Array = NDArray[np.float64]
@@ -136,10 +135,8 @@ class ScenarioNumbers:
 
     @property
     def general(self) -> bool:
-        """Whether the law is called by address: see `closedloop.simulation.engines.needs.needs_general_form`."""
-        model = self.robot.model
-        undriven = not model.loops and not all(model.driven)
-        return needs_general_form(self.scenario) or has_stops(self.scenario, model) or undriven
+        """Whether the law is called by address."""
+        return calls_law(self.scenario, self.robot.model)
 
     @property
     def row_width(self) -> int:

@@ -12,7 +12,7 @@ import os
 import re
 import secrets
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -272,6 +272,17 @@ def _is_abandoned(path: Path) -> bool:
         except OSError:
             return False
         return _same(file, path)
+
+
+def why_not_there(places: Iterable[Path]) -> str:
+    """Return why nothing can be made in the first of these places that is there, "" if something can."""
+    try:
+        there = next(place for place in places if place.exists())
+    except (OSError, ValueError, StopIteration) as error:
+        return reason_of(error)
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return ""
+    return "Permission denied" if there.is_dir() else f"{there} is not a folder"
 
 
 def made_folder(out: str | Path) -> Path:

@@ -11,33 +11,31 @@ from typing import TYPE_CHECKING
 from closedloop.base.errors import printable
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.progress import Progress, ProgressColumn
 
 # Where there is no terminal, seconds between two lines.
 BETWEEN_LINES = 10.0
 
 
-def _is_terminal(console: Console) -> bool:
-    """Whether a bar can be drawn: with FORCE_COLOR rich takes a file for a terminal, which is to have colours."""
-    return console.is_terminal and sys.stderr.isatty()
+def _shown(*columns: str | ProgressColumn) -> Progress:
+    """Return progress with these columns on standard error, disabled where that is no terminal.
+
+    With FORCE_COLOR rich takes a file for a terminal, which is to have colours.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    drawn = console.is_terminal and sys.stderr.isatty()
+    return Progress(*columns, console=console, transient=True, disable=not drawn)
 
 
 @contextmanager
 def bar(name: str, steps: int) -> Iterator[Callable[[int, int], None]]:
     """Yield a function of (steps done, steps in all) that draws a bar, if standard error is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not _is_terminal(console),
-    ) as progress:
+    with _shown("{task.description}", BarColumn(), "{task.percentage:3.0f} %", TimeRemainingColumn()) as progress:
         task = progress.add_task(name, total=steps)
         yield lambda done, total: progress.update(task, completed=done)
 
@@ -61,20 +59,11 @@ def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
     Runs that were done before the first call have no part in the rate. On a terminal it is a bar, else a line every
     `BETWEEN_LINES` seconds.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.progress import BarColumn
 
-    console = Console(stderr=True)
     began: list[tuple[float, int]] = []
     said = [clock.monotonic()]
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[state]}"),
-        console=console,
-        transient=True,
-        disable=not _is_terminal(console),
-    ) as progress:
+    with _shown("{task.description}", BarColumn(), "{task.fields[state]}") as progress:
         task = progress.add_task(name, total=total, state="")
 
         def show(done: int, total: int) -> None:
@@ -84,7 +73,7 @@ def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
             since, first = now - began[0][0], began[0][1]
             state = progress_text(done, total, done - first, since)
             progress.update(task, completed=done, state=state)
-            if not _is_terminal(console) and done < total and now - said[0] >= BETWEEN_LINES:
+            if progress.disable and done < total and now - said[0] >= BETWEEN_LINES:
                 said[0] = now
                 print(printable(f"{name}: {state}"), file=sys.stderr, flush=True)
 
@@ -94,14 +83,9 @@ def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
 @contextmanager
 def counter(name: str) -> Iterator[Callable[[int], None]]:
     """Yield a function that shows how many runs are done, if standard error is a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn
+    from rich.progress import SpinnerColumn
 
-    console = Console(stderr=True)
-    with Progress(
-        SpinnerColumn(), TextColumn("{task.description}: {task.completed} runs"), console=console, transient=True,
-        disable=not _is_terminal(console),
-    ) as progress:  # fmt: skip
+    with _shown(SpinnerColumn(), "{task.description}: {task.completed} runs") as progress:
         task = progress.add_task(name, total=None)
         yield lambda done: progress.update(task, completed=done)
 

@@ -50,9 +50,9 @@ def scenario_parser(prog: str, rest: str, **settings: Any) -> Parser:
         add_help=False, **settings,
     )  # fmt: skip
     parser.add_argument(
-        "-h", "--help", nargs="?", metavar="SECTION", action=_Help, help="show this, or the keys of a section, and stop"
+        "-h", "--help", nargs="?", metavar="SECTION", action=_Tell, help="show this, or the keys of a section, and stop"
     )
-    parser.add_argument("--explain", metavar="KEY", action=_Explain, help="explain a key, such as law.kp, and stop")
+    parser.add_argument("--explain", metavar="KEY", action=_Tell, help="explain a key, such as law.kp, and stop")
     return parser
 
 
@@ -72,8 +72,8 @@ def list_of_sections(names_only: bool = False) -> str:
     ) + "\n".join(f"  {name:{COLUMN - 4}}{what}" for name, what in sections().items())
 
 
-class _Help(argparse.Action):
-    """Print the help of the command or of a section, and leave."""
+class _Tell(argparse.Action):
+    """Print what a section or a key is, or the help of the command if none is named, and leave."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: str | Sequence[Any] | None,
@@ -83,19 +83,7 @@ class _Help(argparse.Action):
         if values is None:
             parser.print_help()
         else:
-            _print_topic("--help", str(values))
-        parser.exit()
-
-
-class _Explain(argparse.Action):
-    """Print what a key is, and leave."""
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: str | Sequence[Any] | None,
-        option_string: str | None = None,
-    ) -> None:  # fmt: skip
-        """See `argparse.Action`."""
-        _print_topic("--explain", str(values))
+            _print_topic(self.option_strings[-1], str(values))
         parser.exit()
 
 

@@ -83,7 +83,6 @@ def _contact(
     print("\n".join(map(printable, found.lines())))
     image = io.BytesIO()
     found.figure().savefig(image)
-    folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / "contact.json", f"{json.dumps(found.summary(), indent=2, allow_nan=False)}\n".encode())
     write_whole(folder / "contact.png", image.getvalue())
     print("\n" + what_was_written("contact.json", "contact.png", folder=folder))

@@ -9,12 +9,19 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 from contextlib import suppress
 from pathlib import Path
 
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
-from closedloop.base.files import FolderLock, probe_folder, reason_of, refuse_special, remove_unfinished, write_whole
+from closedloop.base.files import (
+    FolderLock,
+    probe_folder,
+    reason_of,
+    refuse_special,
+    remove_unfinished,
+    why_not_there,
+    write_whole,
+)
 from closedloop.base.interrupts import held_back
 from closedloop.record.difference import difference
 from closedloop.record.run import Run
@@ -202,14 +209,8 @@ def why_not_writable(folder: Path) -> str:
 
     A file that is there already is no fault yet: whose it is depends on the scenario.
     """
-    try:
-        there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-    except (OSError, ValueError, StopIteration) as error:
-        return f"--out {str(folder)!r}: cannot be written: {reason_of(error)}; name another folder"
-    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
-        return ""
-    why = "Permission denied" if there.is_dir() else f"{there} is no folder"
-    return f"--out {str(folder)!r}: cannot be written: {why}; name another folder"
+    why = why_not_there((folder, *folder.absolute().parents))
+    return why and f"--out {str(folder)!r}: cannot be written: {why}; name another folder"
 
 
 def _is_summary(path: Path) -> bool:

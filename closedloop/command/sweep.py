@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time as clock
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -74,15 +74,21 @@ def _signals_raise() -> Iterator[None]:
     """Raise `KeyboardInterrupt` in here at Ctrl-C, and `Terminated` at SIGTERM."""
 
     def end(signum: int, frame: FrameType | None) -> NoReturn:
+        if signum == signal.SIGINT:
+            signal.default_int_handler(signum, frame)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it is on its way out
         raise Terminated
 
-    if threading.current_thread() is not threading.main_thread():
+    with _answered_by(end):
         yield
-        return
-    wanted = {signal.SIGTERM: end, signal.SIGINT: signal.default_int_handler}
-    heeded = [signum for signum in wanted if signal.getsignal(signum) is not signal.SIG_IGN]  # as in the background
-    before = {signum: signal.signal(signum, wanted[signum]) for signum in heeded}
+
+
+@contextmanager
+def _answered_by(end: Callable[[int, FrameType | None], NoReturn]) -> Iterator[None]:
+    """Let a handler answer Ctrl-C and SIGTERM, unless they are ignored, as in the background."""
+    here = threading.current_thread() is threading.main_thread()
+    heeded = [s for s in (signal.SIGINT, signal.SIGTERM) if here and signal.getsignal(s) is not signal.SIG_IGN]
+    before = {signum: signal.signal(signum, end) for signum in heeded}
     try:
         yield
     finally:
@@ -277,16 +283,8 @@ def _ended_at_once_by_a_signal(words: Sequence[str]) -> Iterator[None]:
             os.write(2, f"closedloop sweep: {_last_words(stop, words)}\n".encode())
         os._exit(exit_status(stop))
 
-    if threading.current_thread() is not threading.main_thread():
+    with _answered_by(end):
         yield
-        return
-    heeded = [s for s in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(s) is not signal.SIG_IGN]
-    before = {signum: signal.signal(signum, end) for signum in heeded}  # those ignored are so in the background
-    try:
-        yield
-    finally:
-        for signum, handler in before.items():
-            signal.signal(signum, signal.SIG_DFL if handler is None else handler)
 
 
 def _leave_if_still_at_work(status: int) -> None:

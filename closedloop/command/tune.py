@@ -9,7 +9,7 @@ import json
 from typing import Any
 
 from closedloop.base.errors import ScenarioError, printable
-from closedloop.base.files import made_folder, what_was_written
+from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.command.border import DONE, STOPPED, Parser, as_command
 
 
@@ -28,9 +28,6 @@ def main(words: list[str]) -> int:
     scenario = load_scenario(options.scenario, overrides)
     ranges = [_range(text) for text in options.vary]
     folder = made_folder(options.out) if options.out else None
-    if folder is not None:
-        from closedloop.base.files import write_whole
-
     from closedloop.studies.tune.tune import tune
 
     tuning = tune(

@@ -26,10 +26,6 @@ def _one(now_part: Array) -> Array:
     return now_part[:, None]
 
 
-def _path_error(now: Now) -> Array:
-    return now.tip - now.wanted_tip
-
-
 # Beyond any run that does not end: a joint's speed ends one at 1e6 rad/s (m/s).
 FAR, FAST, STRONG = 1e3, 1e6, 1e6
 PARTS: dict[str, Part] = {
@@ -37,7 +33,7 @@ PARTS: dict[str, Part] = {
     "v": Part(lambda now: now.v, lambda n, a, c: n, -FAST, FAST, "rad/s"),
     "torque": Part(lambda now: now.torque, lambda n, a, c: n, -STRONG, STRONG, "N m"),
     "joint_error": Part(lambda now: now.q - now.wanted_q, lambda n, a, c: n, -FAR, FAR, "rad"),
-    "tip_error": Part(_path_error, lambda n, a, c: 3, -FAR, FAR, "m"),
+    "tip_error": Part(lambda now: now.tip - now.wanted_tip, lambda n, a, c: 3, -FAR, FAR, "m"),
     "tip_velocity": Part(lambda now: now.tip_velocity, lambda n, a, c: 3, -FAST, FAST, "m/s"),
     "force": Part(lambda now: _one(now.measured), lambda n, a, c: 1, -STRONG, STRONG, "N"),
     "force_error": Part(lambda now: _one(now.wanted_force - now.measured), lambda n, a, c: 1, -STRONG, STRONG, "N"),

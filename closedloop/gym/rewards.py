@@ -69,29 +69,17 @@ def excessive_force(limit: float) -> Ending:
 
     Of the tip's contact, and of those of links.
     """
-
-    def excessive(now: Now) -> Mask:
-        return np.maximum(now.largest_force, now.largest_link_force) > limit
-
-    return excessive
+    return lambda now: np.maximum(now.largest_force, now.largest_link_force) > limit
 
 
 def jammed(after: float) -> Ending:
     """Return the ending of a tip that contacts of links hold still for so long, s, though it is wanted elsewhere."""
-
-    def jammed_now(now: Now) -> Mask:
-        return now.jammed >= after * (1.0 - 1e-9)
-
-    return jammed_now
+    return lambda now: now.jammed >= after * (1.0 - 1e-9)
 
 
 def lowered(depth: float) -> Ending:
     """Return whether the tip is below z = −`depth`, m: a goal."""
-
-    def deep(now: Now) -> Mask:
-        return now.tip[:, 2] <= -depth
-
-    return deep
+    return lambda now: now.tip[:, 2] <= -depth
 
 
 def contact_lost(now: Now) -> Mask:

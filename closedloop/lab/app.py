@@ -50,20 +50,9 @@ Window = tuple[float, float] | None
 
 # The order in which a page that opens is sent what there is.
 FIRST = (
-    "hello",
-    "controls",
-    "map_keys",
-    "pins",
-    "robot",
-    RUN,
-    "space",
-    "strip",
-    "compare",
-    "analysis",
-    "map",
-    "boundary",
+    "hello", "controls", "map_keys", "pins", "robot", RUN, "space", "strip", "compare", "analysis", "map", "boundary",
     "status",
-)
+)  # fmt: skip
 SLIDERS = ("linear", "log", "whole")
 UNSAVED = "This scenario was made in Python: press save, and run the command in the folder that it names."
 # How soon a thread leaves the interpreter to the one that computes a run, s; Python's own is 5 ms.

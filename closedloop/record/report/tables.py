@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -132,14 +132,7 @@ def print_report(run: Record, width: int | None = None) -> None:
     console.print(table)
     if len(run) == 0:
         return
-    errors = Table(box=box.SIMPLE_HEAD, title="how large every error was, at its worst", title_justify="left")
-    errors.add_column("quantity", no_wrap=True)
-    errors.add_column("value", justify="right", no_wrap=True)
-    errors.add_column("unit", no_wrap=True)
-    errors.add_column("beside it")
-    for row in report_rows(run):
-        errors.add_row(*row)
-    console.print(errors)
+    _print_values("how large every error was, at its worst", "value", report_rows(run), console)
     if run.halved is not None:
         _print_halved(run.halved, console)
     if run.events:
@@ -171,18 +164,24 @@ def _print_verdict(facts: dict[str, Any], console: Console) -> None:
 
 def _print_halved(halved: Mapping[str, Any], console: Console) -> None:
     """Print by how much the run at half the step differs."""
-    from rich import box
     from rich.markup import escape
-    from rich.table import Table
 
     title = f"at half the step, {halved['step']:g} s, by how much it differs"
+    _print_values(title, "differs by", [tuple(map(escape, row)) for row in halved_rows(halved)], console)
+
+
+def _print_values(title: str, what: str, rows: Iterable[Sequence[str]], console: Console) -> None:
+    """Print a table of values: the name of each, the value, called `what`, its unit, and what stands beside it."""
+    from rich import box
+    from rich.table import Table
+
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("quantity", no_wrap=True)
-    table.add_column("differs by", justify="right", no_wrap=True)
+    table.add_column(what, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     table.add_column("beside it")
-    for row in halved_rows(halved):
-        table.add_row(*map(escape, row))
+    for row in rows:
+        table.add_row(*row)
     console.print(table)
 
 

@@ -29,7 +29,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import OutputError
-from closedloop.base.files import reason_of, remove_unfinished, write_whole
+from closedloop.base.files import remove_unfinished, why_not_there, write_whole
 from closedloop.record.difference import difference
 from closedloop.studies.sweep.part_file import read_part, write_part
 
@@ -243,14 +243,8 @@ def why_no_place(out: Path) -> str:
     """Return why a table cannot be written there, whatever it holds, "" if it can; makes nothing."""
     if out.suffix != ".parquet":
         return f"--out {out}: must end in .parquet"
-    try:
-        there = next(place for place in out.absolute().parents if place.exists())
-    except (OSError, ValueError, StopIteration) as error:
-        return f"--out {out}: cannot be written: {reason_of(error)}; name another file"
-    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
-        return ""
-    why = "Permission denied" if there.is_dir() else f"{there} is not a folder"
-    return f"--out {out}: cannot be written: {why}; name another file"
+    why = why_not_there(out.absolute().parents)
+    return why and f"--out {out}: cannot be written: {why}; name another file"
 
 
 def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:

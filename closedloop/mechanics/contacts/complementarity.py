@@ -94,6 +94,16 @@ def largest_mobility(c: Contacts, k: int) -> float:
 
 
 @kernel
+def asked_of(c: Contacts, k: int) -> float:
+    """Return the largest number of q of the contacts that take part: what open ones have does not count."""
+    asked = 0.0
+    for j in range(3 * k):
+        if c.problem.form[j // 3] != OFF:
+            asked = max(asked, abs(c.problem.q[j]))
+    return asked
+
+
+@kernel
 def write_residuals(c: Contacts, k: int, F: Array, largest: float) -> float:
     """Write what the equations of Alart and Curnier are off at F, N, and u there; return the largest."""
     velocities(c, k, F, c.problem.after)
@@ -206,13 +216,11 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
 @kernel
 def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
     """Do `solve_contacts` by the two methods in turns, from F, with so many sweeps of the first at first."""
-    largest, m = largest_mobility(c, k), 3 * k
+    largest, m, F, best = largest_mobility(c, k), 3 * k, c.F, math.inf
     if not largest > 0.0:
         largest = 1.0
-    F, best = c.F, math.inf
-    size = 0.0
+    size = asked_of(c, k) / largest
     for j in range(m):
-        size = max(size, abs(c.problem.q[j]) / largest)
         c.scratch.best[j] = F[j]
     count = sweeps
     for attempt in range(rounds):
@@ -270,7 +278,7 @@ def polish(c: Contacts, k: int) -> None:
     Where W is singular a step of the shorter ones along the line stops at 1e-10 of the force.
     """
     largest, m, best = largest_mobility(c, k), 3 * k, c.problem.residual
-    if not best * largest > ROUGH * force_size(c.problem.q, m):
+    if not best * largest > ROUGH * asked_of(c, k):
         return
     for j in range(m):
         c.scratch.best[j] = c.F[j]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.complementarity import STARTS, largest_mobility, solve_impulses
+from closedloop.mechanics.contacts.complementarity import STARTS, asked_of, largest_mobility, solve_impulses
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import cone_limit, take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
@@ -172,8 +172,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
     # Where all is at rest but for rounding that of the velocities is no small share of what is asked for.
     if not (solve_impulses(c, k, starts) or c.problem.residual * largest <= ROUNDING):
         return False
-    asked = force_size(c.problem.q, 3 * k) / largest
-    if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:
+    if share > 0.0 and largest * force_size(c.F, 3 * k) > MOST_IMPULSE * asked_of(c, k):
         return False
     write_after(c, k)
     return True

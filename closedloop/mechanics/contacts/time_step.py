@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.complementarity import largest_mobility, solve_contacts, sweep_long
+from closedloop.mechanics.contacts.complementarity import asked_of, largest_mobility, solve_contacts, sweep_long
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
@@ -116,17 +116,15 @@ def solve_with_less_friction(c: Contacts, k: int) -> bool:
 @kernel
 def find_impulses(c: Contacts, k: int) -> bool:
     """Write the impulses F; return whether they were found."""
-    largest, asked = largest_mobility(c, k), force_size(c.problem.q, 3 * k)
-    if solve_contacts(c, k) and largest * force_size(c.F, 3 * k) <= MOST_IMPULSE * asked:
-        return True
-    return come_near(c, k)
+    found = solve_contacts(c, k)
+    if not (found and bounded(c, k)):
+        sweep_long(c, k)
+        largest, asked = largest_mobility(c, k), asked_of(c, k)
+        found = largest * c.problem.residual <= NEAR * max(asked, largest * force_size(c.F, 3 * k))
+    return bool(found and bounded(c, k))
 
 
 @kernel
-def come_near(c: Contacts, k: int) -> bool:
-    """Write F by sweeps of Gauss and Seidel's method alone; return whether it is near a solution."""
-    largest, asked = largest_mobility(c, k), force_size(c.problem.q, 3 * k)
-    if not largest > 0.0:
-        return False
-    sweep_long(c, k)
-    return bool(c.problem.residual <= NEAR * max(asked / largest, force_size(c.F, 3 * k)))
+def bounded(c: Contacts, k: int) -> bool:
+    """Whether the impulses are not those of contacts that are wedged."""
+    return bool(largest_mobility(c, k) * force_size(c.F, 3 * k) <= MOST_IMPULSE * asked_of(c, k))

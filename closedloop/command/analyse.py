@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from closedloop.base.errors import ClosedLoopError, ScenarioError
-from closedloop.base.files import made_folder, what_was_written
+from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.base.plain import plain
 from closedloop.command.border import DONE, Parser, as_command
 
@@ -61,19 +61,15 @@ def main(words: list[str]) -> int:
         refuse_outside(scenario, options.at, "command line: --at")
     study = Stability(scenario, options.at)
     page = page_of(study, limits=not ranges)
-    found: dict[str, Any] = {}
-    drawn: list[tuple[str, Any]] = []
-    if ranges:
-        lines, found, drawn = _varied(study, ranges, runs=not options.no_runs, draw=folder is not None)
-    else:
-        lines = []
+    lines, found, drawn = (
+        _varied(study, ranges, not options.no_runs, draw=folder is not None) if ranges else ([], {}, [])
+    )
     report = page.as_dict() | found
     if options.json:
         print(json.dumps(report, indent=2, allow_nan=False))
     else:
         print("\n".join([*page.lines(), *lines]))
     if folder is not None:
-        from closedloop.base.files import write_whole
         from closedloop.studies.analysis.figures import draw_page, written
 
         paths = [write_whole(folder / "analysis.json", (json.dumps(report, indent=2) + "\n").encode())]
@@ -85,24 +81,12 @@ def main(words: list[str]) -> int:
 
 
 def _range(text: str) -> tuple[Range, int]:
-    """Read KEY=RANGE, and how many values it has.
-
-    Raises
-    ------
-    ScenarioError
-        If it is not a range of numbers.
-    """
+    """Read KEY=RANGE, and how many values it has."""
     from closedloop.studies.analysis.ranges import Range
-    from closedloop.studies.sweep.axes import parse_axis
+    from closedloop.studies.sweep.axes import parse_range
 
-    try:
-        axis = parse_axis(text, drawn=True)
-    except ScenarioError as error:
-        raise ScenarioError(str(error).replace("--over", "--vary", 1)) from None
-    if axis.values or axis.whole:
-        raise ScenarioError(f"--vary {text}: must be a range of real numbers, such as {axis.key}=log:1e2:1e7 or 0:80")
-    low, high = sorted((axis.low, axis.high))
-    return Range(axis.key, low, high, axis.log), axis.count or POINTS
+    axis = parse_range(text, "log:1e2:1e7 or 0:80")
+    return Range(axis.key, axis.low, axis.high, axis.log), axis.count or POINTS
 
 
 def _varied(

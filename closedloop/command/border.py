@@ -79,7 +79,6 @@ def run_command(
     arguments: Sequence[str] | None = None,
     *,
     stopped: tuple[type[ClosedLoopError], ...] = (SimulationError, ClusterError),
-    interrupted: str = "",
 ) -> int:
     """Run a command and return its exit status, with all exceptions and output errors handled.
 
@@ -93,8 +92,6 @@ def run_command(
         The words; those of the process if left out.
     stopped : tuple of types
         Errors with the status 3.
-    interrupted : str
-        What to say after Ctrl-C or SIGTERM, if the exception does not say it.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     with (
@@ -102,7 +99,7 @@ def run_command(
     ):  # fmt: skip
         for said in left_out:
             print(f"{name}: {one_line(said)}", file=sys.stderr)
-        status, lines = _run(main, words, stopped, interrupted)
+        status, lines = _run(main, words, stopped)
         sys.stdout.flush()
         failure = next((raw.failure for raw in output), None)
         # A reader who has gone has seen what he wanted; on Windows that is EINVAL.
@@ -115,7 +112,7 @@ def run_command(
 
 
 def _run(
-    main: Callable[[list[str]], int], words: list[str], stopped: tuple[type[ClosedLoopError], ...], interrupted: str
+    main: Callable[[list[str]], int], words: list[str], stopped: tuple[type[ClosedLoopError], ...]
 ) -> tuple[int, tuple[str, ...]]:
     """Return the exit status, and what to say on standard error, a line for each fault of the input."""
     came: list[int] = []
@@ -127,7 +124,7 @@ def _run(
     except Left:
         return DONE, ()
     except KeyboardInterrupt as stop:  # an interrupted run is a ClosedLoopError too
-        return exit_status(stop), (str(stop) or interrupted or word_for(stop),)
+        return exit_status(stop), (str(stop) or word_for(stop),)
     except ClosedLoopError as error:
         return STOPPED if isinstance(error, stopped) else BAD_INPUT, lines_of(error)
     except MemoryError:

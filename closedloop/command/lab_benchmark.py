@@ -67,8 +67,8 @@ def latencies(lab: Lab, changes: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(walls), np.array(processor)
 
 
-def drag(lab: Lab, seconds: float, rate: float = RATE) -> Drag:
-    """Move a slider `rate` times a second."""
+def drag(lab: Lab, seconds: float) -> Drag:
+    """Move a slider `RATE` times a second."""
     seen = [0, 0]
 
     def count(answer: Any) -> None:
@@ -84,7 +84,7 @@ def drag(lab: Lab, seconds: float, rate: float = RATE) -> Drag:
         asked += 1
         if not early and now > 0.1 * seconds:
             early = memory_mb()
-        clock.sleep(max(0.0, asked / rate - (clock.perf_counter() - began)))
+        clock.sleep(max(0.0, asked / RATE - (clock.perf_counter() - began)))
     lab.wait()
     lab.after_show.remove(count)
     last = lab.run.scenario.law.force if lab.run is not None else np.nan

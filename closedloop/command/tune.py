@@ -19,6 +19,7 @@ def main(words: list[str]) -> int:
     from closedloop.scenario.load import load_scenario
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.user_module import name_members
+    from closedloop.studies.sweep.axes import parse_range
 
     overrides, rest = split_overrides(words)
     name_members(overrides.items())
@@ -26,13 +27,13 @@ def main(words: list[str]) -> int:
     if not options.vary:
         raise ScenarioError("command line: name what varies, such as --vary law.kd=5:200")
     scenario = load_scenario(options.scenario, overrides)
-    ranges = [_range(text) for text in options.vary]
+    ranges = [parse_range(text, "5:200 or log:1:1000") for text in options.vary]
     folder = made_folder(options.out) if options.out else None
     from closedloop.studies.tune.tune import tune
 
     tuning = tune(
-        scenario, {key: (low, high) for key, low, high, _ in ranges}, _weights(options.minimise), options.subject_to,
-        over=dict(map(_variation, options.over)), robust=options.robust, log=[key for key, _, _, log in ranges if log],
+        scenario, {axis.key: (axis.low, axis.high) for axis in ranges}, _weights(options.minimise), options.subject_to,
+        over=dict(map(_variation, options.over)), robust=options.robust, log=[axis.key for axis in ranges if axis.log],
         starts=options.starts, seed=options.seed, kept=folder / "runs.jsonl" if folder else None, progress=True,
     )  # fmt: skip
     report = json.dumps(tuning.as_dict(), indent=2, allow_nan=False)
@@ -85,20 +86,6 @@ def _parser() -> Parser:
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     return parser
-
-
-def _range(text: str) -> tuple[str, float, float, bool]:
-    """Read KEY=LOW:HIGH; KEY may name an entry of a list."""
-    from closedloop.studies.sweep.axes import parse_axis
-
-    try:
-        axis = parse_axis(text, drawn=True)
-    except ScenarioError as error:
-        raise ScenarioError(str(error).replace("--over", "--vary", 1)) from None
-    if axis.values or axis.whole:
-        raise ScenarioError(f"--vary {text}: must be a range of real numbers, such as {axis.key}=5:200 or log:1:1000")
-    low, high = sorted((axis.low, axis.high))
-    return axis.key, low, high, axis.log
 
 
 def _variation(text: str) -> tuple[str, list[Any]]:

@@ -78,9 +78,7 @@ def dress(
     label_marks, show_events : bool
         Off for all but one of several panels over the same time.
     """
-    axes.set_title(f"{title} ({run.model.name})" if label_marks else title)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel(label)
+    axes.set(title=f"{title} ({run.model.name})" if label_marks else title, xlabel="time [s]", ylabel=label)
     begin = float(run.time[rows][0])
     end = max(float(run.time[rows][-1]), begin + run.scenario.time.step)
     axes.set_xlim(begin, end)

@@ -88,8 +88,7 @@ class _Law:
 
     def finish(self, axes: Axes, title: str, across: str) -> None:
         """Write the title and the names of the axes."""
-        axes.set_title(f"{self.section.member_name()}: {title}")
-        axes.set_xlabel(across)
+        axes.set(title=f"{self.section.member_name()}: {title}", xlabel=across)
         axes.set_ylabel(
             "torque against the motion [N m]" if self.joint else f"force against the slip, f = {self.load:g} N [N]"
         )

@@ -74,20 +74,16 @@ def impacts(run: Run) -> Figure:
             f"impact.rest_speed = {rest:g} m/s", (0.0, rest), xycoords=("axes fraction", "data"), xytext=(4, 3),
             textcoords="offset points", fontsize=8, color="0.25",
         )  # fmt: skip
-    above.set_title(f"Closure rate at impacts ({run.model.name})")
-    above.set_ylabel("|ė| [m/s]")
+    above.set(title=f"Closure rate at impacts ({run.model.name})", ylabel="|ė| [m/s]")
     impulses = [
         _Series(run.event_compression[hit], "compression", "o", COLOURS[0]),
         _Series(run.event_decompression[hit], "decompression", "^", COLOURS[1]),
         _Series(np.linalg.norm(run.event_tangential[hit], axis=1), "tangential", "x", COLOURS[2]),
     ]
     _draw(middle, time, impulses)
-    middle.set_title("Impulse" if np.any(run.event_contact[hit] > 0) else "Impulse on the tip")
-    middle.set_ylabel("impulse [N s]")
+    middle.set(title="Impulse" if np.any(run.event_contact[hit] > 0) else "Impulse on the tip", ylabel="impulse [N s]")
     _draw(below, time, [_Series(lost, "", "o", COLOURS[0])])
-    below.set_title(f"Kinetic energy lost, {np.sum(lost):.3g} J in total")
-    below.set_ylabel("energy [J]")
-    below.set_xlabel("time [s]")
+    below.set(title=f"Kinetic energy lost, {np.sum(lost):.3g} J in total", ylabel="energy [J]", xlabel="time [s]")
     margin = max(0.04 * float(np.ptp(time)), 2.0 * run.scenario.time.step)
     below.set_xlim(float(time[0]) - margin, float(time[-1]) + margin)
     return figure
@@ -109,8 +105,7 @@ def _draw(axes: Axes, time: Array, series: list[_Series], beside: float | None =
     if beside is not None:
         low, high = min(low, beside), max(high, beside)
     if high > WIDE * low:
-        axes.set_yscale("log")
-        axes.set_ylim(10 ** math.floor(math.log10(0.8 * low)), 10 ** math.ceil(math.log10(1.25 * high)))
+        axes.set(yscale="log", ylim=(10 ** math.floor(math.log10(0.8 * low)), 10 ** math.ceil(math.log10(1.25 * high))))
         axes.yaxis.set_minor_formatter(NullFormatter())
     else:
         axes.set_ylim(0.0, 1.2 * high)

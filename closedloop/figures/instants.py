@@ -16,6 +16,8 @@ from closedloop.scenario.scenario import Scenario
 
 # The text of the one mark that is not of the motion.
 FORCE_STEPS = "force steps"
+# Parts of the time shown in which one of the marks of a kind is drawn.
+CELLS = 250
 
 
 class Mark(NamedTuple):
@@ -81,8 +83,8 @@ def _instant(run: Run, row: int) -> float:
     return float(run.time[row])
 
 
-def thinned(times: NDArray[np.float64], begin: float, end: float, cells: int = 250) -> NDArray[np.float64]:
-    """Return the times from `begin` to `end`, one for each of so many parts of that span: more could not be seen."""
+def thinned(times: NDArray[np.float64], begin: float, end: float) -> NDArray[np.float64]:
+    """Return the times from `begin` to `end`, one for each of `CELLS` parts of that span: more could not be seen."""
     inside = times[(times >= begin) & (times <= end)]
-    cell = np.floor(cells * (inside - begin) / max(end - begin, np.finfo(float).tiny))
+    cell = np.floor(CELLS * (inside - begin) / max(end - begin, np.finfo(float).tiny))
     return inside[np.unique(cell, return_index=True)[1]]

@@ -198,8 +198,7 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
             pieces, ax=axes, label="f [N]", extend="both", pad=0.02
         )
     axes.set_title(f"Path, seen {'from above the surface' if run.scenario.has_surface else _from(frame_of(run)[0])}")
-    axes.set_xlabel("along [mm]")
-    axes.set_ylabel(f"across [{unit}]")
+    axes.set(xlabel="along [mm]", ylabel=f"across [{unit}]")
     if wide:
         axes.set_aspect("equal", adjustable="datalim")
     else:

@@ -192,7 +192,7 @@ class Lab:
         self.refresh()
         self.ask("")
 
-    def refresh(self, forced: bool = True) -> None:
+    def refresh(self) -> None:
         """Let all controls show the scenario as it is now, if it can be read."""
         with contextlib.suppress(ClosedLoopError):
             scenario = self.history.scenario()
@@ -204,7 +204,7 @@ class Lab:
                         span = replace(new, low=control.low, high=control.high, step=control.step)
                         found[at] = span.with_value(new.value)
                 self.controls = found
-            self.tell_controls(forced)
+            self.tell_controls(forced=True)
             self.map.show_keys()
 
     def tell_controls(self, forced: bool = False) -> None:

@@ -122,8 +122,7 @@ class Picture:
                 panel.time, trace.values, style, color=trace.colour, linewidth=1.2, label=trace.label if named else None
             )
         widen(plot, FINEST * max(abs(end) for end in plot.get_ylim()))
-        plot.set_xlabel("time [s]")
-        plot.set_ylabel(panel.title)
+        plot.set(xlabel="time [s]", ylabel=panel.title)
         handles, names = plot.get_legend_handles_labels()
         plot.legend(handles[:MOST_NAMED], names[:MOST_NAMED], fontsize=8)
         return plot.axvline(0.0, color="0.3", linewidth=1)

@@ -38,7 +38,7 @@ class Lab(Protocol):
     def open(self, name: str) -> None:
         """Go over to another scenario that ships."""
 
-    def refresh(self, forced: bool = True) -> None:
+    def refresh(self) -> None:
         """Let all controls show the scenario as it is now."""
 
     def ask(self, key: str = "") -> None:

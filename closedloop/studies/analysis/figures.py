@@ -58,8 +58,7 @@ def bode(page: Page) -> Figure:
     upper.set_ylabel("|L| [dB]")
     upper.set_ylim(bottom=max(-120.0, upper.get_ylim()[0]))
     lower.semilogx(f, np.degrees(np.unwrap(np.angle(L))), color=COLOURS[0])
-    lower.set_ylabel("phase [°]")
-    lower.set_xlabel("frequency [Hz]")
+    lower.set(ylabel="phase [°]", xlabel="frequency [Hz]")
     for at, axes in ((margins.gain_at, upper), (margins.phase_at, lower)):
         if math.isfinite(at):
             axes.axvline(at, color=COLOURS[1], linewidth=0.9)
@@ -121,8 +120,7 @@ def _unit_circle(axes: Axes) -> None:
     axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
     axes.set_aspect("equal")
     axes.locator_params(axis="x", nbins=5)  # else the numbers of a narrow panel touch
-    axes.set_xlabel("Re z")
-    axes.set_ylabel("Im z")
+    axes.set(xlabel="Re z", ylabel="Im z")
 
 
 @styled()
@@ -138,8 +136,7 @@ def sensitivity(page: Page) -> Figure:
     for (name, y), colour in zip(curves, COLOURS, strict=True):
         axes.loglog(f, np.maximum(np.abs(y), 1e-6), color=colour, label=name)
     axes.axhline(1.0, color="0.5", linewidth=0.8)
-    axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel("size")
+    axes.set(xlabel="frequency [Hz]", ylabel="size")
     axes.legend(fontsize=8)
     axes.set_title(
         f"sensitivity at {margins.cut}: " + _unless_unstable(margins, f"at most {margins.peak_sensitivity:.2f}")
@@ -188,8 +185,7 @@ def stability_map(
         scale("log" if key.log else "linear")
     axes.set_xlim(along.low, along.high)
     axes.set_ylim(over.low, over.high)
-    axes.set_xlabel(with_unit(along.key, key_unit(along.key)))
-    axes.set_ylabel(with_unit(over.key, key_unit(over.key)))
+    axes.set(xlabel=with_unit(along.key, key_unit(along.key)), ylabel=with_unit(over.key, key_unit(over.key)))
     axes.legend(fontsize=8)
     axes.set_title("where the force loop becomes unstable")
     return figure

@@ -250,10 +250,10 @@ class Stability:
             width *= 3.0
         return None
 
-    def try_beside(self, limit: Limit, given: Mapping[str, Value] | None = None, beside: float = BESIDE) -> list[Trial]:
+    def try_beside(self, limit: Limit, given: Mapping[str, Value] | None = None) -> list[Trial]:
         """Run the whole nonlinear loop on from the instant below and above a limit; see `Trial`."""
         trials = []
-        for factor in (1.0 - beside, 1.0 + beside):
+        for factor in (1.0 - BESIDE, 1.0 + BESIDE):
             values = {**(given or {}), limit.key: limit.value * factor}
             try:
                 problem, instant = self._at(values)

@@ -68,6 +68,5 @@ def stability_map(axes: Axes, limits: list[dict[str, Any]]) -> None:
         )
     axes.plot([1.414], [1.0], "k*", markersize=10, label="the paper, at 1 kHz")
     axes.set_xlabel("s_v h = 2 ζ h/T")
-    axes.set_ylabel("s_p h² = (h/T)²")
-    axes.set_title("Baumgarte is stable inside the line; marks: the limit measured on an arm")
+    axes.set(ylabel="s_p h² = (h/T)²", title="Baumgarte is stable inside the line; marks: the limit measured on an arm")
     axes.legend(fontsize=8, loc="center right")

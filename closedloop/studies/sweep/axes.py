@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from closedloop.base.errors import ScenarioError
@@ -120,6 +120,24 @@ def parse_axis(text: str, drawn: bool = False) -> Axis:
     if len({repr(value) for value in values}) < len(values):
         raise ScenarioError(f"--over {text}: the same value twice")
     return Axis(key, spec, values, whole=whole)
+
+
+def parse_range(text: str, such: str) -> Axis:
+    """Read what varies within a range of real numbers, KEY=LOW:HIGH or KEY=log:LOW:HIGH; its ends in order.
+
+    Raises
+    ------
+    ScenarioError
+        If it is none; the line names --vary, and examples of a range, `such`.
+    """
+    try:
+        axis = parse_axis(text, drawn=True)
+    except ScenarioError as error:
+        raise ScenarioError(str(error).replace("--over", "--vary", 1)) from None
+    if axis.values or axis.whole:
+        raise ScenarioError(f"--vary {text}: must be a range of real numbers, such as {axis.key}={such}")
+    low, high = sorted((axis.low, axis.high))
+    return replace(axis, low=low, high=high)
 
 
 def _range(text: str, key: str, spec: str, numbers: list[float], log: bool, drawn: bool) -> Axis:

@@ -161,8 +161,7 @@ class Tuning:
                 run = simulated(scenario, None)
                 axes.plot(run.time, run.contact_force, color=colour, label=label)
             axes.plot(run.time, run.reference_force, "k:", linewidth=1.0, label="wanted")
-            axes.set_xlabel("time [s]")
-            axes.set_ylabel("contact force [N]")
+            axes.set(xlabel="time [s]", ylabel="contact force [N]")
             axes.legend()
         return figure
 

@@ -44,12 +44,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command("closedloop sweep", _main, arguments)
 
 
-def as_process() -> int:
+def as_process(arguments: Sequence[str] | None = None) -> int:
     """Run the command line as all that this process does, and return the exit status.
 
     Signals are answered from the first moment on, and a run that was abandoned keeps nobody waiting.
     """
-    words = sys.argv[1:]
+    words = sys.argv[1:] if arguments is None else list(arguments)
     with _ended_at_once_by_a_signal(words):
         status = main(words)
     _leave_if_still_at_work(status)

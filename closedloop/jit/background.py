@@ -32,8 +32,9 @@ VARIABLE = "CLOSEDLOOP_BACKGROUND_COMPILE"
 # What is said about compiling, a line each: commands print it on standard error.
 notices = logging.getLogger("closedloop.compiling")
 
-# The priorities: the lowest, and a little more for what an interpreted step can call as soon as it is compiled.
-NICE = {MARKER: 19, SECOND_LOCK: 10}
+# The priorities: low, and less so for what an interpreted step can call as soon as it is compiled. With the lowest, who
+# waits on a busy machine would wait in vain.
+NICE = {MARKER: 10, SECOND_LOCK: 5}
 LONGEST = 900  # s, after which a process is given up
 
 
@@ -142,14 +143,16 @@ def start(functions: Sequence[Callable[..., Any]], quietly: bool = False) -> Non
         if reason := why_not_kept():
             _say(_BEHIND, f"compiling {_named(names)} would take longer than this run, and cannot be kept: {reason}")
             return
-        for lock, share in _by_lock(names).items():
-            _start_one(lock, share, not quietly and not TAKES_LONG.keys().isdisjoint(names), _named(names))
+        began, shares = clock.monotonic() + BRIEF, _by_lock(names)
+        for lock in sorted(shares, key=NICE.__getitem__):
+            loud = not quietly and not TAKES_LONG.keys().isdisjoint(names)
+            _start_one(lock, shares[lock], began, loud, _named(names))
+            began += 0.0 if cores() > 2 else seconds_of(shares[lock])  # the first has the other core, this process one
 
 
-def _start_one(file: str, names: list[str], loud: bool, what: str) -> None:
+def _start_one(file: str, names: list[str], began: float, loud: bool, what: str) -> None:
     """Start the process of one lock, unless it is running."""
     lock = _take_lock(file)
-    began = clock.monotonic() + BRIEF
     expected = {name: began + after for name, after in zip(names, accumulate(map(_seconds, names)), strict=True)}
     if lock is None:
         _expected.update(expected | _expected)
@@ -176,7 +179,7 @@ def make_ready(*functions: Callable[..., Any]) -> None:
     """Announce what is about to be compiled here, if anything; wait if a background process has it sooner.
 
     Each function is waited for once, and no longer than compiling it takes: the other process may be stopped, or get
-    no processor on a busy machine, as its priority is the lowest.
+    no processor on a busy machine, as its priority is low.
     """
     missing = [function for function in functions if needs_compiling(function)]
     if not missing:
@@ -223,16 +226,19 @@ def seconds_to_compile(functions: Sequence[Callable[..., Any]]) -> float:
 
 
 def seconds_left(functions: Sequence[Callable[..., Any]]) -> float:
-    """Return how long, about, s, the processes in the background still take for these entry kernels.
+    """Return how long, about, s, it takes until these entry kernels are compiled in the background, if one waits.
 
-    Each has a core of its own as long as nothing else runs.
+    Until now the process with the lower priority has had what the other left of its core, with two: nothing, if that
+    was still at work. Who waits leaves a core to each.
     """
     return _seconds_left([function.__name__ for function in functions if needs_compiling(function)])
 
 
 def _seconds_left(names: Collection[str]) -> float:
-    unknown, now = seconds_of(name for name in names if name not in _expected), clock.monotonic()
-    return max(0.0, unknown, *(_expected[name] - now for name in names if name in _expected))
+    now = clock.monotonic()
+    beside = max([now, *(end for name, end in _expected.items() if lock_of(name) != MARKER)]) if cores() == 2 else now
+    left = (_expected[name] - (beside if lock_of(name) == MARKER else now) for name in names if name in _expected)
+    return max(0.0, seconds_of(name for name in names if name not in _expected), *left)
 
 
 def seconds_of(names: Iterable[str]) -> float:

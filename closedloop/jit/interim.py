@@ -50,6 +50,8 @@ class Interim:
         What of this it calls by address.
     on_called_compiled : callable
         Called once these are compiled, though the kernel itself is not: from then on it may call them so.
+    share_done : callable, optional
+        Returns which share of all work is done; of the calls, if left out.
     later : sequence of callables
         What later runs will want: compiled in the background as well, and not waited for.
     buffers : bool
@@ -73,6 +75,7 @@ class Interim:
         buffers: bool = False,
         called: Sequence[Callable[..., Any]] = (),
         on_called_compiled: Callable[[], None] = lambda: None,
+        share_done: Callable[[], float] | None = None,
     ) -> None:
         self._function, self._twin, self._written = function, interpreted(function), written
         self._quick, self._with_buffers = interpreted(function, buffers), buffers
@@ -81,7 +84,9 @@ class Interim:
         self._on_compiled, self._on_called_compiled, self._called = on_compiled, on_called_compiled, called
         self._compiled: Callable[..., Any] | None = None
         self._done, self._look_at = 0, 0.0
-        self._since, self._seconds_since = 0, 0.0  # calls since the last look, and their time, s
+        self._share_done = share_done or (lambda: self._done / self._calls)
+        # What was done at the last look, and the time of calls since, s.
+        self._share, self._done_then, self._seconds_since = 0.0, 0, 0.0
         self.compiling = 0.0
 
     @property
@@ -110,9 +115,11 @@ class Interim:
             _put_back(self._written, before)
             raise
         _so_far[self._function.__name__] += 1
-        if self._done > 0:  # the first call makes the interpreted functions
-            self._since, self._seconds_since = self._since + 1, self._seconds_since + clock.thread_time() - busy
         self._done += 1
+        if self._done > 1:
+            self._seconds_since += clock.thread_time() - busy
+        else:  # which has made the interpreted functions
+            self._share, self._done_then = self._share_done(), 1
         return answer
 
     def _is_to_be_compiled(self) -> bool:
@@ -126,8 +133,10 @@ class Interim:
         if self._done < PROBE and not _so_far[self._function.__name__] >= PROBE > self._calls:
             return False
         background.start([function for function in (*self._with_it, *self._later) if needs_compiling(function)])
-        left = (self._calls - self._done) * self._seconds_since / self._since if self._since else 0.0
-        self._since, self._seconds_since = 0, 0.0
+        share = self._share_done()
+        gained = share - self._share or (self._done - self._done_then) / self._calls  # where work halts, by calls
+        left = (1.0 - share) * self._seconds_since / gained if gained > 0.0 else 0.0
+        self._share, self._seconds_since, self._done_then = share, 0.0, self._done
         wait = background.seconds_left(self._with_it)
         self.left = left
         if self._called and not any(map(needs_compiling, self._called)):

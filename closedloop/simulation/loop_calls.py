@@ -267,8 +267,9 @@ def begun(
             connect(loop_compiled=False)
 
         return Interim(
-            kernels[0], loop.written, calls, with_it, connect, once, again, called if again else (), connect_called
-        )
+            kernels[0], loop.written, calls, with_it, connect, once, again, called if again else (), connect_called,
+            lambda: float(loop.state.row) / problem.steps,
+        )  # fmt: skip
     make_ready(*waited_for)
     start([function for function in (*with_it, *once) if not at_hand(function)])
     return kernels[0]

@@ -154,12 +154,10 @@ def inside_cones(c: Contacts, k: int, F: Array) -> bool:
 
 @kernel
 def share_forces(c: Contacts, k: int, p: int) -> None:
-    """Replace `rigid` and F, which are not unique, by the shortest that do the same."""
+    """Replace `rigid` and F, which are not unique, by the shortest that do the same; soft contacts keep theirs."""
     m = 3 * k
-    for i in range(k):  # what soft contacts carry is known
-        if c.soft[i] != 0.0:
-            return
     span_rows(c, k, p)
+    take_soft_out(c, k)
     for i in range(m):
         c.scratch.trial[i] = c.F[i] - c.rigid[i]
         c.problem.after[i] = c.scratch.trial[i]
@@ -171,6 +169,28 @@ def share_forces(c: Contacts, k: int, p: int) -> None:
         least_norm(c, k, c.F, False)
         for i in range(m):
             c.F[i] += c.rigid[i] + c.viscous[i]
+    put_soft_back(c, k)
+
+
+@kernel
+def take_soft_out(c: Contacts, k: int) -> None:
+    """Keep the forces and the form of soft contacts, and let these be open."""
+    for i in range(k):
+        c.scratch.mu[i] = c.problem.form[i]
+        for r in range(3 * i, 3 * i + 3 if c.soft[i] != 0.0 else 0):
+            c.scratch.residuals[r], c.scratch.start[r] = c.rigid[r], c.F[r]
+            c.rigid[r], c.F[r] = -c.viscous[r], -c.viscous[r]
+        if c.soft[i] != 0.0:
+            c.problem.form[i] = OFF
+
+
+@kernel
+def put_soft_back(c: Contacts, k: int) -> None:
+    """Write the forces and the form of soft contacts that `take_soft_out` has kept."""
+    for i in range(k):
+        for r in range(3 * i, 3 * i + 3 if c.soft[i] != 0.0 else 0):
+            c.rigid[r], c.F[r] = c.scratch.residuals[r], c.scratch.start[r]
+        c.problem.form[i] = int(c.scratch.mu[i])
 
 
 @kernel

@@ -15,16 +15,14 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import TORQUE, Gain, Section, Size, gain_of
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import per_joint
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 # Whether the torque of a joint is what was asked for: the column `torque_limited`.
 AS_ASKED, AT_TORQUE_LIMIT, AT_RATE_LIMIT = range(3)

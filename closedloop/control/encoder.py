@@ -16,16 +16,14 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import PERIOD, Gain, NotNegative, Section, Size, gains_not_negative
 from closedloop.control.sensor import Seed, quantised
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import parameter_block
-
-Array = NDArray[np.float64]
 
 # Whether there are encoders, and where the velocity comes from.
 NO_ENCODER, MEASURED_VELOCITY, DIFFERENCE = range(3)

@@ -19,17 +19,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters
 from closedloop.base.sections import FORCE, PERIOD, RATE, NotNegative, Number, gain_in
 from closedloop.control.law_input import LawInput
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 
 @kernel
@@ -105,12 +102,10 @@ class ControlLaw(Parameters):
         "below 0: it pulls where surface.contact is bilateral, and leaves where it is unilateral",
     )
     sample_period: Annotated[NotNegative, PERIOD] = Field(
-        0.0,
-        description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24",
+        0.0, description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24"
     )
     force_feedback: Annotated[NotNegative, gain_in("")] = Field(
-        0.0,
-        description="K_f, newtons of command per newton of error in the latest reading; below 1 for a fast sensor",
+        0.0, description="K_f, newtons of command per newton of error in the latest reading; below 1 for a fast sensor"
     )
     force_integral: Annotated[NotNegative, RATE] = Field(
         0.0, description="K_I, 1/s: a force error settles like exp(-K_I t), to 2 % in 3.9/K_I"

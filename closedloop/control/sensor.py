@@ -10,16 +10,14 @@ import math
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import FORCE, PERIOD, NotNegative, Number, Section, Size, Unit
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel, plain
 from closedloop.jit.parameters import pack, parameter_block
-
-Array = NDArray[np.float64]
 
 # Samples of the longest delay that is accepted.
 MOST_DELAYED = 10_000

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import (
     ACCELERATION_GAIN,
     RATE,
@@ -26,8 +25,6 @@ from closedloop.jit.dual8 import has_derivatives, settled, sought
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import matrix_of
 from closedloop.mechanics.closure.contact_force import IMMOBILE
-
-Array = NDArray[np.float64]
 
 # Jacobi's sweeps converge quadratically: a 3 x 3 matrix is diagonal to rounding after four or five.
 MOST_SWEEPS = 10

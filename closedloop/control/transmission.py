@@ -16,17 +16,15 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Section, Size, stiffness_in, viscous_in
 from closedloop.control.drives import Limit
 from closedloop.control.encoder import EachJoint
 from closedloop.jit.parameters import per_joint
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 MOTOR_INERTIA = Size(1e9, "kg m²", "no motor is so heavy", 1e-12)
 

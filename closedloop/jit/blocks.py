@@ -23,10 +23,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, get_args, get_type_hints
 
-import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from closedloop.base.arrays import Array
 
 # Layouts of different sizes that are kept.
 MOST_LAYOUTS = 64
@@ -193,8 +192,7 @@ class Block:
     @property
     def kept(self) -> dict[str, Any]:
         """The objects that are kept with this block, by their names."""
-        found: dict[str, Any] = self.__dict__.setdefault("_kept", {})
-        return found
+        return self.__dict__.setdefault("_kept", {})
 
     def keep_alive(self, **others: Any) -> None:
         """Keep objects, by a name, as long as this block is kept: those to whose memory it has addresses."""

@@ -17,7 +17,6 @@ from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, call_with_buffers
@@ -32,7 +31,6 @@ from closedloop.jit.pointers import (
     vector_at,
 )
 
-Array = NDArray[np.float64]
 Buffer = Any  # a memoryview of one or two dimensions
 
 # Blocks of one class that are kept: an interpreted loop makes the same few at every step.

@@ -14,13 +14,11 @@ from types import NoneType, new_class
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Section
 from closedloop.jit.blocks import Block, Count
-
-Array = NDArray[np.float64]
 
 _N = Count.of("n")
 # Annotation of a key whose parameter is the list that `resolved` makes of it, such as the formula of a surface.

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from closedloop.base.arrays import Array, IntArray
 
 # Views kept for an interpreted loop, which makes the same few at every step. They own no memory, so a view stays valid
 # for any array at that address.
@@ -58,8 +57,7 @@ def known_matrix_at(address: int, rows: int, columns: int) -> Array:
 
 def row_of(matrix: NDArray[Any], i: int) -> NDArray[Any]:
     """Return a row of a matrix: what `matrix[i]` is, which a buffer refuses (`closedloop.jit.buffers`)."""
-    row: NDArray[Any] = matrix[i]
-    return row
+    return matrix[i]
 
 
 def matrix_of(vector: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:

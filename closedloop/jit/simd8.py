@@ -15,9 +15,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from closedloop.base.arrays import Array
 
 WIDE = 8
 

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
@@ -44,7 +44,6 @@ from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, Addresses, add
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 
-Array = NDArray[np.float64]
 Call = Callable[[Array], int]
 
 # Evaluations between two returns to Python's bookkeeping, where nothing else is asked for.

@@ -14,11 +14,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import (
     COEFFICIENT,
     JOINT_SPEED_SCALE,
@@ -32,8 +31,6 @@ from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import GainNotNegative
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 
 @kernel

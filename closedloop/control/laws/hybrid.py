@@ -21,10 +21,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import RATE, Positive, gain_in
 from closedloop.control.law import commanded_force
 from closedloop.control.law_input import LawInput
@@ -37,8 +36,6 @@ from closedloop.control.tip_space import (
     pseudo_inverse,
 )
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 
 class HybridLaw(Approach):

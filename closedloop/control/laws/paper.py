@@ -15,17 +15,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import Gain, Instant, gain_in
 from closedloop.control.law import ControlLaw, commanded_force
 from closedloop.control.law_input import LawInput
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
-
-Array = NDArray[np.float64]
 
 
 @kernel_inlined

@@ -10,10 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
+from closedloop.base.arrays import Array
 
 # s (N,), s, to the displacement, m, and its derivatives by s, m/s and m/s², each (N, 3), base frame.
 Curve = Callable[[Array], Sequence[Array]]

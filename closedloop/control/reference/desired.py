@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.edge import refuse_beyond_edge
 from closedloop.control.reference.follow import follow
 from closedloop.control.reference.force import ConstantForceSection, ForceProfile, force_at
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from closedloop.mechanics.robot.pinocchio import Robot
     from closedloop.mechanics.surface.placed import PlacedSurface
 
-Array = NDArray[np.float64]
 
 OUTWARDS = np.array([0.0, 0.0, 1.0])
 

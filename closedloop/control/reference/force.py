@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import FORCE, Instant, Number, Positive, Section, Size, usual
 from closedloop.control.reference.lists import Forces, Instants
-
-Array = NDArray[np.float64]
 
 # i·h and the instant of a jump may differ by rounding: earlier by this share of the instant counts as the instant.
 ROUNDING = 1e-12

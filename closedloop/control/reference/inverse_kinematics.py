@@ -13,9 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.reference.joint_path import cubic
 from closedloop.control.reference.least_norm import least_norm
 from closedloop.jit.calls import call_at
@@ -23,8 +21,6 @@ from closedloop.jit.kernel import entry_kernel, kernel, plain
 from closedloop.mechanics.loops.along_path import NEAREST, TANGENT
 from closedloop.mechanics.loops.memory import loops_at as loops_memory
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_turning, work_size
-
-Array = NDArray[np.float64]
 
 # Tolerances of the tip's distance from the path, m, and of its orientation, rad: between knots, a hundredth of the
 # closure error that the stabiliser leaves; at a knot; and of Newton's method.

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.tip_path import INSTANT
 from closedloop.jit.interim import call_once
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
-
-Array = NDArray[np.float64]
 
 # So many take as long interpreted, 20 µs each, as `sample_spline` takes to be compiled.
 FEW_INSTANTS = 50_000

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 # Singular values of Jᵣ below this share of the largest count as zero: the arm cannot move the tip in that direction.
 RANK_TOLERANCE = 1e-6

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Number, Size
 from closedloop.control.reference.inverse_kinematics import AXIS, FRAME, POSITION
@@ -25,7 +25,6 @@ from closedloop.mechanics.surface.plane import contact_frame
 if TYPE_CHECKING:
     from closedloop.mechanics.robot.pinocchio import Robot
 
-Array = NDArray[np.float64]
 
 TURN = Size(1e3, "rad", "a turn more changes nothing")
 WORDS = ("free", "normal", "start")

@@ -10,9 +10,9 @@ from abc import abstractmethod
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters, is_users
 from closedloop.control.reference.on_surface import on_surface
@@ -22,8 +22,6 @@ from closedloop.jit.user_code import of_users
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.mechanics.surface.surface import Surface
-
-Array = NDArray[np.float64]
 
 # Tolerance of the start of a user's path, m: rounding, with no effect on the closure.
 ORIGIN = 1e-9
@@ -98,8 +96,7 @@ def path_normal(section: Path, surface: Surface) -> Array:
     along = unit(direction, "reference.direction")
     across = normal - (normal @ along) * along
     size = float(np.linalg.norm(across))
-    found: Array = across / size if size > 1e-6 else contact_frame(along)[1]
-    return found
+    return across / size if size > 1e-6 else contact_frame(along)[1]
 
 
 def path_on(section: Path, origin: Array, surface: PlacedSurface, duration: float) -> TipPath:

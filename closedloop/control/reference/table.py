@@ -7,12 +7,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
-
-Array = NDArray[np.float64]
 
 N = Count.of("n")
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from closedloop.base.arrays import Array
 
 Timing = Callable[[Array, float], tuple[Array, Array, Array]]
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.curves import Curve
 from closedloop.control.reference.timing import Timing
-
-Array = NDArray[np.float64]
 
 # i·h and the instant of a jump may differ by rounding: this share of a path's duration later is the instant itself.
 INSTANT = 1e-9

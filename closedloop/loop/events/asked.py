@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.locate import event_function, slip_margin
 from closedloop.loop.events.phases import FAILED, TERMS
@@ -15,8 +13,6 @@ from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask
 from closedloop.loop.step.record_row import record
 from closedloop.mechanics.closure.contact_force import PRESSED
 from closedloop.mechanics.closure.solve import OK
-
-Array = NDArray[np.float64]
 
 # What a state is evaluated for: its derivative, to begin a step from it, to see how far an event is, to record it.
 DERIVE, BEGIN_STEP, EVENT_VALUE, RECORD = range(4)

@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.phases import (
     AFTER_EVENT,
@@ -39,8 +37,6 @@ from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.mechanics.contacts.modes import TOUCHING, open_margin, touches
 from closedloop.mechanics.contacts.soft import stored_in
-
-Array = NDArray[np.float64]
 
 # A contact that is further off its surface after an event is put onto it, m.
 OFF_SURFACE = 1e-10

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import row_of
 from closedloop.loop.events.phases import MAX_RAPID
@@ -21,8 +21,6 @@ from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.mobility import own_mobility
 from closedloop.mechanics.impact import CUT as ENERGY_CUT
 from closedloop.mechanics.impact import ImpactWork, energy_lost, impact
-
-Array = NDArray[np.float64]
 
 
 @kernel

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
@@ -26,9 +25,6 @@ from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.law import STILL
-
-Array = NDArray[np.float64]
-
 
 # Where slip ends, the spring of a law that sticks by one pulls exactly at its limit: up to this share above it the tip
 # still sticks, so that rounding does not let it go again.

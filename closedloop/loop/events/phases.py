@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.loop.step.memory import State
-
-Array = NDArray[np.float64]
 
 # What `proceed` returns.
 DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)

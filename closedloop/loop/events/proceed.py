@@ -28,9 +28,7 @@ penetrates and rises again in one step after moving up at its beginning.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.loop.events.asked import answer_asked
@@ -92,8 +90,6 @@ from closedloop.loop.step.transmission import lead_motors
 from closedloop.loop.step.turn import advance_on_manifold
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import OK
-
-Array = NDArray[np.float64]
 
 
 @inlined_kernel

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.phases import AFTER_EVENT, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
@@ -16,8 +14,6 @@ from closedloop.loop.step.turn import move
 from closedloop.mechanics.closure.contact_force import STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.memory import OFF, ContactLinks, Contacts, contacts_at
-
-Array = NDArray[np.float64]
 
 # A projection after an event moves no joint further than this share of the largest gap, rad/m: levers of a centimetre.
 FARTHEST = 100.0

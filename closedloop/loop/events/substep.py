@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.loop.events.locate import choose_trial, event_function, refine_bracket
@@ -59,8 +59,6 @@ from closedloop.loop.step.singular import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at
-
-Array = NDArray[np.float64]
 
 
 @kernel_inlined

@@ -10,10 +10,9 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 # Kinds, as they are stored.
 IMPACT, TOUCHDOWN, LIFTOFF, STICK, SLIP_AGAIN, REVERSAL, EDGE, STOP, RELEASE, TIME_STEP = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10
@@ -74,9 +73,7 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
     "event_rate_before": EventColumn(("event",), "m s-1", "closure rate just before the event"),
     "event_rate_after": EventColumn(("event",), "m s-1", "closure rate just after the event"),
     "event_rate_cut": EventColumn(
-        ("event",),
-        "m s-1",
-        "closure rate that restitution would have given and impact.rest_speed cut to zero",
+        ("event",), "m s-1", "closure rate that restitution would have given and impact.rest_speed cut to zero"
     ),
     "event_compression": EventColumn(("event",), "N s", "normal impulse of compression on the tip"),
     "event_decompression": EventColumn(("event",), "N s", "normal impulse of decompression on the tip"),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel, kernel_inlined
@@ -32,14 +32,7 @@ from closedloop.loop.events.phases import (
     request_terms,
 )
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
-from closedloop.loop.events.table import (
-    EDGE,
-    LIFTOFF,
-    REVERSAL,
-    SLIP_AGAIN,
-    STICK,
-    TOUCHDOWN,
-)
+from closedloop.loop.events.table import EDGE, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN
 from closedloop.loop.step.closed_loops import factorise_tip
 from closedloop.loop.step.entries import LIMIT, SLIDE
 from closedloop.loop.step.entries import STICK as END_OF_SLIP
@@ -59,8 +52,6 @@ from closedloop.mechanics.closure.contact_force import (
 )
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.impact import energy_lost
-
-Array = NDArray[np.float64]
 
 # A surface from which the tip can lift off holds no tip that it would have to pull at with more than this, N: rounding.
 LEAST_PULL = 1e-9

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.loop.step.memory import Work
-
-Array = NDArray[np.float64]
 
 
 @kernel_inlined

@@ -7,9 +7,6 @@ the same. With the tip as a point nothing of this is called.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.pointers import integers_at
@@ -19,8 +16,6 @@ from closedloop.mechanics.contacts.shapes import RADIUS, shapes_at
 from closedloop.mechanics.loops.memory import loops_at
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.surface.contact import ask_at
-
-Array = NDArray[np.float64]
 
 
 class BallTip(Block):

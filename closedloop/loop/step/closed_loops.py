@@ -11,9 +11,7 @@ tree. The loops take what they bind, whatever acts.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.seen import Seen
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at, row_of
@@ -25,12 +23,7 @@ from closedloop.mechanics.loops.close import close_state
 from closedloop.mechanics.loops.drives import through_drives
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.mechanics.loops.passing import find_required_on_the_way
-from closedloop.mechanics.loops.solve import (
-    leave_free,
-    take_free,
-)
-
-Array = NDArray[np.float64]
+from closedloop.mechanics.loops.solve import leave_free, take_free
 
 # What the loops are asked for.
 BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, BIND_SEEN = range(7)

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of, vector_at
@@ -35,8 +33,6 @@ from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_poin
 from closedloop.mechanics.loops.solve import leave_free
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at, edge_distance
 from closedloop.mechanics.surface.geometry import Touch
-
-Array = NDArray[np.float64]
 
 
 @kernel

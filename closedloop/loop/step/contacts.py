@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.kernel import kernel, long_loops_entry
 from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.contact_rows import (
@@ -68,8 +65,6 @@ from closedloop.mechanics.contacts.soft_friction import some_share
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import turn_and_solve
 from closedloop.mechanics.impact import energy_lost
-
-Array = NDArray[np.float64]
 
 # What the contacts are asked for.
 FORCE, WATCH, SAVE, PLACE, IMPULSE, DECIDE = range(6)

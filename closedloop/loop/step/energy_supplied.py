@@ -14,13 +14,8 @@ With elastic joints the arm ends at the links: Q is then what they pass on to th
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.loop.step.memory import State, Work
-
-Array = NDArray[np.float64]
 
 
 @kernel_inlined

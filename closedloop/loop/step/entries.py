@@ -10,9 +10,6 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.control.seen import Seen
@@ -24,8 +21,6 @@ from closedloop.jit.user_code import function_of, member_entry
 from closedloop.loop.step.memory import Constants, State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, length_of
-
-Array = NDArray[np.float64]
 
 # Calls to a control law or a compensation, and to a law of friction.
 TORQUE, START, RESTART, RATES, SLIDE, HOLD, ADVANCE_STATES, LIMIT, STICK = range(9)

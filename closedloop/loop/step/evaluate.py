@@ -10,9 +10,7 @@ else
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.drives import cut_torque
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.seen import Seen
@@ -35,8 +33,6 @@ from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.loop.step.transmission import motor_rates, transmit
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK
-
-Array = NDArray[np.float64]
 
 # Joint speed, rad/s (m/s), at which a run stops as diverged, long before the numbers overflow. The rates of three
 # revolute joints are as large as that only within some 1e-5 rad of the posture in which two of their axes are parallel.

@@ -9,9 +9,7 @@ each joint (Moreau's time stepping). Friction then never adds energy, and no joi
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of
@@ -40,8 +38,6 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_tangentially,
 )
 from closedloop.mechanics.contacts.memory import contacts_at
-
-Array = NDArray[np.float64]
 
 # Sweeps of Gauss-Seidel at most, and the change of a torque, as a share of its limit, after which there is no other.
 MOST_SWEEPS, SETTLED = 500, 1e-14

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.reference.table import Reference
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
@@ -20,8 +18,6 @@ from closedloop.mechanics.closure.contact_force import FREE, into_contact_frame
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at, edge_distance
 from closedloop.mechanics.surface.geometry import Touch
-
-Array = NDArray[np.float64]
 
 
 @kernel_inlined

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters
 from closedloop.control.reference.table import Reference
 from closedloop.control.seen import Seen
@@ -41,9 +39,6 @@ from closedloop.mechanics.contacts.memory import ELASTIC_STICK as ELASTIC_STICK
 from closedloop.mechanics.contacts.memory import RIGID_STICK as RIGID_STICK
 from closedloop.mechanics.contacts.memory import SMOOTH as SMOOTH
 from closedloop.mechanics.contacts.memory import SPRING_STICK as SPRING_STICK
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Stages of the integrator; the other sizes are those of `closedloop.loop.step.records`.
 STAGES = Count.of("stages")

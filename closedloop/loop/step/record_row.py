@@ -6,8 +6,8 @@ import math
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.table import TableRow
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
@@ -32,9 +32,6 @@ from closedloop.mechanics.contacts.friction import remember_speed
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.resistance import resistance_of
 from closedloop.mechanics.contacts.soft_friction import rests
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Row(Block, sizes=("n",)):

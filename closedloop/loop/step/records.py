@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
-
-Array = NDArray[np.float64]
 
 # Sizes: joints, numbers of state beside q and q̇, samples that the sensor keeps.
 N, K, RING = (Count.of(size) for size in ("n", "k", "ring"))

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.reference.joint_path import cubic
 from closedloop.jit.kernel import kernel, kernel_inlined
-
-Array = NDArray[np.float64]
 
 # The sum of two slopes, rad/s² (m/s²), that are rounding: their signs say nothing, but they may have derivatives.
 STILL = 1e-11

@@ -7,9 +7,7 @@ are closed: what it sees is the state nearest to the readings at which they are.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters, read_encoder
 from closedloop.control.reference.table import DrawnRow
 from closedloop.control.seen import Seen
@@ -22,8 +20,6 @@ from closedloop.loop.step.locate import in_contact_frame
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import factorise, into_contact_frame
 from closedloop.mechanics.closure.solve import OK
-
-Array = NDArray[np.float64]
 
 # Of `Settings.elastic`: the encoders are on the motors.
 MOTORS_MEASURED = 2

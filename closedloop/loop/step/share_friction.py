@@ -14,17 +14,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.quantities import AT_REST
-
-Array = NDArray[np.float64]
 
 # Sweeps over the joints' limits at most, and the torque, N m, after which there is no more to change.
 SWEEPS, UNCHANGED = 300, 1e-13

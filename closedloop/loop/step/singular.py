@@ -20,9 +20,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at
@@ -31,8 +29,6 @@ from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.loop.step.records import N
 from closedloop.mechanics.closure.contact_force import accelerate
 from closedloop.mechanics.closure.solve import OK, PUSHED, SINGULAR, SINGULAR_MOBILITY, forward_substitute
-
-Array = NDArray[np.float64]
 
 # Share of the tip's mobility below which the way to a singular pose is remembered: within 0.01 rad of it.
 NEAR = 1e-4

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.pointers import integers_at
 from closedloop.loop.step.closed_loops import BIND_LOAD
@@ -27,8 +25,6 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_force,
 )
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, PUSHED, SINGULAR
-
-Array = NDArray[np.float64]
 
 # f and the direction of a slow slip depend on each other: they are solved in turn, so often at most, until f changes by
 # this share of itself. Unsolved, at each stage by another error, they let a Runge-Kutta scheme throw the tip about.

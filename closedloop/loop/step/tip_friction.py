@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.entries import HOLD, SLIDE
@@ -14,8 +12,6 @@ from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Const
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.turning import turn_friction
-
-Array = NDArray[np.float64]
 
 
 @kernel

@@ -14,14 +14,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.memory import Constants, Work
-
-Array = NDArray[np.float64]
 
 # Below this angle the series for c is exact to rounding, rad.
 SMALL = 0.1

@@ -33,8 +33,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.integrators import INTEGRATORS, Integrator
 
 # An undamped mode has radius one, and a hundred roundings of 1e-16 in computing it.
@@ -53,8 +53,6 @@ __all__ = [
     "spectral_radii",
     "spectral_radius",
 ]
-
-Array = NDArray[np.float64]
 
 
 def baumgarte_gains(damping_ratio: float, time_constant: float) -> tuple[float, float]:
@@ -106,8 +104,7 @@ def spectral_radius(integrator: str | type[Integrator], damping_ratio: float, ra
 
 def spectral_radii(integrator: str | type[Integrator], damping_ratio: float | Array, ratios: float | Array) -> Array:
     """Return the spectral radius for one ratio h/T, or for each of an array; arguments as those of `amplification`."""
-    radii: Array = np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratios))), axis=-1)
-    return radii
+    return np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratios))), axis=-1)
 
 
 def largest_stable_ratio(integrator: str | type[Integrator], damping_ratio: float) -> float:

@@ -15,15 +15,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.lanewise import lanewise, takes_arrays
 from closedloop.jit.pointers import matrix_of, row_of
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 BATCH = 32
 # Above this many joints the rows of the matrices vectorise by themselves, one condition number at a time.

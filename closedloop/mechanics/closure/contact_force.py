@@ -14,9 +14,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select
 from closedloop.mechanics.closure.solve import (
@@ -30,9 +28,6 @@ from closedloop.mechanics.closure.solve import (
     forward_substitute,
     forward_substitute_three,
 )
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Contact modes: values of the run's column `mode`.
 FREE, PRESSED, STUCK = 0, 1, 2

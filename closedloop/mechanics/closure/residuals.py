@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @kernel_inlined

@@ -13,13 +13,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import every
-
-Array = NDArray[np.float64]
 
 # A H⁻¹Aᵀ is the tip's mobility along the normal, 1/kg: acceleration per newton. Below this share of its mobility
 # in all directions together (the trace of Jᵣ H⁻¹Jᵣᵀ) the pose counts as singular. The share falls with the square

@@ -24,17 +24,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.continuation import follow_path, force_size
 from closedloop.mechanics.contacts.linear import DEPENDENT, solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
 from closedloop.mechanics.contacts.packed import pack, unpack
-
-Array = NDArray[np.float64]
 
 # The residual, of the largest force, at which a problem is solved; what it must have been in the end, of the force that
 # is asked for: feet of one body contradict each other by as much as they are off their surface, so that there may be no

@@ -19,8 +19,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import FREE
@@ -29,8 +29,6 @@ from closedloop.mechanics.contacts.rolling import turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.shapes import EDGE, EDGE_2, OF_EDGE_2, Shapes
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
-
-Array = NDArray[np.float64]
 
 # Numbers of edge 1: e1, L1, its two sides, ρ1, ρ2, whether the last crossing is meant, how many edges 2 there are, and
 # the contact of the same edge with the other crossing, 0 if there is none; and how deep edges may cross, m: deeper they

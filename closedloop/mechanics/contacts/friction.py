@@ -14,8 +14,8 @@ from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import Entry, call_at
 from closedloop.jit.kernel import kernel
@@ -37,9 +37,6 @@ from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import Slip, SurfaceFriction, length_of
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # What the entry of a law is asked for.
 SLIDE, HOLD, RATES, ADVANCE, LIMIT, STICK = range(6)

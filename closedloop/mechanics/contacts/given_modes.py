@@ -9,33 +9,20 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.mechanics.contacts.friction import slide, write_limits
 from closedloop.mechanics.contacts.least_norm import least_norm
 from closedloop.mechanics.contacts.linear import solve_any_rank
-from closedloop.mechanics.contacts.memory import (
-    CONE,
-    DOUBLE,
-    LINE,
-    OFF,
-    RAY,
-    SPRING_STICK,
-    ContactLinks,
-    Contacts,
-)
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import add_turning, has_resistance, is_resistance, moved_by_turning
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, SAME_ROW, independent_rows, shortest_solutions
 from closedloop.mechanics.contacts.soft_friction import write_shared
 from closedloop.mechanics.contacts.sticking import all_stick, shortest_sticking
 from closedloop.mechanics.loops.solve import orthonormal_rows
-
-Array = NDArray[np.float64]
 
 # What is outside its cone by no more than this share of `rounding` is at its edge.
 ON_EDGE = 1e-3

@@ -14,9 +14,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
@@ -27,8 +24,6 @@ from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_im
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SMOOTH, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
-
-Array = NDArray[np.float64]
 
 # Contacts that come together slower than this do not, m/s.
 RESTING = 1e-11

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 # A pivot below this share of the largest is rounding: the row depends on the others.
 DEPENDENT = 1e-11

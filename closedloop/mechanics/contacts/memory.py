@@ -13,14 +13,12 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.mechanics.loops.memory import LoopMemory
-
-Array = NDArray[np.float64]
 
 N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
 

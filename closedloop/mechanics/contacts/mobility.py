@@ -6,14 +6,10 @@ are taken over the joints that `Contacts.moves` says.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.memory import Contacts, joints_of
-
-Array = NDArray[np.float64]
 
 
 @kernel

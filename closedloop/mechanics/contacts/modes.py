@@ -9,36 +9,16 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import solve_contacts
-from closedloop.mechanics.contacts.friction import (
-    has_law,
-    slide,
-    stick_as_spring,
-    stops_slipping,
-    write_limits,
-)
+from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
 from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
-from closedloop.mechanics.contacts.memory import (
-    CONE,
-    DOUBLE,
-    LINE,
-    OFF,
-    RAY,
-    SPRING_STICK,
-    ContactLinks,
-    Contacts,
-)
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.soft_friction import write_shared
-
-Array = NDArray[np.float64]
 
 # Within the first gap a contact touches, m; after it has parted, until it has been clear by the second. At the start
 # the second counts: a posture is given in few digits.

@@ -5,14 +5,9 @@ Boxes that may touch each other have many contacts, faces, corners and edges, of
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import OFF, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
-
-Array = NDArray[np.float64]
 
 
 @kernel

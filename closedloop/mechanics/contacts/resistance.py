@@ -16,14 +16,10 @@ and where modes are known its moment goes with the unknown f, as the friction of
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, Contacts
-
-Array = NDArray[np.float64]
 
 
 @kernel

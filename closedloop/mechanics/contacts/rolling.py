@@ -7,9 +7,7 @@ surface (`closedloop.mechanics.contacts.shapes`).
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of, vector_at
 from closedloop.mechanics.contacts.memory import Contacts
@@ -20,8 +18,6 @@ from closedloop.mechanics.robot.tree import Tree
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.surface.contact import Ask
 from closedloop.mechanics.surface.geometry import Pose, Touch, normal_rate, tangent_rates
-
-Array = NDArray[np.float64]
 
 
 @kernel

@@ -20,14 +20,12 @@ import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.mechanics.contacts.sections import ContactSection
-
-Array = NDArray[np.float64]
 
 N, K = Count.of("n"), Count.of("k")
 # Numbers of a shape: M (xx, xy, xz, yy, yz, zz), m², in the link's axes, and ρ, m.

@@ -12,14 +12,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import CONE, OFF, Contacts
 from closedloop.mechanics.contacts.resistance import resistance_of
-
-Array = NDArray[np.float64]
 
 # Parts of such a contact: its friction, its resistance to rolling and that to pivoting. The f of the nearest point is
 # found within so many rounds, for in each another part reaches its edge.

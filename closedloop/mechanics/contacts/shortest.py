@@ -7,15 +7,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, Contacts
 from closedloop.mechanics.contacts.resistance import square_of_turning
-
-Array = NDArray[np.float64]
 
 # A pivot of the mobility below this share of the largest: the row depends on others, its force is not unique. A row
 # that asks for more than this share beyond what the others give contradicts them: points of one body that stick

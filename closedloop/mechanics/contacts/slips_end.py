@@ -7,22 +7,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
-from closedloop.mechanics.contacts.turning import (
-    left_of_slips,
-    level_of,
-    pack_problem,
-    solve_within,
-    unpack_problem,
-)
-
-Array = NDArray[np.float64]
+from closedloop.mechanics.contacts.turning import left_of_slips, level_of, pack_problem, solve_within, unpack_problem
 
 # Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then;
 # and by which share of 1/τ before it derivatives are taken.

@@ -16,8 +16,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.calls import Entry, call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import pack, parameter_block
@@ -28,9 +28,6 @@ from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.surface.compliance import POINTS, WEIGHTS, Compliance
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # What stands before the parameters of a compliance: depth, m, its rate, m/s, and the force, N, that the entry writes.
 ASKED = 3

@@ -13,16 +13,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, OFF, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, EXACT, REFINEMENTS, SAME_ROW
-
-Array = NDArray[np.float64]
 
 # Mobility that rows beside X give a contact, a share of its own: none, but for rounding.
 OWN_ROW = 1e-9

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, IntArray
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families.member import Member
 from closedloop.mechanics.contacts.sections import ContactSection
@@ -20,9 +20,6 @@ from closedloop.mechanics.surface.motion import MOTIONS
 from closedloop.mechanics.surface.placed import PlacedSurface, Touching
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.mechanics.surface.surface import SURFACES, Surface
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Called(NamedTuple):

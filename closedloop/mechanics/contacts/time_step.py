@@ -11,9 +11,6 @@ its impulse stops the slip at once, as in an impact without collision (F. Génot
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
@@ -23,8 +20,6 @@ from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
-
-Array = NDArray[np.float64]
 
 # Length of the step, s; the residual, of the largest, that impulses may have which long sweeps have found.
 SPAN, NEAR = 2e-5, 1e-6

@@ -11,14 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.packing import surface_parameters
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

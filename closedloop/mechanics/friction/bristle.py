@@ -18,13 +18,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.law import length_of
-
-Array = NDArray[np.float64]
 
 
 @kernel

@@ -10,15 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel_of
 from closedloop.jit.parameters import state_block
 from closedloop.mechanics.friction.law import FrictionLaw, Slip
 from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
-
-Array = NDArray[np.float64]
 
 
 class Contact:

@@ -27,16 +27,13 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationInfo, field_validator
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.quantities import Figure, refuse_below
-
-Array = NDArray[np.float64]
 
 # Slip below this speed, m/s or rad/s, has no direction of its own: it is rounding.
 STILL = 1e-12

@@ -15,15 +15,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.closure.contact_force import IMMOBILE
 from closedloop.mechanics.friction.law import STILL
-
-Array = NDArray[np.float64]
 
 
 @kernel

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.impact.modes import SLIP, STICK, TURN
 from closedloop.mechanics.impact.rest import leave_rest
 from closedloop.mechanics.impact.taylor import ORDER, ImpactWork, expand_straight, expand_turning, first_reach, value
-
-Array = NDArray[np.float64]
 
 # Slip below this share of the tip's speed is none: a tip that sticks, and rounding.
 STILL = 1e-14

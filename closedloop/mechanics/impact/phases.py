@@ -9,16 +9,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.solve import DIVERGED, OK, SINGULAR
 from closedloop.mechanics.impact.begin import RESTING, STILL, TURNING, begin_piece, to_extremum
 from closedloop.mechanics.impact.modes import CUT, JAM, NEWTON, POISSON, RECOMPRESSION, REVERSAL, SLIP, STRONGE, WEDGE
 from closedloop.mechanics.impact.taylor import ORDER, ImpactWork, first_reach, value
-
-Array = NDArray[np.float64]
 
 # Normal mobility below this share of S_nn is none: the tip is wedged (as
 # `closedloop.mechanics.closure.solve.SINGULAR_MOBILITY`).

@@ -10,12 +10,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 # A direction along the plane whose mobility is below this share of the trace of S is one in which the tip cannot
 # move: a planar arm's second tangent. Entries of S carry rounding of about 1e-16 of the trace.

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.kernel import entry_kernel
 from closedloop.mechanics.closure.solve import OK
@@ -15,8 +16,6 @@ from closedloop.mechanics.impact.modes import MODE_NAMES, RATIOS
 from closedloop.mechanics.impact.phases import impact
 from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.impact.taylor import ImpactWork
-
-Array = NDArray[np.float64]
 
 # S may miss symmetry and definiteness by the rounding of A H⁻¹Aᵀ, as a share of its trace.
 ROUNDING = 1e-9

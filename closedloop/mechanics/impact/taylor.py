@@ -21,12 +21,10 @@ import math
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 # Order of the expansion. A step of e⁻² radii of convergence leaves a remainder of e⁻⁴⁰ = 4e-18, below rounding.
 ORDER = 20

@@ -16,11 +16,9 @@ from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.families import Family, Member
-
-Array = NDArray[np.float64]
 
 # Most equal parts into which the nodes of a scheme divide a step: the reference is tabulated at all of them.
 MOST_PARTS = 60

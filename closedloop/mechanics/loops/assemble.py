@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.interim import call_now
 from closedloop.jit.interpreted import interpreted
@@ -13,8 +13,6 @@ from closedloop.mechanics.loops.close import TOLERANCE, closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
-
-Array = NDArray[np.float64]
 
 # A start that is open by no more than this, m or rad, or moves a loop by no more, m/s or rad/s, is meant to be closed.
 START_OPEN, START_RATE = 1e-3, 1e-3

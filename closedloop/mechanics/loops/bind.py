@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.mechanics.loops.memory import (
@@ -26,8 +27,6 @@ from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.angles import sines
 from closedloop.mechanics.robot.tree.kinematics import motion
 from robot_models.loop_joint import BINDS, LoopJoint
-
-Array = NDArray[np.float64]
 
 # A row that is no longer than this, and open by no more, m or rad, at every one of so many postures is so everywhere.
 NOTHING, POSTURES = 1e-13, 4

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import row_of
@@ -18,8 +16,6 @@ from closedloop.mechanics.loops.factor import factor, meet
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.mechanics.loops.rows import place_rows
 from closedloop.mechanics.loops.solve import basis_alike, dot, leave_free, take_free
-
-Array = NDArray[np.float64]
 
 # Newton steps at most, and the error, m or rad, below which there is no other: rounding.
 MOST_MOVES, CLOSED = 50, 1e-15

@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
@@ -27,8 +27,6 @@ from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.loops.solve import combine_rows, dot, free_motion, meet_rows, orthonormal_rows, take_off
 from closedloop.mechanics.robot.pinocchio import Robot
-
-Array = NDArray[np.float64]
 
 
 @kernel

@@ -14,15 +14,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # A row of which no more than this share of its usual length is left depends on the others, or is none. A state is
 # closed to rounding, and the direction of a row of which a share s is left is known to that over s²: to 1e-4 here.

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel, plain
 from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, work_size
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 N, M = Count.of("n"), Count.of("m")
 

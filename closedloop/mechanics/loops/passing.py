@@ -10,17 +10,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.loops.close import TOLERANCE, close_state
 from closedloop.mechanics.loops.factor import factor, smallest_share
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.loops.solve import basis_in_metric, dot, multiply_transposed, take_free
-
-Array = NDArray[np.float64]
 
 # A row is near to losing its direction below this share; the way to the next of the four states between which what it
 # requires is interpolated, rad or m; by how much more it has to be outside the span there; and the way to the state

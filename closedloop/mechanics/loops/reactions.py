@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, Mask
 from closedloop.jit.interim import call_now
 from closedloop.jit.kernel import entry_kernel
 from closedloop.mechanics.loops.bind import bound_by_loops, loop_memory
@@ -15,9 +16,6 @@ from closedloop.mechanics.loops.memory import loops_at
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.loops.wrench import labels_of, wrenches
 from closedloop.mechanics.robot.pinocchio import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class LoopReactions(NamedTuple):

@@ -16,27 +16,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of, vector_at
-from closedloop.mechanics.loops.memory import (
-    DISTANCE,
-    GEAR,
-    IDLE,
-    POSITION,
-    ROTATION,
-    LoopLinks,
-    LoopRows,
-    tree_at,
-)
+from closedloop.mechanics.loops.memory import DISTANCE, GEAR, IDLE, POSITION, ROTATION, LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.angles import sines
 from closedloop.mechanics.robot.tree.kinematics import motion
-
-Array = NDArray[np.float64]
 
 # Of a point and a direction fixed to a link, in base axes: position, velocity and acceleration at q̈ = 0 of the point,
 # then the direction with its first and second derivative.

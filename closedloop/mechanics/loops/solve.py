@@ -14,15 +14,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.loops.factor import DEPENDENT, order_of
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
-
-Array = NDArray[np.float64]
 
 # A row that is left with no more than this share of its square by others is orthogonalised once more: twice is enough.
 ONCE_MORE = 0.5

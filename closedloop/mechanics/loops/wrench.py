@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.loops.bind import rotation_axes, side_axes
 from closedloop.mechanics.robot.pinocchio import Robot
 from robot_models import RobotModel
 from robot_models.loop_joint import BINDS, LoopJoint
 from robot_models.loop_posture import new_side
-
-Array = NDArray[np.float64]
 
 FORCES = tuple((f"force along {axis}", "N") for axis in "xyz")
 COUPLES = tuple((f"couple about {axis}", "N m") for axis in "xyz")
@@ -105,5 +103,4 @@ def _wrench(robot: Robot, loop: LoopJoint, poses: Mapping[str, tuple[Array, Arra
 
 def _turned(axes: Array, vector: Array) -> Array:
     """Return vectors (N, 3) of base axes in other axes (N, 3, 3), columns."""
-    turned: Array = np.einsum("kij,ki->kj", axes, vector)
-    return turned
+    return np.einsum("kij,ki->kj", axes, vector)

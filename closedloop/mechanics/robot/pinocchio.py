@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
@@ -21,8 +22,6 @@ from robot_models import RobotModel
 from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions, with_rotation_vectors
 from robot_models.loop_joint import WORLD
 from robot_models.tool import carried_by
-
-Array = NDArray[np.float64]
 
 
 class Terms(NamedTuple):

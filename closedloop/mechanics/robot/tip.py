@@ -8,12 +8,8 @@ functions; a test holds the two equal.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 
 @kernel

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit import background
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interim import at_hand
@@ -16,8 +16,6 @@ from closedloop.jit.user_code import of_users
 from closedloop.mechanics.surface.contact import motion_entry, normals_on_surface, surface_entry
 from closedloop.mechanics.surface.geometry import Pose, Touch
 from closedloop.mechanics.surface.placed import PlacedSurface
-
-Array = NDArray[np.float64]
 
 
 def shape_at(surface: PlacedSurface) -> Callable[[Array, Array], tuple[Array, Array, float, float]]:

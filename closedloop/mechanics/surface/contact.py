@@ -12,8 +12,8 @@ from functools import cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import Entry, call_at
 from closedloop.jit.kernel import entry_kernel, kernel
@@ -31,8 +31,6 @@ from closedloop.mechanics.surface.distance import (
 from closedloop.mechanics.surface.geometry import Pose, Touch, contact_geometry, into_surface_axes
 from closedloop.mechanics.surface.motion import Move, SurfaceMotion, begin_move, displace
 from closedloop.mechanics.surface.surface import Surface
-
-Array = NDArray[np.float64]
 
 # What the entry of a surface is asked for.
 CONTACT, LEVEL = range(2)

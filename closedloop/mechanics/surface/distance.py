@@ -15,14 +15,10 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.surface.geometry import Touch
-
-Array = NDArray[np.float64]
 
 # Newton steps at most, and the length of a step, m, that is rounding: relative to the distance from the origin too.
 MOST_NEAREST, ROUNDING = 50, 1e-15

@@ -22,12 +22,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 # 1 + n·z below which the tangents are those half a turn away: they jump there, as any choice must somewhere.
 ANTIPODE = 1e-12

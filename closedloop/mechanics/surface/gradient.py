@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel
 from closedloop.mechanics.surface.contact import LEVEL, ask_at
 from closedloop.mechanics.surface.geometry import Touch
 from closedloop.mechanics.surface.placed import PlacedSurface
-
-Array = NDArray[np.float64]
 
 
 @entry_kernel

@@ -10,15 +10,11 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.base.families import Family, Parameters
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.surface.geometry import Pose
-
-Array = NDArray[np.float64]
 
 
 class Move(Block):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import is_users
 from closedloop.jit import background
@@ -38,8 +38,6 @@ from closedloop.mechanics.surface.motions.none import NoMotion
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.mechanics.surface.surface import Surface
 from robot_models.cached import cached_property
-
-Array = NDArray[np.float64]
 
 
 class Touching(NamedTuple):
@@ -141,8 +139,7 @@ class PlacedSurface:
     @property
     def normal(self) -> Array:
         """Unit normal (3,) at its origin at t = 0, base frame."""
-        normal: Array = self.frame[0]
-        return normal
+        return self.frame[0]
 
     def entries(self) -> dict[str, Any]:
         """Return what the loop calls, by the names that its state has for it; none of a plane at rest."""

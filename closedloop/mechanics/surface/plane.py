@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from closedloop.base.arguments import fields_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-
-Array = NDArray[np.float64]
 
 
 def unit(vector: ArrayLike, key: str) -> Array:

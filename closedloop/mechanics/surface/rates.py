@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import is_users
 from closedloop.mechanics.surface.placed import PlacedSurface
-
-Array = NDArray[np.float64]
 
 # Shares of the run's duration at which it is looked at, and of it between two displacements.
 INSTANTS, APART = (0.1234, 0.4321, 0.7531), 1e-6

@@ -13,13 +13,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
 
 # What an instruction does with results a and b before it, and its constant c: a + b, a − b, a b, c a, a + c, a ** c.
 ADD, SUBTRACT, MULTIPLY, SCALE, SHIFT, POWER = range(6)

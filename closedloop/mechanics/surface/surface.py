@@ -25,15 +25,13 @@ from abc import abstractmethod
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters
 from closedloop.base.sections import LENGTH, PLACE, Direction, NotNegative, Positive, Size
 from closedloop.base.sections import Coordinate as Coordinate
-
-Array = NDArray[np.float64]
 
 RADIUS = LENGTH
 HalfLength = Annotated[Positive, LENGTH]
@@ -52,8 +50,7 @@ class Surface(Parameters):
         0.0, description="how far below the tip the surface lies at the start, m, if it is placed there"
     )
     extent: tuple[HalfLength, HalfLength] | None = Field(
-        None,
-        description="half-lengths along the two tangents, from the surface's origin to its edge, m; else none",
+        None, description="half-lengths along the two tangents, from the surface's origin to its edge, m; else none"
     )
     edge_radius: Annotated[Positive, LENGTH] | None = Field(
         None, description="distance of a round edge from the surface's origin, m, in place of `extent`"

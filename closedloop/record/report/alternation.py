@@ -10,13 +10,11 @@ loop would take a thousand times as long. `tests/closedloop/test_measured.py` ho
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
-
-Array = NDArray[np.float64]
 
 # An alternation is seen in so many values.
 SPAN = 4

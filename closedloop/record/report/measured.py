@@ -10,9 +10,7 @@ import math
 from types import new_class
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
@@ -37,8 +35,6 @@ from closedloop.record.report.row_sample import (
     sample_row,
 )
 from closedloop.record.report.step_variation import SIGNALS, Swing, Swings, begin_swings, count_swings, end_stretch
-
-Array = NDArray[np.float64]
 
 # Numbers of a row that `write_control` writes.
 CONTROL = 10

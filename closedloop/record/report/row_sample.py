@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
@@ -20,8 +20,6 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.report.measures import SETTLED
 from closedloop.record.report.row_assumptions import NAMES, NEAR_SINGULAR, ON_THE_WAY, assumptions_met
 from robot_models import RobotModel
-
-Array = NDArray[np.float64]
 
 N = Count.of("n")
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import every, select
 from closedloop.mechanics.closure.contact_force import FREE
-
-Array = NDArray[np.float64]
 
 # The error of the force, and the three of the tip's position.
 SIGNALS = 4

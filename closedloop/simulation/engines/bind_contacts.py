@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
@@ -44,8 +45,6 @@ from closedloop.scenario.contact_names import names_of
 from closedloop.scenario.scenario import Scenario
 from robot_models.errors import shown
 from robot_models.loop_joint import WORLD
-
-Array = NDArray[np.float64]
 
 # As many contacts as a scenario may have.
 MOST = 256

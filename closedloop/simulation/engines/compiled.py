@@ -8,8 +8,8 @@ without the interpreter and its lock, so the runs of a batch are parallel in thr
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel_inlined, plain
 from closedloop.jit.pointers import fortran_at, integers_at, vector_at
@@ -18,8 +18,6 @@ from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.robot.tree import Tree, tree_terms, work_size
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
-
-Array = NDArray[np.float64]
 
 # More evaluations than any run has.
 ALL = 1 << 62

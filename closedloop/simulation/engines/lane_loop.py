@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
@@ -20,7 +18,7 @@ from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.loop.step.evaluate import bounded, paper_torque
 from closedloop.loop.step.locate import locate_on_plane
-from closedloop.loop.step.memory import Constants, IntArray, State, Work
+from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.loop.step.record_row import Row, record_conditions, record_state
 from closedloop.loop.step.reference_row import nearest_row
 from closedloop.loop.step.singular import near_singular
@@ -37,8 +35,6 @@ from closedloop.mechanics.robot.tree import Tree, energy_there, tree_terms, work
 from closedloop.record.report.measured import Tally, Values, begin_tally, count_condition, count_row, write_values
 from closedloop.record.report.row_sample import JointLimits
 from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
-
-Array = NDArray[np.float64]
 
 # Status: in some lane the tip may leave the surface, or is near a singular pose, or the stabiliser would pull.
 NEEDS_EVENTS = -1

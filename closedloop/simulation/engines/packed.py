@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.jit.parameters import pack, pack_each_joint, state_block
 from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.surface.compliance import Compliance
-
-Array = NDArray[np.float64]
 
 STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
 

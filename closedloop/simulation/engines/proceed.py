@@ -7,8 +7,8 @@ The Pinocchio engine calls it from Python with the results of Pinocchio's two pa
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import brief_entry, kernel_inlined
 from closedloop.jit.pointers import address_of, fortran_at, integers_at, known_matrix_at, matrix_at, vector_at
@@ -17,8 +17,6 @@ from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.robot.tip import tip_kinematics
-
-Array = NDArray[np.float64]
 
 # Where Jᵣ, r and J̇ᵣq̇ come from: they are in the loop's memory, or follow from Pinocchio's data.
 IN_MEMORY, FROM_PINOCCHIO = range(2)

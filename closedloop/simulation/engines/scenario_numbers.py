@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.desired import Desired
 from closedloop.control.sensor import PackedSensor
 from closedloop.jit.parameters import per_joint
@@ -23,8 +23,6 @@ from closedloop.scenario.stabiliser_sections import BaumgarteGains
 from closedloop.simulation.engines.bind_contacts import ContactPlaces
 from closedloop.simulation.engines.needs import arm_columns, calls_law
 from closedloop.simulation.engines.packed import PackedLaw
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

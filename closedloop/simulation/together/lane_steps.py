@@ -13,8 +13,8 @@ never more.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.table import TableRow
 from closedloop.control.sensor import SensorParameters, sense, sensor_rates
 from closedloop.jit.calls import call_at
@@ -59,8 +59,6 @@ from closedloop.simulation.together.records import (
     LaneConstants,
     Member,
 )
-
-Array = NDArray[np.float64]
 
 # A square is compared with a square, to leave out what is nearer to a bound than this share: its rounding.
 NEARLY = 1e-9

@@ -9,8 +9,8 @@ So the loop's memory is copied just before that row is evaluated (the mark), and
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.table import Reference
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel
@@ -39,9 +39,6 @@ from closedloop.simulation.together.records import (
     Group,
     Member,
 )
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @entry_kernel

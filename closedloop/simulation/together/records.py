@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.blocks import Block
 from closedloop.jit.simd8 import WIDE
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # What `Member.request` is at a control instant, where an action is waited for.
 WAITING = -1

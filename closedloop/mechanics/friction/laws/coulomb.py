@@ -12,14 +12,11 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.friction.law import FrictionLaw, JointFriction, Slip, SurfaceFriction, against_slip
 from closedloop.mechanics.friction.quantities import Level, Torque
-
-Array = NDArray[np.float64]
 
 
 class Coulomb(FrictionLaw):
@@ -35,12 +32,12 @@ class Coulomb(FrictionLaw):
     @staticmethod
     def stick_limit(par: Any, z: Any) -> float:
         """Return μ, or the Coulomb torque, N m."""
-        return par.kinetic  # type: ignore[no-any-return]
+        return par.kinetic
 
     @staticmethod
     def kinetic_level(par: Any) -> float:
         """Return the same."""
-        return par.kinetic  # type: ignore[no-any-return]
+        return par.kinetic
 
 
 class SurfaceCoulomb(Coulomb, SurfaceFriction):

@@ -13,15 +13,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip, viscous_part
 from closedloop.mechanics.friction.laws.coulomb import Coulomb
 from closedloop.mechanics.friction.quantities import JointViscous, Level, Torque, Viscous
-
-Array = NDArray[np.float64]
 
 
 class CoulombViscous(Coulomb):

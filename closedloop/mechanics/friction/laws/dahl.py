@@ -23,10 +23,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.bristle import advance, relax, stored
 from closedloop.mechanics.friction.law import FrictionLaw, JointFriction, Slip, SurfaceFriction, viscous_part
@@ -38,8 +37,6 @@ from closedloop.mechanics.friction.quantities import (
     Stiffness,
     Viscous,
 )
-
-Array = NDArray[np.float64]
 
 
 @kernel
@@ -73,12 +70,12 @@ class Dahl(FrictionLaw):
     @staticmethod
     def stick_limit(par: Any, z: Any) -> float:
         """Return μ."""
-        return par.kinetic  # type: ignore[no-any-return]
+        return par.kinetic
 
     @staticmethod
     def kinetic_level(par: Any) -> float:
         """Return μ."""
-        return par.kinetic  # type: ignore[no-any-return]
+        return par.kinetic
 
     @staticmethod
     def stored_energy(par: Any, z: Any, stuck: bool) -> float:

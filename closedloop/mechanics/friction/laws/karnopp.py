@@ -31,12 +31,12 @@ class Karnopp(CoulombViscous):
     @staticmethod
     def stick_limit(par: Any, z: Any) -> float:
         """Return μ_s."""
-        return par.static  # type: ignore[no-any-return]
+        return par.static
 
     @staticmethod
     def capture_speed(par: Any) -> float:
         """Return D_v, m/s or rad/s."""
-        return par.dead_band  # type: ignore[no-any-return]
+        return par.dead_band
 
 
 class SurfaceKarnopp(Karnopp, SurfaceFriction):

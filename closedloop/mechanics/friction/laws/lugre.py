@@ -40,10 +40,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.bristle import advance, relax
 from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, viscous_part
@@ -64,21 +63,19 @@ from closedloop.mechanics.friction.quantities import (
     Viscous,
 )
 
-Array = NDArray[np.float64]
-
 
 @kernel
 def yielding(par: Any, speed: float) -> float:
     """Return a = |u|/z_max, 1/s, at the slip speed |u|."""
     g = level(par.kinetic, par.static, par.stribeck_speed, par.exponent, speed)
-    return par.stiffness * speed / g  # type: ignore[no-any-return]
+    return par.stiffness * speed / g
 
 
 @kernel
 def damping(par: Any, speed: float) -> float:
     """Return σ_1 at the slip speed |u|, s/m, or N m s/rad."""
     ratio = min(speed / par.damping_speed, 30.0)
-    return par.damping * math.exp(-ratio * ratio)  # type: ignore[no-any-return]
+    return par.damping * math.exp(-ratio * ratio)
 
 
 def passive_damping_speed(par: Any) -> float:
@@ -146,7 +143,7 @@ class LuGre(Dahl):
     @staticmethod
     def stick_limit(par: Any, z: Any) -> float:
         """Return μ_s."""
-        return par.static  # type: ignore[no-any-return]
+        return par.static
 
 
 class SurfaceLuGre(LuGre, SurfaceFriction):

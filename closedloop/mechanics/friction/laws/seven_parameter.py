@@ -32,10 +32,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.law import (
     FrictionLaw,
@@ -59,28 +58,26 @@ from closedloop.mechanics.friction.quantities import (
     Viscous,
 )
 
-Array = NDArray[np.float64]
-
 
 @kernel
 def static_excess(par: Any, z: Any) -> float:
     """Return F_S(γ, t_d) after a dwell time t_d, s, and a slide that ended at the Stribeck part F_Sa."""
     if par.rise_time == 0.0:
-        return par.static_excess  # type: ignore[no-any-return]
-    return z.last + (par.static_excess - z.last) * z.dwell / (z.dwell + par.rise_time)  # type: ignore[no-any-return]
+        return par.static_excess
+    return z.last + (par.static_excess - z.last) * z.dwell / (z.dwell + par.rise_time)
 
 
 @kernel
 def stribeck_part(par: Any, delayed_speed: float, z: Any) -> float:
     """Return F_S/(1 + (v/v_s)²) for the slip speed v of τ_L ago, m/s."""
     ratio = min(delayed_speed / par.stribeck_speed, 1e100)
-    return static_excess(par, z) / (1.0 + ratio * ratio)  # type: ignore[no-any-return]
+    return static_excess(par, z) / (1.0 + ratio * ratio)
 
 
 @kernel
 def breakaway(par: Any, z: Any) -> float:
     """Return F_C + F_S(γ, t_d), at which a contact that is stuck starts to slide."""
-    return par.kinetic + static_excess(par, z)  # type: ignore[no-any-return]
+    return par.kinetic + static_excess(par, z)
 
 
 class SevenParameter(FrictionLaw):
@@ -139,18 +136,18 @@ class SevenParameter(FrictionLaw):
     @staticmethod
     def kinetic_level(par: Any) -> float:
         """Return F_C."""
-        return par.kinetic  # type: ignore[no-any-return]
+        return par.kinetic
 
     @staticmethod
     def lag(par: Any) -> float:
         """Return τ_L, s."""
-        return par.memory_delay  # type: ignore[no-any-return]
+        return par.memory_delay
 
     @staticmethod
     def stored_energy(par: Any, z: Any, stuck: bool) -> float:
         """Return ½ k_t |x|²; while it slides, what is stored in asperities that stay bent."""
         reach = length_of(z.displacement) if stuck else breakaway(par, z) / par.stiffness
-        return 0.5 * par.stiffness * reach * reach  # type: ignore[no-any-return]
+        return 0.5 * par.stiffness * reach * reach
 
 
 class SurfaceSevenParameter(SevenParameter, SurfaceFriction):

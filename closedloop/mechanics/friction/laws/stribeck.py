@@ -17,10 +17,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip, viscous_part
 from closedloop.mechanics.friction.laws.coulomb_viscous import CoulombViscous
@@ -34,8 +33,6 @@ from closedloop.mechanics.friction.quantities import (
     Torque,
     Viscous,
 )
-
-Array = NDArray[np.float64]
 
 
 @kernel
@@ -65,7 +62,7 @@ class Stribeck(CoulombViscous):
     @staticmethod
     def stick_limit(par: Any, z: Any) -> float:
         """Return μ_s."""
-        return par.static  # type: ignore[no-any-return]
+        return par.static
 
 
 class SurfaceStribeck(Stribeck, SurfaceFriction):

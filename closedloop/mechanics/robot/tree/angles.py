@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 
+from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import sought
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import MANY_TURNS, every, nearest, select
 from closedloop.mechanics.robot.tree import layout as at
-from closedloop.mechanics.robot.tree.layout import Array, Tree
+from closedloop.mechanics.robot.tree.layout import Tree
 
 # π/2 in parts of 33, 33 and 53 bits: a multiple below 2²⁰ of each of the first two is exact.
 PART_1, PART_2, PART_3 = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21

@@ -16,9 +16,10 @@ with F_i, N_i, Σ_i, h_i summed over all that joint i carries. These are the H o
 
 from __future__ import annotations
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.robot.tree import layout as at
-from closedloop.mechanics.robot.tree.layout import Array, Tree
+from closedloop.mechanics.robot.tree.layout import Tree
 
 
 @kernel_inlined

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel, kernel, plain
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.angles import sines
 from closedloop.mechanics.robot.tree.kinematics import motion
-from closedloop.mechanics.robot.tree.layout import Array, Tree, work_size
+from closedloop.mechanics.robot.tree.layout import Tree, work_size
 
 # Rows whose numbers stay in the processor's cache.
 ROWS_AT_ONCE = 2000

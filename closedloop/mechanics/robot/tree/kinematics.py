@@ -12,9 +12,10 @@ quaternion; with the rates s in the link's axes, ω = ω_p + s and α = α_p + �
 
 from __future__ import annotations
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.robot.tree import layout as at
-from closedloop.mechanics.robot.tree.layout import Array, Tree
+from closedloop.mechanics.robot.tree.layout import Tree
 
 
 @kernel_inlined

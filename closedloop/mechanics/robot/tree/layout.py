@@ -9,13 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.kernel import kernel
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LANES = 4
 

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.mechanics.robot.tree import layout as at
-from closedloop.mechanics.robot.tree.layout import CONSTANTS, HEAD, LANES, SCRATCHES, Array, Tree
+from closedloop.mechanics.robot.tree.layout import CONSTANTS, HEAD, LANES, SCRATCHES, Tree
 from robot_models import RobotModel
 
 # What turns x, y, z into y, z, x: columns.

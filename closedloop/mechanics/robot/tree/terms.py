@@ -6,11 +6,12 @@ uses them.
 
 from __future__ import annotations
 
+from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.robot.tree.angles import sines
 from closedloop.mechanics.robot.tree.dynamics import bodies, matrix_and_bias
 from closedloop.mechanics.robot.tree.kinematics import jacobian, motion, tip, turning
-from closedloop.mechanics.robot.tree.layout import Array, Tree
+from closedloop.mechanics.robot.tree.layout import Tree
 
 
 @kernel

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import LENGTH, Direction, Positive
 from closedloop.mechanics.surface.kinds.cylinder import across_normal
 from closedloop.mechanics.surface.surface import Placed
 
-Array = NDArray[np.float64]
 Edge = Annotated[Positive, LENGTH]
 
 

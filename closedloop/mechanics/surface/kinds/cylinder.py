@@ -6,15 +6,13 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Direction, Flag, Positive
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.mechanics.surface.surface import RADIUS, Placed
-
-Array = NDArray[np.float64]
 
 # Sine of the angle by which the axis may deviate from the tangent plane.
 OUT_OF_TANGENT = 1e-9
@@ -33,8 +31,7 @@ def across_normal(direction: tuple[float, float, float], normal: tuple[float, fl
         nearest = axis - out * n
         hint = f"; the nearest is {(nearest / np.linalg.norm(nearest)).round(9).tolist()}" if abs(out) < 0.999 else ""
         raise ScenarioError(f"surface.axis = {list(direction)}: must be at right angles to surface.normal{hint}")
-    across: Array = (contact_frame(n)[[1, 2, 0]] @ axis) * [1.0, 1.0, 0.0]
-    return across
+    return (contact_frame(n)[[1, 2, 0]] @ axis) * [1.0, 1.0, 0.0]
 
 
 class Cylinder(Placed):

@@ -8,16 +8,14 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import LENGTH, PLACE, Number, Positive
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.surface.surface import Placed
-
-Array = NDArray[np.float64]
 
 # Fewest heights along a side of the grid.
 FEWEST = 4

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import AS_RESOLVED
 from closedloop.mechanics.surface.expression import instructions
 from closedloop.mechanics.surface.second_order import evaluate
 from closedloop.mechanics.surface.surface import Coordinate, Placed
-
-Array = NDArray[np.float64]
 
 # Newton steps from `at` to the surface, and the step, of 1 m + |at|, after which it is there.
 MOST_STEPS, THERE = 50, 1e-15

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import PLACE, Number
 from closedloop.mechanics.surface.surface import Surface
-
-Array = NDArray[np.float64]
 
 
 class PlaneSurface(Surface):

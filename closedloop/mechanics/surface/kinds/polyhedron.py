@@ -16,14 +16,12 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import LENGTH, PLACE, Number, Positive
 from closedloop.mechanics.surface.surface import Placed
-
-Array = NDArray[np.float64]
 
 # Roundings from the origin to the other faces: φ there is e⁻²⁰ roundings.
 CLEAR = 20
@@ -34,7 +32,7 @@ class Polyhedron(Placed):
 
     faces: tuple[tuple[Number, Number, Number, Annotated[Number, PLACE]], ...] = Field(
         description="the other faces: lists [nx, ny, nz, d] of a normal out of the body, of any length, and d, m, "
-        "with n·p = d on the face; x, y, z are along the two tangents and the normal",
+        "with n·p = d on the face; x, y, z are along the two tangents and the normal"
     )
     oversize: Annotated[Number, PLACE] = Field(
         0.0, description="by how much the other faces lie further out than `faces` says, m"

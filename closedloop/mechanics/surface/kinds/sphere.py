@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.arrays import Array
 from closedloop.base.sections import Flag, Positive
 from closedloop.mechanics.surface.surface import RADIUS, Placed
-
-Array = NDArray[np.float64]
 
 
 class Sphere(Placed):

@@ -8,9 +8,9 @@ from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import DOP853, Radau
 
+from closedloop.base.arrays import Array
 from closedloop.loop.events.asked import BEGIN_STEP, EVENT_VALUE, RECORD
 from closedloop.loop.events.phases import INSTANT, OUTPACED, SHALLOW
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, State
@@ -30,8 +30,6 @@ from closedloop.simulation.engines.adaptive.slow import (
 from closedloop.simulation.engines.adaptive.smooth import Interval, interval_from, jumps
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-
-Array = NDArray[np.float64]
 
 # Absolute tolerance as a share of the relative one: joint positions and velocities are of the order of one.
 ABSOLUTE = 0.1

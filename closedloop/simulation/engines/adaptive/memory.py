@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import interpreted
@@ -38,8 +38,6 @@ from closedloop.simulation.engines.failures import raised_by_member
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, addresses_of, proceed_at, set_events
 from closedloop.simulation.engines.user_law import Law, UserLaw
-
-Array = NDArray[np.float64]
 
 # Within this share of a row before the instant from which the PD part of the paper's law acts, the law's time stays at
 # that instant: it does not act yet.

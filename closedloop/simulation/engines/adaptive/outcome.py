@@ -5,9 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, SimulationError
 from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.simulation.engines.adaptive.drive import AdaptiveRun
@@ -15,8 +13,6 @@ from closedloop.simulation.engines.adaptive.memory import Stopped
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-
-Array = NDArray[np.float64]
 
 
 def run_adaptive(

@@ -24,12 +24,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.loop.step.memory import RIGID_STICK, State, Work
 from closedloop.mechanics.closure.contact_force import PRESSED
 
-Array = NDArray[np.float64]
 Rate = Callable[[float, Array], Array]
 
 EXPLICIT, IMPLICIT, FIXED_DIRECTION = range(3)

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebfit, chebpts1, chebval
-from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.control.reference.force import SineForceSection, StepForceSection, WaypointForceSection
 
 if TYPE_CHECKING:
     from closedloop.control.reference.desired import Desired
 
-Array = NDArray[np.float64]
 
 # Two instants nearer than this, relative to 1 s or to themselves, are one: i·h and a decimal number differ by rounding.
 ROUNDING = 1e-12
@@ -48,8 +47,7 @@ class Interval:
         """Return the row of `Desired.table` (2 n + 10,) at an instant of the interval, s."""
         x = (2.0 * (t - self.start)) / (self.end - self.start) - 1.0
         # T_k(x) = cos(k arccos x); `chebval` takes ten times as long, at every evaluation.
-        row: Array = np.cos(_DEGREES * math.acos(min(1.0, max(-1.0, x)))) @ self.coefficients
-        return row
+        return np.cos(_DEGREES * math.acos(min(1.0, max(-1.0, x)))) @ self.coefficients
 
 
 def interval_from(wanted: Desired, start: float, end: float) -> Interval:
@@ -88,8 +86,7 @@ def jumps(wanted: Desired, others: Array, rows: Array) -> Array:
     same = np.abs(instants - nearest) <= ROUNDING * np.maximum(1.0, instants)
     instants = np.unique(np.where(same, nearest, instants))
     apart = np.diff(instants, prepend=-1.0) > ROUNDING * np.maximum(1.0, instants)
-    kept: Array = instants[apart]
-    return kept
+    return instants[apart]
 
 
 def _force_jumps(wanted: Desired) -> list[float]:

@@ -67,6 +67,8 @@ BESIDE_STEP = frozenset((
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
 # Who needs something now compiles it, if the process in the background has it later than in so many times that time.
 WORTH_WAITING = 1.5
+# And who waits does so for so many times what compiling takes by the numbers above, which are those of a quiet machine.
+PATIENT = 4.0
 
 # The first process started ends at once, so that nobody has to wait for the one that compiles. Linux shares a processor
 # between sessions first, and the priority of a process counts in its own session only: the session's is lowered too.
@@ -178,8 +180,8 @@ def _start_one(file: str, names: list[str], began: float, loud: bool, what: str)
 def make_ready(*functions: Callable[..., Any]) -> None:
     """Announce what is about to be compiled here, if anything; wait if a background process has it sooner.
 
-    Each function is waited for once, and no longer than compiling it takes: the other process may be stopped, or get
-    no processor on a busy machine, as its priority is low.
+    Each function is waited for once, and no longer than four times what compiling it takes on a quiet machine: the
+    other process may be stopped.
     """
     missing = [function for function in functions if needs_compiling(function)]
     if not missing:
@@ -190,7 +192,7 @@ def make_ready(*functions: Callable[..., Any]) -> None:
         _waited_for.update(new)
         if not TAKES_LONG.keys().isdisjoint(names):
             _say(_WAITING, f"compiling {_named(names)}: waiting for the process that does it in the background ...")
-        if wait_until_done(missing, seconds_of(new)):
+        if wait_until_done(missing, PATIENT * seconds_of(new)):
             return
         missing = [function for function in missing if needs_compiling(function)]
     names = [function.__name__ for function in missing]

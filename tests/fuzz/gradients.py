@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ import numpy as np
 import closedloop as cl
 import closedloop.studies.gradient.gradient as whole
 from closedloop.scenario.file import shipped_scenarios
-from closedloop.studies.gradient.differences import along, variant
+from closedloop.studies.gradient.differences import along
 from closedloop.studies.gradient.exact import exact
 from closedloop.studies.gradient.guard import rounded
 from closedloop.studies.gradient.keys import SIZE_OF_ZERO, Keys
@@ -145,7 +146,7 @@ class Compared:
         for direction in self._directions:
             best, least = np.full(base.values.shape, np.nan), np.full(base.values.shape, np.inf)
             for half in direction.step * 0.25 ** np.arange(1, 6):
-                beside = [variant(self.keys, direction, half * share) for share in shares]
+                beside = [partial(self.keys.scenario_at, {direction: half * share}) for share in shares]
                 runs = samples(beside, self._read_with_rows, None, lambda *_: None)
                 if any(difference(base, replace(each, values=each.values[: base.values.size])) for each in runs):
                     continue

@@ -59,7 +59,7 @@ def pieces() -> tuple[Piece, ...]:
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
         Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),
         Piece("potential_energies", "potential energy of a record", _energies),
-        Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops")),
+        Piece("closed_loops", "loops", lambda: _loops("closed_loops")),
         Piece("along_path", "loops along a path", lambda: _loops("along_path")),
         Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
         Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),

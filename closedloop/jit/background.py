@@ -50,7 +50,7 @@ TAKES_LONG = {
     "proceed_at": Long("the step", 16.0),
     "run_in_lanes": Long("the step of eight runs at a time", 13.0),
     "contacts_in_step": Long("contacts of links", 19.0),
-    "closed_loops": Long("loops and stops", 5.0),
+    "closed_loops": Long("loops", 5.0),
     "proceed_at_dual8": Long("derivatives of the step", 22.0),
     "contacts_in_step_dual8": Long("derivatives of contacts of links", 17.0),
     "closed_loops_dual8": Long("derivatives of loops", 9.0),
@@ -96,9 +96,7 @@ _lock = threading.Lock()
 _asked: set[str] = set()  # names of what this process has had compiled in the background
 _waited_for: set[str] = set()  # names of what this process has waited for
 _said: set[str] = set()  # of what sort a line has been said already
-_expected: dict[
-    str, float
-] = {}  # when each process is to be done, by its lock, as this one has started or first met it
+_expected: dict[str, float] = {}  # when each entry is to be compiled, by its name, as this process has first asked
 _BEHIND, _WAITING, _HERE = "in the background", "waiting", "here"
 
 

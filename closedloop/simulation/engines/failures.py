@@ -94,7 +94,7 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             "away from its centre, edge or apex",
             t,
         )
-    if status == CHATTER and problem.scenario.contact:
+    if status == CHATTER and problem.placed is not None:
         cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
         return ChatterError(
             f"{when(t)}: the contacts chatter: at one instant their modes change again and again, for the forces of "

@@ -166,12 +166,14 @@ def test_a_box_on_soft_feet_does_not_creep_down_an_incline(tilt):
     assert np.max(np.ptp(run.q[settled, :3], axis=0)) < 1e-7
 
 
-def test_one_soft_pad_of_a_gripper_does_not_make_the_others_chatter():
-    """Forces of the rigid contacts that are not unique are inside their cones, whatever the soft one carries."""
-    pad = {"kind": "kelvin_voigt", "stiffness": 1e5, "damping": 100.0}
-    run = cl.simulate(cl.load_scenario("gripper_block", {"contact.0.compliance": pad, "time.duration": 0.05}))
-    assert len(run.events) < 40
+@pytest.mark.parametrize(("soft", "stiffness"), [(1, 1e5), (4, 1e4)])
+def test_soft_pads_of_a_gripper_do_not_make_its_other_contacts_chatter(soft, stiffness):
+    """Forces of rigid contacts that are not unique are inside their cones, whatever the soft ones carry and rub."""
+    pads = {f"contact.{i}.compliance": {**SOFT, "stiffness": stiffness, "damping": 100.0} for i in range(soft)}
+    changes = {**pads, "time.duration": 0.02, "time.step": 2.5e-4}
+    run = cl.simulate(cl.load_scenario("gripper_block", changes))
+    assert len(run.events) < 20
     assert not any(event.kind == "time_step" for event in run.events)
     rub = np.hypot(run.link_frictions[:, ::2], run.link_frictions[:, 1::2])
     assert np.all(rub <= 0.4 * run.link_forces + 1e-12)
-    assert np.min(run.link_gaps[:, 2:]) > -1e-9
+    assert np.min(run.link_gaps[:, 2 * soft :]) > -1e-9

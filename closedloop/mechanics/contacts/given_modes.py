@@ -165,7 +165,7 @@ def take_soft_out(c: Contacts, k: int) -> None:
     for i in range(k):
         c.scratch.mu[i] = c.problem.form[i]
         for r in range(3 * i, 3 * i + 3 if c.soft[i] != 0.0 else 0):
-            c.scratch.residuals[r], c.scratch.start[r] = c.rigid[r], c.F[r]
+            c.scratch.residuals[r], c.problem.q[r] = c.rigid[r], c.F[r]
             c.rigid[r], c.F[r] = -c.viscous[r], -c.viscous[r]
         if c.soft[i] != 0.0:
             c.problem.form[i] = OFF
@@ -176,7 +176,7 @@ def put_soft_back(c: Contacts, k: int) -> None:
     """Write the forces and the form of soft contacts that `take_soft_out` has kept."""
     for i in range(k):
         for r in range(3 * i, 3 * i + 3 if c.soft[i] != 0.0 else 0):
-            c.rigid[r], c.F[r] = c.scratch.residuals[r], c.scratch.start[r]
+            c.rigid[r], c.F[r] = c.scratch.residuals[r], c.problem.q[r]
         c.problem.form[i] = int(c.scratch.mu[i])
 
 

@@ -62,7 +62,8 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool) -> int:
     c.problem.ends = 0.0
     for i in range(k if begins else 0):
         c.friction.against[i] = 0.0
-    if some_pull(c, k) or not some_slip_slowly(c, k, h):
+    # Without the friction that soft contacts share, which is found here, others may pull.
+    if (some_pull(c, k) and not some_share(c, k)) or not some_slip_slowly(c, k, h):
         return int(OK)
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]

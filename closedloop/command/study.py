@@ -6,6 +6,7 @@ Exit status: 0 done; 2 the input is at fault (one line on standard error).
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from closedloop.base.files import made_folder
@@ -38,3 +39,7 @@ def main(words: list[str]) -> int:
     study = {"drift": drift, "controllers": controllers, "surfaces": surfaces}[options.study]
     study.run(folder, quick=options.quick, as_json=options.json)
     return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -138,7 +138,6 @@ class Interim:
         left = (1.0 - share) * self._seconds_since / gained if gained > 0.0 else 0.0
         self._share, self._seconds_since, self._done_then = share, 0.0, self._done
         wait = background.seconds_left(self._with_it)
-        self.left = left
         if self._called and not any(map(needs_compiling, self._called)):
             self._called = ()
             self._on_called_compiled()

@@ -59,20 +59,13 @@ def test_random_contacts_keep_their_cones_and_give_no_energy():
 
 
 @pytest.mark.slow
-def test_long_sweeps_find_what_paths_do_not():
-    """One of 30 000 random problems: four paths end before it, and after long sweeps Newton's method has it."""
-    rng = np.random.default_rng(20264)
-    for trial in range(9767):
-        memory, _ = filled(rng, planar=trial % 3 == 0)
-    assert solve_at(memory.address) == 1
-    assert faults(memory.contacts, int(memory.links.k)) < 1e-13
-
-
-@pytest.mark.slow
-def test_what_the_line_search_leaves_is_polished():
-    """Of 10 000 random problems that with the largest residual where the line search ended, 2e-10 of the force."""
-    rng = np.random.default_rng(20268)
-    for trial in range(7538):
+@pytest.mark.parametrize(("seed", "number"), [(20264, 9767), (20268, 7538)], ids=["long sweeps", "polished"])
+def test_hardest_of_many_random_problems(seed, number):
+    """Four paths end before the first, and after long sweeps Newton's method has it; the line search ends at 2e-10 of
+    the force in the second, and full steps polish what it leaves.
+    """
+    rng = np.random.default_rng(seed)
+    for trial in range(number):
         memory, _ = filled(rng, planar=trial % 3 == 0)
     assert solve_at(memory.address) == 1
     assert faults(memory.contacts, int(memory.links.k)) < 1e-13

@@ -17,7 +17,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.command.border import DONE, Parser, as_command
 from closedloop.command.pieces import Piece, pieces
-from closedloop.jit.background import notices, seconds_of
+from closedloop.jit.background import notices, seconds_of_name
 
 MOST_WORKERS = 8  # more would wait for what is compiled one after the other
 
@@ -58,7 +58,7 @@ def _compiled(everything: Sequence[Piece], workers: int) -> Iterator[tuple[str, 
     """Compile everything in so many processes; yield what is done, and its time and processor time, s."""
     # What others come after is begun first, and then what takes longest.
     waiting = dict(enumerate(everything))
-    order = sorted(waiting, key=lambda i: (not waiting[i].after, -seconds_of([waiting[i].kernel])))
+    order = sorted(waiting, key=lambda i: (not waiting[i].after, -seconds_of_name(waiting[i].kernel)))
     there: set[str] = set()
     running: dict[Future[tuple[float, float]], tuple[Piece, int]] = {}
     families: list[set[str]] = [set() for _ in range(workers)]  # of what each process has compiled

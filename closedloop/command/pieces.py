@@ -8,15 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
+from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from closedloop.jit.background import BESIDE_STEP
 from closedloop.jit.dual import FORM
 
 if TYPE_CHECKING:
     from closedloop.base.families import Family
     from closedloop.simulation.engines.problem import Problem
+
+
+# What shares its functions with contacts and loops and hardly any with the step, or asks a surface.
+BESIDE_STEP = frozenset((
+    "contacts_in_step", "closed_loops", "along_path", "closed_to", "rows_along", "ball_tip",
+    "put_on_surface", "normals_on_surface", "gradients_on_surface",
+))  # fmt: skip
 
 
 class Piece(NamedTuple):
@@ -45,10 +52,14 @@ class Piece(NamedTuple):
 
 def pieces() -> tuple[Piece, ...]:
     """Return everything that ships, in the order of how many runs need it."""
+    return (*_kernels(), *_laws())
+
+
+def _kernels() -> tuple[Piece, ...]:
     return (
         Piece("walk", "inverse kinematics of a path", _problem),
         Piece("sample_spline", "a path of joints", _problem),
-        Piece("proceed_at", "the step", _step),
+        _entry("simulation.engines.proceed", "proceed_at", "the step"),
         Piece("complete_record", "the end of a record", _record),
         Piece("collide", "impacts", _impacts),
         Piece("run_compiled", "the compiled engine's terms", _compiled_engine, "proceed_at"),
@@ -59,33 +70,27 @@ def pieces() -> tuple[Piece, ...]:
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
         Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),
         Piece("potential_energies", "potential energy of a record", _energies),
-        Piece("closed_loops", "loops", lambda: _loops("closed_loops")),
-        Piece("along_path", "loops along a path", lambda: _loops("along_path")),
+        _entry("loop.step.closed_loops", "closed_loops", "loops"),
+        _entry("mechanics.loops.along_path", "along_path", "loops along a path"),
         Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
         Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
-        Piece("contacts_in_step", "contacts of the links", _contacts),
-        Piece("ball_tip", "the round end of a tool", _ball_tip),
+        _entry("loop.step.contacts", "contacts_in_step", "contacts of the links"),
+        _entry("loop.step.ball_tip", "ball_tip", "the round end of a tool"),
         Piece("step_members", "simulations side by side", _together, "run_compiled"),
-        Piece("strike", "impacts in them", _strike),
-        Piece("step_in_lanes", "eight of them in SIMD lanes", _together_in_lanes),
-        *_laws(),
+        _entry("simulation.together.member", "strike", "impacts in them"),
+        _entry("simulation.together.lane_steps", "step_in_lanes", "eight of them in SIMD lanes"),
     )
 
 
-def _contacts() -> None:
-    """Compile the contacts of the links."""
-    from closedloop.jit.calls import entry_address
-    from closedloop.loop.step.contacts import contacts_in_step
+def _entry(module: str, kernel: str, what: str) -> Piece:
+    """Return what is called by address."""
 
-    entry_address(contacts_in_step)
+    def compile_it() -> None:
+        from closedloop.jit.calls import entry_address
 
+        entry_address(getattr(import_module(f"closedloop.{module}"), kernel))
 
-def _ball_tip() -> None:
-    """Compile the round end of a tool."""
-    from closedloop.jit.calls import entry_address
-    from closedloop.loop.step.ball_tip import ball_tip
-
-    entry_address(ball_tip)
+    return Piece(kernel, what, compile_it)
 
 
 def _together() -> None:
@@ -100,38 +105,16 @@ def _together() -> None:
     together.close()
 
 
-def _strike() -> None:
-    """Compile the impacts that such a step applies by itself."""
-    from closedloop.jit.calls import entry_address
-    from closedloop.simulation.together.member import strike
-
-    entry_address(strike)
-
-
-def _together_in_lanes() -> None:
-    """Compile eight such steps at a time."""
-    from closedloop.jit.calls import entry_address
-    from closedloop.simulation.together.lane_steps import step_in_lanes
-
-    entry_address(step_in_lanes)
-
-
 def _loops(kernel: str) -> None:
     """Compile one of the kernels of mechanisms with loops."""
     import numpy as np
 
     import robot_models
-    from closedloop.jit.calls import entry_address
-    from closedloop.loop.step.closed_loops import closed_loops
-    from closedloop.mechanics.loops.along_path import along_path
     from closedloop.mechanics.loops.bind import loop_memory
     from closedloop.mechanics.loops.close import closed_to
     from closedloop.mechanics.loops.reactions import rows_along
     from closedloop.mechanics.robot.pinocchio import Robot
 
-    if kernel in ("closed_loops", "along_path"):
-        entry_address(closed_loops if kernel == "closed_loops" else along_path)
-        return
     memory = loop_memory(Robot(robot_models.load("five_bar")))
     q = memory.rows.q.copy()
     if kernel == "closed_to":
@@ -154,6 +137,8 @@ def _members() -> Iterable[tuple[str, Any]]:
     from closedloop.control.law import COMPENSATIONS, LAWS
     from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
     from closedloop.loop.step.soft_contact import compliance_entry
+    from closedloop.mechanics.contacts.friction import rub_entry
+    from closedloop.mechanics.contacts.soft import depth_entry
     from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
     from closedloop.mechanics.friction.laws.none import NoFriction
     from closedloop.mechanics.surface.compliance import COMPLIANCES
@@ -170,6 +155,8 @@ def _members() -> Iterable[tuple[str, Any]]:
         (JOINT_LAWS, joint_friction_entry, "joint friction"),
         (SURFACES, surface_entry, "surface"),
         (COMPLIANCES, compliance_entry, "soft surface"),
+        (COMPLIANCES, depth_entry, "soft contact of a link"),
+        (SURFACE_LAWS, rub_entry, "friction of a contact of a link"),
         (MOTIONS, motion_entry, "surface that moves:"),
     )
     for family, entry_of, what in families:
@@ -181,14 +168,18 @@ def _members() -> Iterable[tuple[str, Any]]:
 def compile_these(names: Sequence[str]) -> None:
     """Compile these kernels, in this order."""
     from closedloop.jit import cache_folder
+    from closedloop.jit.drafts import written_first
 
-    cache_folder.make_folders, known = False, pieces()
-    for name in names:
-        for piece in known:
-            if piece.kernel == name:
-                piece.compile()
-    if any(name.endswith(FORM) for name in names):
-        _duals(names)
+    cache_folder.make_folders, known = False, [*_kernels()]
+    if any(name.startswith("entry_of_") for name in names):
+        known += _laws()
+    with written_first():
+        for name in names:
+            for piece in known:
+                if piece.kernel == name:
+                    piece.compile()
+        if any(name.endswith(FORM) for name in names):
+            _duals(names)
 
 
 def _duals(names: Collection[str]) -> None:
@@ -210,13 +201,6 @@ def _problem() -> Problem:
     from closedloop.simulation.prepare import prepare
 
     return prepare(load_scenario("planar2_slide", {"time.duration": 0.002}))
-
-
-def _step() -> None:
-    from closedloop.jit.calls import entry_address
-    from closedloop.simulation.engines.proceed import proceed_at
-
-    entry_address(proceed_at)
 
 
 def _record() -> None:

@@ -1,8 +1,8 @@
 """Compiling in a background process, while the run is interpreted.
 
 A process has low priority, no terminal and no output, outlives the one that started it, and writes compiled code into
-the cache's folder. In each folder there is at most one for the step and, with a second core, one for what the step
-calls by address. It holds a lock on a file there, inherited from the process that started it and released when it ends.
+the cache's folder. In each folder there is at most one and, with a second core, another. It holds a lock on a file
+there, inherited from the process that started it and released when it ends.
 With ``CLOSEDLOOP_BACKGROUND_COMPILE=0`` there are no such processes: code is compiled before it is run.
 """
 
@@ -15,7 +15,6 @@ import sys
 import threading
 import time as clock
 from collections.abc import Callable, Collection, Iterable, Sequence
-from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,9 +31,7 @@ VARIABLE = "CLOSEDLOOP_BACKGROUND_COMPILE"
 # What is said about compiling, a line each: commands print it on standard error.
 notices = logging.getLogger("closedloop.compiling")
 
-# The priorities: low, and less so for what an interpreted step can call as soon as it is compiled. With the lowest, who
-# waits on a busy machine would wait in vain.
-NICE = {MARKER: 10, SECOND_LOCK: 5}
+NICE = 10  # the priority: the run itself comes first
 LONGEST = 900  # s, after which a process is given up
 
 
@@ -43,6 +40,14 @@ class Long(NamedTuple):
 
     what: str
     seconds: float
+
+
+class Share(NamedTuple):
+    """What one process in the background compiles, in this order; its lock, and when it was started, s."""
+
+    lock: str
+    functions: Sequence[Callable[..., Any]]
+    began: float
 
 
 # As `closedloop compile` prints them; the others are compiled in silence, in a second or two.
@@ -57,12 +62,9 @@ TAKES_LONG = {
     "walk": Long("the inverse kinematics of a path", 4.0),
     "along_path": Long("loops along a path", 3.0),
 }
-BRIEF = 1.5  # s, of the others
-# What shares its functions with contacts and loops and hardly any with the step, or asks a surface.
-BESIDE_STEP = frozenset((
-    "contacts_in_step", "closed_loops", "along_path", "closed_to", "rows_along", "ball_tip",
-    "put_on_surface", "normals_on_surface", "gradients_on_surface",
-))  # fmt: skip
+BRIEF, VERY_LONG = 1.5, 10.0  # s, of the others, and of those that are shared first
+DRAFT = 0.7  # the share of its time after which a kernel has a draft, see `closedloop.jit.drafts`
+OF_A_CORE = 0.6  # what a process has of one while another interprets, with two
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
 # Who needs something now compiles it, if the process in the background has it later than in so many times that time.
@@ -93,10 +95,9 @@ compile_these(sys.argv[3:])
 """
 
 _lock = threading.Lock()
-_asked: set[str] = set()  # names of what this process has had compiled in the background
+_asked: list[Share] = []  # of this process
 _waited_for: set[str] = set()  # names of what this process has waited for
 _said: set[str] = set()  # of what sort a line has been said already
-_expected: dict[str, float] = {}  # when each entry is to be compiled, by its name, as this process has first asked
 _BEHIND, _WAITING, _HERE = "in the background", "waiting", "here"
 
 
@@ -113,22 +114,29 @@ def refused() -> str:
     return ""
 
 
+def compiled(function: Callable[..., Any]) -> bool:
+    """Whether calling a kernel needs no compiler."""
+    return not needs_compiling(function)
+
+
 # Whether another process sees to it, such as the one that this is a copy of.
 left_to_another = False
 
 
-def lock_of(name: str) -> str:
-    """Return the file that is locked by the process which compiles an entry kernel, or others of its kind."""
-    beside = name in BESIDE_STEP or name.startswith("entry_of_")
-    return SECOND_LOCK if beside and cores() > 1 else MARKER
+def _shares(functions: Sequence[Callable[..., Any]]) -> dict[str, list[Callable[..., Any]]]:
+    """Return what each of the processes compiles, in this order, by its lock: about the same time for each.
 
-
-def _by_lock(names: Iterable[str]) -> dict[str, list[str]]:
-    """Return the names that each of the processes compiles, in their order."""
-    each: dict[str, list[str]] = {}
-    for name in names:
-        each.setdefault(lock_of(name), []).append(name)
-    return each
+    What takes very long is shared first, so that what is needed with it goes to the other one. What comes after that
+    can wait, and follows it: with two processes at work all the time the run itself would take longer.
+    """
+    shares: dict[str, list[Callable[..., Any]]] = {lock: [] for lock in (MARKER, SECOND_LOCK)[: cores()]}
+    long = [place for place, function in enumerate(functions) if seconds_of([function]) >= VERY_LONG]
+    needed = functions[: long[-1] + 1 if long else 0]
+    for function in sorted(needed, key=lambda each: seconds_of([each]) < VERY_LONG):
+        min(shares.values(), key=seconds_of).append(function)
+    last = next((share for share in shares.values() if needed and needed[-1] in share), shares[MARKER])
+    last.extend(functions[len(needed) :])
+    return {lock: sorted(share, key=functions.index) for lock, share in shares.items() if share}
 
 
 def start(functions: Sequence[Callable[..., Any]], quietly: bool = False) -> None:
@@ -137,37 +145,34 @@ def start(functions: Sequence[Callable[..., Any]], quietly: bool = False) -> Non
     A line says so where that takes long, unless `quietly`.
     """
     with _lock:
-        names = [function.__name__ for function in functions if function.__name__ not in _asked]
-        if not names or left_to_another or refused():
+        asked = [each for share in _asked for each in share.functions]
+        new = [function for function in functions if function not in asked]
+        if not new or left_to_another or refused():
             return
+        names = [function.__name__ for function in new]
         if reason := why_not_kept():
             _say(_BEHIND, f"compiling {_named(names)} would take longer than this run, and cannot be kept: {reason}")
             return
-        began, shares = clock.monotonic() + BRIEF, _by_lock(names)
-        for lock in sorted(shares, key=NICE.__getitem__):
-            loud = not quietly and not TAKES_LONG.keys().isdisjoint(names)
-            _start_one(lock, shares[lock], began, loud, _named(names))
-            began += 0.0 if cores() > 2 else seconds_of(shares[lock])  # the first has the other core, this process one
+        loud = not quietly and not TAKES_LONG.keys().isdisjoint(names)
+        for lock, share in _shares(new).items():
+            _start_one(lock, share, loud, _named(names))
 
 
-def _start_one(file: str, names: list[str], began: float, loud: bool, what: str) -> None:
+def _start_one(file: str, functions: list[Callable[..., Any]], loud: bool, what: str) -> None:
     """Start the process of one lock, unless it is running."""
     lock = _take_lock(file)
-    expected = {name: began + after for name, after in zip(names, accumulate(map(_seconds, names)), strict=True)}
     if lock is None:
-        _expected.update(expected | _expected)
         if loud:
             _say(_BEHIND, f"compiling {what} in another process; this run is interpreted meanwhile")
         return
     try:
-        _spawn(names, lock, NICE[file])
+        _spawn([function.__name__ for function in functions], lock)
     except (OSError, subprocess.SubprocessError) as error:  # no process or memory is left
         _say(_BEHIND, f"compiling {what} in the background is not possible: {error}; it is interpreted")
         return
     finally:
         os.close(lock)
-    _asked.update(names)
-    _expected.update(expected)
+    _asked.append(Share(file, functions, clock.monotonic()))
     if loud:
         _say(
             _BEHIND,
@@ -181,25 +186,40 @@ def make_ready(*functions: Callable[..., Any]) -> None:
     Each function is waited for once, and no longer than four times what compiling it takes on a quiet machine: the
     other process may be stopped.
     """
-    missing = [function for function in functions if needs_compiling(function)]
-    if not missing:
-        return
-    names = [function.__name__ for function in missing]
-    new, soon = set(names) - _waited_for, _seconds_left(names) < WORTH_WAITING * seconds_of(names)
-    if new and soon and not refused() and not why_not_kept() and _at_work(new):
-        _waited_for.update(new)
+    if not awaited(functions):
+        names = [function.__name__ for function in functions if needs_compiling(function)]
         if not TAKES_LONG.keys().isdisjoint(names):
-            _say(_WAITING, f"compiling {_named(names)}: waiting for the process that does it in the background ...")
-        if wait_until_done(missing, PATIENT * seconds_of(new)):
-            return
-        missing = [function for function in missing if needs_compiling(function)]
+            _say(f"{_HERE}: {_named(names)}", compiling_notice(names))
+
+
+def awaited(functions: Sequence[Callable[..., Any]], there: Callable[[Any], bool] = compiled) -> bool:
+    """Wait for a process in the background that has these functions sooner, as `make_ready` says.
+
+    Returns
+    -------
+    bool
+        Whether they are `there`.
+    """
+    missing = [function for function in functions if not there(function)]
+    new = [function for function in missing if function.__name__ not in _waited_for]
+    if not new or seconds_left(missing) >= WORTH_WAITING * seconds_of(missing) or refused() or why_not_kept():
+        return not missing
+    if not _at_work(new):
+        return False
     names = [function.__name__ for function in missing]
+    _waited_for.update(names)
     if not TAKES_LONG.keys().isdisjoint(names):
-        _say(f"{_HERE}: {_named(names)}", compiling_notice(names))
+        _say(_WAITING, f"compiling {_named(names)}: waiting for the process that does it in the background ...")
+    wait_until_done(missing, PATIENT * seconds_of(new), there)
+    return all(map(there, missing))
 
 
-def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: float = PATIENCE) -> bool:
-    """Wait for the processes in the background, if there are any, so many seconds at most, or until these are compiled.
+def wait_until_done(
+    functions: Sequence[Callable[..., Any]] = (),
+    patience: float = PATIENCE,
+    there: Callable[[Any], bool] = compiled,
+) -> bool:
+    """Wait for the processes in the background, if there are any, so many seconds at most, or until these are there.
 
     Returns
     -------
@@ -208,7 +228,7 @@ def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: floa
     """
     until = clock.monotonic() + patience
     while True:
-        missing = [function.__name__ for function in functions if needs_compiling(function)]
+        missing = [function for function in functions if not there(function)]
         done = bool(functions) and not missing
         if done or clock.monotonic() > until or not _at_work(missing):
             return done
@@ -220,33 +240,34 @@ def takes_long(function: Callable[..., Any]) -> bool:
     return function.__name__ in TAKES_LONG
 
 
-def seconds_to_compile(functions: Sequence[Callable[..., Any]]) -> float:
+def seconds_to_compile(functions: Iterable[Callable[..., Any]]) -> float:
     """Return the processor time, about, s, of compiling those of these entry kernels that are not compiled yet."""
-    return seconds_of(function.__name__ for function in functions if needs_compiling(function))
+    return seconds_of(filter(needs_compiling, functions))
 
 
-def seconds_left(functions: Sequence[Callable[..., Any]]) -> float:
+def seconds_left(functions: Collection[Callable[..., Any]], share: float = 1.0) -> float:
     """Return how long, about, s, it takes until these entry kernels are compiled in the background, if one waits.
 
-    Until now the process with the lower priority has had what the other left of its core, with two: nothing, if that
-    was still at work. Who waits leaves a core to each.
+    Who waits leaves a core to each process, which compiles in its order; of the last one a share of the time may do.
+    Until now a process has had part of a core.
     """
-    return _seconds_left([function.__name__ for function in functions if needs_compiling(function)])
+    missing, times = list(filter(needs_compiling, functions)), [0.0]
+    for _, asked, began in _asked:
+        wanted = [place for place, function in enumerate(asked) if function in missing]
+        if wanted:
+            needed = seconds_of(asked[: wanted[-1]]) + share * seconds_of([asked[wanted[-1]]])
+            times.append(needed - OF_A_CORE * (clock.monotonic() - began))
+            missing = [function for function in missing if function not in asked]
+    return max(seconds_of(missing), *times)
 
 
-def _seconds_left(names: Collection[str]) -> float:
-    now = clock.monotonic()
-    beside = max([now, *(end for name, end in _expected.items() if lock_of(name) != MARKER)]) if cores() == 2 else now
-    left = (_expected[name] - (beside if lock_of(name) == MARKER else now) for name in names if name in _expected)
-    return max(0.0, seconds_of(name for name in names if name not in _expected), *left)
+def seconds_of(functions: Iterable[Callable[..., Any]]) -> float:
+    """Return the processor time, about, s, of compiling entry kernels."""
+    return sum(seconds_of_name(function.__name__) for function in functions)
 
 
-def seconds_of(names: Iterable[str]) -> float:
-    """Return the processor time, about, s, of compiling the entry kernels of these names."""
-    return sum(map(_seconds, names))
-
-
-def _seconds(name: str) -> float:
+def seconds_of_name(name: str) -> float:
+    """Return the processor time, about, s, of compiling the entry kernel of a name."""
     return TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF
 
 
@@ -254,7 +275,7 @@ def compiling_notice(names: Sequence[str] = ()) -> str:
     """Return the line for a user who is about to wait for the compiler of these kernels."""
     reason = why_not_kept()
     how_often = "once for this installation" if not reason else f"each time, as it cannot be kept: {reason}"
-    seconds = seconds_of(names or TAKES_LONG)
+    seconds = sum(map(seconds_of_name, names or TAKES_LONG))
     how_long = "some ten seconds" if seconds < 20.0 else "half a minute" if seconds < 45.0 else "a minute or two"
     return f"compiling {_named(names)} ({how_often}, {how_long}) ..."
 
@@ -271,14 +292,14 @@ def _say(sort: str, line: str) -> None:
         notices.info(line)
 
 
-def _spawn(names: Sequence[str], lock: int, nice: int) -> None:
+def _spawn(names: Sequence[str], lock: int) -> None:
     home = str(Path(__file__).resolve().parents[2])
     flags = ["-P", *(["-O"] * sys.flags.optimize), *(["-I"] if sys.flags.isolated else [])]
     environment = os.environ | {VARIABLE: "0"}
     if os.environ.get("NUMBA_CACHE_DIR"):  # which may be relative to the current folder
         environment["NUMBA_CACHE_DIR"] = str(cache_folder().parent)
     subprocess.run(
-        [sys.executable, *flags, "-c", _PROGRAM, str(nice), home, *names],
+        [sys.executable, *flags, "-c", _PROGRAM, str(NICE), home, *names],
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=os.sep,
         env=environment, start_new_session=True, pass_fds=[lock], check=True, timeout=30.0,
     )  # fmt: skip
@@ -296,9 +317,10 @@ def _take_lock(file: str) -> int | None:
     return lock
 
 
-def _at_work(names: Iterable[str] = ()) -> bool:
+def _at_work(functions: Collection[Callable[..., Any]] = ()) -> bool:
     """Whether a process compiles into the folder; one that these are left to, if there are any."""
-    for file in _by_lock(names) or (MARKER, SECOND_LOCK):
+    left_to = [share.lock for share in _asked if any(each in share.functions for each in functions)]
+    for file in left_to or (MARKER, SECOND_LOCK):
         try:
             lock = _take_lock(file)
         except OSError:

@@ -4,6 +4,7 @@
         closedloop-cache                    the marker: we made this folder; its time stamp is that of the last use
         closedloop-called                   empty; locked while what a step calls is compiled in the background
         step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.jit.compile_cache`
+        step.run-<32 hex>.draft             the same before it is optimised, see `closedloop.jit.drafts`
 
 Folders of other versions of the source are kept for a month after their last use. Before one is removed, the folder's
 name, the marker, the owner, and the name and the end of every file in it are checked; no link is followed, and a folder
@@ -41,7 +42,7 @@ MARKS = (
 )
 COMPILERS = (
     "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py", "measures.py",
-    "dual.py", "dual8.py", "numba_dual8.py",
+    "dual.py", "dual8.py", "numba_dual8.py", "drafts.py",
 )  # fmt: skip
 
 # numba's settings, each an environment variable, that change what it compiles.
@@ -53,7 +54,8 @@ SETTINGS = (
 MARKER, SECOND_LOCK = "closedloop-cache", "closedloop-called"
 MAGIC = b"closedloop code 1\n"  # the end of every file
 FOLDER_NAME = re.compile(r"closedloop-[0-9a-f]{16}")
-FILE_NAME = re.compile(r"[\w.]+-[0-9a-f]{32}\.nbc(\.tmp\.[0-9a-f]{16})?")
+OPTIMISED, DRAFT = ".nbc", ".draft"
+FILE_NAME = re.compile(rf"[\w.]+-[0-9a-f]{{32}}(?:{OPTIMISED}|{DRAFT})(\.tmp\.[0-9a-f]{{16}})?")
 # Folders of other versions go when they have not been used for so long, s; of more than so many, after a shorter time.
 UNUSED, MOST_KEPT, UNUSED_OF_MANY = 30 * 86400.0, 16, 86400.0
 
@@ -223,10 +225,10 @@ def trusted_content(file: Path) -> bytes | None:
 _BINARY = getattr(os, "O_BINARY", 0)
 
 
-def is_kept(function: Callable[..., Any]) -> bool:
-    """Whether some compiled form of an entry kernel is in the folder."""
+def is_kept(function: Callable[..., Any], form: str = OPTIMISED) -> bool:
+    """Whether some compiled form of an entry kernel is in the folder, OPTIMISED or a DRAFT."""
     with suppress(OSError):
-        return any(cache_folder().glob(f"*.{function.__name__}-*.nbc"))
+        return any(cache_folder().glob(f"*.{function.__name__}-*{form}"))
     return False
 
 

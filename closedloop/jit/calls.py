@@ -31,12 +31,12 @@ _addresses: WeakKeyDictionary[Any, int] = WeakKeyDictionary()  # of machine code
 def call_at(address: int, loop: int, what: int) -> int:
     """Call the entry at an address with its two numbers, and return its answer."""
     number = int(address)
-    return (_interpreted[number] if number < 0 else _machine_code(number))(int(loop), int(what))
+    return (_interpreted[number] if number < 0 else function_at(number))(int(loop), int(what))
 
 
 @cache
-def _machine_code(address: int) -> Entry:
-    """Return the compiled entry at an address for interpreted code to call."""
+def function_at(address: int) -> Entry:
+    """Return the compiled entry at an address for Python to call."""
     return _CALLBACK(address)
 
 

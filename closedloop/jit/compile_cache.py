@@ -23,7 +23,9 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from closedloop.jit.cache_folder import (
+    DRAFT,
     MAGIC,
+    OPTIMISED,
     cache_folder,
     claim,
     compiler_and_processor,
@@ -69,23 +71,11 @@ class KernelCache(_Cache):
         target_context.refresh()
         codegen = target_context.codegen()
         try:
-            file = self._file(sig, codegen)
-            content = trusted_content(file)
-        except OSError:
-            return None
-        if content is None:
-            return None
-        code = content[: -len(MAGIC) - 32]
-        if content[len(code) :] != _seal(code):
-            return None
-        try:
-            key, form = IndexDataCacheFile(str(file.parent), "", None)._load_data(file.name)
-            if key != self._key(sig, codegen):
-                return None
-            found = CompileResult._rebuild(target_context, *form)
+            form = self._load(sig, codegen, OPTIMISED)
+            found = form and CompileResult._rebuild(target_context, *form)
         except Exception:  # as it was written, but by another version of some package: anything may be missing
             return None
-        if getattr(sig, "return_type", None) not in (None, found.signature.return_type):
+        if found is None or getattr(sig, "return_type", None) not in (None, found.signature.return_type):
             return None
         with suppress(OSError):
             _claim_once()
@@ -95,22 +85,45 @@ class KernelCache(_Cache):
         """Keep a compiled form; what cannot be kept is compiled again in the next process."""
         if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
             return
+        with suppress(OSError):
+            self._save(sig, data.codegen, OPTIMISED, data._reduce())
+            self._file(sig, data.codegen, DRAFT).unlink(missing_ok=True)
+            _forget_once()
+
+    def save_draft(self, sig: Any, codegen: Any, draft: tuple[str, bytes]) -> None:
+        """Keep a draft, see `closedloop.jit.drafts`, until there is a compiled form: its name, and its machine code."""
+        with suppress(OSError):
+            self._save(sig, codegen, DRAFT, draft)
+
+    def load_draft(self, sig: Any, codegen: Any) -> Any:
+        """Return what `save_draft` has kept, or None if it is not there as it was written."""
+        with suppress(Exception):
+            return self._load(sig, codegen, DRAFT)
+
+    def _load(self, sig: Any, codegen: Any, form: str) -> Any:
+        file = self._file(sig, codegen, form)
+        content = trusted_content(file)
+        if content is None:
+            return None
+        code = content[: -len(MAGIC) - 32]
+        if content[len(code) :] != _seal(code):
+            return None
+        key, found = IndexDataCacheFile(str(file.parent), "", None)._load_data(file.name)
+        return found if key == self._key(sig, codegen) else None
+
+    def _save(self, sig: Any, codegen: Any, form: str, data: Any) -> None:
+        code = dumps((self._key(sig, codegen), data))
+        file = self._file(sig, codegen, form)
+        unfinished = file.with_name(f"{file.name}.tmp.{uuid.uuid4().hex[:16]}")
+        claim(file.parent)
         try:
-            code = dumps((self._key(sig, data.codegen), data._reduce()))
-            file = self._file(sig, data.codegen)
-            unfinished = file.with_name(f"{file.name}.tmp.{uuid.uuid4().hex[:16]}")
-            claim(file.parent)
-            try:
-                unfinished.write_bytes(code + _seal(code))
-                unfinished.chmod(unfinished.stat().st_mode & ~0o022)  # what others can write is not loaded
-                os.replace(unfinished, file)
-            except BaseException:
-                with suppress(OSError):
-                    unfinished.unlink()
-                raise
-        except OSError:
-            return
-        _forget_once()
+            unfinished.write_bytes(code + _seal(code))
+            unfinished.chmod(unfinished.stat().st_mode & ~0o022)  # what others can write is not loaded
+            os.replace(unfinished, file)
+        except BaseException:
+            with suppress(OSError):
+                unfinished.unlink()
+            raise
 
     @cached_property
     def _identity(self) -> tuple[bytes, ...]:
@@ -136,11 +149,11 @@ class KernelCache(_Cache):
         where = (self._function.__module__, os.path.basename(code.co_filename), code.co_firstlineno, self._identity)
         return repr((str(_arguments(sig)), codegen.magic_tuple(), compiler_and_processor(), where))
 
-    def _file(self, sig: Any, codegen: Any) -> Path:
+    def _file(self, sig: Any, codegen: Any, form: str = OPTIMISED) -> Path:
         function = self._function
         name = re.sub(r"[^\w.]", "", f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}")
         digest = hashlib.sha256(self._place(sig, codegen).encode(errors="surrogatepass")).hexdigest()
-        return cache_folder() / f"{name}-{digest[:32]}.nbc"
+        return cache_folder() / f"{name}-{digest[:32]}{form}"
 
 
 def _arguments(sig: Any) -> Any:

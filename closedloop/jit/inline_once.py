@@ -13,6 +13,7 @@ from types import CodeType
 from typing import Any
 
 from llvmlite.binding import Linkage, create_pass_builder, create_pipeline_tuning_options
+from llvmlite.binding.newpassmanagers import create_new_function_pass_manager
 from numba.core import config
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -29,7 +30,26 @@ from closedloop.jit.typing_once import InferOnce
 from robot_models.cached import cached_property
 
 
-class NestedLibrary(JITCodeLibrary):
+class KernelLibrary(JITCodeLibrary):
+    """Code that was cleaned, function by function: what it is linked into has a third of the text."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        if not hasattr(self._codegen, "_pass_builder"):  # numba 0.61
+            super()._optimize_functions(ll_module)
+            return
+        ll_module.data_layout = self._codegen._data_layout
+        passes = create_new_function_pass_manager()
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        passes.add_instruction_combine_pass()
+        passes.add_aggressive_dce_pass()
+        builder = create_pass_builder(self._codegen._tm, create_pipeline_tuning_options(0))
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
+
+class NestedLibrary(KernelLibrary):
     """Code to be linked into a caller: neither optimised nor turned into machine code by itself."""
 
     def finalize(self) -> None:
@@ -73,18 +93,22 @@ def _called(library: Any, found: dict[Any, None]) -> None:
             found[each] = None
 
 
-class EntryLibrary(JITCodeLibrary):
+class EntryLibrary(KernelLibrary):
     """Code that Python calls, whose loops are neither unrolled nor vectorised.
 
     They run over two to seven joints, or three axes: eight at a time there are none. It was two thirds of LLVM's time.
     """
 
     vectorised = False
+    write_draft: Callable[[Any], None] | None = None  # see `closedloop.jit.drafts`
+    called_as, kept_by = "", (None, ())  # the name by which it is called by address; its cache, and types of arguments
 
     def finalize(self) -> None:
         """Link all that this code calls, and optimise it."""
         _link(self, self._final_module)
         self._linking_libraries = []
+        if EntryLibrary.write_draft is not None:
+            EntryLibrary.write_draft(self)
         super().finalize()
 
     def _optimize_final_module(self) -> None:
@@ -92,6 +116,7 @@ class EntryLibrary(JITCodeLibrary):
         if not hasattr(codegen, "_pass_builder"):  # numba 0.61
             super()._optimize_final_module()
             return
+        super(KernelLibrary, self)._optimize_functions(self._final_module)
         first, builder = codegen._module_pass_manager(
             loop_vectorize=False, slp_vectorize=False, opt=codegen._opt_level, cost="cheap"
         )
@@ -121,8 +146,9 @@ class MakeEntry(AnalysisPass):
 
     def run_pass(self, state: Any) -> bool:
         """Make the library before numba would make an ordinary one."""
-        state["library"] = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
-        state["library"].enable_object_caching()
+        library = state["library"] = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
+        library.kept_by = getattr(state.func_id.func, "kept_by", None), state.args
+        library.enable_object_caching()
         return False
 
 

@@ -126,7 +126,8 @@ def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> An
     from closedloop.jit.compile_cache import KernelCache
 
     if os.path.isfile(function.__code__.co_filename):
-        compiled._cache = KernelCache(function, identity)
+        kept: Any = function
+        kept.kept_by = compiled._cache = KernelCache(function, identity)
     compile_now = compiled.compile
 
     def compile_uninterrupted(signature: Any) -> Any:

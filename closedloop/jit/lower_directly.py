@@ -98,6 +98,11 @@ class DirectLower(Lower):
         store_item(self.context, self.builder, kind, number, pointer)
         return self.context.get_dummy_value()
 
+    def create_cfunc_wrapper(self) -> None:
+        """Write the function that is called by address, and note its name."""
+        super().create_cfunc_wrapper()
+        self.library.called_as = self.fndesc.llvm_cfunc_wrapper_name
+
     def _ours(self) -> bool:
         """Whether the function is of this package: none of its indices counts from the end."""
         return str(self.func_ir.func_id.modname).partition(".")[0] in OURS

@@ -16,6 +16,7 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, start, takes_long
+from closedloop.jit.drafts import draft_address
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
@@ -242,7 +243,7 @@ def have_compiled(scenario: Scenario, model: RobotModel) -> None:
         with suppress(ScenarioError):  # which is said in its turn
             called += entries_of_contacts(scenario)
         called.append(contacts_in_step)
-    compile_ahead([*called, proceed_at, complete_record, collide, *USED_ONCE, *(WITH_LOOPS if model.loops else ())])
+    compile_ahead([*called, *(WITH_LOOPS if model.loops else ()), proceed_at, complete_record, collide, *USED_ONCE])
 
 
 def begun(
@@ -262,11 +263,12 @@ def begun(
         calls = problem.steps * problem.integrator.stages
         again = law is None  # which has a memory of its own, and is not asked twice
 
-        def connect_called() -> None:
-            connect(loop_compiled=False)
+        def connect_drafts(of_loop: bool) -> None:
+            connect(machine=draft_address, loop_compiled=of_loop)
 
         return Interim(
-            kernels[0], loop.written, calls, with_it, connect, once, again, called if again else (), connect_called,
+            kernels[0], loop.written, calls, with_it, connect, once, again, called,
+            None if engine == COMPILED else connect_drafts,
             lambda: float(loop.state.row) / problem.steps,
         )  # fmt: skip
     make_ready(*waited_for)

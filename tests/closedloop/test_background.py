@@ -44,10 +44,9 @@ def folder(tmp_path, monkeypatch):
     for module in (background, cache_folder):
         monkeypatch.setattr(module, "cache_folder", lambda: mine)
     monkeypatch.setattr(background, "_PROGRAM", background._DETACHED + SLEEPER.format(folder=str(notes)))
-    monkeypatch.setattr(background, "_asked", set())
+    monkeypatch.setattr(background, "_asked", [])
     monkeypatch.setattr(background, "_said", set())
     monkeypatch.setattr(background, "_waited_for", set())
-    monkeypatch.setattr(background, "_expected", {})
     monkeypatch.setattr(background, "cores", lambda: 2)
     monkeypatch.setattr(background, "needs_compiling", lambda function: True)
     monkeypatch.delenv(background.VARIABLE)
@@ -72,7 +71,7 @@ def test_a_process_in_the_background(folder, caplog):
     process, session, parent, nice, where = who(folder, "proceed_at", "collide")
     assert int(session) != os.getsid(0)
     assert int(parent) != os.getpid() != int(process)
-    assert int(nice) == min(19, os.nice(0) + background.NICE[MARKER])
+    assert int(nice) == min(19, os.nice(0) + background.NICE)
     assert where == os.sep
     (line,) = caplog.messages
     assert line.startswith("compiling the step in the background, once for this installation")
@@ -98,22 +97,23 @@ def test_one_at_a_time(folder, monkeypatch, caplog):
 
 
 def test_two_at_a_time(folder, caplog):
-    """The step, and what it calls by address: each name is one process's, and neither is begun again meanwhile."""
+    """Each with about half of the work, in the order asked for; neither is begun again meanwhile."""
     wanted = [closed_loops, law_entry(PaperLaw), contacts_in_step, proceed_at, collide, rows_along]
     with caplog.at_level("INFO", "closedloop.compiling"):
         background.start(wanted)
-        beside = ("closed_loops", "entry_of_PaperLaw", "contacts_in_step", "rows_along")
-        processes = who(folder, *beside), who(folder, "proceed_at", "collide")
+        processes = [
+            who(folder, "entry_of_PaperLaw", "contacts_in_step"),
+            who(folder, "closed_loops", "proceed_at", "collide", "rows_along"),
+        ]
         background.start([*wanted, along_path])
     assert processes[0][0] != processes[1][0]
-    assert int(processes[0][3]) < int(processes[1][3])  # an interpreted step can call what is compiled
     assert len(list(folder.iterdir())) == 2
     (line,) = caplog.messages
     assert line.startswith("compiling the step in the background, once")
     os.kill(int(processes[1][0]), signal.SIGKILL)
-    assert background.wait_until_done([closed_loops], patience=0.2) is False
-    assert background._at_work(["closed_loops"])
-    assert not background._at_work(["proceed_at"])
+    assert background.wait_until_done([contacts_in_step], patience=0.2) is False
+    assert background._at_work([contacts_in_step])
+    assert not background._at_work([proceed_at])
 
 
 def test_one_core_has_one_process(folder, monkeypatch):
@@ -126,24 +126,24 @@ def test_one_core_has_one_process(folder, monkeypatch):
 
 
 def test_how_long_it_still_takes(folder, monkeypatch):
-    """The longer of the two processes, each of which compiles in its order; less what has passed."""
+    """The longer of the two processes, each of which compiles in its order; less what it has had of a core."""
     clock = SimulatedClock()
     monkeypatch.setattr(background, "clock", clock)
     background.start([contacts_in_step, proceed_at, collide, rows_along])
-    both = {name: background.seconds_of([name]) for name in ("contacts_in_step", "proceed_at", "collide")}
-    least = max(both["contacts_in_step"], both["proceed_at"] + both["collide"])
-    assert least <= background.seconds_left([contacts_in_step, collide]) <= least + background.BRIEF
-    assert background.seconds_left([proceed_at]) < background.seconds_left([proceed_at, collide])
-    before = background.seconds_left([contacts_in_step])
+    contacts, step, brief = (background.seconds_of([each]) for each in (contacts_in_step, proceed_at, collide))
+    assert background.seconds_left([contacts_in_step, proceed_at]) == max(contacts, step)
+    assert background.seconds_left([collide]) == step + brief
+    assert background.seconds_left([contacts_in_step], background.DRAFT) == background.DRAFT * contacts
     clock.sleep(5.0)
-    assert background.seconds_left([contacts_in_step]) == pytest.approx(before - 5.0)
+    assert background.seconds_left([contacts_in_step]) == pytest.approx(contacts - 5.0 * background.OF_A_CORE)
     clock.sleep(100.0)
     assert background.seconds_left([contacts_in_step]) == 0.0
-    assert background.seconds_left([run_in_lanes]) == background.seconds_of(["run_in_lanes"])  # nobody is at it
+    assert background.seconds_left([run_in_lanes]) == background.seconds_of([run_in_lanes])  # nobody is at it
 
 
-def test_who_needs_what_comes_last_compiles_it(folder, caplog):
+def test_who_needs_what_comes_last_compiles_it(folder, monkeypatch, caplog):
     """The inverse kinematics of a path, which is wanted now and behind the step in the background."""
+    monkeypatch.setattr(background, "cores", lambda: 1)
     background.start([proceed_at, walk])
     who(folder, "proceed_at", "walk")
     with caplog.at_level("INFO", "closedloop.compiling"):
@@ -180,6 +180,7 @@ class SimulatedClock:
 
 def test_nobody_waits_much_longer_than_compiling_takes(folder, monkeypatch):
     """A process may be stopped, or get no processor: all who wait for it give up in time, and for good."""
+    monkeypatch.setattr(background, "cores", lambda: 1)
     background.start([proceed_at, run_in_lanes])
     who(folder, "proceed_at", "run_in_lanes")
     clock = SimulatedClock()
@@ -188,9 +189,7 @@ def test_nobody_waits_much_longer_than_compiling_takes(folder, monkeypatch):
     wanted = [(proceed_at,), (proceed_at, run_in_lanes), (run_in_lanes, collide), (proceed_at,), (collide,)]
     for functions in wanted * 3:
         background.make_ready(*functions)
-    needed = background.PATIENT * background.seconds_of(
-        {function.__name__ for functions in wanted for function in functions}
-    )
+    needed = background.PATIENT * background.seconds_of({function for functions in wanted for function in functions})
     assert 0.9 * needed < clock.now - began < needed + len(wanted) * 3 * background.BETWEEN_LOOKS
 
 

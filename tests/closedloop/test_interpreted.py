@@ -10,11 +10,11 @@ import pytest
 
 import closedloop as cl
 from closedloop.control.reference.follow import follow
-from closedloop.jit import background, calls, interim
+from closedloop.jit import background, cache_folder, calls, compile_cache, drafts, interim
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interim import PROBE, Interim
 from closedloop.jit.interpreted import interpreted
-from closedloop.jit.kernel import direct, entry_kernel, jit_disabled
+from closedloop.jit.kernel import entry_kernel, jit_disabled
 from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.step.record_row import complete_record
@@ -116,13 +116,11 @@ def test_a_path_of_a_mechanism_is_interpreted_to_the_last_bit(nothing_compiled, 
 
 
 @pytest.mark.parametrize("name", ["wam_slide", "panda_scan", "four_bar", "wam_slide_friction", "gripper_gear"])
-def test_all_that_the_loop_calls_is_compiled_with_it(name, monkeypatch):
+def test_all_that_the_loop_calls_is_compiled_with_it(name):
     """What gets an address in the loop's memory is known beforehand: a run waits for all of it, or for nothing."""
     problem = prepare(cl.load_scenario(name, {"time.duration": 0.01}))
     loop, connected = problem.loop(), []
-    for module in ("closedloop.simulation.engines.problem", "closedloop.mechanics.contacts.surfaces"):
-        monkeypatch.setattr(f"{module}.entry_address", lambda entry: connected.append(entry) or 0, raising=False)
-    problem.connect(loop)
+    problem.connect(loop, machine=lambda entry: connected.append(entry) or 0)
     assert proceed_at in connected
     assert {id(entry) for entry in connected if entry is not proceed_at} == {id(e) for e in problem.called(loop)}
 
@@ -299,30 +297,61 @@ def test_it_is_judged_again(monkeypatch):
     assert waited == [6]
 
 
-CALLED = ["loops", "contacts of links", "friction", "a law of force and motion", "friction in the joints"]
+def test_a_draft_serves_until_the_compiled_form_is_there(monkeypatch):
+    """It is called once the kernel and what that calls have one, the latter before, and until all is compiled."""
+    ready, done, out = {}, [], np.zeros(2)
+
+    def drafted(*arguments):
+        done.append("draft")
+        return over.py_func(*arguments)
+
+    monkeypatch.setattr(interim, "PROBE", 2)
+    monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.0)
+    monkeypatch.setattr(interim, "has_draft", lambda function: ready["draft" if function is over else "called"])
+    monkeypatch.setattr(interim, "draft_address", lambda function: 1 if function is over else pytest.fail("another"))
+    monkeypatch.setattr(interim, "function_at", lambda address: drafted if address == 1 else pytest.fail("another"))
+    monkeypatch.setattr(interim, "needs_compiling", lambda function: not ready["compiled"])
+    monkeypatch.setattr(interim, "direct", lambda function, *arguments: function.py_func)
+    monkeypatch.setattr(background, "start", lambda functions: None)
+    monkeypatch.setattr(background, "seconds_left", lambda functions, share=1.0: 1e9)
+    kernel = Interim(over, (out,), 12, called=(collide,), on_draft=done.append)
+    for call in range(12):
+        ready.update(called=call >= 3, draft=call >= 5, compiled=call >= 8)
+        kernel(2.0, out)
+    assert done == [False, True, *["draft"] * 3]
+    assert out[0] == 12.0
+    assert not kernel.interpreting
 
 
-@pytest.mark.parametrize("name", CALLED)
-def test_an_interpreted_loop_calls_what_is_compiled(name, nothing_compiled, monkeypatch):
-    """What it calls by address may be there before it: the same bits, and none of it is interpreted any more."""
-    shipped, changes = CASES[name]
-    scenario = cl.load_scenario(shipped, SHORT | changes)
-    with monkeypatch.context() as ordinary:
-        for module in (interim, background):
-            ordinary.setattr(module, "needs_compiling", lambda function: False)
-        ordinary.setattr(interim, "direct", direct)
-        sound = cl.simulate(scenario)
-    monkeypatch.setattr(interim, "needs_compiling", lambda function: function is proceed_at)
+DRAFTED = "an observer, a sensor", "loops", "contacts of links"
+
+
+@pytest.mark.slow
+def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypatch):
+    """The step, loops, contacts of links, laws of friction and of compensation, before they are optimised."""
+    scenarios = [cl.load_scenario(name, SHORT | more) for name, more in map(CASES.get, DRAFTED)]
+    sound = [bits(cl.simulate(scenario)) for scenario in scenarios]
+    mine = tmp_path / "closedloop-0123456789abcdef"
+    for module in (cache_folder, compile_cache):
+        monkeypatch.setattr(module, "cache_folder", lambda: mine)
+    cache_folder.claim(mine)
+    problems = list(map(prepare, scenarios))
+    entries = {entry for problem in problems for entry in problem.called(problem.loop())} | {proceed_at}
+    with drafts.written_first(), monkeypatch.context() as unfinished:
+        unfinished.setattr(compile_cache.KernelCache, "save_overload", lambda *_: None)
+        for entry in entries:  # anew, as nobody has compiled it yet
+            calls.entry_address(type(entry)(entry.py_func, entry.make))
+    assert len(list(mine.glob("*.draft"))) == len(entries)
+    monkeypatch.setattr(background, "refused", lambda: "")
+    monkeypatch.setattr(background, "start", lambda functions: None)
     monkeypatch.setattr(interim, "PROBE", 3)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.0)
-    monkeypatch.setattr(background, "seconds_left", lambda functions: 1e9)
-    called = set()
-    machine_code = calls._machine_code
-    monkeypatch.setattr(calls, "_machine_code", lambda address: called.add(address) or machine_code(address))
-    run = cl.simulate(scenario)
-    problem = prepare(scenario)
-    assert called >= {calls.entry_address(entry) for entry in problem.called(problem.loop())}
-    assert bits(run) == bits(sound)
+    for module in (interim, background, drafts):
+        monkeypatch.setattr(module, "needs_compiling", lambda function: function in entries)
+    monkeypatch.setattr(interim, "direct", lambda function, *_: pytest.fail(f"{function.__name__} is compiled"))
+    for scenario, expected in zip(scenarios, sound, strict=True):
+        assert bits(cl.simulate(scenario)) == expected
+    assert set(drafts._loaded) >= entries
 
 
 def test_a_run_asks_again_until_its_loop_is_compiled(monkeypatch):
@@ -380,7 +409,8 @@ def test_the_same_run_goes_over_to_the_compiled_form(monkeypatch):
     monkeypatch.setattr(background, "start", lambda functions: None)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.01)
     lacking = lambda function: function is proceed_at and not (loops and loops[0]._done >= 2 * PROBE)  # noqa: E731
-    monkeypatch.setattr(interim, "needs_compiling", lacking)
+    for module in (interim, drafts):
+        monkeypatch.setattr(module, "needs_compiling", lacking)
     init = Interim.__init__
 
     def noted(self, *arguments):

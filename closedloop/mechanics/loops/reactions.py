@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array, Mask
+from closedloop.jit.background import awaited
 from closedloop.jit.interim import call_now
 from closedloop.jit.kernel import entry_kernel
 from closedloop.mechanics.loops.bind import bound_by_loops, loop_memory
@@ -16,6 +17,9 @@ from closedloop.mechanics.loops.memory import loops_at
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.loops.wrench import labels_of, wrenches
 from closedloop.mechanics.robot.pinocchio import Robot
+
+# Of no more states the rows are there, interpreted, before their kernel is compiled.
+FEW_STATES = 1000
 
 
 class LoopReactions(NamedTuple):
@@ -98,6 +102,8 @@ def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
     count, n, m = len(q), robot.n, int(memory.links.m)
     rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
     written = memory.rows.memory, memory.links.memory, rows, errors
+    if count > FEW_STATES:
+        awaited((rows_along,))
     call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
     return rows, errors
 

@@ -139,6 +139,7 @@ class Problem(ScenarioNumbers):
         user_law: Callable[[bool], None] | None = None,
         compiled: bool = True,
         form: Callable[[Any], Any] = as_it_is,
+        machine: Callable[[Any], int] = entry_address,
         loop_compiled: bool = True,
     ) -> None:
         """Write into a loop's memory the addresses of what it calls: of machine code, or for an interpreted loop.
@@ -154,6 +155,8 @@ class Problem(ScenarioNumbers):
             interpreted refuses what the next one would.
         form : callable
             Returns the form of an entry that is called, see `closedloop.jit.dual.dual`.
+        machine : callable
+            Returns the address of an entry's machine code, see `closedloop.jit.drafts`.
         loop_compiled : bool
             Whether the loop itself is machine code too; interpreted, it can call what is.
 
@@ -164,11 +167,14 @@ class Problem(ScenarioNumbers):
         """
 
         def address(entry: Any) -> int:
-            return entry_address(form(entry)) if compiled else twin_address(entry)
+            return machine(form(entry)) if compiled else twin_address(entry)
+
+        def address_of_member(entry: Any, key: str, member: Any) -> int:
+            return _address_of(form(entry), key, member, machine if compiled else twin_address)
 
         loop.state.proceed = address(proceed_at) if loop_compiled else twin_address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
-            getattr(loop.state, name).entry = _address_of(form(entry), name, getattr(self.scenario, name), compiled)
+            getattr(loop.state, name).entry = address_of_member(entry, name, getattr(self.scenario, name))
         if loop.state.loops.at != 0:
             loop.state.loops.entry = address(closed_loops)
         if loop.state.ball.at != 0:
@@ -176,7 +182,7 @@ class Problem(ScenarioNumbers):
         if loop.state.contacts.at != 0:
             loop.state.contacts.entry = address(contacts_in_step)
             for each in contact_members(loop):
-                _address_of(form(each.entry), f"contact.{each.contact - 1}.{each.key}", each.member, compiled)
+                address_of_member(each.entry, f"contact.{each.contact - 1}.{each.key}", each.member)
             for members in _contact_families(loop):
                 members.connect(address)
         if loop.state.surface_motion.entry != 0:
@@ -222,7 +228,7 @@ class Problem(ScenarioNumbers):
         return RESTITUTIONS[contact.restitution_law], contact.restitution, f"contact.{i - 1}.restitution_law"
 
 
-def _address_of(entry: Any, key: str, member: Any, compiled: bool) -> int:
+def _address_of(entry: Any, key: str, member: Any, address: Callable[[Any], int]) -> int:
     """Return where an entry is, machine code or what an interpreted loop calls; a user's is compiled in either case.
 
     Raises
@@ -231,9 +237,9 @@ def _address_of(entry: Any, key: str, member: Any, compiled: bool) -> int:
         If numba cannot compile it; `key` names the section of the member.
     """
     try:
-        if not compiled and is_users(member):
+        if address is twin_address and is_users(member):
             entry_address(entry)
-        return entry_address(entry) if compiled else twin_address(entry)
+        return address(entry)
     except Exception as error:
         known = {"LawInput": LawInput._fields, "Slip": Slip._fields}
         if not is_users(member) or isinstance(error, ClosedLoopError):

@@ -21,6 +21,7 @@ from closedloop.loop.events.table import (
     SLIP_AGAIN,
     STICK,
     STOP,
+    TANGENTIAL_IMPACT,
     TIME_STEP,
     TOUCHDOWN,
 )
@@ -49,6 +50,7 @@ SHAPES: dict[int, dict[str, Any]] = {
     STOP: {"marker": "P", "markersize": 5},
     RELEASE: {"marker": "<", "markersize": 5},
     TIME_STEP: {"marker": "*", "markersize": 6},
+    TANGENTIAL_IMPACT: {"marker": "p", "markersize": 5},
 }
 INK = "0.15"
 # Up to so many times its rounding a value is drawn beside it.

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from boxes import any_rotation, no_torque
-from drops import BY_STEP, QUARTER_STEP, examine, judge, ran
+from drops import examine, judge, ran
 
 import closedloop as cl
 import robot_models
@@ -130,14 +130,15 @@ def main() -> None:
                 break
             text, known = draw(seed, Path(folder))
             (Path(folder) / "scenario.toml").write_text(text)
-            path, changes = str(Path(folder) / "scenario.toml"), {"time.integrator": args.integrator}
+            path = str(Path(folder) / "scenario.toml")
             since, how = time.process_time(), {"law": no_torque, "engine": "compiled"}
-            run, failure = ran(cl.simulate, cl.load_scenario(path, changes), **how)
+
+            def simulate(finer: dict[str, Any], path: str = path, how: Any = how) -> tuple[Any, str]:
+                return ran(cl.simulate, cl.load_scenario(path, {"time.integrator": args.integrator} | finer), **how)
+
+            run, failure = simulate({})
             seconds, done = time.process_time() - since, done + 1
-            wrong = examine(run, known["mu"], rests=False)
-            if wrong.keys() & BY_STEP:
-                finer, _ = ran(cl.simulate, cl.load_scenario(path, changes | QUARTER_STEP), **how)
-                wrong = judge(wrong, examine(finer, known["mu"], rests=False))
+            wrong = judge(examine(run, known["mu"], rests=False), lambda finer: simulate(finer)[0], known["mu"])
             counts.update([*wrong, *([failure.split(":")[0]] if failure else [])])
             steps = sum(event.kind == "time_step" for event in run.events)
             counts["time steps"] += steps

@@ -113,6 +113,12 @@ def apply_contact_impulses(w: Work, state: State, events: Array) -> int:
     state.status = ask_contacts(state, IMPULSE)
     if state.status != OK:
         return FAIL
+    return follow_impulses(w, links, c, state, events)
+
+
+@kernel
+def follow_impulses(w: Work, links: ContactLinks, c: Contacts, state: State, events: Array) -> int:
+    """Write what an impact was, tell the law of it, and ask for the terms with which the modes after it are found."""
     log_contacts(w, links, c, state, events)
     for i in range(links.k):
         if c.event.struck[i] != 0.0:
@@ -131,6 +137,9 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         state.status = ask_contacts(state, DECIDE)
         if state.status != OK:
             return FAIL
+        if c.step.at_once != 0.0:
+            c.step.at_once = 0.0
+            return follow_impulses(w, links, c, state, events)
         log_contacts(w, links, c, state, events)
         started, links.undecided, links.fresh = links.fresh == 0, 0, 0
         state.mode = int(c.mode[0])

@@ -4,9 +4,9 @@
 
 the step of time-stepping schemes (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; D. E. Stewart
 and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996) for the contacts that touch, without restitution. It has a
-solution where accelerations have none: where a contact slides so that pressing harder pulls it in (P. Painlevé, 1895),
-its impulse stops the slip at once, as in an impact without collision (F. Génot and B. Brogliato, Eur. J. Mech. A 18,
-1999). The forces are P/h until the step has ended; then the modes are sought anew.
+solution where accelerations have none. Where a contact slides so that pressing harder pulls it in (P. Painlevé, 1895) a
+tangential impact is tried first (`closedloop.mechanics.contacts.tangential_impact`). The forces are P/h until the step
+has ended; then the modes are sought anew.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
+from closedloop.mechanics.contacts.tangential_impact import stop_at_once
 
 # Length of the step, s; the residual, of the largest, that impulses may have which long sweeps have found.
 SPAN, NEAR = 2e-5, 1e-6
@@ -34,7 +35,9 @@ TIME_STEP = 10.0
 
 @kernel
 def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
-    """Write the forces of a step that begins at this time, s, the modes after it, and no impulse.
+    """Write the impulses of a tangential impact; or the forces of a step that begins at this time, s, and no impulse.
+
+    The modes after it are written, too. After an impact, once at an instant, they are to be sought: `at_once` is 1.
 
     Returns
     -------
@@ -43,21 +46,19 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
     """
     k = links.k
     take_kinetic(links, c)
+    write_forms(links, c)
+    if c.step.struck != time:
+        for i in range(3 * k):
+            c.before[i] = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]  # f of a soft one is given
+        if stop_at_once(links, c):
+            c.step.at_once, c.step.struck = 1.0, time
+            return OK
     for i in range(3 * k):
-        moves = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]  # f of a soft one is given
+        moves = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]
         c.F[i], c.before[i], c.problem.q[i] = 0.0, c.u[i], moves + SPAN * c.a[i]
-    for i in range(k):
-        c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
-        c.problem.form[i] = OFF
-        if c.friction.pulls[i] != 0.0:
-            c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
-        elif is_resistance(c, i):
-            c.problem.form[i] = form_of_resistance(c, i, CONE)
-        elif touches(links, c, i):
-            c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
-    if not find_impulses(c, k) and not solve_with_less_friction(c, k):
+    if not find_with_less_friction(c, k):
         return PAINLEVE
-    links.stepped, c.step.end = 1, time + SPAN
+    links.stepped, c.step.end, c.step.in_row = 1, time + SPAN, c.step.in_row + 1.0
     told = False
     for i in range(k):
         at = 3 * i
@@ -83,29 +84,50 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
 
 
 @kernel
-def solve_with_less_friction(c: Contacts, k: int) -> bool:
-    """Do `solve_contacts` with all μ lessened by one factor, and return whether there is a solution.
+def write_forms(links: ContactLinks, c: Contacts) -> None:
+    """Write the form of each contact: all that touch are in their cones."""
+    for i in range(links.k):
+        c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
+        c.problem.form[i] = OFF
+        if c.friction.pulls[i] != 0.0:
+            c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
+        elif is_resistance(c, i):
+            c.problem.form[i] = form_of_resistance(c, i, CONE)
+        elif touches(links, c, i):
+            c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
 
-    Without friction there is one: the problem is convex.
+
+@kernel
+def find_with_less_friction(c: Contacts, k: int) -> bool:
+    """Do `find_impulses`, if need be with all μ lessened by one factor, and return whether there is a solution.
+
+    Without friction there is one: the problem is convex. A step that follows on another begins with the factor of that.
     """
-    mu, found = c.scratch.mu, False
     for i in range(k):
-        mu[i] = c.mu[i]
+        c.scratch.mu[i] = c.mu[i]
+    cut = c.step.friction_cut
+    found = find_with_share(c, k, 1.0 - cut)
     for share in LESS_FRICTION:
-        for i in range(k):
-            c.mu[i] = share * mu[i]
-            if c.problem.form[i] in (CONE, RAY):
-                c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
-            elif c.problem.form[i] != OFF:
-                c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
-        for i in range(3 * k):
-            c.F[i] = 0.0
-        found = found or find_impulses(c, k)
-        if found:
-            break
+        if not found and share < 1.0 - cut:
+            found = find_with_share(c, k, share)
+            c.step.friction_cut = 1.0 - share
     for i in range(k):
-        c.mu[i] = mu[i]
+        c.mu[i] = c.scratch.mu[i]
     return found
+
+
+@kernel
+def find_with_share(c: Contacts, k: int, share: float) -> bool:
+    """Do `find_impulses` with so much of each μ in `scratch`."""
+    for i in range(k):
+        c.mu[i] = share * c.scratch.mu[i]
+        if c.problem.form[i] in (CONE, RAY):
+            c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
+        elif c.problem.form[i] != OFF:
+            c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
+    for i in range(3 * k):
+        c.F[i] = 0.0
+    return find_impulses(c, k)
 
 
 @kernel

@@ -19,7 +19,8 @@ class Event(NamedTuple):
     time : float
         Instant, s.
     kind : str
-        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop", "release" or "time_step".
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop", "release", "time_step" or
+        "tangential_impact".
     rate_before, rate_after : float
         Rate of the closure error just before and just after it, m/s.
     rate_cut : float

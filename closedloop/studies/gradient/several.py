@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.loop.events.table import KINDS, STICK, TIME_STEP
+from closedloop.loop.events.table import KINDS, STICK, TANGENTIAL_IMPACT, TIME_STEP
 from closedloop.record.report.link_contacts import shares_at
 from closedloop.record.run import Run
 from closedloop.scenario.contact_names import names_of
@@ -21,7 +21,7 @@ from closedloop.studies.gradient.guard import AGREE
 from closedloop.studies.gradient.outputs import EVENTS, Output
 
 # Events that such forces decide over.
-DECIDED = (KINDS[STICK], KINDS[TIME_STEP])
+DECIDED = (KINDS[STICK], KINDS[TIME_STEP], KINDS[TANGENTIAL_IMPACT])
 
 
 # What follows is as exact as the runs beside a run tell, and they scatter by as much.

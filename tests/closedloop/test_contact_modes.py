@@ -32,6 +32,7 @@ from closedloop.mechanics.contacts.modes import (
     happened_to,
     mode_after,
 )
+from closedloop.mechanics.contacts.tangential_impact import TANGENTIAL_IMPACT
 from closedloop.mechanics.contacts.time_step import SPAN, TIME_STEP, begin_time_step
 
 NOTHING = 1e-9
@@ -58,6 +59,7 @@ def test_a_time_step_where_no_modes_agree(memory):
     c.W[:] = c.X @ c.X.T
     c.mu[1], c.u[touching], c.a[touching] = mu, [0.0, 0.5, 0.0], [-9.81, 0.0, 0.0]
     assert interpreted(decide)(links, c, 1e-7) == PAINLEVE
+    c.step.struck = 3.0  # there was a tangential impact at this instant
     assert interpreted(begin_time_step)(links, c, 3.0) == OK
     P = h * c.step.force[touching]
     np.testing.assert_allclose(
@@ -68,6 +70,28 @@ def test_a_time_step_where_no_modes_agree(memory):
     assert c.step.end == 3.0 + h
     np.testing.assert_array_equal(c.F, 0.0)
     np.testing.assert_array_equal(c.problem.after, c.u)
+
+
+@pytest.mark.parametrize(("near", "mu"), list(itertools.product((0.1, 0.5, 0.8), (1.5, 2.5, 9.0, 11.0))))
+def test_a_tangential_impact_stops_a_slip_that_pulls_in(memory, near, mu):
+    """By the one impulse that is not zero and stops it: -W^-1 u, inside the cone, of the energy that it takes."""
+    links, c = memory
+    touching = slice(3, 6)
+    W = np.array([[1.0, near, 0.0], [near, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    c.X[touching] = 0.0
+    c.X[touching, 3:] = np.linalg.cholesky(W)
+    c.W[:] = c.X @ c.X.T
+    c.mu[1], c.u[touching], c.a[touching] = mu, [0.0, 0.5, 0.0], [-9.81, 0.0, 0.0]
+    assert interpreted(begin_time_step)(links, c, 3.0) == OK
+    pulls_in = mu * near > 1.0  # then f (1, -mu) is no force off the surface, and -W^-1 u is in the cone
+    assert c.step.at_once == pulls_in
+    assert c.event.happened[1] == (TANGENTIAL_IMPACT if pulls_in else TIME_STEP)
+    assert links.stepped == (not pulls_in)
+    if pulls_in:
+        np.testing.assert_allclose(c.F[touching], -np.linalg.solve(W, c.u[touching]), rtol=1e-9)
+        np.testing.assert_allclose(c.problem.after[touching], 0.0, atol=1e-12)
+        np.testing.assert_allclose(c.event.energy_lost, 0.5 * c.u[4] ** 2 / (1.0 - near**2), rtol=1e-9)
+        assert c.mode[1] == PRESSED
 
 
 def test_what_is_told_of_a_contact(memory):

@@ -105,7 +105,6 @@ class TimeStep(Block, sizes=("k",)):
     span: float  # the longest that the next substep may be, and after which friction points along slow slips, s
     force: Annotated[Array, 3 * K]  # N
     friction_cut: float  # what is taken from each μ in it, a share; 0 again once modes are found
-    in_row: float  # of time steps since modes were last found
     struck: float  # when the last tangential impact was, s
     at_once: float  # 1 while its impulses have just been written
     diagonal: Annotated[Array, 3 * K]  # of W, 1/kg, while it is sought

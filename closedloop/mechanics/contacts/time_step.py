@@ -58,7 +58,7 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
         c.F[i], c.before[i], c.problem.q[i] = 0.0, c.u[i], moves + SPAN * c.a[i]
     if not find_with_less_friction(c, k):
         return PAINLEVE
-    links.stepped, c.step.end, c.step.in_row = 1, time + SPAN, c.step.in_row + 1.0
+    links.stepped, c.step.end = 1, time + SPAN
     told = False
     for i in range(k):
         at = 3 * i

@@ -169,6 +169,7 @@ def test_a_fast_open_contact_does_not_bound_the_impulses_of_a_wedged_one(beside)
     c.mu[:], c.mode[0], c.located[3] = 0.7704, PRESSED, 1.0
     c.u[:3], c.u[3:] = [-8.1e-8, -8.95e-3, -7.98e-3], 50.0 * beside
     c.a[:3] = [-2.229, -11.816, -14.29]
+    c.step.struck = 0.3  # after an impact that was in vain
     assert interpreted(begin_time_step)(links, c, 0.3) == OK
     assert 0.0 < c.step.force[0] < 1e3
     assert not np.any(c.step.force[3:])

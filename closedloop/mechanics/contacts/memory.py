@@ -106,6 +106,7 @@ class TimeStep(Block, sizes=("k",)):
     force: Annotated[Array, 3 * K]  # N
     friction_cut: float  # what is taken from each μ in it, a share; 0 again once modes are found
     struck: float  # when the last tangential impact was, s
+    in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written
     diagonal: Annotated[Array, 3 * K]  # of W, 1/kg, while it is sought
 

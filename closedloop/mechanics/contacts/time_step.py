@@ -37,7 +37,8 @@ TIME_STEP = 10.0
 def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
     """Write the impulses of a tangential impact; or the forces of a step that begins at this time, s, and no impulse.
 
-    The modes after it are written, too. After an impact, once at an instant, they are to be sought: `at_once` is 1.
+    The modes after it are written, too. After an impact they are to be sought: `at_once` is 1. Where that is in vain
+    only time steps follow, until there are modes again.
 
     Returns
     -------
@@ -47,7 +48,8 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
     k = links.k
     take_kinetic(links, c)
     write_forms(links, c)
-    if c.step.struck != time:
+    c.step.in_vain = 1.0 if c.step.struck == time else c.step.in_vain
+    if c.step.in_vain == 0.0:
         for i in range(3 * k):
             c.before[i] = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]  # f of a soft one is given
         if stop_at_once(links, c):

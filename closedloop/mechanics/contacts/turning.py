@@ -38,6 +38,8 @@ from closedloop.mechanics.contacts.soft_friction import drop_contradictions, sha
 # Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
 # how often it may be no less than before: where forces are not unique it need not become less.
 TURNS, SETTLED, STALLED = 20, 1e-11, 2
+# Forces that are so many times those with friction against the slip as it is have multiplied.
+MOST_GROWTH = 30.0
 # The coefficient of friction of contacts that stick here, whatever force that takes.
 HELD = 1e9
 # A force that is to stop a slip is inside the cone, not at its edge but for rounding, if it is no more than this share
@@ -56,8 +58,9 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool) -> int:
 
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
-    that is turned round with the force would drive the slip. `ends` says whether a slip ends within the step, `begins`
-    is whether the step begins here.
+    that is turned round with the force would drive the slip. Nor is it turned where forces would multiply: near
+    Painlevé's paradox they turn the slip faster than the step resolves. `ends` says whether a slip ends within the
+    step, `begins` is whether the step begins here.
     """
     c.problem.ends = 0.0
     for i in range(k if begins else 0):
@@ -67,10 +70,10 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool) -> int:
         return int(OK)
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
-    c.problem.steps, last, stalled = 0.0, math.inf, 0
+    c.problem.steps, last, stalled, most = 0.0, math.inf, 0, MOST_GROWTH * force_size(c.rigid, 3 * k)
     for _ in range(TURNS):
         change = turn_slips(c, k, h, begins)
-        if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k):
+        if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k) or force_size(c.rigid, 3 * k) > most:
             break
         stalled += 1 if change >= last else 0
         if change <= SETTLED or stalled == STALLED or not some_slip_slowly(c, k, h):

@@ -23,7 +23,7 @@ from boxes import G, drop_in_any_pose, simulate
 
 import closedloop as cl
 
-# What is wrong: a gap below this, m; force outside the cone, of the largest; energy that grows in a step, of that
+# What is wrong: a gap below this, m; force outside the cone, of the largest, or pull, N; energy that grows in a step, of that
 # which there is; speed at rest, rad/s (m/s).
 GAP, CONE, RISE, REST = -1e-9, 1e-9, 1e-9, 1e-6
 # With a coefficient of friction below this a box may slide on for long.
@@ -47,7 +47,7 @@ def examine(run: Any, mu: Any, rests: bool = True) -> dict[str, float]:
     closing = -GAP * float(np.max(f.sum(axis=1))) / highest  # what the forces do where they close such a gap
     for name, value, bad in (
         ("gap", float(np.min(run.link_gaps)), lambda x: x < GAP),
-        ("pull", float(np.min(f)), lambda x: x < 0.0),
+        ("pull", float(np.min(f)), lambda x: x < -CONE),
         ("cone", float(np.max((rub - mu * f) / size)), lambda x: x > CONE),
         ("energy", rise, lambda x: x > max(RISE, closing)),
         ("energy of a gap", rise, lambda x: RISE < x <= closing),

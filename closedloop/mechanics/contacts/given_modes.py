@@ -24,8 +24,9 @@ from closedloop.mechanics.contacts.soft_friction import write_shared
 from closedloop.mechanics.contacts.sticking import all_stick, shortest_sticking
 from closedloop.mechanics.loops.solve import orthonormal_rows
 
-# What is outside its cone by no more than this share of `rounding` is at its edge.
-ON_EDGE = 1e-3
+# What is outside its cone by no more than this share of `rounding` is at its edge; by no more than so many times
+# `rounding` it hardly is, or hardly pulls.
+ON_EDGE, HARDLY = 1e-3, 10.0
 
 
 @kernel
@@ -212,12 +213,12 @@ def keep_in_cones(c: Contacts, k: int) -> None:
 def share_inside(c: Contacts, i: int) -> float:
     """Return the largest share <= 1 of the stabiliser's part of contact i with which its force is in its cone.
 
-    1.0 where the force without that part is outside: the contact's mode ends there.
+    1.0 where the force without that part is outside: the contact's mode ends there. 0.0 where that is hardly so.
     """
     n, mu = 3 * i, c.mu[i]
     f, grown = c.rigid[n], c.F[n] - c.rigid[n]
     if f < -c.problem.rounding:
-        return 1.0
+        return 0.0 if f > -HARDLY * c.problem.rounding else 1.0
     share = 1.0 if c.F[n] >= 0.0 else max(0.0, f) / (max(0.0, f) - c.F[n])
     # The shortest of forces that are not unique is often at the cone's edge, but for rounding.
     if c.problem.form[i] == RAY or mu * c.F[n] + ON_EDGE * c.problem.rounding >= math.hypot(c.F[n + 1], c.F[n + 2]):
@@ -227,7 +228,7 @@ def share_inside(c: Contacts, i: int) -> float:
     a, half = (mu * grown) * (mu * grown) - d1 * d1 - d2 * d2, mu * mu * f * grown - r1 * d1 - r2 * d2
     inside = (mu * f) * (mu * f) - r1 * r1 - r2 * r2
     if not inside > 0.0:
-        return 0.0 if math.hypot(r1, r2) <= mu * f + c.problem.rounding else 1.0
+        return 0.0 if math.hypot(r1, r2) <= mu * f + HARDLY * c.problem.rounding else 1.0
     below = math.sqrt(max(0.0, half * half - a * inside)) - half
     return min(share, inside / below) if below > 0.0 else share
 

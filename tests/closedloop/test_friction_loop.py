@@ -216,7 +216,10 @@ def test_where_friction_wedges_the_tip_the_run_ends_in_words():
         with pytest.raises(cl.PainleveError) as caught:
             cl.simulate(scenario)
         assert len(str(caught.value).splitlines()) == 1
+        assert "stops of joints" not in str(caught.value)
         assert np.all(np.isfinite(caught.value.run.contact_force))
+        with pytest.raises(cl.PainleveError, match="or is jammed between it and the stops of joints"):
+            cl.simulate(cl.load_scenario("planar2_slide", changes | {"robot.stops": True}))
 
 
 SWING = BLOCK.replace('kind = "plane"', 'kind = "plane"\ncontact = "unilateral"\ngap = 5.0')

@@ -96,8 +96,9 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         )
     if status == CHATTER and problem.placed is not None:
         cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
+        who = "contacts" if problem.scenario.contact else "tip and the stops of joints"
         return ChatterError(
-            f"{when(t)}: the contacts chatter: at one instant their modes change again and again, for the forces of "
+            f"{when(t)}: the {who} chatter: at one instant their modes change again and again, for the forces of "
             f"each set of modes ask for another; {cure}",
             t,
         )
@@ -112,10 +113,11 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     if problem.scenario.contact and status in (PAINLEVE, SINGULAR):
         return _contacts_fail(status, t)
     if status == PAINLEVE:
+        jams = ", or is jammed between it and the stops of joints" if problem.placed is not None else ""
         return PainleveError(
             f"{when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
-            "coefficient of f in Eq. 24 with friction is not positive), and no rigid contact force exists; lower the "
-            "coefficient of friction, or change the posture or the direction of sliding",
+            f"coefficient of f in Eq. 24 with friction is not positive){jams}, and no rigid contact force exists; "
+            "lower the coefficient of friction, or change the posture or the direction of sliding",
             t,
         )
     fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0

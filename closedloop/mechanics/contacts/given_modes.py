@@ -76,14 +76,17 @@ def solve_modes(c: Contacts, k: int, inside: bool = True) -> int:
     if p == 1 and pulled_in(c, int(c.scratch.unknown[0]) // 3):
         return PAINLEVE
     asked = shortest_sticking(c, p) if all_stick(c, k, p) else 0.0 * most - 1.0
-    found = asked >= 0.0
+    found, shared = asked >= 0.0, False
     if not found:
         asked = write_system(c, k, p)
         rank = independent_rows(c, p)
-        found = rank < p and shortest_solutions(c, p, rank, asked)
+        found = shared = rank < p and shortest_solutions(c, p, rank, asked)
     if found:
         write_forces(c, p)
-        if not inside or (inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F)):
+        within = not inside or (inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F))
+        if within or shared:
+            if not within:
+                share_forces(c, k, p)
             c.problem.rounding = rounding_of(c, k, asked / most)
             return OK
         for i in range(3 * k):

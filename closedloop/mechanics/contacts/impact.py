@@ -29,6 +29,8 @@ from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resi
 RESTING = 1e-11
 # Velocities after an impact may be off by this, m/s.
 ROUNDING = 1e-14
+# The largest speed along the normal that the errors of steps give closed contacts, m/s.
+MOST_CONTRADICTION = 1e-8
 # The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
 # is tried in the search for the largest factor, along one path each, for they take long.
 LEAST_SHARE, MOST_MISSING = 1e-3, 10
@@ -165,12 +167,26 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
             c.problem.q[3 * i] -= bounce
     largest = largest_mobility(c, k)
     # Where all is at rest but for rounding that of the velocities is no small share of what is asked for.
-    if not (solve_impulses(c, k, starts) or c.problem.residual * largest <= ROUNDING):
+    if not (solve_impulses(c, k, starts) or c.problem.residual * largest <= max(ROUNDING, contradiction(c, k))):
         return False
     if share > 0.0 and largest * force_size(c.F, 3 * k) > MOST_IMPULSE * asked_of(c, k):
         return False
     write_after(c, k)
     return True
+
+
+@kernel
+def contradiction(c: Contacts, k: int) -> float:
+    """Return by how much velocities after an impact may contradict each other, m/s: by what closed contacts move.
+
+    Where a face lies on another, or edges that cross, more contacts are closed than determine the motion along the
+    normal. The errors of steps make them part or come together, each by a little, and no impulses stop all of them.
+    """
+    most = 0.0
+    for i in range(k):
+        if c.mode[i] != FREE and c.event.struck[i] == 0.0 and c.problem.form[i] != OFF and not is_resistance(c, i):
+            most = max(most, abs(c.before[3 * i]))
+    return min(float(most), MOST_CONTRADICTION)
 
 
 @kernel

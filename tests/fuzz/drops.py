@@ -23,8 +23,8 @@ from boxes import G, drop_in_any_pose, simulate
 
 import closedloop as cl
 
-# What is wrong: a gap below this, m; force outside the cone, of the largest, or pull, N; energy that grows in a step, of that
-# which there is; speed at rest, rad/s (m/s).
+# What is wrong: a gap below this, m; force outside the cone, of the largest, or a pull, N; energy that grows in a step,
+# of that which there is; speed at rest, rad/s (m/s).
 GAP, CONE, RISE, REST = -1e-9, 1e-9, 1e-9, 1e-6
 # With a coefficient of friction below this a box may slide on for long.
 SLIPPERY = 0.04

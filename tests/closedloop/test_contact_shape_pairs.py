@@ -190,3 +190,32 @@ def test_what_has_no_pair_is_one_line(tmp_path):
         cl.simulate(
             bodies(tmp_path, (can, "box"), [([0, 0, 0], [1, 0, 0, 0]), ([0, 0, 1], [1, 0, 0, 0])]), progress=False
         )
+
+
+CUBE = '<geom type="box" size="0.05 0.05 0.05" mass="1"/>'
+
+
+def dropped_flat(folder, seed):
+    """Return the scenario of a box that is dropped on another, from 2 mm, turned by a few degrees."""
+    rng = np.random.default_rng(seed)
+    about = turn(*np.radians(rng.uniform(-6, 6, size=3)))
+    w, r = about[0], np.array(about[1:])
+    up = np.array([2 * (r[0] * r[2] - w * r[1]), 2 * (r[1] * r[2] + w * r[0]), 1 - 2 * (r[0] ** 2 + r[1] ** 2)])
+    place = [*rng.uniform(-0.003, 0.003, size=2), 0.102 + 0.05 * np.sum(np.abs(up))]
+    velocity = rng.normal(size=3) * 0.1, rng.normal(size=3) * 0.5
+    return bodies(
+        folder, [CUBE, CUBE], [([0, 0, 0.05], turn(0, 0, 0)), (place, about)], [np.zeros((2, 3)), velocity], floor=(0,)
+    )
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7, 8, 9])
+def test_a_box_dropped_flat_on_another_comes_to_rest(tmp_path, seed):
+    """A box dropped flat on another comes to rest upon it, gains no energy, and does not sink into it."""
+    # Corners and crossing edges depend on each other there. Before, 7 stopped: no impulses were found that met the
+    # velocities of contacts closed already, and rows that depend on each other but for rounding took 1e6 N.
+    run = cl.simulate(dropped_flat(tmp_path, seed))
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.max(np.diff(energy)) < 1e-7 * energy[0]
+    assert np.min(np.where(run.link_modes > 0, run.link_gaps, 0.0)) > -1e-8
+    assert np.max(np.abs(run.v[-1])) < 1e-6
+    assert len(run.events) < 1000

@@ -236,9 +236,8 @@ def _energy(facts: Facts) -> dict[str, Any] | None:
         return None
     if left == math.inf:
         return problem_of("energy", "the energy that is unaccounted for is not known: it is not a number in the record")
-    return problem_of(
-        "energy", f"{left:.3g} J are unaccounted for, more than {bound:.2g} J: try a shorter step or lower gains"
-    )
+    gains = " or lower gains" if facts.scenario.has_law else ""
+    return problem_of("energy", f"{left:.3g} J are unaccounted for, more than {bound:.2g} J: try a shorter step{gains}")
 
 
 def _chatter(facts: Facts) -> dict[str, Any] | None:

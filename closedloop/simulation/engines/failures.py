@@ -124,7 +124,7 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     name = robot.joint_names[fast]
     cure = _cure(problem, robot, law)
     return DivergenceError(
-        f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
+        f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s (m/s) or not a number; {cure}", t
     )
 
 

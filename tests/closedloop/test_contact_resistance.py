@@ -145,7 +145,7 @@ def test_a_block_at_rest_has_the_forces_of_least_norm():
         "box", {"friction": 0.4, "pivoting": 0.01, "rolling": 0.02}, 0.05, edges=[0.1, 0.1, 0.1],
         position=[0, 0, 0.05], gravity=gravity,
     )  # fmt: skip
-    assert np.all(np.abs(run.v) < 1e-14)
+    assert np.all(np.abs(run.v) < 1e-10 * G * 1e-3)  # what rounding of the forces makes in a step
     f = run.link_forces[1]
     assert np.all(np.linalg.norm(run.link_frictions[1].reshape(-1, 2), axis=1) <= 0.4 * f + 1e-9)
     assert np.all(np.linalg.norm(run.link_rolling_moments[1].reshape(-1, 2), axis=1) <= 0.02 * f + 1e-9)

@@ -138,7 +138,7 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         if state.status != OK:
             return FAIL
         if c.step.at_once != 0.0:
-            c.step.at_once = 0.0
+            c.step.at_once, state.striking = 0.0, -1
             return follow_impulses(w, links, c, state, events)
         log_contacts(w, links, c, state, events)
         started, links.undecided, links.fresh = links.fresh == 0, 0, 0

@@ -10,7 +10,7 @@ slips_end        when the first of these slips ends within a step
 given_modes      forces where it is known which contacts are free, slide or stick
 shortest         of equations that depend on each other which do not, and the shortest forces that obey them
 time_step        one step at the level of impulses, where no modes agree
-tangential_impact  the impulse that stops a slip which pulls the contact in
+tangential_impact  one impulse that stops a slip, where pressing harder pulls the contact in
 least_norm       of forces that are not unique those of least norm inside the cones
 surfaces         those that are curved or move
 bind             what the sections [[contact]] of a scenario ask for, as the rows that the loop reads

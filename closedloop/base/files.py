@@ -120,13 +120,7 @@ def remove_unfinished(folder: str | Path) -> list[Path]:
 
 
 def probe_folder(folder: Path) -> None:
-    """Make a folder if need be, and a file in it that is gone again at once.
-
-    Raises
-    ------
-    OSError, ValueError
-        If that cannot be done.
-    """
+    """Make a folder if need be, and a file in it that is gone again at once."""
     folder.mkdir(parents=True, exist_ok=True)
     probe = folder / _unfinished_name()
     try:
@@ -185,13 +179,7 @@ class FolderLock:
 
 
 def refuse_special(path: Path) -> None:
-    """Refuse to replace what is no regular file, and no link to one or to nothing.
-
-    Raises
-    ------
-    OutputError
-        If there is a folder, a device, a pipe or a socket, or a link to such, as /dev/stdout is.
-    """
+    """Refuse to replace what is no regular file, and no link to one or to nothing."""
     for follow, link in ((False, ""), (True, "a link to ")):
         try:
             mode = path.stat(follow_symlinks=follow).st_mode

@@ -15,13 +15,7 @@ EXTRAS = {
 
 
 def needs(*packages: str) -> None:
-    """Refuse what needs packages that are not installed.
-
-    Raises
-    ------
-    ScenarioError
-        Its line says what to install.
-    """
+    """Refuse what needs packages that are not installed."""
     for package in packages:
         if find_spec(package) is None:
             raise ScenarioError(_line(package))

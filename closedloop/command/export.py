@@ -19,13 +19,7 @@ ENDINGS = {"mjcf": "xml"}
 
 @as_command()
 def main(arguments: list[str]) -> int:
-    """Write a run file in another format, and return the exit status.
-
-    Raises
-    ------
-    ClosedLoopError
-        If the input is at fault, or the output cannot be written.
-    """
+    """Write a run file in another format, and return the exit status."""
     parser = Parser(
         prog="closedloop export",
         description="Write a run file in a format of other programs.",

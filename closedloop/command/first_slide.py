@@ -51,8 +51,6 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
 
     Parameters
     ----------
-    robot : Robot
-        With its tip.
     name : str
         What `robot.model` is to say.
     force : float, optional

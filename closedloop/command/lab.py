@@ -24,13 +24,7 @@ ANSWERED = 0.5
 
 @as_command()
 def main(arguments: list[str]) -> int:
-    """Open the lab, wait for Ctrl-C, and return the exit status.
-
-    Raises
-    ------
-    ClosedLoopError
-        If the input is at fault.
-    """
+    """Open the lab, wait for Ctrl-C, and return the exit status."""
     overrides, rest = split_overrides(arguments)
     options = _parser().parse_args(rest)
     if find_spec("websockets") is None:

@@ -52,11 +52,6 @@ def force_loop_settles(feedback: float, integral: float, sensor: SensorSection, 
     sensor : SensorSection
     period : float
         Time between two samples, s.
-
-    Raises
-    ------
-    ScenarioError
-        If the sensor does not fit the period.
     """
     packed = pack_sensor(sensor, period)
     age = packed.ring  # m
@@ -89,14 +84,8 @@ def check_sampling(law: ControlLaw, compensation: Compensation | None, sensor: S
 
     Parameters
     ----------
-    law, compensation, sensor : sections
     period : float
         Time between two evaluations of the law, s.
-
-    Raises
-    ------
-    ScenarioError
-        Names the gain that is too large, and its limit.
     """
     if law.force_integral > 0.0 and not force_loop_settles(0.0, law.force_integral, sensor, period):
         most = _most(lambda k: force_loop_settles(0.0, k, sensor, period), law.force_integral)

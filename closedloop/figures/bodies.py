@@ -59,11 +59,6 @@ def bodies(run: Run) -> Figure:
 
     Of more bodies than can be told apart those that move most are drawn. What does not change has no panel, except the
     height where nothing moves.
-
-    Raises
-    ------
-    ValueError
-        If the run has no free body.
     """
     motions = body_motions(run)
     if not motions:

@@ -46,10 +46,6 @@ def draw_figures(
 
     Parameters
     ----------
-    run : Run
-        The run.
-    folder : path
-        An existing folder.
     unstabilised : Run or callable, optional
         The same scenario without its stabiliser, for Fig. 7 beside Fig. 6; or what gives that run, or what `images_of`
         makes of its `closure_error`, or None, and is called when all others are drawn.

@@ -32,8 +32,6 @@ def draw(section: FrictionLaw, target: str | Path | Axes, load: float = 1.0) -> 
 
     Parameters
     ----------
-    section : FrictionLaw
-        A section of friction, of a surface or of joints.
     target : path or matplotlib Axes
         A file to write, .png, .svg or .pdf, or the axes to draw on.
     load : float

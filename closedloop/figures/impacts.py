@@ -48,13 +48,7 @@ def has_impacts(run: Run) -> bool:
 
 
 def impacts(run: Run) -> Figure:
-    """Draw the closure rate before and after each impact, its impulses, and its energy loss, against time.
-
-    Raises
-    ------
-    ValueError
-        If the run has no impact.
-    """
+    """Draw the closure rate before and after each impact, its impulses, and its energy loss, against time."""
     if not has_impacts(run):
         raise ValueError("the run has no impact to draw")
     hit = hits(run)

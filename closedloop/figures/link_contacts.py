@@ -33,11 +33,6 @@ def link_contacts(run: Run) -> Figure:
     """Draw when each contact of a link is closed, its normal force, and its friction, with the cone's edge dashed.
 
     Of more contacts than can be told apart the forces are sums over the points of one patch, and those of the largest.
-
-    Raises
-    ------
-    ValueError
-        If the run has no such contact.
     """
     sections = run.scenario.contact
     if not sections:

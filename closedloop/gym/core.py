@@ -36,13 +36,6 @@ SUCCESS, TIME_UP = "success", "time is up"
 class Core:
     """N environments of one task.
 
-    Parameters
-    ----------
-    task : Task
-    count : int
-        N.
-    threads : int
-
     Attributes
     ----------
     action_space, observation_space, privileged_space : spaces.Box
@@ -181,13 +174,7 @@ class Core:
         return int(self.together.rows.shape[1])
 
     def start(self, some: Sequence[int]) -> None:
-        """Let the episodes of these environments begin.
-
-        Raises
-        ------
-        SimulationError
-            If there is no solution at the start of one.
-        """
+        """Let the episodes of these environments begin."""
         self.together.start(some)
         self.now.changed()
         for i in some:

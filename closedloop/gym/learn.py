@@ -79,7 +79,6 @@ class Episodes:
         How many of each.
     settled : float
         The force counts from here on, s.
-    threads : int, optional
     """
 
     def __init__(

@@ -64,8 +64,6 @@ class LinearPolicy:
 
         Parameters
         ----------
-        path : path
-            A .py file.
         core : Core
             That of the environment: its action is the desired force alone, and its law is what the policy commands.
 

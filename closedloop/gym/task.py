@@ -69,12 +69,7 @@ class Task:
     goal: Ending | None = None
 
     def load_scenario(self) -> Scenario:
-        """Return the scenario.
-
-        Raises
-        ------
-        ScenarioError
-        """
+        """Return the scenario."""
         if isinstance(self.scenario, Scenario):
             if self.overrides:
                 raise ScenarioError("overrides: go with a scenario's name or path; this one is a Scenario already")
@@ -148,12 +143,7 @@ TASKS: dict[str, Task] = {
 
 
 def task_of(given: Task | str | None, changes: Mapping[str, Any]) -> Task:
-    """Return a task by its name or as given, or of the scenario in `changes`, with what else they replace.
-
-    Raises
-    ------
-    ScenarioError
-    """
+    """Return a task by its name or as given, or of the scenario in `changes`, with what else they replace."""
     if isinstance(given, Task):
         return given.changed(changes)
     if given is None:

@@ -43,12 +43,10 @@ def animate(run: Run, path: str | Path, *, speed: float = 1.0, frames_per_second
 
     Parameters
     ----------
-    run : Run
     path : path
         A .gif or a .mp4.
     speed : float
         Seconds of the run in a second of the film.
-    frames_per_second : int
 
     Raises
     ------
@@ -148,13 +146,7 @@ def _gif(picture: Picture, rows: NDArray[np.int64], frames_per_second: int) -> b
 
 
 def _mp4(picture: Picture, rows: NDArray[np.int64], frames_per_second: int, ffmpeg: str) -> bytes:
-    """Return a .mp4 by the program ffmpeg, which reads the frames as they are drawn.
-
-    Raises
-    ------
-    OutputError
-        If the program fails.
-    """
+    """Return a .mp4 by the program ffmpeg, which reads the frames as they are drawn."""
     height, width, _ = picture.pixels(int(rows[0])).shape
     with tempfile.TemporaryDirectory(prefix="closedloop-") as folder:
         file = Path(folder) / "film.mp4"

@@ -75,12 +75,8 @@ class Answers:
 
     Parameters
     ----------
-    history : History
-        What the changes are of.
     law : callable, optional
         A user's law, see `closedloop.simulate`.
-    model : RobotModel, optional
-        The robot to use instead of loading the scenario's.
     say : callable
         Takes a line while something is compiled or takes long, and "" when it is done.
     part : callable

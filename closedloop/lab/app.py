@@ -65,14 +65,8 @@ class Lab:
 
     Parameters
     ----------
-    history : History
-        The scenario and its changes.
     law : callable, optional
         A user's law, see `closedloop.simulate`.
-    model : RobotModel, optional
-        The robot to use instead of loading the scenario's.
-    host : str
-        Address to listen on.
     port : int
         The next free one is taken if it is in use.
     dark : bool
@@ -172,13 +166,7 @@ class Lab:
         return self._first.get((key, index))
 
     def open(self, name: str) -> None:
-        """Go over to another scenario that ships.
-
-        Raises
-        ------
-        ScenarioError, ModelError
-            If it cannot be run.
-        """
+        """Go over to another scenario that ships."""
         base = load_scenario(name)
         self.map.stop()
         with self._lock:

@@ -157,7 +157,6 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
 
     Parameters
     ----------
-    scenario : Scenario
     section : str
         Such as "law".
     model : RobotModel, optional

@@ -35,12 +35,7 @@ POLES, POINTS = 12, 400
 
 
 class Details:
-    """What follows the curves.
-
-    Parameters
-    ----------
-    lab : Lab
-    """
+    """What follows the curves."""
 
     def __init__(self, lab: Lab) -> None:
         self._lab = lab

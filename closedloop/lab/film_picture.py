@@ -172,10 +172,8 @@ class Solids:
 
     Parameters
     ----------
-    shapes : sequence of Shape
     colour : three floats, optional
         Of all, in place of their own.
-    opacity : float
     """
 
     def __init__(

@@ -65,11 +65,8 @@ def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None],
 
     Parameters
     ----------
-    found : iterable of Control
     first : dict
         The value with which each began, by key and number of the entry.
-    changes : Changes
-        What was changed.
     """
     groups: dict[str, list[Row]] = {name: [] for name in ORDER}
     opened = set(OPEN)

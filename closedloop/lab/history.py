@@ -99,13 +99,7 @@ class History:
         return True
 
     def scenario(self, changes: Changes | None = None) -> Scenario:
-        """Return the scenario with these changes, those of now if left out.
-
-        Raises
-        ------
-        ScenarioError
-            If a value is at fault.
-        """
+        """Return the scenario with these changes, those of now if left out."""
         changes = self.changes if changes is None else changes
         return Variants(self.base, tuple(changes)).scenario(tuple(changes.values())) if changes else self.base
 

@@ -15,13 +15,7 @@ MOST_FOLDERS = 10_000
 
 
 def new_folder(name: str, parent: Path | None = None) -> Path:
-    """Make and return the first folder out/NAME-lab/1, 2, 3 ... that is not there yet.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be made.
-    """
+    """Make and return the first folder out/NAME-lab/1, 2, 3 ... that is not there yet."""
     parent = (Path("out") if parent is None else parent) / f"{name}-lab"
     try:
         parent.mkdir(parents=True, exist_ok=True)
@@ -41,11 +35,6 @@ def save(run: Run, command: str, parent: Path | None = None) -> list[Path]:
     """Write a run and its scenario into a new folder, and return the files.
 
     `command`, which repeats the run, stands in the scenario's first line.
-
-    Raises
-    ------
-    OutputError
-        If they cannot be written.
     """
     folder = new_folder(run.scenario.name, parent)
     text = f"# {printable(command)}\n{run.scenario.to_toml()}"
@@ -53,11 +42,5 @@ def save(run: Run, command: str, parent: Path | None = None) -> list[Path]:
 
 
 def save_page(run: Run, command: str, parent: Path | None = None, ghosts: Sequence[Ghost] = ()) -> Path:
-    """Write the page of a run into a new folder, and return it; see `closedloop.lab.share`.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
+    """Write the page of a run into a new folder, and return it; see `closedloop.lab.share`."""
     return share(run, new_folder(run.scenario.name, parent) / "page.html", command, ghosts)

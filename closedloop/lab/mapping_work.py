@@ -43,12 +43,7 @@ POINTS, FINE = 24, 2e-4
 
 
 class MapWork:
-    """The map.
-
-    Parameters
-    ----------
-    lab : Lab
-    """
+    """The map."""
 
     def __init__(self, lab: Lab) -> None:
         self._lab, self._stop = lab, threading.Event()

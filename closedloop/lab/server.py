@@ -41,10 +41,6 @@ class Client:
     """A page that is open: what waits to be sent to it, of each kind the newest only.
 
     Runs wait until the page says that it has drawn the one before: a page that is slow is sent fewer, and none late.
-
-    Parameters
-    ----------
-    connection : websockets.sync.server.ServerConnection
     """
 
     def __init__(self, connection: Any) -> None:
@@ -216,12 +212,7 @@ def without_token(path: str, token: str) -> str | None:
 
 
 def _free_port(host: str, port: int) -> int:
-    """Return the first port from this one on that can be listened on.
-
-    Raises
-    ------
-    OutputError
-    """
+    """Return the first port from this one on that can be listened on."""
     if not 1 <= port <= LAST_PORT:
         raise OutputError(f"--port {port}: must be from 1 to {LAST_PORT}")
     fault: Exception | None = None

@@ -30,13 +30,7 @@ SCRIPTS = (
 
 
 def page_of(run: Run, command: str = "", ghosts: Sequence[Ghost] = ()) -> str:
-    """Return the page of a run; `command` is the command line that repeats it, `ghosts` are shown beside its bodies.
-
-    Raises
-    ------
-    ScenarioError
-        If the run has no rows.
-    """
+    """Return the page of a run; `command` is the command line that repeats it, `ghosts` are shown beside its bodies."""
     if not len(run):
         raise ScenarioError(f"{run.scenario.name}: the run has no rows: there is nothing to show")
     scene, summary = scene_of(run, ghosts), run.summary()
@@ -98,7 +92,6 @@ def show_run(run: Run, path: str | Path | None = None) -> Path | Any:
 
     Parameters
     ----------
-    run : Run
     path : path, optional
         Write the page there instead of showing it.
 

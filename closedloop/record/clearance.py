@@ -92,29 +92,6 @@ def clearance(run: Record) -> Clearance | None:
     return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
 
 
-def passing(run: Record, rows: NDArray[Any]) -> list[tuple[Clearance, ...]]:
-    """Return, of each of these rows, what passes through what: each two links, or link and plane, with their depth.
-
-    For a drawing that shows them; compared are the shapes that `clearance` compares.
-    """
-    found: list[list[Clearance]] = [[] for _ in rows]
-    solids = _solids(run.model) if len(rows) else ()
-    if not solids:
-        return [() for _ in rows]
-    mechanism = run.model.pinocchio_model()
-    poses = _poses(run, mechanism, np.concatenate([[0], rows]))
-    pairs = [pair for pair in _pairs(run, mechanism, solids) if _distance(*pair, poses[0]) > TOUCHING][:MOST_PAIRS]
-    for at, (row, pose) in enumerate(zip(rows, poses[1:], strict=True)):
-        for pair in pairs:
-            if _bound(*pair, pose) < -TOUCHING and (depth := _distance(*pair, pose)) < -TOUCHING:
-                found[at].append(Clearance(depth, float(run.time[row]), (pair[0].link, pair[1].link)))
-        for plane, touching in _planes(run, mechanism):
-            near = _from_plane(run, solids, plane, touching, mechanism, np.unique([0, row]))
-            if near is not None and near.distance < -TOUCHING and near.time == run.time[row]:
-                found[at].append(near)
-    return [tuple(each) for each in found]
-
-
 def clearance_of(run: Record) -> dict[str, Any] | None:
     """Return `clearance` as the summary has it."""
     found = clearance(run)

@@ -17,8 +17,6 @@ def difference(
 
     Parameters
     ----------
-    keys : sequence of str
-        The inputs that differ.
     names : mapping of str to str
         What they are called.
     found, question : mapping

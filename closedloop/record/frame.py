@@ -39,14 +39,6 @@ def data_frame(
         Columns (N,) or (N, k) by their names, "time" among them.
     dims : mapping of str to tuple of str
         Dimensions of each: ("time",), ("time", "joint"), ("time", "axis") or ("time", "component").
-    joints : tuple of str
-        Names of the joints.
-    coordinates : tuple of str
-        Names of the positions, where they are others.
-    contacts : tuple of str
-        What columns call the links' contacts.
-    units : callable
-        The unit of a column by its name.
     """
     needs("pandas")
     import pandas

@@ -52,11 +52,6 @@ def write_netcdf(
         By name; one with the name of a dimension has that dimension alone.
     attributes : mapping
         The file's own attributes.
-
-    Raises
-    ------
-    BaseException
-        What a write has raised: OSError on a full disk, or Ctrl-C.
     """
     import h5py
 

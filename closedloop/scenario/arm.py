@@ -22,13 +22,7 @@ from robot_models.joint_dynamics import joint_dynamics, loop_dynamics
 
 
 def start_posture(scenario: Scenario, model: RobotModel) -> Array:
-    """Return q (n,) at the start as the loop has it: a joint that turns freely by its rotation vector, rad.
-
-    Raises
-    ------
-    ScenarioError
-        If `start.q` has not one entry for each coordinate, or a quaternion in it has no length.
-    """
+    """Return q (n,) at the start as the loop has it: a joint that turns freely by its rotation vector, rad."""
     q = start_positions(scenario, model)
     if not model.balls:
         return q
@@ -42,11 +36,6 @@ def start_positions(scenario: Scenario, model: RobotModel) -> Array:
     """Return q (nq,) at the start: that of `start.q`, or the home posture with each [[body]] where it is placed.
 
     A `start.q` may leave out what moves freely, which is then where the model, or its [[body]], has it.
-
-    Raises
-    ------
-    ScenarioError
-        If `start.q` has neither of these lengths.
     """
     given, names = scenario.start.q, model.coordinate_names
     placed = dict(zip(names, model.home.tolist(), strict=True))
@@ -57,13 +46,7 @@ def start_positions(scenario: Scenario, model: RobotModel) -> Array:
 
 
 def start_velocities(scenario: Scenario, model: RobotModel) -> Array:
-    """Return q̇ (n,) at the start, with each [[body]] as it moves; of `start.v` see `start_positions`.
-
-    Raises
-    ------
-    ScenarioError
-        If `start.v` has neither of its lengths.
-    """
+    """Return q̇ (n,) at the start, with each [[body]] as it moves; of `start.v` see `start_positions`."""
     names = model.joint_names
     moving = dict.fromkeys(names, 0.0)
     for body in scenario.body or ():
@@ -93,13 +76,7 @@ def is_of_model(key: str) -> bool:
 
 
 def beside_bodies(scenario: Scenario, model: RobotModel) -> RobotModel:
-    """Return a robot with each [[body]] of a scenario beside it; itself if it has bodies of these names.
-
-    Raises
-    ------
-    ModelError
-        See `robot_models.bodies.with_bodies`.
-    """
+    """Return a robot with each [[body]] of a scenario beside it; itself if it has bodies of these names."""
     own = {model.joint_names[j].removesuffix(PLACES[0]) for j in model.bodies}
     return with_bodies(model, [body for body in free_bodies(scenario) if body.name not in own])
 

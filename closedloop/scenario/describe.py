@@ -90,13 +90,7 @@ def choices(key: str) -> list[str]:
 
 
 def describe_section(section: str) -> str:
-    """Return the help of a section: what it is, its kinds and its keys.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such section.
-    """
+    """Return the help of a section: what it is, its kinds and its keys."""
     known = sections()
     if section not in known:
         near = elsewhere(section) or section_meant(section, known)
@@ -118,11 +112,6 @@ def explain_key(key: str) -> str:
     """Return what a key is: its meaning, unit, values, bounds and default, and the kinds that have it.
 
     Of a word without a dot, the help of the section with that name.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such key.
     """
     key = described_key(key)
     section, dot, name = key.partition(".")

@@ -26,13 +26,7 @@ def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def refuse_absent(scenario: Scenario) -> None:
-    """Refuse to run a scenario read from a run file with a user's class that has not been named in this process.
-
-    Raises
-    ------
-    ScenarioError
-        Says how to name it.
-    """
+    """Refuse to run a scenario read from a run file with a user's class that has not been named in this process."""
     for key, name in members_of_users(scenario).items():
         if _class_of(scenario, key, name) is None:
             raise ScenarioError(f"{key} = {name!r}: {how_to_name(key, name)}")

@@ -39,13 +39,7 @@ class Variants:
         self._touched = {key.partition(".")[0] for key in self.keys} & set(self._data)
 
     def scenario(self, values: Sequence[Any]) -> Scenario:
-        """Return the scenario in which each key has its value.
-
-        Raises
-        ------
-        ScenarioError
-            If there is no such key, or a value is at fault.
-        """
+        """Return the scenario in which each key has its value."""
         changes = dict(zip(self.keys, values, strict=True))
         touched = {section: deepcopy(self._data[section]) for section in self._touched}
         try:  # the sections that no key is of are taken as they are: that they are valid is known
@@ -82,11 +76,6 @@ def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> N
         The overrides that all runs have in common.
     kinds : iterable of (str, value)
         Keys that change, and one of their values each; only those that pick a kind matter.
-
-    Raises
-    ------
-    ScenarioError
-        Names every such key, and the kind that would run without it.
     """
     from closedloop.scenario.messages import variant_keys
 

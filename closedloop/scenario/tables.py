@@ -113,11 +113,6 @@ def tables_of(data: dict[str, Any], key: str) -> tuple[list[dict[str, Any]], str
     """Return the tables that a key is of, to be written to, and the rest of the key; see the top of this file.
 
     Tables at fault in themselves are left out: the validation names them.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such table, several have that name, or the key does not say which.
     """
     section, _, rest = key.partition(".")
     given = data.get(section)

@@ -23,18 +23,7 @@ from closedloop.scenario.scenario import families
 
 
 def name_members(given: Iterable[tuple[str, Any]]) -> None:
-    """Import the users' classes that the command line names, such as --reference.kind my_paths:Spiral.
-
-    Parameters
-    ----------
-    given : iterable of (str, value)
-        Dotted keys of the scenario and their values.
-
-    Raises
-    ------
-    ScenarioError
-        See `importing` and `closedloop.base.families.Family.named`.
-    """
+    """Import the users' classes that the command line names, such as --reference.kind my_paths:Spiral."""
     for key, value in given:
         family = families().get(key)
         if family is not None and isinstance(value, str) and ":" in value:
@@ -48,13 +37,7 @@ def import_law(name: str) -> Any:
 
 
 def import_function(option: str, name: str, example: str) -> Any:
-    """Return the function that an option of the command line names.
-
-    Raises
-    ------
-    ScenarioError
-        See `importing`.
-    """
+    """Return the function that an option of the command line names."""
     with importing(option, name, f"MODULE:FUNCTION, such as {example}") as (module, function):
         found = getattr(importlib.import_module(module), function, None)
     if not callable(found):

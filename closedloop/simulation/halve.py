@@ -19,13 +19,7 @@ from robot_models import RobotModel
 
 
 def half_step(scenario: Scenario) -> Scenario:
-    """Return the scenario at half its step.
-
-    Raises
-    ------
-    ScenarioError
-        If its integrator chooses its steps.
-    """
+    """Return the scenario at half its step."""
     time = scenario.time
     if time.integrator in ADAPTIVE:
         raise ScenarioError(
@@ -53,10 +47,6 @@ def halve(
     ----------
     scenario, law, model, progress, engine
         As of `simulate`. An object with a state is copied for each run; a law that has `reset` is reset.
-
-    Returns
-    -------
-    Run
 
     Raises
     ------

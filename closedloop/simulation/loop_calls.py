@@ -58,8 +58,6 @@ class Answers:
 
     Parameters
     ----------
-    problem, loop
-        The problem and its loop's memory.
     interim : bool
         Whether an impact may be computed interpreted while its law is not compiled yet.
 

@@ -181,8 +181,6 @@ def run_loop(
 
     Parameters
     ----------
-    problem, law, report, engine
-        See `simulate`.
     rows : (>= steps + 1, width) array, optional
         Memory for the rows; its content is overwritten.
     tree : (Tree, array), optional

@@ -44,11 +44,6 @@ _ROW, _PHASE, _EVENTS, _MODE, _DRIVES = (
 class Stepper:
     """The loop of a problem, and what drives it: the scenario's law, a user's law, or a torque that is held.
 
-    Parameters
-    ----------
-    problem, engine
-        See `closedloop.simulation.simulate.run_loop`; the integrator has steps of fixed length.
-
     Attributes
     ----------
     rows : (steps + 1, width) array

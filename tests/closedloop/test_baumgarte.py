@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stabiliser_errors import rounding_gain, sliding_error
 
 import closedloop as cl
 from closedloop.loop.step.record_row import recorded
@@ -14,8 +15,6 @@ from closedloop.mechanics.closure.baumgarte import (
     baumgarte_gains,
     largest_stable_ratio,
     recommended_ratio,
-    rounding_gain,
-    sliding_error,
     spectral_radius,
 )
 from closedloop.mechanics.integrators import INTEGRATORS

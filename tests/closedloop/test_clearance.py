@@ -3,7 +3,7 @@
 import pytest
 
 import closedloop as cl
-from closedloop.record.clearance import clearance, passing, passing_note
+from closedloop.record.clearance import clearance, passing_note
 
 TWO = """<mujoco><option gravity="0 0 0"/><worldbody><body name="box"><joint name="x" type="slide" axis="1 0 0"/>
 <geom type="box" size="0.1 0.1 0.1" mass="1"/><site name="tip"/></body>
@@ -40,17 +40,6 @@ def test_what_passes_through_is_said(tmp_path):
     )
 
 
-def test_what_passes_through_is_known_in_each_row(tmp_path):
-    """Nothing at the start; ball and box while they overlap; the ball and a floor below it at the end."""
-    floor = '[[contact]]\nname = "floor"\nlink = "box"\nat = [0, 0, -0.1]\nthrough = [0, 0, -0.1]\n'
-    run, _ = passed(tmp_path, [0.0, -14.0], floor)
-    first, middle, last = passing(run, [0, 60, 100])
-    assert first == ()
-    assert {frozenset(each.between) for each in middle} == {frozenset(("box", "ball"))}
-    assert middle[0].distance == pytest.approx(1.0 - 14.0 * 0.06 - 0.3, abs=1e-9)
-    assert ("ball", "the plane of 'floor'") in [each.between for each in last]
-
-
 def test_a_plane_that_another_link_touches(tmp_path):
     """The ball falls through the floor that the box touches; the box, which has the contact, is not compared."""
     floor = '[[contact]]\nname = "floor"\nlink = "box"\nat = [0, 0, -0.1]\nthrough = [0, 0, -0.1]\n'
@@ -67,7 +56,7 @@ PEN = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint nam
 
 
 def above_a_surface(tmp_path, height):
-    """Return the least distance from the tip's plane z = 0 of a ball at a height, m, that falls with 2 m/s."""
+    """Return the least distance of a run in which a ball falls with 2 m/s from a height, m, above the tip's plane."""
     (tmp_path / "pen.xml").write_text(PEN.replace("HEIGHT", str(height)))
     text = (
         '[robot]\nmodel = "pen.xml"\ntip = "tip"\n[surface]\nkind = "plane"\n[law]\nkind = "paper"\nkp = 0.0\n'
@@ -75,19 +64,19 @@ def above_a_surface(tmp_path, height):
     )
     (tmp_path / "run.toml").write_text(text)
     run = cl.simulate(cl.load_scenario(tmp_path / "run.toml"), progress=False)
-    return [each for rows in passing(run, [0, 100]) for each in rows if "the surface" in each.between]
+    return clearance(run)
 
 
 def test_a_link_that_comes_through_the_plane_of_the_surface_is_named(tmp_path):
     """From 0.1 m above it falls to 0.1 m below, its ball 0.05 m deeper; the ball that holds the tip touches it."""
-    (found,) = above_a_surface(tmp_path, 0.1)
+    found = above_a_surface(tmp_path, 0.1)
     assert found.between == ("tool", "the surface")
     assert found.distance == pytest.approx(-0.15, abs=1e-9)
 
 
 def test_a_link_that_begins_below_the_plane_of_the_surface_is_beside_it(tmp_path):
     """The plane has no edge in the file: wam4 reaches its surface from below, and nothing passes through anything."""
-    assert above_a_surface(tmp_path, -0.01) == []
+    assert "the surface" not in above_a_surface(tmp_path, -0.01).between
     for name in ("wam_slide", "wam_bounce", "panda_slide", "planar2_slide"):
         short = cl.simulate(cl.load_scenario(name, {"time.duration": 0.2}), progress=False)
         assert passing_note(short.summary()["clearance"]) == ""

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from pulled_block import pull_block
 from test_friction_examples import contact
 
 import closedloop as cl
-from closedloop.mechanics.friction.block import pull_block
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.dahl import SurfaceDahl
 from closedloop.mechanics.friction.laws.lugre import SurfaceLuGre

@@ -47,13 +47,7 @@ def direction_along(direction: Sequence[float], normal: Array) -> Array:
 
 
 def interval(section: Between) -> tuple[float, float]:
-    """Return reference.start and reference.stop, s.
-
-    Raises
-    ------
-    ScenarioError
-        If the stop is not later than the start.
-    """
+    """Return reference.start and reference.stop, s."""
     if not section.stop > section.start:
         raise ScenarioError(
             f"reference.stop = {section.stop:g}: must be later than reference.start = {section.start:g}"
@@ -62,13 +56,7 @@ def interval(section: Between) -> tuple[float, float]:
 
 
 def not_zero(value: float, key: str) -> float:
-    """Return the value.
-
-    Raises
-    ------
-    ScenarioError
-        If it is zero.
-    """
+    """Return the value; refuse zero."""
     if value == 0.0:
         raise ScenarioError(f"{key} = 0: must not be zero")
     return value

@@ -30,13 +30,7 @@ def edge_distances(surface: PlacedSurface, times: Array, r: Array) -> Array:
 
 
 def refuse_beyond_edge(surface: PlacedSurface, tip: TipPath) -> None:
-    """Refuse a path along a surface that leaves it over its edge; a tip that is to stay may be left by the surface.
-
-    Raises
-    ------
-    ScenarioError
-        With the first instant beyond the edge, and how far the path goes.
-    """
+    """Refuse a path along a surface that leaves it over its edge; a tip that is to stay may be left by the surface."""
     if not surface.ends or not tip.length > 0.0:
         return
     times = tip.instants(PATH_CHECKS)

@@ -124,13 +124,7 @@ class Follower(NamedTuple):
 
 
 def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
-    """Return the posture next to q (n,) in which the tip is at the same place and the tool is as it is to be held.
-
-    Raises
-    ------
-    ScenarioError
-        If there is none, or it is not near; names it then.
-    """
+    """Return the posture next to q (n,) in which the tip is at the same place and the tool is as it is to be held."""
     held.check_joints(robot, q)
     r, still = robot.position(q)[None], np.zeros((1, 3))
     target = np.hstack([r, still, held.axis_along(np.zeros(1), r, still)])

@@ -83,8 +83,6 @@ class Rolling:
 
     Parameters
     ----------
-    surface : PlacedSurface
-        The surface, as it lies at t = 0.
     origin : (3,) array
         Where the path begins, m, base frame; it keeps to the level of φ there.
 

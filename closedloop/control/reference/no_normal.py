@@ -27,13 +27,7 @@ NEAREST = 1e-12
 
 
 def refuse_without_normal(surface: PlacedSurface, tip: TipPath) -> None:
-    """Refuse a path along a surface to where the gradient of its φ vanishes or jumps.
-
-    Raises
-    ------
-    ScenarioError
-        With the instant and the place.
-    """
+    """Refuse a path along a surface to where the gradient of its φ vanishes or jumps."""
     if surface.fixed_plane or not tip.segments:
         return
     times = tip.instants(PATH_CHECKS)

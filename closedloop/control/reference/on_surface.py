@@ -49,10 +49,6 @@ def on_surface(path: TipPath, surface: PlacedSurface, duration: float, geodesic:
     ----------
     path : TipPath
         In the tangent plane at the surface's origin.
-    surface : PlacedSurface
-        The surface.
-    duration : float
-        Length of the run, s.
     geodesic : bool
         Whether it is rolled onto the surface, with its lengths, or projected. On a surface that moves a geodesic is
         drawn on the body; a projection follows it along the normal alone.

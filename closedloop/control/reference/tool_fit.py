@@ -23,7 +23,6 @@ def hollow_radii(surface: PlacedSurface, times: Array, r: Array) -> Array:
 
     Parameters
     ----------
-    surface : PlacedSurface
     times : (N,) array
         s.
     r : (N, 3) array
@@ -46,13 +45,7 @@ def hollow_radii(surface: PlacedSurface, times: Array, r: Array) -> Array:
 
 
 def refuse_tool_too_large(surface: PlacedSurface, tip: TipPath, radius: float) -> None:
-    """Refuse a tool with a tip of this radius, m, where the path comes to a hollow that is narrower.
-
-    Raises
-    ------
-    ScenarioError
-        With the narrowest place.
-    """
+    """Refuse a tool with a tip of this radius, m, where the path comes to a hollow that is narrower."""
     if radius == 0.0 or surface.fixed_plane:
         return
     times = tip.instants(PATH_CHECKS) if tip.segments else np.zeros(1)
@@ -61,13 +54,7 @@ def refuse_tool_too_large(surface: PlacedSurface, tip: TipPath, radius: float) -
 
 
 def refuse_narrow(surface: PlacedSurface, times: Array, r: Array, radius: float) -> None:
-    """Refuse a ball of this radius, m, that touches a surface at points r (N, 3), m, if it does not fit there.
-
-    Raises
-    ------
-    ScenarioError
-        With the narrowest place.
-    """
+    """Refuse a ball of this radius, m, that touches a surface at points r (N, 3), m, if it does not fit there."""
     hollow = hollow_radii(replace(surface, radius=0.0), times, r)
     k = int(np.argmin(hollow))
     if radius > hollow[k] * (1.0 + ROUNDING):

@@ -27,12 +27,7 @@ HELD = ("point", "hinge", "weld", "gear", "distance")  # types of loop joints th
 
 
 def check_joined(scene: Scene) -> None:
-    """Refuse loop joints that MuJoCo has no equality for, and contacts of links but of points and balls with planes.
-
-    Raises
-    ------
-    ScenarioError
-    """
+    """Refuse loop joints that MuJoCo has no equality for, and contacts of links but of points and balls with planes."""
     for loop in scene.run.model.loops:
         if loop.type not in HELD:
             raise ScenarioError(

@@ -26,13 +26,7 @@ LEAST_RANGE = 1e-6  # of heights, m: MuJoCo takes none that is flat
 
 
 def add_surface(assets: ElementTree.Element, world: ElementTree.Element, scene: Scene) -> None:
-    """Add the surface where it is at t = 0, below a body that can be moved (`mocap`) if the surface moves.
-
-    Raises
-    ------
-    ScenarioError
-        If it is of a class of the user that has not been imported here.
-    """
+    """Add the surface where it is at t = 0, below a body that can be moved (`mocap`) if the surface moves."""
     placed = scene.ground.placed
     if placed is None:
         raise ScenarioError(

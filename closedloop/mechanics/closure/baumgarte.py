@@ -12,10 +12,10 @@ Choice of T for a step
 (`recommended_ratio`). Everything scales with h, so the choice is one of z = h/T for each integrator and ζ:
 
 - A larger z makes an error decay in fewer steps, and reduces the error of a sliding tip with an Euler scheme,
-  e = ∓ζ h T Ȧq̇ (`sliding_error`).
+  e = ∓ζ h T Ȧq̇ (tests/closedloop/stabiliser_errors.py).
 - Near the limit an error alternates from step to step instead. The paper's z = 1 is at 97 % of semi-implicit Euler's
-  limit: an error is multiplied by −0.88 at every step, with z = 1/2 by 0.54. Rounding of e goes into f by
-  `rounding_gain`, which grows like z² first, and without bound at the limit. So z is at most half the limit.
+  limit: an error is multiplied by −0.88 at every step, with z = 1/2 by 0.54. Rounding of e goes into f by a gain
+  that grows like z² first, and without bound at the limit. So z is at most half the limit.
 - The stages of a Runge-Kutta scheme are evaluated at states off the closure, to which the stabiliser responds. Its
   share of f grows like z⁴ with RK4, and does not fall with h while T falls with it: 3 % of the centripetal force at
   half the limit for ζ = 0.707, 29 % for ζ = 1; with z = 1/2 about 1 % at most, for any ζ. So z is at most 1/2.
@@ -48,8 +48,6 @@ __all__ = [
     "largest_stable_ratio",
     "linear_step",
     "recommended_ratio",
-    "rounding_gain",
-    "sliding_error",
     "spectral_radii",
     "spectral_radius",
 ]
@@ -69,8 +67,6 @@ def amplification(integrator: str | type[Integrator], damping_ratio: float | Arr
 
     Parameters
     ----------
-    integrator : str or type
-        A name in `closedloop.mechanics.integrators.INTEGRATORS`, or the scheme itself.
     damping_ratio : float, or ndarray (...)
         ζ, dimensionless; one for all, or one for each ratio.
     ratio : float, or ndarray (...)
@@ -143,74 +139,3 @@ def recommended_ratio(integrator: str | type[Integrator], damping_ratio: float) 
     if not damping_ratio > 0.0:
         return 0.0
     return min(1.0 / STEPS, largest_stable_ratio(integrator, damping_ratio) / MARGIN)
-
-
-def sliding_error(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> tuple[float, float, float]:
-    """Return the steady error of sliding, per unit of the tip's centripetal acceleration along the normal, a = Ȧq̇.
-
-    With a constant a one step of the integrator from e = ė = 0 ends off the closure by its local error, which the
-    stabiliser balances. For the Euler schemes e is ∓ζ h T a: below the surface for the semi-implicit one, above it for
-    the explicit one (a > 0).
-
-    Parameters
-    ----------
-    integrator, damping_ratio, ratio
-        See `amplification`; stable.
-
-    Returns
-    -------
-    error, rate, share : float
-        e/(h² a), ė/(h a), and (−s_v ė − s_p e)/a: the stabiliser's share of f over that of a.
-    """
-    scheme = _scheme(integrator)
-    damper, spring = 2.0 * damping_ratio * ratio, ratio * ratio
-
-    def acceleration(t: float, y: float, w: float) -> float:
-        # With h = a = 1, what the integrator advances is y = e − t²/2 and w = ė − t.
-        return -1.0 - damper * (w + t) - spring * (y + 0.5 * t * t)
-
-    if scheme.semi_implicit:
-        y = w = acceleration(0.0, 0.0, 0.0)
-    else:
-        slopes: list[tuple[float, float]] = []
-        for node, row in zip(scheme.nodes, scheme.a, strict=True):
-            y, w = (sum(a * slope[i] for a, slope in zip(row, slopes, strict=False)) for i in range(2))
-            slopes.append((w, acceleration(node, y, w)))
-        y, w = (sum(b * slope[i] for b, slope in zip(scheme.b, slopes, strict=True)) for i in range(2))
-    defect = np.array([y + 0.5, w + 1.0])
-    error, rate = np.linalg.solve(np.eye(2) - amplification(integrator, damping_ratio, ratio), defect).tolist()
-    return error, rate, -damper * rate - spring * error
-
-
-def rounding_gain(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
-    """Return the standard deviation of the stabiliser's acceleration that rounding of e causes, times h²/δ.
-
-    e = n·r − d has an independent rounding error at every evaluation, of standard deviation δ, m (7e-17 half a metre
-    from the base). The standard deviation of the force is then gain · δ / (h² A H⁻¹Aᵀ). Infinite at the limit of
-    stability and beyond it.
-
-    Parameters
-    ----------
-    integrator, damping_ratio, ratio
-        See `amplification`.
-    """
-    if not spectral_radius(integrator, damping_ratio, ratio) < 1.0:
-        return math.inf
-    scheme = _scheme(integrator)
-    M = np.array([[0.0, 1.0], [-(ratio**2), -2.0 * damping_ratio * ratio]])
-    kick = np.array([0.0, -(ratio**2)])
-    if scheme.semi_implicit:
-        B = np.array([kick[[1, 1]]]).T
-    else:
-        columns = []
-        for noisy in range(scheme.stages):
-            slopes: list[Array] = []
-            for stage, row in enumerate(scheme.a):
-                state = sum((a * k for a, k in zip(row, slopes, strict=False)), np.zeros(2))
-                slopes.append(M @ state + kick * (stage == noisy))
-            columns.append(sum((b * k for b, k in zip(scheme.b, slopes, strict=True)), np.zeros(2)))
-        B = np.array(columns).T
-    step = amplification(integrator, damping_ratio, ratio)
-    # The covariance of (e, hė) that a step keeps: P = step P stepᵀ + B Bᵀ.
-    P = np.linalg.solve(np.eye(4) - np.kron(step, step), (B @ B.T).ravel()).reshape(2, 2)
-    return math.sqrt(ratio**4 + float(M[1] @ P @ M[1]))

@@ -5,7 +5,6 @@ laws         those that ship, a file each
 quantities   the types of their parameters
 packing      their parameters by name, from a section
 contact      a law at one contact, for use from Python
-block        a block that is pulled over a surface with one
 presliding   small motions before slip
 
     section = SurfaceLuGre(kinetic=0.2, static=0.3, stribeck_speed=1e-3, stiffness=1e4, damping=30.0)

@@ -22,11 +22,6 @@ def joint_parameters(section: FrictionLaw, n: int | None = None) -> list[Any]:
         A section of friction.
     n : int, optional
         The number of joints; left out, it is that of the longest list in the section.
-
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint.
     """
     kind = type(section)
     if n is None:

@@ -36,8 +36,6 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
 
     Parameters
     ----------
-    robot : Robot
-        With loops.
     q, v : (n,) arrays
         Joint positions, rad (m), and velocities, rad/s (m/s).
     assemble : bool

@@ -48,8 +48,6 @@ def carry(surface: PlacedSurface, times: Array, motion: tuple[Array, Array, Arra
 
     Parameters
     ----------
-    surface : PlacedSurface
-        The surface.
     times : (N,) array
         s.
     motion : tuple of (N, 3) arrays

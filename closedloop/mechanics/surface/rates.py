@@ -19,11 +19,6 @@ def check_rates(surface: PlacedSurface, duration: float) -> None:
     """Refuse a motion of a user's own whose velocity is not the rate of its displacement, from 0 to `duration`, s.
 
     It is compared with differences, to a hundredth: a velocity that was forgotten is meant, not its last digits.
-
-    Raises
-    ------
-    ScenarioError
-        If the surface moves otherwise than its velocity says.
     """
     if not is_users(surface.motion):
         return

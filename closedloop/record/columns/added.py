@@ -64,12 +64,7 @@ def recorded_states(scenario: Scenario, n: int) -> int:
 
 
 def check_names(record: Recorded, taken: set[str]) -> None:
-    """Refuse names of columns that are taken or no names, and what is no function.
-
-    Raises
-    ------
-    ScenarioError
-    """
+    """Refuse names of columns that are taken or no names, and what is no function."""
     for name, given in record.items():
         if not (isinstance(name, str) and _NAME.fullmatch(name)):
             raise ScenarioError(
@@ -142,13 +137,7 @@ def as_text(added: Mapping[str, Column]) -> str:
 
 
 def from_text(text: str) -> dict[str, Column]:
-    """Return what `as_text` wrote.
-
-    Raises
-    ------
-    RunFileError
-        If it is anything else.
-    """
+    """Return what `as_text` wrote, and refuse anything else."""
     found = json.loads(text)
     try:
         added = {name: Column(tuple(dims), units, meaning) for name, (dims, units, meaning) in found.items()}

@@ -123,8 +123,6 @@ def contact_torques(
 
     Parameters
     ----------
-    scenario : Scenario
-    mechanism : pinocchio.Model
     times : (N,) array
         s.
     q : (N, nq) array

@@ -71,7 +71,6 @@ def signals_of(
 
     Parameters
     ----------
-    scenario : Scenario
     h : float
         Time between two rows, s.
     force, wanted, touching : (N,) arrays

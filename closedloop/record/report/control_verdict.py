@@ -110,12 +110,8 @@ def judge_control(
 
     Parameters
     ----------
-    signals : Signals or None
-        None of a run without rows.
     limited : mapping of str to (float, float)
         By joint the share of the rows in which a limit of the drives cut its torque, and when first, s.
-    stopped : str, optional
-        Why the simulation could not go on.
     """
     problems = [problem_of("stopped", f"what was commanded was not done: {stopped}")] if stopped else []
     unknown: list[str] = []

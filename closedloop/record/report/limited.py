@@ -17,8 +17,6 @@ def count_limited(limited: Array, h: float, values: Any) -> None:
     ----------
     limited : (N, n) array
         The column `torque_limited`, N >= 1.
-    h : float
-        Time between two rows, s.
     values : Values
         See `closedloop.record.report.measured.Values`; written.
     """

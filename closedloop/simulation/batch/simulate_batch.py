@@ -125,12 +125,6 @@ def in_blocks(
 
     Parameters
     ----------
-    variants, points
-        What the values of the points are of, and the values.
-    engine : str
-        See `simulate`.
-    runs : int
-        How many runs there are in all, these and others.
     threads : int
         How many threads take blocks; each should get some.
     lanes : bool

@@ -30,13 +30,7 @@ ALIASES = {"f": "contact_force", "e": "closure_error", "r": "position", "Q": "to
 
 
 def kept_columns(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the columns' full names.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such column, or not in a run's rows.
-    """
+    """Return the columns' full names."""
     full = tuple(dict.fromkeys(ALIASES.get(name, name) for name in names))
     for name in full:
         if name not in RECORDED and name not in ARM_RECORDED:

@@ -34,13 +34,7 @@ class Done:
         self.count, self._lock, self._ended = count, threading.Lock(), threading.Event()
 
     def add(self, runs: int = 1) -> None:
-        """Add to the count.
-
-        Raises
-        ------
-        Ended
-            If no more runs are needed.
-        """
+        """Add to the count."""
         self.check()
         with self._lock:
             self.count += runs

@@ -88,8 +88,6 @@ class LaneRuns:
     ----------
     like : Problem
         One of the runs, for the sizes.
-    kind : Kind
-        Its kind.
     keep : bool
         Whether all rows are kept.
 

@@ -43,13 +43,6 @@ Law = Callable[..., ArrayLike]
 class UserLaw:
     """A user's law, connected to a loop.
 
-    Parameters
-    ----------
-    law : callable
-        See above.
-    loop : Loop
-        The memory.
-
     Attributes
     ----------
     error : Exception or None

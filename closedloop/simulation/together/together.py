@@ -294,12 +294,7 @@ class Together:
 
 
 def refuse_torque(problem: Problem) -> None:
-    """Refuse a scenario in which a torque from outside is not simply the torque on the joints.
-
-    Raises
-    ------
-    ScenarioError
-    """
+    """Refuse a scenario in which a torque from outside is not simply the torque on the joints."""
     state = problem.loop().state
     if state.settings.drives != 0:
         raise ScenarioError("drives: limits act on what a law asks for; leave [drives] out, or limit the actions")

@@ -27,13 +27,7 @@ STATE = (
 
 
 def contacts_of(problem: Problem, loop: Loop, time: float) -> dict[str, Array]:
-    """Return the state of the contacts of links if one is closed, else nothing.
-
-    Raises
-    ------
-    SimulationError
-        If there is no linear loop with those that are closed.
-    """
+    """Return the state of the contacts of links if one is closed, else nothing; refuse what is not linearised."""
     if loop.state.together == 0:
         return {}
     memory: ContactMemory = loop.w.kept["contacts"]
@@ -73,11 +67,6 @@ def put_contacts(state: dict[str, Array], loop: Loop) -> None:
 
 class ClosedContacts:
     """The closed contacts of links in a loop's memory, while it is evaluated again and again.
-
-    Parameters
-    ----------
-    problem, loop
-        The scenario as numbers, and the loop, with the state of an instant.
 
     Attributes
     ----------

@@ -47,9 +47,6 @@ class Here:
 
     Parameters
     ----------
-    problem : Problem
-        The scenario as numbers; the instant may be that of another with other gains.
-    instant : Instant
     free : bool
         Whether it may be in flight.
     """

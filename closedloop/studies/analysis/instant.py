@@ -76,25 +76,14 @@ def parts_of(problem: Problem) -> dict[str, slice]:
 
 
 def refuse_outside(scenario: Scenario, at: float, what: str = "linearise: at") -> None:
-    """Refuse an instant, s, outside the run; `what` is what gave it.
-
-    Raises
-    ------
-    ScenarioError
-    """
+    """Refuse an instant, s, outside the run; `what` is what gave it."""
     end = scenario.time.duration
     if not 0.0 <= at <= end:
         raise ScenarioError(f"{what} = {at:g} s: must be within the run, 0 to time.duration = {end:g} s")
 
 
 def row_at(problem: Problem, at: float) -> int:
-    """Return the row of an instant, s: the nearest at which the law is evaluated.
-
-    Raises
-    ------
-    ScenarioError
-        If it is outside the run.
-    """
+    """Return the row of an instant, s: the nearest at which the law is evaluated."""
     hold = max(problem.hold, 1)
     refuse_outside(problem.scenario, at)
     return min(round(at / (problem.h * hold)) * hold, problem.steps // hold * hold)
@@ -179,8 +168,6 @@ def rows_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) ->
 
     Parameters
     ----------
-    problem, instant
-        The scenario as numbers, and the state, which may be that of a run with other gains.
     rows : int
         How many; less if the run ends or stops before.
     kick : float

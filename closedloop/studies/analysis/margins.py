@@ -78,8 +78,6 @@ def margins_of(transfer: Callable[[Array], ComplexArray], grid: Array, cut: str,
         L at frequencies, Hz.
     grid : (k,) array
         Frequencies, Hz, in order, close enough to each other that L turns little from one to the next.
-    cut, stable
-        See `Margins`.
     """
     L = transfer(grid)
     closed = bool(np.max(np.abs(L)) > OPEN)

@@ -184,7 +184,6 @@ def page_of(study: Stability, limits: bool = True) -> Page:
 
     Parameters
     ----------
-    study : Stability
     limits : bool
         Whether the largest stable gains, stiffness and delay are solved for.
     """

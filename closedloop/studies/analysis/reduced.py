@@ -40,8 +40,6 @@ class Reduced:
 
     Parameters
     ----------
-    problem, instant
-        The scenario as numbers, and the state, which may be that of a run with other gains.
     free : bool
         Whether it may be in flight.
     """

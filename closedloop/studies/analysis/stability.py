@@ -78,13 +78,7 @@ class Stability:
         return self._variants[keys].scenario(tuple(values.values()))
 
     def loop(self, values: Mapping[str, Value]) -> LinearLoop:
-        """Return the loop with other numbers, about the same motion.
-
-        Raises
-        ------
-        ClosedLoopError
-            If there can be no such scenario.
-        """
+        """Return the loop with other numbers, about the same motion."""
         if not values:
             return self.base
         return loop_at(*self._at(values))
@@ -120,12 +114,8 @@ class Stability:
         Parameters
         ----------
         over : Range
-        given : mapping, optional
-            Other numbers of the scenario.
         looks : int
             At how many values the range is looked at: two limits between neighbours are not seen.
-        tolerance : float
-            Of a limit, as a share of the range.
         """
         given = dict(given or {})
         shares = np.linspace(0.0, 1.0, looks)
@@ -189,10 +179,6 @@ class Stability:
         ----------
         over, along : Range
             The key that is solved for, and the one that is stepped along.
-        points : int
-            How many values of `along`.
-        tolerance : float
-            Of a limit, as a share of its range.
         stop : callable
             Asked at each value of `along`: if it is true, what is found until then is returned.
         """

@@ -92,9 +92,6 @@ def audit(recording: Recording, robot: Robot, normal: Array, cutoff: float | Non
 
     Parameters
     ----------
-    recording : Recording
-        With torque and force.
-    robot : Robot
     normal : (N, 3) array
         Of the surface at each row, base axes.
     cutoff : float, optional
@@ -129,9 +126,6 @@ def expected_force(
 
     Parameters
     ----------
-    recording : Recording
-        With torque and force.
-    robot : Robot
     cutoff : float, optional
         Of the low-pass, Hz; ten times that of the motion if left out.
 
@@ -139,11 +133,6 @@ def expected_force(
     -------
     rows (R,), expected (R, 3) N in base axes at them, recorded (N,) or (N, 3) N of all rows with the same filter, the
     share of the torque beyond that of motion and drives that a force at the tip explains, and the cutoff, Hz.
-
-    Raises
-    ------
-    LogError
-        If there is no torque or no force, or the cutoff is out of range.
     """
     torque, force = recording.torque, recording.force
     if torque is None or force is None:

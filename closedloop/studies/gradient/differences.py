@@ -124,14 +124,10 @@ def along(
 
     Parameters
     ----------
-    keys, directions
-        What is varied.
     base : Sample
         The run itself.
     read : callable
         Returns all quantities of a run, (M,).
-    model, workers
-        See `closedloop.studies.gradient.gradient`.
     report : callable
         Gets (runs done, runs in all) of the table at hand.
     """

@@ -170,13 +170,7 @@ def _tree_constants(start: Prepared) -> int:
 
 
 def _have_compiled(called: Sequence[Any]) -> None:
-    """Have kernels compiled: behind this process, or here if none may.
-
-    Raises
-    ------
-    NotDualError
-        If they are being compiled.
-    """
+    """Have kernels compiled: behind this process, or here if none may."""
     missing = [each for each in called if needs_compiling(each)]
     if missing and not refused() and not why_not_kept():
         start_compiling(missing)

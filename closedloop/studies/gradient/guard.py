@@ -33,13 +33,7 @@ def agreeing(
     keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], rows: dict[Direction, list[Array | None]],
     there: list[bool], model: RobotModel | None, report: Callable[[int, int], None], workers: int | None,
 ) -> list[bool]:  # fmt: skip
-    """Return which outputs have the derivatives that two plain runs have between them.
-
-    Raises
-    ------
-    NotDualError
-        If other events happen in them.
-    """
+    """Return which outputs have the derivatives that two plain runs have between them."""
     weights = np.random.default_rng(0).uniform(0.5, 1.0, len(rows))
     slices, good = slices_of(outputs, run), np.zeros(len(outputs), dtype=bool)
     noise = NOISE * (LOCATED if base.happened else ROUNDING)

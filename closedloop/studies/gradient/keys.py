@@ -83,13 +83,7 @@ class Keys:
         return found
 
     def scenario_at(self, changes: dict[Direction, float]) -> Scenario:
-        """Return the scenario with numbers added to some of its own.
-
-        Raises
-        ------
-        ScenarioError
-            If there can be no such scenario.
-        """
+        """Return the scenario with numbers added to some of its own."""
         values = {name: value.copy() for name, value in self.values.items()}
         for direction, change in changes.items():
             values[direction.key][direction.entry] += change

@@ -70,8 +70,6 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
     name : str
         A value of the summary, ``rms_force_error``; a column at the row nearest to an instant, ``contact_force@3.5``,
         ``q@end``; or a column of the table of events, ``event_time``.
-    run : Run
-        A run that has it.
     whole : bool
         Whether columns are taken whole, and nothing else.
 

@@ -68,13 +68,7 @@ class Sample:
 
 
 def simulated(scenario: Scenario, model: RobotModel | None, cache: Cache | None = None) -> Run:
-    """Run a scenario on the compiled engine, or on Pinocchio's if its integrator chooses its steps.
-
-    Raises
-    ------
-    ClosedLoopError
-        As `closedloop.simulate`.
-    """
+    """Run a scenario on the compiled engine, or on Pinocchio's if its integrator chooses its steps."""
     engine = PINOCCHIO if scenario.time.integrator in ADAPTIVE else COMPILED
     check_engine(scenario, engine, None)
     problem = prepare(scenario, model, cache)

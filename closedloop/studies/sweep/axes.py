@@ -93,11 +93,6 @@ def parse_axis(text: str, drawn: bool = False) -> Axis:
         ``law.force=5:15:11``, ``stabiliser.time_constant=log:1e-4:1e-2:20``, ``time.integrator=rk4,explicit_euler``.
     drawn : bool
         Whether values are drawn from the range, so that how many there are need not be said.
-
-    Raises
-    ------
-    ScenarioError
-        If it is none of these, or has no values.
     """
     if not text.isprintable():
         raise ScenarioError(f"--over {text}: has characters that cannot be printed")
@@ -123,13 +118,7 @@ def parse_axis(text: str, drawn: bool = False) -> Axis:
 
 
 def parse_range(text: str, such: str) -> Axis:
-    """Read what varies within a range of real numbers, KEY=LOW:HIGH or KEY=log:LOW:HIGH; its ends in order.
-
-    Raises
-    ------
-    ScenarioError
-        If it is none; the line names --vary, and examples of a range, `such`.
-    """
+    """Read what varies within a range of real numbers, KEY=LOW:HIGH or KEY=log:LOW:HIGH; its ends in order."""
     try:
         axis = parse_axis(text, drawn=True)
     except ScenarioError as error:

@@ -36,12 +36,6 @@ def run_on_cluster(
 
     Parameters
     ----------
-    sweep : Sweep
-    store : Store
-    missing : sequence of int
-        Numbers of the parts to run.
-    address : str
-        Of the scheduler.
     finished : callable
         Gets how many runs have come back.
     report : callable

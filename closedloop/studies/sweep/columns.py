@@ -23,21 +23,10 @@ def write_columns(
     ----------
     file : binary file
         Open for reading and writing, empty.
-    store : Store
-        All parts are there.
-    parts : int
-        How many parts there are.
-    attributes : dict of str to str
-        Of the file.
     step : float
         Time between the rows of a run, s, where the runs do not say.
     check : callable
         Called between two parts; it may raise.
-
-    Raises
-    ------
-    OSError
-        If something could not be written.
     """
     import h5netcdf
 

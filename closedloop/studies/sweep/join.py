@@ -58,15 +58,7 @@ class Joined:
 
 
 def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
-    """Return the sweep if `out` holds it already, None if nothing is there.
-
-    Raises
-    ------
-    OccupiedError
-        If something else is there, which --overwrite would replace.
-    OutputError
-        If a table could not be put there.
-    """
+    """Return the sweep if `out` holds it already, None if nothing is there."""
     if out.suffix != ".parquet":
         raise OutputError(f"--out {out}: must end in .parquet")
     if out.exists() and not out.is_file():  # a folder, or a pipe, which would be waited for
@@ -103,14 +95,8 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
 
     Parameters
     ----------
-    store : Store
-        All parts are there.
     out : Path
         The table.
-    parts : int
-        How many parts there are.
-    columns : pyarrow.Schema
-        The table's columns.
     step : float
         Time between the rows of a run, s, where the runs do not say.
 

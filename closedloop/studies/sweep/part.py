@@ -66,13 +66,7 @@ _importing = threading.Lock()
 
 @lru_cache(maxsize=4)
 def law_of(name: str, digest: str) -> Any:
-    """Return the law of a sweep, imported here; None for the scenario's own.
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be imported, or its text is not the one that the sweep was begun with.
-    """
+    """Return the law of a sweep, imported here; None for the scenario's own."""
     if not name:
         return None
     with _importing:  # what a module prints as it is imported is turned to standard error, of the whole process

@@ -14,13 +14,7 @@ from closedloop.record.sealed import PATIENCE, seal, unsealed
 
 
 def write_part(path: Path, content: memoryview) -> None:
-    """Write a part's file whole, or not at all.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
-    """
+    """Write a part's file whole, or not at all."""
     named = memoryview(b"".join((content, path.name.encode())))
 
     def write(file: BinaryIO) -> None:

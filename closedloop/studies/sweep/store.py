@@ -175,13 +175,7 @@ class Store:
             return {name: columns[name] for name in columns.files}
 
     def write(self, part: int, rows: pa.Table, columns: dict[str, Array]) -> None:
-        """Write a part, serialised in memory first, so that no library has to handle a full disk.
-
-        Raises
-        ------
-        OutputError
-            If it cannot be written.
-        """
+        """Write a part, serialised in memory first, so that no library has to handle a full disk."""
         import pyarrow as pa
 
         table, whole_columns = pa.BufferOutputStream(), io.BytesIO()
@@ -248,13 +242,7 @@ def why_no_place(out: Path) -> str:
 
 
 def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
-    """Refuse a file or folder that belongs to another sweep.
-
-    Raises
-    ------
-    OccupiedError
-        With what is different.
-    """
+    """Refuse a file or folder that belongs to another sweep."""
     if not isinstance(found, dict) or found.get("format") != FORMAT or not isinstance(found.get("identity"), dict):
         raise occupied(out, "exists and is not a sweep")
     theirs, mine = found["identity"], json.loads(json.dumps(identity))

@@ -45,19 +45,16 @@ class Runs:
 
     Parameters
     ----------
-    scenario : Scenario
     some : sequence of Varied
         What varies.
     minimise : mapping of str to float
         Values of the summary and their weights: their weighted sum is minimised.
-    limits : sequence of Limit
     over : mapping of str to sequence
         Variations, every value of a key with every value of the others.
     kept : Path, optional
         File of what has been run.
     report : callable
         Gets the number of runs done.
-    workers : int, optional
 
     Raises
     ------

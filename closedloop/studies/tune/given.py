@@ -97,7 +97,6 @@ def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequenc
 
     Parameters
     ----------
-    scenario : Scenario
     vary : mapping of str to (low, high)
         Keys, of a number, a list, or an entry of a list such as ``law.kp[1]``.
     log : sequence of str
@@ -139,13 +138,7 @@ def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequenc
 
 
 def limit_of(text: str) -> Limit:
-    """Read a constraint from ``NAME<=NUMBER`` or ``NAME>=NUMBER``.
-
-    Raises
-    ------
-    ScenarioError
-        If it is neither.
-    """
+    """Read a constraint from ``NAME<=NUMBER`` or ``NAME>=NUMBER``."""
     match = _LIMIT.fullmatch(text)
     try:
         number = float(match[3]) if match else math.nan

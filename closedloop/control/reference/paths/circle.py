@@ -34,13 +34,7 @@ class Circle(Path):
     stop: Instant = Field(description="instant at which it stops, s")
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
-        """Return the circle; see `Path.tip_path`.
-
-        Raises
-        ------
-        ScenarioError
-            If the direction is not along the surface, `stop` is not after `start`, or there are no turns.
-        """
+        """Return the circle; see `Path.tip_path`."""
         direction = direction_along(self.direction, normal)
         start, stop = interval(self)
         angle = 2 * math.pi * not_zero(self.turns, "reference.turns")

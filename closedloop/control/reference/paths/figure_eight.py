@@ -31,13 +31,7 @@ class FigureEight(Path):
     stop: Instant = Field(description="instant at which it stops, s")
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
-        """Return the eight; see `Path.tip_path`.
-
-        Raises
-        ------
-        ScenarioError
-            If the direction is not along the surface or `stop` is not after `start`.
-        """
+        """Return the eight; see `Path.tip_path`."""
         direction = direction_along(self.direction, normal)
         start, stop = interval(self)
         across = np.cross(normal, direction)

@@ -33,13 +33,7 @@ class Line(Path):
     )
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
-        """Return the straight path; see `Path.tip_path`.
-
-        Raises
-        ------
-        ScenarioError
-            If the direction is not along the surface or `stop` is not after `start`.
-        """
+        """Return the straight path; see `Path.tip_path`."""
         direction = direction_along(self.direction, normal)
         start, stop = interval(self)
         curve = Straight(self.speed * direction)

@@ -50,13 +50,7 @@ class Raster(Path):
     stop: Instant = Field(description="instant at which it stops, s")
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
-        """Return the passes to and fro; see `Path.tip_path`.
-
-        Raises
-        ------
-        ScenarioError
-            If the direction is not along the surface, `stop` is not after `start`, or the pitch is zero.
-        """
+        """Return the passes to and fro; see `Path.tip_path`."""
         direction = direction_along(self.direction, normal)
         start, stop = interval(self)
         across = not_zero(self.pitch, "reference.pitch") * np.cross(normal, direction)

@@ -36,13 +36,7 @@ class Waypoints(Path):
     )
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
-        """Return the straight segments between the points; see `Path.tip_path`.
-
-        Raises
-        ------
-        ScenarioError
-            If there are not as many instants as points, or the first point is not where the tip starts.
-        """
+        """Return the straight segments between the points; see `Path.tip_path`."""
         times, points = np.array(self.times), np.array(self.points)
         if len(times) != len(points):
             raise ScenarioError(

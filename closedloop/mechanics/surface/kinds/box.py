@@ -28,13 +28,7 @@ class Box(Placed):
     )
 
     def resolved(self) -> dict[str, Array]:
-        """Return the axis in the surface's axes.
-
-        Raises
-        ------
-        ScenarioError
-            If it is not at right angles to the normal.
-        """
+        """Return the axis in the surface's axes."""
         return {"axis": across_normal(self.axis, self.normal)}
 
     def solid(self) -> tuple[float, ...]:

@@ -23,13 +23,7 @@ class Capsule(Placed):
     axis: Direction = Field((1.0, 0.0, 0.0), description="along the segment, base frame; at right angles to the normal")
 
     def resolved(self) -> dict[str, Array]:
-        """Return the axis in the surface's axes.
-
-        Raises
-        ------
-        ScenarioError
-            If it is not at right angles to the normal.
-        """
+        """Return the axis in the surface's axes."""
         return {"axis": across_normal(self.axis, self.normal)}
 
     @staticmethod

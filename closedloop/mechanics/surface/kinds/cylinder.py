@@ -44,13 +44,7 @@ class Cylinder(Placed):
     inside: Flag = Field(False, description="true: the tip is inside, in a pipe")
 
     def resolved(self) -> dict[str, Array]:
-        """Return the axis in the surface's axes.
-
-        Raises
-        ------
-        ScenarioError
-            If it is not at right angles to the normal.
-        """
+        """Return the axis in the surface's axes."""
         return {"axis": across_normal(self.axis, self.normal)}
 
     @staticmethod

@@ -103,8 +103,6 @@ class Memory:
 
         Parameters
         ----------
-        t, y, interval
-            Instant, s, state, and the interval in which the instant lies.
         use : int
             DERIVE, BEGIN_STEP, EVENT_VALUE (the event function is in w.search.value) or RECORD (in row state.row).
 
@@ -141,13 +139,7 @@ class Memory:
         return rates
 
     def start(self) -> float:
-        """Record the row of t = 0 and apply the events there, as for steps of fixed length.
-
-        Returns
-        -------
-        float
-            The clock's time, s, after which everything is compiled.
-        """
+        """Record the row of t = 0 and apply the events there, as for steps of fixed length."""
         answer = TERMS
         while self.state.row == 0:
             self._answer(answer)

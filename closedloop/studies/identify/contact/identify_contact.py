@@ -223,11 +223,6 @@ def contact_recording(run: Run, source: str = "the run") -> tuple[Recording, Arr
     """Return the log of a run as its encoders and its sensor have it, with a force of three components, and the normal.
 
     The normal force is the sensor's reading; friction is that of the row.
-
-    Raises
-    ------
-    LogError
-        If its surface is not a plane at rest.
     """
     normals = run.surface_normal
     if not run.scenario.has_surface or run.scenario.surface.kind != "plane" or np.ptp(normals, axis=0).max() > 0.0:

@@ -17,21 +17,11 @@ from closedloop.command.table import COMMANDS, Command, imported
 
 
 class Words(NamedTuple):
-    """What can be typed.
+    """What can be typed."""
 
-    Attributes
-    ----------
-    options : mapping of str to list of str
-        Command to its options.
-    arguments : mapping of str to list of str
-        Command to the words that it takes beside them; files come on top.
-    values : mapping of str to list of str
-        Option to the words that may follow it.
-    """
-
-    options: Mapping[str, list[str]]
-    arguments: Mapping[str, list[str]]
-    values: Mapping[str, list[str]]
+    options: Mapping[str, list[str]]  # command to its options
+    arguments: Mapping[str, list[str]]  # command to the words that it takes beside them; files come on top
+    values: Mapping[str, list[str]]  # option to the words that may follow it
 
 
 @as_command()

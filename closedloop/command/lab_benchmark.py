@@ -33,26 +33,15 @@ LEAST_REDRAWN = 2.0  # in a second of dragging
 
 
 class Drag(NamedTuple):
-    """What came of a slider that was moved all the time.
+    """What came of a slider that was moved all the time."""
 
-    Attributes
-    ----------
-    asked, shown, faults : int
-        Changes made, runs shown, and those at fault.
-    last : float
-        Value of the run shown at the end.
-    wanted : float
-        Value that was asked for last.
-    growth : float
-        Memory gained between the first tenth and the end, MB.
-    """
-
+    # asked, shown, faults: changes made, runs shown, and those at fault
     asked: int
     shown: int
     faults: int
-    last: float
-    wanted: float
-    growth: float
+    last: float  # value of the run shown at the end
+    wanted: float  # value that was asked for last
+    growth: float  # memory gained between the first tenth and the end, MB
 
 
 def latencies(lab: Lab, changes: int) -> tuple[np.ndarray, np.ndarray]:

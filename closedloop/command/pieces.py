@@ -27,22 +27,13 @@ BESIDE_STEP = frozenset((
 
 
 class Piece(NamedTuple):
-    """Something to be compiled.
+    """Something to be compiled."""
 
-    Attributes
-    ----------
-    kernel, what : str
-        The entry kernel's name, and a description.
-    compile : callable
-        Compiles it.
-    after : str
-        The kernel that has to be there: `compile` would compile that too.
-    """
-
+    # kernel, what: the entry kernel's name, and a description
     kernel: str
     what: str
-    compile: Callable[[], Any]
-    after: str = ""
+    compile: Callable[[], Any]  # compiles it
+    after: str = ""  # the kernel that has to be there: `compile` would compile that too
 
     @property
     def family(self) -> str:

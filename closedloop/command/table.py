@@ -13,21 +13,13 @@ from typing import NamedTuple
 
 
 class Command(NamedTuple):
-    """A command.
+    """A command."""
 
-    Attributes
-    ----------
-    name, help : str
-        The word that picks it, and what it does, on one line of the overview.
-    main : str
-        MODULE:FUNCTION; the function takes the words after the command, and returns the exit status.
-    takes : str
-        What its words may be, for the completion of a shell: "scenario", "run", "robot", or nothing known.
-    """
-
+    # name, help: the word that picks it, and what it does, on one line of the overview
     name: str
     help: str
-    main: str
+    main: str  # MODULE:FUNCTION; the function takes the words after the command, and returns the exit status
+    # what its words may be, for the completion of a shell: "scenario", "run", "robot", or nothing known
     takes: str = ""
 
 

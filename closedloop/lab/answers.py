@@ -41,33 +41,15 @@ AT_ONCE = 4000
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of some changes.
-
-    Attributes
-    ----------
-    changes : dict
-        The changes.
-    key : str
-        The key that was changed last, "" if none was.
-    run : Run or None
-        The run, until where it stopped; None if nothing ran.
-    fault : str
-        What is wrong with the input, "" if nothing is.
-    stopped : str
-        Why the run stopped before its end, "" if it did not.
-    seconds : float
-        Time that it took, s, without compiling.
-    effort : float
-        Time of a processor that it took, s: not longer while other programs are at work.
-    """
+    """What came of some changes."""
 
     changes: Changes
-    key: str
-    run: Run | None
-    fault: str = ""
-    stopped: str = ""
-    seconds: float = 0.0
-    effort: float = 0.0
+    key: str  # the key that was changed last, "" if none was
+    run: Run | None  # the run, until where it stopped; None if nothing ran
+    fault: str = ""  # what is wrong with the input, "" if nothing is
+    stopped: str = ""  # why the run stopped before its end, "" if it did not
+    seconds: float = 0.0  # time that it took, s, without compiling
+    effort: float = 0.0  # time of a processor that it took, s: not longer while other programs are at work
 
 
 class Answers:

@@ -44,38 +44,23 @@ DIGITS = 3  # of a value from a logarithmic slider
 
 @dataclass(frozen=True)
 class Control:
-    """A control of one number, or of one choice.
+    """A control of one number, or of one choice."""
 
-    Attributes
-    ----------
-    key : str
-        The dotted key.
-    index : int or None
-        Which entry of a list it sets, None where the value is no list.
-    form : str
-        "linear", "log" and "whole" are sliders, of the value, of its decimal logarithm, of whole numbers; "choice";
-        "flag"; and "text", in TOML.
-    label, unit, hint : str
-        For display.
-    value : Any
-        The value of the scenario: the whole list where there is an index.
-    low, high, step : float
-        Of a slider, in what it shows.
-    options : tuple of str
-        Of a choice.
-    """
-
-    key: str
-    index: int | None
+    key: str  # the dotted key
+    index: int | None  # which entry of a list it sets, None where the value is no list
+    # "linear", "log" and "whole" are sliders, of the value, of its decimal logarithm, of whole numbers; "choice";
+    # "flag"; and "text", in TOML
     form: Form
+    # label, unit, hint: for display
     label: str
     unit: str
     hint: str
-    value: Any
+    value: Any  # the value of the scenario: the whole list where there is an index
+    # low, high, step: of a slider, in what it shows
     low: float = 0.0
     high: float = 1.0
     step: float = 0.01
-    options: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()  # of a choice
 
     @property
     def own(self) -> Any:

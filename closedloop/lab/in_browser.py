@@ -48,29 +48,18 @@ document.addEventListener('drawn', e => {
 
 
 class Moved(NamedTuple):
-    """What came of a slider that was dragged in the page all the time.
+    """What came of a slider that was dragged in the page all the time."""
 
-    Attributes
-    ----------
-    moves, redrawn : int
-        Movements of the pointer, and how often the curves were drawn.
-    seconds : float
-        Time that they took, s.
-    plotted, wanted : float
-        Value in the plot at the end, or of the run shown where the plot has no commanded force; value of the slider.
-    faults : int
-        Errors in the page.
-    growth : float
-        Memory that the page gained between the first tenth and the end, MB.
-    """
-
+    # moves, redrawn: movements of the pointer, and how often the curves were drawn
     moves: int
     redrawn: int
-    seconds: float
+    seconds: float  # time that they took, s
+    # plotted, wanted: value in the plot at the end, or of the run shown where the plot has no commanded force; value of
+    # the slider
     plotted: float
     wanted: float
-    faults: int
-    growth: float
+    faults: int  # errors in the page
+    growth: float  # memory that the page gained between the first tenth and the end, MB
 
 
 def why_not() -> str:

@@ -84,31 +84,20 @@ class Axis:
 
 @dataclass
 class Map:
-    """A map of a scenario.
+    """A map of a scenario."""
 
-    Attributes
-    ----------
-    scenario : Scenario
-        What all runs have in common.
-    x, y : Axis
-        Of two keys that differ, or of two entries of one list.
-    quantity : str
-        A name of `closedloop.record.report.measures.MEASURES`.
-    grid : (rows, columns) array
-        The quantity, row by row along y; NaN where it is not known yet, or does not exist.
-    state : (rows, columns) array
-        0 where numbers and control are good, 1 where not, 2 where the run was refused or stopped; NaN: not known yet.
-    reasons : dict
-        (row, column) of a cell whose run was refused or stopped, and why.
-    """
-
-    scenario: Scenario
+    scenario: Scenario  # what all runs have in common
+    # x, y: of two keys that differ, or of two entries of one list
     x: Axis
     y: Axis
-    quantity: str
+    quantity: str  # a name of `closedloop.record.report.measures.MEASURES`
     model: RobotModel | None = None
+    # (rows, columns): the quantity, row by row along y; NaN where it is not known yet, or does not exist
     grid: Array = field(init=False)
+    # (rows, columns): 0 where numbers and control are good, 1 where not, 2 where the run was refused or stopped; NaN:
+    # not known yet
     state: Array = field(init=False)
+    # (row, column) of a cell whose run was refused or stopped, and why
     reasons: dict[tuple[int, int], str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -20,21 +20,11 @@ NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
 
 
 class Variable(NamedTuple):
-    """What is written of a variable.
+    """What is written of a variable."""
 
-    Attributes
-    ----------
-    dims : tuple of str
-        The names of its dimensions.
-    data : ndarray
-        Numbers, or text as an array of objects.
-    attributes : mapping
-        Texts by name.
-    """
-
-    dims: tuple[str, ...]
-    data: NDArray[Any]
-    attributes: Mapping[str, str] = {}
+    dims: tuple[str, ...]  # the names of its dimensions
+    data: NDArray[Any]  # numbers, or text as an array of objects
+    attributes: Mapping[str, str] = {}  # texts by name
 
 
 def write_netcdf(

@@ -25,21 +25,11 @@ OF_A_TABLE = "In place of N the number, from 0, or the name of one, or * for all
 
 
 class Key(NamedTuple):
-    """A key of a section, as some of the section's kinds have it.
+    """A key of a section, as some of the section's kinds have it."""
 
-    Attributes
-    ----------
-    name : str
-        With the section, such as "law.kp".
-    field : FieldInfo
-        Its type, bounds, default and description.
-    kinds : tuple of str
-        The kinds that have it so; empty where the section has no kinds.
-    """
-
-    name: str
-    field: FieldInfo
-    kinds: tuple[str, ...]
+    name: str  # with the section, such as "law.kp"
+    field: FieldInfo  # its type, bounds, default and description
+    kinds: tuple[str, ...]  # the kinds that have it so; empty where the section has no kinds
 
 
 def sections() -> dict[str, str]:

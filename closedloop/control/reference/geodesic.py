@@ -41,18 +41,10 @@ PUT_BACK = 3
 
 @dataclass(frozen=True)
 class Rolled:
-    """A curve on a surface, as `closedloop.control.reference.curves.Curve`.
+    """A curve on a surface, as `closedloop.control.reference.curves.Curve`."""
 
-    Attributes
-    ----------
-    polynomials : tuple of scipy.interpolate.BPoly
-        r, m, r' and r'' as functions of the parameter.
-    first : (3,) array
-        r at the start.
-    """
-
-    polynomials: tuple[Any, Any, Any]
-    first: Array
+    polynomials: tuple[Any, Any, Any]  # r, m, r' and r'' as functions of the parameter
+    first: Array  # (3,): r at the start
 
     def __call__(self, s: Array) -> tuple[Array, Array, Array]:
         """Return the displacement and its derivatives by s; see `Curve`."""
@@ -62,13 +54,7 @@ class Rolled:
 
 @dataclass(frozen=True)
 class CarriedSegment(Segment):
-    """A segment on a surface that moves: drawn on it as it lies at t = 0, and carried along.
-
-    Attributes
-    ----------
-    surface : PlacedSurface
-        The surface.
-    """
+    """A segment on a surface that moves: drawn on it as it lies at t = 0, and carried along."""
 
     surface: PlacedSurface
 

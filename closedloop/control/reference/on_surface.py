@@ -24,18 +24,10 @@ from closedloop.mechanics.surface.placed import PlacedSurface
 
 @dataclass(frozen=True)
 class SegmentOnSurface(Segment):
-    """A segment whose motion is laid onto a surface.
-
-    Attributes
-    ----------
-    surface : PlacedSurface
-        The surface.
-    level : float
-        The φ that the path keeps to.
-    """
+    """A segment whose motion is laid onto a surface."""
 
     surface: PlacedSurface
-    level: float
+    level: float  # the φ that the path keeps to
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Return r, ṙ and r̈ as `Segment.sample` does."""

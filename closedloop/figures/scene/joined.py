@@ -61,18 +61,10 @@ class _Loop:
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """The loop joints of a robot.
+    """The loop joints of a robot."""
 
-    Attributes
-    ----------
-    robot : Robot
-        With loops or without.
-    size : float
-        The reach of the robot, m, which decides how large the marks are.
-    """
-
-    robot: Robot
-    size: float
+    robot: Robot  # with loops or without
+    size: float  # the reach of the robot, m, which decides how large the marks are
 
     @property
     def loops(self) -> tuple[_Loop, ...]:

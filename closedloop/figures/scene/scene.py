@@ -64,20 +64,11 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True)
 class Scene:
-    """A run in space.
-
-    Attributes
-    ----------
-    run : Run
-    tip : str
-        The frame that touches the surface.
-    ghosts : tuple of Ghost
-        Bodies that are not of the run and are shown beside it.
-    """
+    """A run in space."""
 
     run: Run
-    tip: str
-    ghosts: tuple[Ghost, ...] = ()
+    tip: str  # the frame that touches the surface
+    ghosts: tuple[Ghost, ...] = ()  # bodies that are not of the run and are shown beside it
 
     @cached_property
     def robot(self) -> Robot:

@@ -30,24 +30,12 @@ GREY, ROD, MARK = (0.62, 0.65, 0.68), (0.30, 0.45, 0.60), (0.62, 0.48, 0.80)
 
 @dataclass(frozen=True)
 class Shape:
-    """Triangles fixed in the frame of a joint.
+    """Triangles fixed in the frame of a joint."""
 
-    Attributes
-    ----------
-    joint : int
-        0 for what stands still; k for what moves with the k-th joint, counted from 1.
-    vertices : (V, 3) array
-        m, in the joint's frame.
-    faces : (F, 3) array
-        Numbers of vertices, counter-clockwise seen from outside.
-    colour : three floats
-        Red, green, blue, 0 to 1.
-    """
-
-    joint: int
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.int32]
-    colour: tuple[float, float, float]
+    joint: int  # 0 for what stands still; k for what moves with the k-th joint, counted from 1
+    vertices: NDArray[np.float32]  # (V, 3): m, in the joint's frame
+    faces: NDArray[np.int32]  # (F, 3): numbers of vertices, counter-clockwise seen from outside
+    colour: tuple[float, float, float]  # red, green, blue, 0 to 1
 
 
 @lru_cache(maxsize=8)

@@ -61,46 +61,22 @@ SATURATED_SHARE = 0.1
 
 
 class Signals(NamedTuple):
-    """What the control of a run of N rows is judged by.
+    """What the control of a run of N rows is judged by."""
 
-    Attributes
-    ----------
-    h : float
-        Time between two rows, s.
-    force, wanted : (N,) arrays
-        f and f_des, N.
-    touching : (N,) array of bool
-        Whether the tip was in contact.
-    commanded : (N,) array of bool
-        Whether it was to be.
-    approaching : bool
-        Whether the path was still on its way to the surface at the end.
-    off : (N, 3) array or None
-        The tip less its path, along the surface, m; None where nothing leads the tip along it.
-    tip : (N, 3) array
-        The path, m.
-    led : (N,) array of bool
-        Where the path counts: not off the surface under a force that is to press, which moves the tip from its path.
-    touchdowns : (E,) array
-        When contact began, or the tip bounced, s.
-    sparse : bool
-        Whether there may be more between two rows than the rows show, see `SPARSE`.
-    negative_gain : str
-        A gain of the law that is negative, "" where none is.
-    """
-
-    h: float
+    h: float  # time between two rows, s
+    # force, wanted (N,): f and f_des, N
     force: Array
     wanted: Array
-    touching: Mask
-    commanded: Mask
-    approaching: bool
-    off: Array | None
-    tip: Array
+    touching: Mask  # (N,): whether the tip was in contact
+    commanded: Mask  # (N,): whether it was to be
+    approaching: bool  # whether the path was still on its way to the surface at the end
+    off: Array | None  # (N, 3): the tip less its path, along the surface, m; None where nothing leads the tip along it
+    tip: Array  # (N, 3): the path, m
+    # (N,): where the path counts: not off the surface under a force that is to press, which moves the tip from its path
     led: Mask
-    touchdowns: Array
-    sparse: bool
-    negative_gain: str = ""
+    touchdowns: Array  # (E,): when contact began, or the tip bounced, s
+    sparse: bool  # whether there may be more between two rows than the rows show, see `SPARSE`
+    negative_gain: str = ""  # a gain of the law that is negative, "" where none is
 
 
 def judge_control(

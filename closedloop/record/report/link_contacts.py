@@ -21,21 +21,11 @@ MOST_SETS, SAME_ROW = 20, 1e-9
 
 
 class ContactFaults(NamedTuple):
-    """By how much the k contacts of links miss their conditions, over all rows of a run.
+    """By how much the k contacts of links miss their conditions, over all rows of a run."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        What they are called.
-    cone : (k,) array
-        The largest |F_t| − μ f, and −f, N; not below zero.
-    complementarity : (k,) array
-        The largest |f| times the gap, N m; zero of a soft one.
-    """
-
-    names: tuple[str, ...]
-    cone: Array
-    complementarity: Array
+    names: tuple[str, ...]  # what they are called
+    cone: Array  # (k,): the largest |F_t| − μ f, and −f, N; not below zero
+    complementarity: Array  # (k,): the largest |f| times the gap, N m; zero of a soft one
 
 
 def lost_to_slips(time: Array, frictions: Array, slips: Array) -> float:

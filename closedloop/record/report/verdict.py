@@ -89,43 +89,22 @@ _LIMITS = (
 
 
 class Facts(NamedTuple):
-    """What a run is judged by.
+    """What a run is judged by."""
 
-    Attributes
-    ----------
-    scenario, model
-        What was asked for, and of which robot.
-    stopped : str or None
-        Why it could not go on.
-    steps : int
-        How many steps it has; below 0: not a single row.
-    measures : mapping of str to float or None
-        See `closedloop.record.report.measures.MEASURES`.
-    events : int
-        How many events there were.
-    failed : mapping of str to (float, str)
-        Of the assumptions that failed though they were expected to hold: when first, s, and what decided, in words.
-    joints : mapping of str to sequence of float
-        See `closedloop.record.report.measures.JOINT_MEASURES`; when is NaN where it never was.
-    unresolved : sequence of str
-        See `closedloop.scenario.modes.unresolved`.
-    halved : bool
-        Whether the error of the step was measured with a run at half the step.
-    halved_stopped : str or None
-        Why a run at half the step stopped, if there is one and it did.
-    """
-
+    # scenario, model: what was asked for, and of which robot
     scenario: Scenario
     model: RobotModel
-    stopped: str | None
-    steps: int
-    measures: Mapping[str, float | None]
-    events: int
+    stopped: str | None  # why it could not go on
+    steps: int  # how many steps it has; below 0: not a single row
+    measures: Mapping[str, float | None]  # see `closedloop.record.report.measures.MEASURES`
+    events: int  # how many events there were
+    # of the assumptions that failed though they were expected to hold: when first, s, and what decided, in words
     failed: Mapping[str, tuple[float, str]]
+    # see `closedloop.record.report.measures.JOINT_MEASURES`; when is NaN where it never was
     joints: Mapping[str, Sequence[float]]
-    unresolved: Sequence[str] = ()
-    halved: bool = False
-    halved_stopped: str | None = None
+    unresolved: Sequence[str] = ()  # see `closedloop.scenario.modes.unresolved`
+    halved: bool = False  # whether the error of the step was measured with a run at half the step
+    halved_stopped: str | None = None  # why a run at half the step stopped, if there is one and it did
 
 
 def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:

@@ -68,38 +68,20 @@ LANE_ROW_BYTES = 24_000_000
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a run.
+    """The outcome of a run."""
 
-    Attributes
-    ----------
-    status : str
-        "done"; "stopped" (the simulation could not go on: the values are those of what ran); "refused" (the scenario
-        is at fault: nothing ran); "failed" (an unforeseen error: a fault of this package, or no memory left).
-    reason : str or None
-        Why it was stopped, was refused or failed.
-    rows : int
-        How many rows it has.
-    values : (Values.count(n),) array
-        See `closedloop.record.report.measured`; NaN where there is none, and (WIDTH,) if nothing ran.
-    columns : mapping of str to (rows,) or (rows, k) array
-        The columns that were to be kept.
-    end_time : float
-        Instant of the last row, s; NaN if there is none.
-    verdict : str or None
-        "good", or what is wrong with what ran, see `closedloop.record.report.verdict`; None if it was refused or
-        failed.
-    control : str or None
-        The same of the control, see `closedloop.record.report.control_verdict`.
-    """
-
+    # "done"; "stopped" (the simulation could not go on: the values are those of what ran); "refused" (the scenario is
+    # at fault: nothing ran); "failed" (an unforeseen error: a fault of this package, or no memory left)
     status: str
-    reason: str | None
-    rows: int
+    reason: str | None  # why it was stopped, was refused or failed
+    rows: int  # how many rows it has
+    # (Values.count(n),): see `closedloop.record.report.measured`; NaN where there is none, and (WIDTH,) if nothing ran
     values: Array
-    end_time: float = math.nan
-    columns: dict[str, Array] = field(default_factory=dict)
+    end_time: float = math.nan  # instant of the last row, s; NaN if there is none
+    columns: dict[str, Array] = field(default_factory=dict)  # the columns that were to be kept
+    # "good", or what is wrong with what ran, see `closedloop.record.report.verdict`; None if it was refused or failed
     verdict: str | None = None
-    control: str | None = None
+    control: str | None = None  # the same of the control, see `closedloop.record.report.control_verdict`
 
 
 class Worker:

@@ -41,22 +41,13 @@ MOST_BYTES = 1 << 30
 
 
 class Prepared(NamedTuple):
-    """A problem and its loop's memory at t = 0.
-
-    Attributes
-    ----------
-    problem : Problem
-    loop : Loop
-    floats : list of arrays
-        All that the run reads or writes, in an order that is the same for every scenario with the same sections.
-    words : list of arrays
-        The whole numbers of it, int64, among them addresses.
-    """
+    """A problem and its loop's memory at t = 0."""
 
     problem: Problem
     loop: Loop
+    # all that the run reads or writes, in an order that is the same for every scenario with the same sections
     floats: list[Array]
-    words: list[NDArray[np.int64]]
+    words: list[NDArray[np.int64]]  # the whole numbers of it, int64, among them addresses
 
 
 def prepared(problem: Problem) -> Prepared:

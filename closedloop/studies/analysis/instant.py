@@ -37,30 +37,16 @@ PARTS = ("law", "compensation", "filter", "friction", "joint friction", "transmi
 
 @dataclass(frozen=True)
 class Instant:
-    """The state of a run just before a row.
+    """The state of a run just before a row."""
 
-    Attributes
-    ----------
-    time : float
-        Its time, s.
-    mode : int
-        Contact mode, see `closedloop.mechanics.closure.contact_force`.
-    values : mapping
-        Arrays of the loop's memory, by the names `KEPT`.
-    z : mapping
-        States of the parts `PARTS`, arrays.
-    measured, force : float
-        The reading of the sensor that the law has, and f at this instant, N.
-    contacts : mapping
-        State of the contacts of links, if one is closed; see `closedloop.studies.analysis.closed_contacts`.
-    """
-
-    time: float
-    mode: int
-    values: dict[str, Array]
-    z: dict[str, Array]
+    time: float  # its time, s
+    mode: int  # contact mode, see `closedloop.mechanics.closure.contact_force`
+    values: dict[str, Array]  # arrays of the loop's memory, by the names `KEPT`
+    z: dict[str, Array]  # states of the parts `PARTS`
+    # measured, force: the reading of the sensor that the law has, and f at this instant, N
     measured: float
     force: float = 0.0
+    # state of the contacts of links, if one is closed; see `closedloop.studies.analysis.closed_contacts`
     contacts: dict[str, Array] = field(default_factory=dict)
 
 

@@ -26,26 +26,14 @@ SHOWN_POLES = 6
 
 @dataclass
 class Page:
-    """What is known of a force loop.
-
-    Attributes
-    ----------
-    loop : LinearLoop
-    margins : dict of str to Margins
-        By where the loop is cut.
-    limits : dict of str to Limit or str
-        Largest stable values by key, or why none was found.
-    delay : float or None
-        The longest stable `sensor.delay` of those tried, s; infinite if all are; None if the law reads no force.
-    tried : float
-        The longest that was tried, s.
-    """
+    """What is known of a force loop."""
 
     loop: LinearLoop
-    margins: dict[str, Margins]
-    limits: dict[str, Limit | str] = field(default_factory=dict)
+    margins: dict[str, Margins]  # by where the loop is cut
+    limits: dict[str, Limit | str] = field(default_factory=dict)  # largest stable values by key, or why none was found
+    # the longest stable `sensor.delay` of those tried, s; infinite if all are; None if the law reads no force
     delay: float | None = None
-    tried: float = math.inf
+    tried: float = math.inf  # the longest that was tried, s
 
     @property
     def weakest(self) -> Margins:

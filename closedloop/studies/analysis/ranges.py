@@ -14,28 +14,16 @@ Value = float | list[float]
 
 @dataclass(frozen=True)
 class Range:
-    """A key of the scenario, and the range of numbers in which limits are sought.
+    """A key of the scenario, and the range of numbers in which limits are sought."""
 
-    Attributes
-    ----------
-    key : str
-        Dotted key.
-    low, high : float
-        Ends, in either order: limits are found from `low` on.
-    log : bool
-        Whether it is looked at evenly in its logarithm.
-    held : tuple of float
-        Where the key is a list, as it is in the scenario; else empty.
-    index : int, optional
-        The entry of that list which the numbers are of, the others as they are; if left out they are of the first that
-        is not zero, and the others change by the same factor.
-    """
-
-    key: str
+    key: str  # dotted key
+    # low, high: ends, in either order: limits are found from `low` on
     low: float
     high: float
-    log: bool = False
-    held: tuple[float, ...] = ()
+    log: bool = False  # whether it is looked at evenly in its logarithm
+    held: tuple[float, ...] = ()  # where the key is a list, as it is in the scenario; else empty
+    # the entry of that list which the numbers are of, the others as they are; if left out they are of the first that is
+    # not zero, and the others change by the same factor
     index: int | None = None
 
     def value(self, number: float) -> float | list[float]:
@@ -58,22 +46,13 @@ class Range:
 
 @dataclass(frozen=True)
 class Limit:
-    """A value at which the loop becomes unstable, or stable again.
+    """A value at which the loop becomes unstable, or stable again."""
 
-    Attributes
-    ----------
-    key, value
-        What is changed, and to what.
-    upwards : bool
-        Whether it is unstable above it, rather than below it.
-    pole : Pole
-        The pole that lies on the unit circle there.
-    """
-
+    # key, value: what is changed, and to what
     key: str
     value: float
-    upwards: bool
-    pole: Pole
+    upwards: bool  # whether it is unstable above it, rather than below it
+    pole: Pole  # the pole that lies on the unit circle there
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain numbers."""
@@ -85,18 +64,11 @@ class Limit:
 
 @dataclass(frozen=True)
 class Trial:
-    """Two runs of the whole nonlinear loop beside the boundary, from the instant on, that begin a little apart.
+    """Two runs of the whole nonlinear loop beside the boundary, from the instant on, that begin a little apart."""
 
-    Attributes
-    ----------
-    values : dict
-        What is changed, from the instant on.
-    expected, seen : float
-        The rate of the linear loop's slowest pole, and that with which the two runs grow apart, 1/s; infinite if one of
-        them stops.
-    """
-
-    values: dict[str, Value]
+    values: dict[str, Value]  # what is changed, from the instant on
+    # expected, seen: the rate of the linear loop's slowest pole, and that with which the two runs grow apart, 1/s;
+    # infinite if one of them stops
     expected: float
     seen: float
 

@@ -30,50 +30,28 @@ LAGS = 0.1
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A reason why two signals might differ.
+    """A reason why two signals might differ."""
 
-    Attributes
-    ----------
-    name, unit : str
-        Of its coefficients.
-    columns : (N, k) array
-        What the residual would be for coefficients of 1.
-    labels : sequence of str
-        Of its columns, such as joints; empty for one.
-    """
-
+    # name, unit: of its coefficients
     name: str
     unit: str
-    columns: Array
-    labels: Sequence[str] = ()
+    columns: Array  # (N, k): what the residual would be for coefficients of 1
+    labels: Sequence[str] = ()  # of its columns, such as joints; empty for one
 
 
 @dataclass(frozen=True)
 class Reason:
-    """A hypothesis that explains a residual.
-
-    Attributes
-    ----------
-    name, unit : str
-    labels : tuple of str
-    value, half : (k,) array
-        Coefficients, fitted with those of all reasons, and half of their 95 % intervals.
-    alone : float
-        Share of the residual that it explains alone.
-    left : float
-        Share that is left with it and the reasons before it.
-    as_well : tuple of str
-        Hypotheses that explain it equally well: the log does not distinguish them.
-    """
+    """A hypothesis that explains a residual."""
 
     name: str
     unit: str
     labels: tuple[str, ...]
+    # value, half (k,): coefficients, fitted with those of all reasons, and half of their 95 % intervals
     value: Array
     half: Array
-    alone: float
-    left: float
-    as_well: tuple[str, ...] = ()
+    alone: float  # share of the residual that it explains alone
+    left: float  # share that is left with it and the reasons before it
+    as_well: tuple[str, ...] = ()  # hypotheses that explain it equally well: the log does not distinguish them
 
 
 def explain(residual: Array, hypotheses: Sequence[Hypothesis], size: float = 0.0) -> list[Reason]:

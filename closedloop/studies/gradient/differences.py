@@ -44,59 +44,31 @@ SETTLES = 0.02
 
 
 class Part(NamedTuple):
-    """Derivatives of some quantities along one direction.
+    """Derivatives of some quantities along one direction."""
 
-    Attributes
-    ----------
-    derivative, error, below, above : (k,) array
-        NaN where there is none.
-    kink : (k,) array of bool
-        Whether there is none because those below and above differ.
-    method : str
-        How they were found.
-    """
-
+    # derivative, error, below, above (k,): NaN where there is none
     derivative: Array
     error: Array
     below: Array
     above: Array
-    kink: NDArray[np.bool_]
-    method: str
+    kink: NDArray[np.bool_]  # (k,): whether there is none because those below and above differ
+    method: str  # how they were found
 
 
 @dataclass
 class Along:
-    """What is known of one direction.
+    """What is known of one direction."""
 
-    Attributes
-    ----------
-    best : Estimate or None
-        Two-sided derivatives, the best of all tables, quantity by quantity.
-    at_a_row : Estimate or None
-        The same of tables in which an event moves past a row.
-    below, above : (M,) array or None
-        One-sided derivatives and the estimates of their errors, where there are no two-sided ones.
-    why : str
-        Why there are no two-sided ones.
-    count : int
-        Number of quantities, M.
-    method : str
-        How they were found.
-    settled : bool
-        Whether they are known well enough.
-    methods : (M,) array of str, optional
-        How each quantity was found, if not all in one way.
-    """
-
-    best: Estimate | None = None
-    at_a_row: Estimate | None = None
+    best: Estimate | None = None  # two-sided derivatives, the best of all tables, quantity by quantity
+    at_a_row: Estimate | None = None  # the same of tables in which an event moves past a row
+    # below, above (M,): one-sided derivatives and the estimates of their errors, where there are no two-sided ones
     below: tuple[Array, Array] | None = None
     above: tuple[Array, Array] | None = None
-    why: str = ""
-    count: int = 0
-    method: str = DIFFERENCES
-    settled: bool = field(default=False, repr=False)
-    methods: NDArray[np.str_] | None = None
+    why: str = ""  # why there are no two-sided ones
+    count: int = 0  # number of quantities, M
+    method: str = DIFFERENCES  # how they were found
+    settled: bool = field(default=False, repr=False)  # whether they are known well enough
+    methods: NDArray[np.str_] | None = None  # (M,): how each quantity was found, if not all in one way
 
     def part(self, some: slice) -> Part:
         """Return what is known of some of the quantities."""

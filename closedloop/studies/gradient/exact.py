@@ -57,21 +57,11 @@ OF_STEP = 0.1
 
 
 class Exact(NamedTuple):
-    """The derivatives of outputs along directions that dual numbers give.
+    """The derivatives of outputs along directions that dual numbers give."""
 
-    Attributes
-    ----------
-    found : dict of Direction to Along
-        Of the outputs in `outputs`, one after the other.
-    outputs : list of Output
-        Those that have all their derivatives, in order; there may be none.
-    problems : list of str
-        Why some are less exact.
-    """
-
-    found: dict[Direction, Along]
-    outputs: list[Output]
-    problems: list[str]
+    found: dict[Direction, Along]  # of the outputs in `outputs`, one after the other
+    outputs: list[Output]  # those that have all their derivatives, in order; there may be none
+    problems: list[str]  # why some are less exact
 
 
 NOTHING = Exact({}, [], [])

@@ -28,21 +28,11 @@ def indexed(name: str, at: tuple[int, ...]) -> str:
 
 @dataclass(frozen=True)
 class Direction:
-    """One number of the scenario.
+    """One number of the scenario."""
 
-    Attributes
-    ----------
-    key : str
-        Dotted key.
-    entry : tuple of int
-        Which entry of a list; () of a single number.
-    step : float
-        The first step of differences along it.
-    """
-
-    key: str
-    entry: tuple[int, ...]
-    step: float
+    key: str  # dotted key
+    entry: tuple[int, ...]  # which entry of a list; () of a single number
+    step: float  # the first step of differences along it
 
     def __str__(self) -> str:
         return indexed(self.key, self.entry)

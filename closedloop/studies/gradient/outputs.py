@@ -39,23 +39,12 @@ def _summary(run: Run) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Output:
-    """One quantity of a run.
+    """One quantity of a run."""
 
-    Attributes
-    ----------
-    name : str
-        As it was asked for.
-    read : callable
-        Takes a run, and returns the quantity as a number or an array.
-    units : str
-    column : str
-        The column to which it belongs; "" for a value of the summary.
-    """
-
-    name: str
-    read: Callable[[Run], Any]
+    name: str  # as it was asked for
+    read: Callable[[Run], Any]  # takes a run, and returns the quantity as a number or an array
     units: str
-    column: str = ""
+    column: str = ""  # the column to which it belongs; "" for a value of the summary
 
     def of(self, run: Run) -> Array:
         """Return the quantity of a run."""

@@ -28,20 +28,11 @@ LINEAR, ROUNDINGS = 1e-9, 64.0
 
 
 class Seeds(NamedTuple):
-    """Derivatives of the prepared floats along one direction.
+    """Derivatives of the prepared floats along one direction."""
 
-    Attributes
-    ----------
-    parts : list of arrays
-        In the order of `Prepared.floats`; None where there is none.
-    linear : bool
-        Whether the number enters linearly.
-    beside : (Problem, Problem, float)
-        The problems on both sides, and how far off along the direction each is.
-    """
-
-    parts: list[Array | None]
-    linear: bool
+    parts: list[Array | None]  # in the order of `Prepared.floats`; None where there is none
+    linear: bool  # whether the number enters linearly
+    # (Problem, Problem, float): the problems on both sides, and how far off along the direction each is
     beside: tuple[Problem, Problem, float]
 
 

@@ -27,43 +27,22 @@ PAST_A_ROW = "an event moves past a row"
 
 
 class Happening(NamedTuple):
-    """An event, without its instant.
-
-    Attributes
-    ----------
-    kind : str
-    contact : int
-    row : int
-        The last row at or before it.
-    """
+    """An event, without its instant."""
 
     kind: str
     contact: int
-    row: int
+    row: int  # the last row at or before it
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What is kept of a run.
+    """What is kept of a run."""
 
-    Attributes
-    ----------
-    values : (M,) array
-        All quantities, one after the other; empty if it could not be run to its end.
-    happened : tuple of Happening
-        Its events, in order.
-    instants : tuple of float
-        Their instants, s.
-    why : str
-        Why it could not be run to its end; "" if it could.
-    scale : (M,) array
-        Of the run itself: the largest entry of the quantity that each is of.
-    """
-
-    values: Array
-    happened: tuple[Happening, ...]
-    instants: tuple[float, ...]
-    why: str = ""
+    values: Array  # (M,): all quantities, one after the other; empty if it could not be run to its end
+    happened: tuple[Happening, ...]  # its events, in order
+    instants: tuple[float, ...]  # their instants, s
+    why: str = ""  # why it could not be run to its end; "" if it could
+    # (M,): of the run itself: the largest entry of the quantity that each is of
     scale: Array = field(default_factory=lambda: np.empty(0))
 
 

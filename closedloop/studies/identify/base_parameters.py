@@ -26,21 +26,11 @@ ROUNDING = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """The columns of W that are independent, and the contributions of the others to them.
+    """The columns of W that are independent, and the contributions of the others to them."""
 
-    Attributes
-    ----------
-    kept : (b,)
-        Numbers of the columns that are independent.
-    grouping : (b, p)
-        χ_base = grouping @ χ.
-    names : tuple of str
-        "Izz_J2 + drive_inertia_J2 + 0.0506 m_J3", the parameters in each.
-    """
-
-    kept: NDArray[np.int64]
-    grouping: Array
-    names: tuple[str, ...]
+    kept: NDArray[np.int64]  # (b,): numbers of the columns that are independent
+    grouping: Array  # (b, p): χ_base = grouping @ χ
+    names: tuple[str, ...]  # "Izz_J2 + drive_inertia_J2 + 0.0506 m_J3", the parameters in each
 
 
 def base_parameters(regressor: Regressor, seed: int = 0) -> BaseParameters:

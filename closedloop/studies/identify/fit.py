@@ -38,38 +38,22 @@ TINY = 1e-100
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Parameters, and the residual of the torques.
+    """Parameters, and the residual of the torques."""
 
-    Attributes
-    ----------
-    value, deviation : (b,)
-        The parameters and their standard deviations; 0 and ∞ for those that cannot be distinguished from others.
-    covariance : (b, b)
-        Covariance of the parameters that can be distinguished; the rows and columns of others are 0.
-    told : (b,) bool
-        Which parameters the rows distinguish.
-    alike : tuple of (int, ...)
-        For each parameter that cannot be distinguished, the others with which it is confused; empty where its column is
-        zero.
-    residual : (R, n)
-        Torque less W χ, N m, in all windows, used or not.
-    sigma : (n,)
-        Their standard deviation in the windows used.
-    condition : float
-        Of the weighted W, columns of length one.
-    lags : int
-        L.
-    """
-
+    # value, deviation (b,): the parameters and their standard deviations; 0 and ∞ for those that cannot be
+    # distinguished from others
     value: Array
     deviation: Array
+    # (b, b): covariance of the parameters that can be distinguished; the rows and columns of others are 0
     covariance: Array
-    told: Mask
+    told: Mask  # (b,) bool: which parameters the rows distinguish
+    # for each parameter that cannot be distinguished, the others with which it is confused; empty where its column is
+    # zero
     alike: tuple[tuple[int, ...], ...]
-    residual: Array
-    sigma: Array
-    condition: float
-    lags: int
+    residual: Array  # (R, n): torque less W χ, N m, in all windows, used or not
+    sigma: Array  # (n,): their standard deviation in the windows used
+    condition: float  # of the weighted W, columns of length one
+    lags: int  # L
 
 
 def fit(W: Array, torque: Array, used: Mask, Z: Array | None = None, told: Mask | None = None) -> Fit:

@@ -32,35 +32,18 @@ NOISE_ONLY = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where the regressor is evaluated, and the torque of each window.
+    """Where the regressor is evaluated, and the torque of each window."""
 
-    Attributes
-    ----------
-    q, v, a : (R D, n)
-        Positions, velocities and accelerations, D rows a window.
-    time : (R,)
-        Middle of each window, s.
-    torque : (R, n)
-        Mean over the window, N m.
-    size : int
-        D.
-    noise : (n,)
-        Standard deviation of the noise of `v`, rad/s, from that of the positions.
-    torque_noise : (n,)
-        Standard deviation of the noise of `torque`, N m, if it is white.
-    cutoff : float
-        Of the low-pass, Hz.
-    """
-
+    # q, v, a (R D, n): positions, velocities and accelerations, D rows a window
     q: Array
     v: Array
     a: Array
-    time: Array
-    torque: Array
-    size: int
-    noise: Array
-    torque_noise: Array
-    cutoff: float
+    time: Array  # (R,): middle of each window, s
+    torque: Array  # (R, n): mean over the window, N m
+    size: int  # D
+    noise: Array  # (n,): standard deviation of the noise of `v`, rad/s, from that of the positions
+    torque_noise: Array  # (n,): standard deviation of the noise of `torque`, N m, if it is white
+    cutoff: float  # of the low-pass, Hz
 
 
 def joined(motions: Sequence[Motion]) -> Motion:

@@ -36,21 +36,11 @@ NOT_NEGATIVE = ("viscous", "dry", "drive_inertia")
 
 @dataclass(frozen=True, eq=False)
 class Physical:
-    """Parameters that a robot can have.
+    """Parameters that a robot can have."""
 
-    Attributes
-    ----------
-    parameters : (p,)
-        In the order of the regressor's names, all of them.
-    distance : float
-        RMS distance of the base parameters from their estimates, in standard deviations.
-    relative_error : (n,)
-        RMS error of the torque over its RMS, as `Identification.relative_error`.
-    """
-
-    parameters: Array
-    distance: float
-    relative_error: Array
+    parameters: Array  # (p,): in the order of the regressor's names, all of them
+    distance: float  # RMS distance of the base parameters from their estimates, in standard deviations
+    relative_error: Array  # (n,): RMS error of the torque over its RMS, as `Identification.relative_error`
 
 
 def pseudo_inertia(parameters: Array) -> Array:

@@ -23,34 +23,17 @@ _KEY = re.compile(r"[A-Za-z_][\w-]*(\.[^.=]+)+")
 
 @dataclass(frozen=True)
 class Axis:
-    """A key and its values: those of a list, or a range.
+    """A key and its values: those of a list, or a range."""
 
-    Attributes
-    ----------
-    key : str
-        Dotted key of the scenario.
-    spec : str
-        How it was given.
-    values : tuple
-        The values of a list; of a range none.
-    low, high : float
-        Ends of a range.
-    count : int
-        How many values a range has in a grid; 0 if that was not said.
-    log : bool
-        Whether a range is even in its logarithm.
-    whole : bool
-        Whether the key takes whole numbers only.
-    """
-
-    key: str
-    spec: str
-    values: tuple[Any, ...] = ()
+    key: str  # dotted key of the scenario
+    spec: str  # how it was given
+    values: tuple[Any, ...] = ()  # the values of a list; of a range none
+    # low, high: ends of a range
     low: float = 0.0
     high: float = 0.0
-    count: int = 0
-    log: bool = False
-    whole: bool = False
+    count: int = 0  # how many values a range has in a grid; 0 if that was not said
+    log: bool = False  # whether a range is even in its logarithm
+    whole: bool = False  # whether the key takes whole numbers only
 
     def __len__(self) -> int:
         """Return how many values it has in a grid."""

@@ -34,27 +34,13 @@ ROWS_TOGETHER = 8192
 
 @dataclass(frozen=True)
 class Joined:
-    """A sweep that is done.
+    """A sweep that is done."""
 
-    Attributes
-    ----------
-    table : Path
-        The Parquet file.
-    columns : Path or None
-        The NetCDF file of whole columns.
-    counts : mapping of str to int
-        How many runs have each status.
-    verdicts : mapping of str to int
-        How many runs have each verdict that is not good.
-    controls : mapping of str to int
-        The same of the verdict of the control.
-    """
-
-    table: Path
-    columns: Path | None
-    counts: dict[str, int]
-    verdicts: dict[str, int]
-    controls: dict[str, int]
+    table: Path  # the Parquet file
+    columns: Path | None  # the NetCDF file of whole columns
+    counts: dict[str, int]  # how many runs have each status
+    verdicts: dict[str, int]  # how many runs have each verdict that is not good
+    controls: dict[str, int]  # the same of the verdict of the control
 
 
 def already_there(identity: dict[str, Any], out: Path) -> Joined | None:

@@ -28,35 +28,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """What the runs of a sweep have in common, as plain text, so that it can be sent to another machine.
+    """What the runs of a sweep have in common, as plain text, so that it can be sent to another machine."""
 
-    Attributes
-    ----------
-    scenario : str
-        TOML of the scenario.
-    keys : tuple of str
-        The keys that change.
-    kinds : tuple of str
-        Types of their columns in the table, in Arrow's words.
-    engine : str
-        See `closedloop.simulate`.
-    keep : tuple of str
-        Columns to keep whole.
-    runs : int
-        How many runs the sweep has.
-    members : tuple of (str, str)
-        Keys of the scenario that pick a user's class, with its name: the command line named it.
-    law, law_digest : str
-        MODULE:FUNCTION of the user's law, and the SHA-256 of its text; "" for the scenario's own.
-    """
-
-    scenario: str
-    keys: tuple[str, ...]
-    kinds: tuple[str, ...]
-    engine: str
-    keep: tuple[str, ...]
-    runs: int
+    scenario: str  # TOML of the scenario
+    keys: tuple[str, ...]  # the keys that change
+    kinds: tuple[str, ...]  # types of their columns in the table, in Arrow's words
+    engine: str  # see `closedloop.simulate`
+    keep: tuple[str, ...]  # columns to keep whole
+    runs: int  # how many runs the sweep has
+    # keys of the scenario that pick a user's class, with its name: the command line named it
     members: tuple[tuple[str, str], ...] = ()
+    # law, law_digest: MODULE:FUNCTION of the user's law, and the SHA-256 of its text; "" for the scenario's own
     law: str = ""
     law_digest: str = ""
 

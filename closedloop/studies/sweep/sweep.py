@@ -40,26 +40,14 @@ MOST_KEPT = 4_000_000
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep: everything that its table depends on.
+    """A sweep: everything that its table depends on."""
 
-    Attributes
-    ----------
-    scenario : Scenario
-        What the runs have in common.
-    design : Design
-        The keys that change, and their values.
-    keep : tuple of str
-        Full names of the columns to keep whole, see `closedloop.simulation.batch.table.kept_columns`.
-    engine : str
-        See `closedloop.simulate`.
-    law, law_digest : str
-        See `closedloop.studies.sweep.part.Job`.
-    """
-
-    scenario: Scenario
-    design: Design
+    scenario: Scenario  # what the runs have in common
+    design: Design  # the keys that change, and their values
+    # full names of the columns to keep whole, see `closedloop.simulation.batch.table.kept_columns`
     keep: tuple[str, ...] = ()
-    engine: str = COMPILED
+    engine: str = COMPILED  # see `closedloop.simulate`
+    # law, law_digest: see `closedloop.studies.sweep.part.Job`
     law: str = ""
     law_digest: str = ""
 

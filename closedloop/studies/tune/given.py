@@ -25,28 +25,15 @@ AT_END = 1e-8
 
 @dataclass(frozen=True)
 class Varied:
-    """One number that varies.
+    """One number that varies."""
 
-    Attributes
-    ----------
-    key : str
-        Dotted key.
-    entry : tuple of int
-        Which entry of a list; () of a single number.
-    low, high : float
-        Its range.
-    log : bool
-        Whether the range is even in its logarithm.
-    present : float
-        What the scenario has.
-    """
-
-    key: str
-    entry: tuple[int, ...]
+    key: str  # dotted key
+    entry: tuple[int, ...]  # which entry of a list; () of a single number
+    # low, high: its range
     low: float
     high: float
-    log: bool
-    present: float
+    log: bool  # whether the range is even in its logarithm
+    present: float  # what the scenario has
 
     @property
     def name(self) -> str:
@@ -68,19 +55,10 @@ class Varied:
 
 @dataclass(frozen=True)
 class Limit:
-    """A constraint on a value of the run.
+    """A constraint on a value of the run."""
 
-    Attributes
-    ----------
-    name : str
-        The value.
-    most : bool
-        Whether the limit is the most that it may be, else the least.
-    limit : float
-    """
-
-    name: str
-    most: bool
+    name: str  # the value
+    most: bool  # whether the limit is the most that it may be, else the least
     limit: float
 
     def violation(self, value: Array) -> Array:

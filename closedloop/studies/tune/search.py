@@ -36,37 +36,20 @@ TOLERANCE = 1e-10
 
 @dataclass
 class Found:
-    """The outcome of a search.
+    """The outcome of a search."""
 
-    Attributes
-    ----------
-    x : (n,) array
-        The best point.
-    value : float
-        Its value: the worst of all variations, or the mean.
-    values : (V,) array
-        That of each variation.
-    violations : (V, K) array
-        Of the constraints, as shares of their limits; negative where they are met.
-    slope : float
-        Share by which the value would still fall over the whole range, where no constraint or bound prevents it.
-    multipliers : (V, K) array
-        By how much the value falls if a limit is moved by its own size.
-    lower, upper : (n,) array
-        The same for the ends of the ranges, by the length of the range.
-    ends : list of float
-        Where each start ended; infinite where it met no constraint.
-    """
-
-    x: Array
-    value: float
-    values: Array
-    violations: Array
+    x: Array  # (n,): the best point
+    value: float  # its value: the worst of all variations, or the mean
+    values: Array  # (V,): that of each variation
+    violations: Array  # (V, K): of the constraints, as shares of their limits; negative where they are met
+    # share by which the value would still fall over the whole range, where no constraint or bound prevents it
     slope: float = np.inf
+    # (V, K): by how much the value falls if a limit is moved by its own size
     multipliers: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    # lower, upper (n,): the same for the ends of the ranges, by the length of the range
     lower: Array = field(default_factory=lambda: np.zeros(0))
     upper: Array = field(default_factory=lambda: np.zeros(0))
-    ends: list[float] = field(default_factory=list)
+    ends: list[float] = field(default_factory=list)  # where each start ended; infinite where it met no constraint
 
     @property
     def feasible(self) -> bool:

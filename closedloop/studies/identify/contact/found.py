@@ -21,22 +21,12 @@ ABOVE, MATTERS = 1.3, 2e-3
 
 @dataclass
 class Part:
-    """Parameters of one law, of a log.
+    """Parameters of one law, of a log."""
 
-    Attributes
-    ----------
-    estimates : list of Estimate
-    misses : list of str
-        Effects that the law does not have, in words.
-    time, measured, predicted : (R,)
-        Of the windows that were used; empty if there are none.
-    what : str
-        Of the axis of a figure.
-    """
-
-    what: str
+    what: str  # of the axis of a figure
     estimates: list[Estimate] = field(default_factory=list)
-    misses: list[str] = field(default_factory=list)
+    misses: list[str] = field(default_factory=list)  # effects that the law does not have, in words
+    # time, measured, predicted (R,): of the windows that were used; empty if there are none
     time: Array = field(default_factory=lambda: np.zeros(0))
     measured: Array = field(default_factory=lambda: np.zeros(0))
     predicted: Array = field(default_factory=lambda: np.zeros(0))

@@ -37,24 +37,12 @@ TURN = "the tip does not turn while it is free: turn it, or the payload looks li
 
 @dataclass
 class Sensor:
-    """What is known of the sensor.
-
-    Attributes
-    ----------
-    part : Part
-    value : (m,)
-        Bias (3,), or (1,) of the normal force, the payload, kg, and the delay, s; 0 where not known.
-    covariance : (m, m)
-        Of them; 0 of what is not known.
-    columns : (R, c, m - 1)
-        What bias and payload add to the force of each window, c components.
-    delay_known : bool
-    """
+    """What is known of the sensor."""
 
     part: Part
-    value: Array
-    covariance: Array
-    columns: Array
+    value: Array  # (m,): bias (3,), or (1,) of the normal force, the payload, kg, and the delay, s; 0 where not known
+    covariance: Array  # (m, m): of them; 0 of what is not known
+    columns: Array  # (R, c, m - 1): what bias and payload add to the force of each window, c components
     delay_known: bool = False
 
     def read_late(self, delay: float, deviation: float) -> None:

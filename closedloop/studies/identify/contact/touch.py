@@ -24,30 +24,16 @@ WINDOWS = 200
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """A log of a tip and a plane, N rows.
+    """A log of a tip and a plane, N rows."""
 
-    Attributes
-    ----------
-    time : (N,)
-        s.
-    position : (N, 3)
-        Of the tip, m, base axes.
-    force : (N, 3) or (N, 1), optional
-        As recorded, N, on the robot: along the base's axes, or along the normal.
-    axes : (N, 3, 3)
-        Columns: the axes of the tip's frame, in those of the base.
-    normal : (3,)
-        Of the plane, out of it.
-    free, closed : (N,) bool
-        Rows in which the tip touches nothing for sure, and touches for sure. Neither without a force.
-    source : str
-    """
-
-    time: Array
-    position: Array
+    time: Array  # (N,): s
+    position: Array  # (N, 3): of the tip, m, base axes
+    # (N, 3) or (N, 1), optional: as recorded, N, on the robot: along the base's axes, or along the normal
     force: Array | None
-    axes: Array
-    normal: Array
+    axes: Array  # (N, 3, 3): columns: the axes of the tip's frame, in those of the base
+    normal: Array  # (3,): of the plane, out of it
+    # free, closed: (N,) bool: rows in which the tip touches nothing for sure, and touches for sure. Neither without a
+    # force.
     free: Mask
     closed: Mask
     source: str
@@ -110,22 +96,14 @@ def _told(touch: Touch) -> Touch:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """The motion of a tip and its force, averaged over windows.
+    """The motion of a tip and its force, averaged over windows."""
 
-    Attributes
-    ----------
-    x, even, odd : Motion
-        Of all rows of the positions, and of every other row, whose noise is independent.
-    touch : Touch
-    cutoff : float
-        Hz.
-    """
-
+    # x, even, odd: of all rows of the positions, and of every other row, whose noise is independent
     x: Motion
     even: Motion
     odd: Motion
     touch: Touch
-    cutoff: float
+    cutoff: float  # Hz
 
     @classmethod
     def of(cls, touch: Touch, cutoff: float | None) -> Windows:

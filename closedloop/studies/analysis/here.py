@@ -44,16 +44,11 @@ class Here:
     """Evaluations at states beside that of an instant, without the stabiliser.
 
     So a tip that is off the surface, or moves off it, is one whose surface has been moved.
-
-    Parameters
-    ----------
-    free : bool
-        Whether it may be in flight.
     """
 
     problem: Problem
     instant: Instant
-    free: bool = False
+    free: bool = False  # whether it may be in flight
 
     def __post_init__(self) -> None:
         problem = self.problem

@@ -10,27 +10,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from robot_models.errors import ClosedLoopError, ModelError
-
-__all__ = [
-    "ChatterError",
-    "ClosedLoopError",
-    "ClusterError",
-    "DivergenceError",
-    "InterruptedRunError",
-    "LawError",
-    "ModelError",
-    "OutputError",
-    "PainleveError",
-    "RunFileError",
-    "ScenarioError",
-    "SimulationError",
-    "SingularClosureError",
-    "faults_on_one_line",
-    "lines_of",
-    "one_line",
-]
-
+from robot_models.errors import ClosedLoopError as ClosedLoopError
+from robot_models.errors import ModelError as ModelError
 
 # Characters of a message that are shown; a name in it may be of any length.
 LONGEST_LINE = 900

@@ -45,13 +45,7 @@ def _boolean(value: Any) -> Any:
 
 
 def gain_of(value: Any) -> Any:
-    """Return one number, or a list of them as a tuple; pydantic's own union would blame the branch that was not meant.
-
-    Raises
-    ------
-    ValueError
-        If it is neither, or a number is not finite.
-    """
+    """Return one number, or a list of them as a tuple; pydantic's union would blame a branch not meant."""
     if not isinstance(value, (list, tuple)):
         return _finite(value)
     for index, entry in enumerate(value):
@@ -83,15 +77,9 @@ def _finite(value: Any) -> float:
 
 @dataclass(frozen=True)
 class Unit:
-    """The unit of a number that has no `Size`, or of each entry of a list.
+    """The unit of a number that has no `Size`, or of each entry of a list."""
 
-    Attributes
-    ----------
-    unit : str
-        "" for a number without one; "rad (m)" where it is the second for a prismatic joint.
-    """
-
-    unit: str
+    unit: str  # "" for a number without one; "rad (m)" where it is the second for a prismatic joint
 
 
 Number = Annotated[float, BeforeValidator(_number)]
@@ -127,39 +115,20 @@ class Size:
     """Bounds of the magnitude of a number that is not zero, or of each entry of a list.
 
     Whether zero or negative numbers are allowed is a matter of the annotated type.
-
-    Attributes
-    ----------
-    most : float
-        The largest magnitude.
-    unit : str
-        Its unit, see `Unit`.
-    why : str
-        Why there are no larger ones, for the message.
-    least : float
-        The smallest magnitude of a number that is not zero.
-    tiny : str
-        Why there are no smaller ones.
     """
 
-    most: float
-    unit: str
-    why: str
-    least: float = 0.0
-    tiny: str = "so small a value cannot be distinguished from zero"
+    most: float  # the largest magnitude
+    unit: str  # its unit, see `Unit`
+    why: str  # why there are no larger ones, for the message
+    least: float = 0.0  # the smallest magnitude of a number that is not zero
+    tiny: str = "so small a value cannot be distinguished from zero"  # why there are no smaller ones
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Check after whatever the annotated type checks."""
         return core_schema.no_info_after_validator_function(self.check, handler(source))
 
     def check(self, value: Any) -> Any:
-        """Return the value, a number or a list of numbers; anything else passes.
-
-        Raises
-        ------
-        SizeError
-            If it is too large or too small.
-        """
+        """Return the value, a number or a list of numbers; anything else passes."""
         if isinstance(value, tuple):
             for index, entry in enumerate(value):
                 if fault := self.fault(entry):

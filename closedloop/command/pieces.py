@@ -98,22 +98,18 @@ def _together() -> None:
 
 def _loops(kernel: str) -> None:
     """Compile one of the kernels of mechanisms with loops."""
-    import numpy as np
-
     import robot_models
+    from closedloop.figures.scene.joined import compile_rows
     from closedloop.mechanics.loops.bind import loop_memory
     from closedloop.mechanics.loops.close import closed_to
-    from closedloop.mechanics.loops.reactions import rows_along
     from closedloop.mechanics.robot.pinocchio import Robot
 
-    memory = loop_memory(Robot(robot_models.load("five_bar")))
-    q = memory.rows.q.copy()
+    robot = Robot(robot_models.load("five_bar"))
     if kernel == "closed_to":
-        closed_to(memory.address, q, q.copy())
+        memory = loop_memory(robot)
+        closed_to(memory.address, memory.rows.q.copy(), memory.rows.v.copy())
     else:
-        states = np.zeros((0, len(q)))
-        states.flags.writeable = False  # as a run's columns are: another type, which is compiled for itself
-        rows_along(memory.address, states, states, np.zeros((0, 1, 1)), np.zeros((0, 1)))
+        compile_rows(robot)
 
 
 def _laws() -> Iterable[Piece]:

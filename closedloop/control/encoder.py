@@ -72,11 +72,6 @@ def check_steps(section: EncoderSection, low: Array, high: Array, names: Sequenc
     """Refuse an encoder whose step is a joint's whole range, from `low` to `high` (n,), rad (m): it reads one number.
 
     A joint without limits has no such range.
-
-    Raises
-    ------
-    ScenarioError
-        Names the joint.
     """
     for name, step, travel in zip(names, np.broadcast_to(section.quantisation, low.shape), high - low, strict=True):
         if step >= travel:

@@ -113,13 +113,7 @@ class ControlLaw(Parameters):
 
     @classmethod
     def check_functions(cls, key: str) -> None:
-        """Refuse a law without a torque, or with states that nothing integrates.
-
-        Raises
-        ------
-        ScenarioError
-            Names the class, by `key`, and what it lacks.
-        """
+        """Refuse a law without a torque, or with states that nothing integrates."""
         _check_states(cls, key)
         if cls.torque is ControlLaw.torque:
             raise ScenarioError(
@@ -178,12 +172,7 @@ class Compensation(Parameters):
         _check_states(cls, key)
 
     def check(self, law: ControlLaw) -> None:
-        """Refuse parameters that do not go with a law's.
-
-        Raises
-        ------
-        ScenarioError
-        """
+        """Refuse parameters that do not go with a law's."""
 
     @staticmethod
     def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:

@@ -58,24 +58,12 @@ SensorParameters = parameter_block(SensorSection)
 
 
 class PackedSensor(NamedTuple):
-    """A sensor as the kernels read it.
+    """A sensor as the kernels read it."""
 
-    Attributes
-    ----------
-    par : Block
-        Its parameters by name.
-    states : int
-        1 with a low-pass, else 0.
-    ring : int
-        Length of the ring buffer that `sense` needs: 1 and the delay in samples.
-    sampled : bool
-        Whether noise, quantisation or delay make a reading differ from the continuous signal.
-    """
-
-    par: Block
-    states: int
-    ring: int
-    sampled: bool
+    par: Block  # its parameters by name
+    states: int  # 1 with a low-pass, else 0
+    ring: int  # length of the ring buffer that `sense` needs: 1 and the delay in samples
+    sampled: bool  # whether noise, quantisation or delay make a reading differ from the continuous signal
 
 
 def pack_sensor(section: SensorSection, period: float) -> PackedSensor:

@@ -85,6 +85,8 @@ class TipScratch(Block, sizes=("n",)):
 def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
     """Write the pseudo-inverse of a symmetric positive semi-definite matrix, by Jacobi's rotations.
 
+    Returns how many eigenvalues counted: the rank.
+
     Parameters
     ----------
     M : (3, 3) array
@@ -93,11 +95,6 @@ def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
     P : (3, 3) array
         Written (it may be M itself): the sum of x xᵀ/λ over the eigenvectors x whose eigenvalue λ is above `IMMOBILE`
         of the trace. Along the others (a planar arm, sideways) the arm cannot move the tip.
-
-    Returns
-    -------
-    int
-        How many eigenvalues counted: the rank.
     """
     W, V, given = matrix_of(scratch, 3, 3), matrix_of(scratch[9:18], 3, 3), matrix_of(scratch[18:27], 3, 3)
     trace = M[0, 0] + M[1, 1] + M[2, 2]

@@ -195,10 +195,7 @@ def make_ready(*functions: Callable[..., Any]) -> None:
 def awaited(functions: Sequence[Callable[..., Any]], there: Callable[[Any], bool] = compiled) -> bool:
     """Wait for a process in the background that has these functions sooner, as `make_ready` says.
 
-    Returns
-    -------
-    bool
-        Whether they are `there`.
+    Returns whether they are `there`.
     """
     missing = [function for function in functions if not there(function)]
     new = [function for function in missing if function.__name__ not in _waited_for]
@@ -221,10 +218,7 @@ def wait_until_done(
 ) -> bool:
     """Wait for the processes in the background, if there are any, so many seconds at most, or until these are there.
 
-    Returns
-    -------
-    bool
-        Whether there were any functions, and they are.
+    Returns whether there were any functions, and they are.
     """
     until = clock.monotonic() + patience
     while True:

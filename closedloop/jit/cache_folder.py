@@ -246,11 +246,6 @@ def claim(folder: Path) -> None:
     """Make a cache folder that does not exist, with the marker, and update the time of its last use.
 
     A folder with something in it and no marker is not ours, and is not used.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made.
     """
     if make_folders:
         for place in reversed([place for place in (folder, *folder.parents) if not place.exists()]):

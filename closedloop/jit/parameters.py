@@ -148,13 +148,7 @@ def lists_per_joint(section: Section) -> dict[str, tuple[float, ...]]:
 
 
 def pack_each_joint(section: Section, n: int, where: str) -> Array:
-    """Return the numbers of a section for n joints, a row for each, (n, ...), as its `one_joint_block` has them.
-
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint; `where` is the section's name in messages.
-    """
+    """Return the numbers of a section for n joints, a row for each, (n, ...), as its `one_joint_block` has them."""
     kind, shapes = one_joint_block(type(section)), parameter_block(type(section)).layout.shape
     rows = np.zeros((n, kind.count(n)))
     values = _values(section)

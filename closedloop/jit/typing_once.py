@@ -31,12 +31,6 @@ _answers: dict[tuple[Any, ...], tuple[Any, Any, Any]] = {}
 def call_type(context: Any, function: Any, args: tuple[Any, ...]) -> Any:
     """Return the signature of a call of one of numba's own functions, as `function.get_call_type` would.
 
-    Parameters
-    ----------
-    context : numba's typing context
-    function : numba.types.Function
-    args : tuple of types
-
     Raises
     ------
     numba.TypingError

@@ -262,11 +262,7 @@ def closed_mobility(robot: Robot, q: Array, mobility: NDArray[Any]) -> Array:
     """Return what a robot's loops leave of H⁻¹ (n, n) at q (n,)."""
     if not robot.model.loops:
         return mobility
-    at = q[None].copy(), np.zeros((1, robot.n))
-    for each in at:
-        each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
-    rows, _ = loop_rows(robot, *at)
-    G = rows[0]
+    G = loop_rows(robot, q[None], np.zeros((1, robot.n)))[0][0]
     return mobility - mobility @ G.T @ np.linalg.pinv(G @ mobility @ G.T, rcond=REDUNDANT) @ G @ mobility
 
 

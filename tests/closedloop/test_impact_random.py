@@ -10,7 +10,8 @@ import pytest
 
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.solve import DIVERGED, OK, SINGULAR
-from closedloop.mechanics.impact import (
+from closedloop.mechanics.impact import ImpactWork, impact
+from closedloop.mechanics.impact.modes import (
     CUT,
     JAM,
     NEWTON,
@@ -22,8 +23,6 @@ from closedloop.mechanics.impact import (
     STRONGE,
     TURN,
     WEDGE,
-    ImpactWork,
-    impact,
 )
 
 ALL = SLIP | STICK | REVERSAL | TURN | JAM | RECOMPRESSION | CUT | WEDGE

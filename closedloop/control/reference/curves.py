@@ -19,15 +19,9 @@ Curve = Callable[[Array], Sequence[Array]]
 
 @dataclass(frozen=True)
 class Straight:
-    """A straight line: x = ṙ s.
+    """A straight line: x = ṙ s."""
 
-    Attributes
-    ----------
-    velocity : (3,) array
-        ṙ, the velocity at constant speed, m/s, base frame.
-    """
-
-    velocity: Array
+    velocity: Array  # (3,): ṙ, the velocity at constant speed, m/s, base frame
 
     def __call__(self, s: Array) -> tuple[Array, Array, Array]:
         """Return the displacement and its derivatives by s; see `Curve`."""
@@ -37,19 +31,12 @@ class Straight:
 
 @dataclass(frozen=True)
 class Ellipse:
-    """An ellipse, a circle if a and b are as long: x = a (1 − cos ωs) + b sin ωs.
+    """An ellipse, a circle if a and b are as long: x = a (1 − cos ωs) + b sin ωs."""
 
-    Attributes
-    ----------
-    a, b : (3,) arrays
-        From the start to the centre, and the half axis across it, in which the motion begins, m, base frame.
-    rate : float
-        ω, rad/s.
-    """
-
+    # a, b (3,): from the start to the centre, and the half axis across it, in which the motion begins, m, base frame
     a: Array
     b: Array
-    rate: float
+    rate: float  # ω, rad/s
 
     def __call__(self, s: Array) -> tuple[Array, Array, Array]:
         """Return the displacement and its derivatives by s; see `Curve`."""
@@ -64,19 +51,12 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class Eight:
-    """A figure of eight that begins at its crossing: x = a sin ωs + b sin 2ωs.
+    """A figure of eight that begins at its crossing: x = a sin ωs + b sin 2ωs."""
 
-    Attributes
-    ----------
-    a, b : (3,) arrays
-        Half the width along the eight and half the height across it, m, base frame.
-    rate : float
-        ω, rad/s.
-    """
-
+    # a, b (3,): half the width along the eight and half the height across it, m, base frame
     a: Array
     b: Array
-    rate: float
+    rate: float  # ω, rad/s
 
     def __call__(self, s: Array) -> tuple[Array, Array, Array]:
         """Return the displacement and its derivatives by s; see `Curve`."""

@@ -49,24 +49,12 @@ class MotionAndLaw(Protocol):
 
 @dataclass(frozen=True)
 class Desired:
-    """The desired motion and force as functions of time.
+    """The desired motion and force as functions of time."""
 
-    Attributes
-    ----------
-    tip : TipPath
-        The tip's path, base frame.
-    joints : JointPath
-        The joints' path along it.
-    profile : ForceProfile
-        The desired force over time.
-    force : float
-        law.force, N, which the profile starts from.
-    """
-
-    tip: TipPath
-    joints: JointPath
-    profile: ForceProfile
-    force: float
+    tip: TipPath  # the tip's path, base frame
+    joints: JointPath  # the joints' path along it
+    profile: ForceProfile  # the desired force over time
+    force: float  # law.force, N, which the profile starts from
 
     def table(self, instants: Array, spare: int = 0) -> Array:
         """Return the table at `instants` (P,), s, rows of `Reference`; at a discontinuity with the right limit.

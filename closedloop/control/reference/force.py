@@ -61,12 +61,8 @@ def force_at(section: ForceProfile, base: float, t: Array) -> Array:
 
     Parameters
     ----------
-    section : ForceProfile
-        The profile.
     base : float
         law.force, N.
-    t : (N,) array
-        Times, s.
 
     Raises
     ------

@@ -38,34 +38,21 @@ ENDED, MIDWAY, OUTCOMES = 0, 1, 2
 
 
 class Way(NamedTuple):
-    """The tip's path at the knots, and the joints' path along it.
+    """The tip's path at the knots, and the joints' path along it."""
 
-    Attributes
-    ----------
-    times : (K,) array
-        Instants of the knots, s; only their differences matter.
-    knots, midway : (K, 12), (K - 1, 12) arrays
-        The tip's position, m, and velocity, m/s, base frame, at the knots and midway between them; then the wanted axis
-        of the tool, a unit vector, and its rate, 1/s, which only `AXIS` reads.
-    rows : int
-        What is held: `POSITION`, `AXIS` or `FRAME`.
-    held : (3, 3) array
-        Columns: axes of the tip's frame, of which `AXIS` holds the last, in the axes of its link as `Tree` has them.
-    frame : (3, 3) array
-        Of `FRAME`: the same as wanted, base axes.
-    limits : (2, n) array
-        Lower and upper joint limits, rad (m).
-    q, v : (K, n) arrays
-        Joint positions, rad (m), of which the first are given, and velocities, rad/s (m/s), for `walk` to write.
-    """
-
-    times: Array
+    times: Array  # (K,): instants of the knots, s; only their differences matter
+    # knots, midway (K, 12), (K - 1, 12): the tip's position, m, and velocity, m/s, base frame, at the knots and midway
+    # between them; then the wanted axis of the tool, a unit vector, and its rate, 1/s, which only `AXIS` reads
     knots: Array
     midway: Array
-    rows: int
+    rows: int  # what is held: `POSITION`, `AXIS` or `FRAME`
+    # (3, 3): columns: axes of the tip's frame, of which `AXIS` holds the last, in the axes of its link as `Tree` has
+    # them
     held: Array
-    frame: Array
-    limits: Array
+    frame: Array  # (3, 3): of `FRAME`: the same as wanted, base axes
+    limits: Array  # (2, n): lower and upper joint limits, rad (m)
+    # q, v (K, n): joint positions, rad (m), of which the first are given, and velocities, rad/s (m/s), for `walk` to
+    # write
     q: Array
     v: Array
 

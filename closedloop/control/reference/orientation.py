@@ -51,27 +51,13 @@ Held = Annotated[
 
 @dataclass(frozen=True)
 class Orientation:
-    """What is held of the tip's orientation.
+    """What is held of the tip's orientation."""
 
-    Attributes
-    ----------
-    rows : int
-        `POSITION` (nothing), `AXIS` or `FRAME`, see `closedloop.control.reference.inverse_kinematics`.
-    axes : (3, 3) array
-        Columns: axes of the tip's frame, in that frame, of which `AXIS` holds the last.
-    frame : (3, 3) array
-        Of `FRAME`: the same as wanted, base frame.
-    surface : PlacedSurface, optional
-        Of `AXIS`: the surface whose normal the axis is held against.
-    said : str
-        Key and value that ask for it, for messages.
-    """
-
-    rows: int
-    axes: Array
-    frame: Array
-    surface: PlacedSurface | None = None
-    said: str = ""
+    rows: int  # `POSITION` (nothing), `AXIS` or `FRAME`, see `closedloop.control.reference.inverse_kinematics`
+    axes: Array  # (3, 3): columns: axes of the tip's frame, in that frame, of which `AXIS` holds the last
+    frame: Array  # (3, 3): of `FRAME`: the same as wanted, base frame
+    surface: PlacedSurface | None = None  # of `AXIS`: the surface whose normal the axis is held against
+    said: str = ""  # key and value that ask for it, for messages
 
     def axis_along(self, times: Array, r: Array, velocity: Array) -> Array:
         """Return the wanted axis of the tool and its rate, 1/s, (N, 6), at points of the tip's path, base frame."""
@@ -93,13 +79,7 @@ class Orientation:
         return float(turned_by(axes, self.frame)) if self.rows == FRAME else 0.0
 
     def check_joints(self, robot: Robot, q: Array) -> None:
-        """Refuse an arm that has not the joints to hold position and orientation at once.
-
-        Raises
-        ------
-        ScenarioError
-            Says how many it has.
-        """
+        """Refuse an arm that has not the joints to hold position and orientation at once."""
         if self.rows == POSITION:
             return
         J = robot.frame_jacobian(q)
@@ -139,8 +119,6 @@ def orientation_of(
         "free", "normal", "start", or the rotation vector of the tip's frame, rad, base frame.
     axis : (3,) array
         Axis of the tool, a unit vector in the tip's frame.
-    robot, q
-        The arm, and its posture (n,) at the start.
     surface : PlacedSurface
         Whose normal it is held against.
     """

@@ -99,6 +99,9 @@ def proceed(
 ) -> int:  # fmt: skip
     """Use the terms of the state requested last, and request the next.
 
+    Returns TERMS: evaluate the terms at (q, q̇) and call again. TABLE_FULL: give a larger table of events and call
+    again. IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED with state.status.
+
     Parameters
     ----------
     H, C : (n, n), (n,) arrays
@@ -113,12 +116,6 @@ def proceed(
         The record, see `closedloop.loop.step.record_row.Row`; row state.row is the next to be written.
     events : (M, EVENT_WIDTH) array
         The table of events, of which state.event.rows rows are written.
-
-    Returns
-    -------
-    int
-        TERMS: evaluate the terms at (q, q̇) and call again. TABLE_FULL: give a larger table of events and call again.
-        IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED with state.status.
     """
     phase = state.phase
     if state.settings.general != 0 and phase == MEASURED:

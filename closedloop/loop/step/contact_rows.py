@@ -41,10 +41,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
 
     Those of a contact that is open, and not about to close, are zero: it costs its gap.
 
-    Returns
-    -------
-    int
-        OK, or NO_NORMAL where a surface has none.
+    Returns OK, or NO_NORMAL where a surface has none.
     """
     n, k = links.n, links.k
     if locate_points(links, c, w, constants, state) != OK:

@@ -63,39 +63,25 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
     Parameters, States = parameter_block(member), state_block(member)
     torque, rates, start, restart = (function_of(member, name) for name in ("torque", "rates", "start", "restart"))
 
-    if issubclass(member, Compensation):
+    behind = issubclass(member, Compensation)
 
-        def entry(address: int, what: int) -> int:
-            state, constants, w = loop_at(address)
-            x, par = law_input(state, constants, w), Parameters(constants.compensation, state.n)
-            z = States(w.z[state.law.states : state.law_states], state.n)
-            if what == TORQUE:
-                torque(x, par, z, w.torque)
-            elif what == RATES:
-                rates(
-                    x, par, z, w.sensing.reading, w.torque, States(w.dz[state.law.states : state.law_states], state.n)
-                )
-            elif what == START:
-                start(x, par, z)
-            else:
-                restart(w.scratch.column, par, z)
-            return 0
-
-    else:
-
-        def entry(address: int, what: int) -> int:
-            state, constants, w = loop_at(address)
-            x, par = law_input(state, constants, w), Parameters(constants.law, state.n)
-            z = States(w.z[0 : state.law.states], state.n)
-            if what == TORQUE:
-                torque(x, par, z, w.torque)
-            elif what == RATES:
-                rates(x, par, z, w.sensing.reading, w.torque, States(w.dz[0 : state.law.states], state.n))
-            elif what == START:
-                start(x, par, z)
-            else:
-                restart(w.scratch.column, par, z)
-            return 0
+    def entry(address: int, what: int) -> int:
+        state, constants, w = loop_at(address)
+        first, last = (state.law.states, state.law_states) if behind else (0, state.law.states)
+        x, par = (
+            law_input(state, constants, w),
+            Parameters(constants.compensation if behind else constants.law, state.n),
+        )
+        z = States(w.z[first:last], state.n)
+        if what == TORQUE:
+            torque(x, par, z, w.torque)
+        elif what == RATES:
+            rates(x, par, z, w.sensing.reading, w.torque, States(w.dz[first:last], state.n))
+        elif what == START:
+            start(x, par, z)
+        else:
+            restart(w.scratch.column, par, z)
+        return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_{member.__name__}"
     return member_entry(entry, member, mark_raised)
@@ -107,7 +93,7 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
 
         SLIDE, HOLD     write c and viscous: of a tip that slides, of one that sticks as a spring
         RATES           writes dz
-        ADVANCE_STATES         advances z by friction_span
+        ADVANCE_STATES  advances z by friction_span
         LIMIT           writes stick_limit
         STICK           writes z where slip along `direction` has ended
 

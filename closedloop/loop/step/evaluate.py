@@ -49,6 +49,8 @@ PaperParameters = parameter_block(PaperLaw)
 def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
 
+    Returns OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE, DIVERGED, LAW_FAILED or NO_NORMAL.
+
     Parameters
     ----------
     H, C : (n, n), (n,) arrays
@@ -61,11 +63,6 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
         See `reference_row`; the last column is the noise of the force sensor.
     rows : (N, width) array
         The rows recorded so far: what the memory of friction reads.
-
-    Returns
-    -------
-    int
-        OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE, DIVERGED, LAW_FAILED or NO_NORMAL.
     """
     n = w.q.shape[0]
     status = locate_tip(w, constants, state)

@@ -42,16 +42,6 @@ NEUTRAL = 1.0 + 1e-13
 # The automatic T is at least this many steps, and this many times the shortest stable one.
 STEPS, MARGIN = 2.0, 2.0
 
-__all__ = [
-    "amplification",
-    "baumgarte_gains",
-    "largest_stable_ratio",
-    "linear_step",
-    "recommended_ratio",
-    "spectral_radii",
-    "spectral_radius",
-]
-
 
 def baumgarte_gains(damping_ratio: float, time_constant: float) -> tuple[float, float]:
     """Return (s_v, s_p) = (2ζ/T, 1/T²) in 1/s and 1/s² for damping ratio ζ and time constant T, s."""

@@ -69,6 +69,8 @@ def into_contact_frame(arm: Any, tip: Any) -> None:
 def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float, ends: IntArray) -> int:
     """Write the Cholesky factor L of H, the rows X = L⁻¹Aᵀ and the tip's mobility S = A H⁻¹Aᵀ = X Xᵀ, 1/kg.
 
+    Returns OK or NOT_POSITIVE_DEFINITE.
+
     Parameters
     ----------
     H : (n, n) array
@@ -83,11 +85,6 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float, en
         Of the arm, squared, m², see `Robot.reach`.
     ends : (n,) array
         Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
-
-    Returns
-    -------
-    int
-        OK or NOT_POSITIVE_DEFINITE.
     """
     n, first = H.shape[0], 0
     while first < n:
@@ -192,17 +189,14 @@ def pressed_force(S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F
 def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, stabiliser_force: Array) -> int:
     """Write the force that holds the tip where it is, S F = −a + b, and the stabiliser's share of it.
 
+    Returns OK or SINGULAR.
+
     Parameters
     ----------
     S, a, b_stabiliser : (3, 3), (3,), (3,) arrays
         Mobility, 1/kg; free acceleration and the stabiliser's, m/s².
     F, stabiliser_force : (3,) arrays
         Written, N; zero along tangents in which the tip cannot move.
-
-    Returns
-    -------
-    int
-        OK or SINGULAR.
     """
     trace = S[0, 0] + S[1, 1] + S[2, 2]
     if not every(S[0, 0] > SINGULAR_MOBILITY * trace):

@@ -146,11 +146,6 @@ def contact_frictions(laws: dict[int, tuple[SurfaceFriction, str]], k: int) -> C
     ----------
     laws : dict
         The section of each, and what it is called in messages.
-
-    Raises
-    ------
-    ScenarioError
-        If a user's law lacks a function.
     """
     members: dict[int, tuple[SurfaceFriction, Array]] = {}
     for i, (section, where) in laws.items():

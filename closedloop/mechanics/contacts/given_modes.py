@@ -58,11 +58,8 @@ def solve_modes(c: Contacts, k: int, inside: bool = True) -> int:
     X, W, a, size, b, viscous, kind and along are read. Forces that are not unique are those of least norm inside the
     cones, if there are such. Where only the motion that they make is of use, `inside` is False: no cones are looked at.
 
-    Returns
-    -------
-    int
-        OK; SINGULAR: the rows contradict each other; PAINLEVE: the only contact slides so that a larger force pulls
-        it in.
+    Returns OK; SINGULAR: the rows contradict each other; PAINLEVE: the only contact slides so that a larger force
+    pulls it in.
     """
     most = 0.0
     for i in range(3 * k):

@@ -46,10 +46,7 @@ STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
 def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
     """Write the impulses F of the contacts that come together, zero if there are none; `after` their velocities.
 
-    Returns
-    -------
-    int
-        OK, or PAINLEVE if they were not found.
+    Returns OK, or PAINLEVE if they were not found.
     """
     k, coming = links.k, 0
     c.event.energy_lost, c.event.energy_rested, c.event.restitution_share = 0.0, 0.0, 1.0

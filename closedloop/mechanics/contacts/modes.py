@@ -64,10 +64,7 @@ def near(c: Contacts, i: int) -> bool:
 def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     """Write the modes of all contacts, what happened to each, and in F the impulses that remove what is left of motion.
 
-    Returns
-    -------
-    int
-        OK, or PAINLEVE if no forces in the cones were found, with any modes.
+    Returns OK, or PAINLEVE if no forces in the cones were found, with any modes.
     """
     k = links.k
     write_limits(links, c)
@@ -228,6 +225,13 @@ def happened_to(c: Contacts, i: int, mode: int) -> float:
 
 
 @kernel
+def write_before(c: Contacts, k: int) -> None:
+    """Write in `before` the velocities that impulses may change: not that along the normal of a soft contact."""
+    for i in range(3 * k):
+        c.before[i] = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]
+
+
+@kernel
 def remove_motion(c: Contacts, k: int) -> int:
     """Write in F the impulses after which contacts that stick or begin to slip are at rest, and others stay closed."""
     for i in range(k):
@@ -236,8 +240,7 @@ def remove_motion(c: Contacts, k: int) -> int:
         rests = c.problem.form[i] in (CONE, DOUBLE, OFF)
         c.friction.start_slip[i] = 0.0 if rests else math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
         c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
-    for i in range(3 * k):
-        c.before[i] = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]
+    write_before(c, k)
     stopping_impulses(c, k)
     write_after(c, k)
     c.event.energy_lost = c.event.energy_rested = -energy_gained(c, k)

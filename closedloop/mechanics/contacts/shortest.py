@@ -69,10 +69,7 @@ def shortest_solutions(c: Contacts, p: int, rank: int, asked: float) -> bool:
 
     With A these equations and D the squares of the forces that the unknowns stand for, x = D⁻¹Aᵀ(A D⁻¹Aᵀ)⁻¹ s.
 
-    Returns
-    -------
-    bool
-        False if rounding is in the way, or the other equations contradict them.
+    Returns False if rounding is in the way, or the other equations contradict them.
     """
     A, order, weight = c.scratch.system, c.scratch.column_order, c.scratch.best
     write_weights(c, p, weight)

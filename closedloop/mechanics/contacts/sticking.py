@@ -51,11 +51,8 @@ def all_stick(c: Contacts, k: int, p: int) -> bool:
 def shortest_sticking(c: Contacts, p: int) -> float:
     """Write as `solution` the shortest forces of p unknowns that all stick; see `all_stick`.
 
-    Returns
-    -------
-    float
-        The size of the terms on the right; negative if X is not of full rank, rounding is in the way, or the rows
-        contradict each other.
+    Returns the size of the terms on the right; negative if X is not of full rank, rounding is in the way, or the
+    rows contradict each other.
     """
     asked = 0.0
     if not factor_joints(c, p):

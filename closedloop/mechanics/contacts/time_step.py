@@ -18,7 +18,7 @@ from closedloop.mechanics.contacts.complementarity import asked_of, largest_mobi
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
-from closedloop.mechanics.contacts.modes import happened_to, touches
+from closedloop.mechanics.contacts.modes import happened_to, touches, write_before
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.tangential_impact import stop_at_once
 
@@ -40,24 +40,18 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
     The modes after it are written, too. After an impact they are to be sought: `at_once` is 1. Where that is in vain
     only time steps follow, until there are modes again.
 
-    Returns
-    -------
-    int
-        OK, or PAINLEVE if no impulses were found.
+    Returns OK, or PAINLEVE if no impulses were found.
     """
     k = links.k
     take_kinetic(links, c)
     write_forms(links, c)
+    write_before(c, k)
     c.step.in_vain = 1.0 if c.step.struck == time else c.step.in_vain
-    if c.step.in_vain == 0.0:
-        for i in range(3 * k):
-            c.before[i] = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]  # f of a soft one is given
-        if stop_at_once(links, c):
-            c.step.at_once, c.step.struck = 1.0, time
-            return OK
+    if c.step.in_vain == 0.0 and stop_at_once(links, c):
+        c.step.at_once, c.step.struck = 1.0, time
+        return OK
     for i in range(3 * k):
-        moves = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]
-        c.F[i], c.before[i], c.problem.q[i] = 0.0, c.u[i], moves + SPAN * c.a[i]
+        c.F[i], c.problem.q[i], c.before[i] = 0.0, c.before[i] + SPAN * c.a[i], c.u[i]
     if not find_with_less_friction(c, k):
         return PAINLEVE
     links.stepped, c.step.end = 1, time + SPAN

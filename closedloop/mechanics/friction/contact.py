@@ -32,10 +32,6 @@ class Contact:
 
     Parameters
     ----------
-    member : type
-        The law.
-    par : Block
-        Its parameters, see `closedloop.mechanics.friction.packing`.
     d : int
         Length of a slip vector.
 
@@ -127,11 +123,5 @@ def surface_contact(section: FrictionLaw) -> Contact:
 
 
 def joint_contacts(section: FrictionLaw, n: int | None = None) -> list[Contact]:
-    """Return the contacts in joints, see `closedloop.mechanics.friction.packing.joint_parameters`.
-
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint.
-    """
+    """Return the contacts in joints, see `closedloop.mechanics.friction.packing.joint_parameters`."""
     return [Contact(type(section), par, 1) for par in joint_parameters(section, n)]

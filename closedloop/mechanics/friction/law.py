@@ -124,13 +124,7 @@ class FrictionLaw(Parameters):
 
     @classmethod
     def check_functions(cls, key: str) -> None:
-        """Refuse a class that lacks a function which a law that sticks as it does, with its states, must have.
-
-        Raises
-        ------
-        ScenarioError
-            Names the class, by `key`, and what it lacks.
-        """
+        """Refuse a class that lacks a function which a law that sticks as it does, with its states, must have."""
         wanted = ["slide"]
         wanted += ["rates", "advance"] if cls.has_states() else []
         wanted += {"rigid": ["stick_limit"], "elastic": [], "spring": ["stick_limit", "hold", "stick"]}[cls.sticks]

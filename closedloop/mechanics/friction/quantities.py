@@ -73,12 +73,7 @@ JointSpan = Annotated[JointNotNegative, PERIOD]
 
 
 def refuse_below(static: Figure, kinetic: Figure) -> None:
-    """Refuse a static level below the kinetic one; lists must be of one length.
-
-    Raises
-    ------
-    ValueError
-    """
+    """Refuse a static level below the kinetic one; lists must be of one length."""
     levels, floors = entries(static), entries(kinetic)
     count = max(len(levels), len(floors))
     if len(levels) not in (1, count) or len(floors) not in (1, count):

@@ -44,42 +44,9 @@ the ratios and may let ε depend on the speed of approach.
 `impact` is the kernel; `two_phase_impact` checks its input and returns an `Impact`.
 """
 
-from closedloop.mechanics.impact.modes import (
-    CUT,
-    JAM,
-    MODE_NAMES,
-    NEWTON,
-    POISSON,
-    RATIOS,
-    RECOMPRESSION,
-    REVERSAL,
-    SLIP,
-    STICK,
-    STRONGE,
-    TURN,
-    WEDGE,
-)
+from closedloop.mechanics.impact.modes import CUT, MODE_NAMES, RATIOS
 from closedloop.mechanics.impact.phases import energy_lost, impact
 from closedloop.mechanics.impact.single import Impact, two_phase_impact
 from closedloop.mechanics.impact.taylor import ImpactWork
 
-__all__ = [
-    "CUT",
-    "JAM",
-    "MODE_NAMES",
-    "NEWTON",
-    "POISSON",
-    "RATIOS",
-    "RECOMPRESSION",
-    "REVERSAL",
-    "SLIP",
-    "STICK",
-    "STRONGE",
-    "TURN",
-    "WEDGE",
-    "Impact",
-    "ImpactWork",
-    "energy_lost",
-    "impact",
-    "two_phase_impact",
-]
+__all__ = ["CUT", "MODE_NAMES", "RATIOS", "Impact", "ImpactWork", "energy_lost", "impact", "two_phase_impact"]

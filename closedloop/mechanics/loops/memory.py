@@ -125,30 +125,21 @@ class LoopMemory(NamedTuple):
 
 
 class Bound(NamedTuple):
-    """What the m rows of a mechanism's loops bind.
+    """What the m rows of a mechanism's loops bind."""
 
-    Attributes
-    ----------
-    sides : (4 m,) array
-        Kind of each row, see `closedloop.mechanics.loops.rows`; then the link (gear: the joint) of the one side of
-        each; then of the other; −1 is the base; then 1 for a row whose points are those of the row before it.
-    at_a, at_b, along_a, along_b, value : (m, 3), ..., (m, 5) arrays
-        See `LoopRows`.
-    scale : (m,) array
-        One over the usual length of each row, so that rows of any unit can be compared, and one that is short in some
-        posture is known to be.
-    undriven : (n,) array
-        1 for a joint without a drive.
-    """
-
+    # (4 m,): kind of each row, see `closedloop.mechanics.loops.rows`; then the link (gear: the joint) of the one side
+    # of each; then of the other; −1 is the base; then 1 for a row whose points are those of the row before it
     sides: IntArray
+    # at_a, at_b, along_a, along_b, value: (m, 3), ..., (m, 5): see `LoopRows`
     at_a: Array
     at_b: Array
     along_a: Array
     along_b: Array
     value: Array
+    # (m,): one over the usual length of each row, so that rows of any unit can be compared, and one that is short in
+    # some posture is known to be
     scale: Array
-    undriven: Array
+    undriven: Array  # (n,): 1 for a joint without a drive
 
     @property
     def m(self) -> int:

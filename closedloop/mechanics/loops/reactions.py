@@ -93,18 +93,19 @@ def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
 
     Parameters
     ----------
-    robot : Robot
-        With loops.
     q : (N, nq) array, or (N, n)
     v : (N, n) array
     """
-    memory, q = loop_memory(robot), robot.rotation_vectors(q)
+    memory = loop_memory(robot)
+    states = [np.ascontiguousarray(x).view() for x in (robot.rotation_vectors(q), v)]
+    for each in states:
+        each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
     count, n, m = len(q), robot.n, int(memory.links.m)
     rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
     written = memory.rows.memory, memory.links.memory, rows, errors
     if count > FEW_STATES:
         awaited((rows_along,))
-    call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
+    call_now(rows_along, written, memory.address, *states, rows, errors)
     return rows, errors
 
 

@@ -183,9 +183,7 @@ class Robot:
         """Return positions (..., n) as the loop has them: q (..., nq), or (..., n) as it is."""
         if q.shape[-1] == self.n:
             return q
-        found = with_rotation_vectors(q, self.model.joint_types)
-        found.flags.writeable = False  # as a run's columns are: of another type a kernel would be compiled anew
-        return found
+        return with_rotation_vectors(q, self.model.joint_types)
 
     def terms(self, q: ArrayLike, v: ArrayLike) -> Terms:
         """Return H, C, r, Jᵣ and J̇ᵣq̇ of one state, from Pinocchio's frame functions.

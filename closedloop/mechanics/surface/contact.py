@@ -226,6 +226,8 @@ def put_on_surface(
 ) -> int:
     """Move each point of a motion along a fixed direction onto a level of a surface that may move; and its derivatives.
 
+    Returns how many points were put there: N, or fewer if the surface does not lie in that direction.
+
     Parameters
     ----------
     entry, address : int
@@ -238,11 +240,6 @@ def put_on_surface(
         s.
     r, velocity, acceleration : (N, 3) arrays
         Read and overwritten: m, m/s and m/s², base frame.
-
-    Returns
-    -------
-    int
-        How many points were put there: N, or fewer if the surface does not lie in that direction.
     """
     _, ask = ask_at(address)
     pose, touch = Pose(ask.pose), Touch(ask.touch)
@@ -294,6 +291,8 @@ def put_on_surface(
 def normals_on_surface(entry: int, address: int, times: Array, r: Array, velocity: Array) -> int:
     """Overwrite points of a motion by the surface's unit normals there, and its velocities by their rates.
 
+    Returns how many points were asked for: N, or fewer if there is no normal at the next.
+
     Parameters
     ----------
     entry, address : int
@@ -302,11 +301,6 @@ def normals_on_surface(entry: int, address: int, times: Array, r: Array, velocit
         s.
     r, velocity : (N, 3) arrays
         Position, m, and velocity, m/s; overwritten by n and ṅ, 1/s. All in the base frame.
-
-    Returns
-    -------
-    int
-        How many points were asked for: N, or fewer if there is no normal at the next.
     """
     _, ask = ask_at(address)
     pose, touch = Pose(ask.pose), Touch(ask.touch)

@@ -135,6 +135,8 @@ def tangent_rates(rate: Array, w: Array, touch: Touch) -> tuple[float, float]:
 def contact_geometry(pose: Pose, moving: bool, r: Array, velocity: Array, frame: Array, touch: Touch) -> bool:
     """Write the contact frame of a point and what its motion is relative to; after `into_surface_axes` and `level`.
 
+    Returns False if the gradient is zero or not a number: there is no normal.
+
     Parameters
     ----------
     pose : Pose
@@ -146,11 +148,6 @@ def contact_geometry(pose: Pose, moving: bool, r: Array, velocity: Array, frame:
         Written: N, rows n, t1, t2 in base axes.
     touch : Touch
         Written: local, size, carried and turning.
-
-    Returns
-    -------
-    bool
-        False if the gradient is zero or not a number: there is no normal.
     """
     w0, w1, w2 = velocity[0], velocity[1], velocity[2]
     c0 = c1 = c2 = a0 = a1 = a2 = 0.0

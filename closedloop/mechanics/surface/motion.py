@@ -44,13 +44,7 @@ MOTIONS = Family(SurfaceMotion, usual="none")
 
 
 def moving(value: Any) -> Any:
-    """Return the number, or the tuple of numbers, by which a surface moves.
-
-    Raises
-    ------
-    ValueError
-        If it is zero.
-    """
+    """Return the number, or the tuple of numbers, by which a surface moves; refuse zero."""
     if not any(value if isinstance(value, tuple) else (value,)):
         raise ValueError('must not be zero; a surface at rest is kind = "none"')
     return value

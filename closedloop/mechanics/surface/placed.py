@@ -41,53 +41,29 @@ from robot_models.cached import cached_property
 
 
 class Touching(NamedTuple):
-    """A point and the surface at an instant.
+    """A point and the surface at an instant."""
 
-    Attributes
-    ----------
-    gap : float
-        Distance from the surface, m; to first order in it, for a φ that is no distance.
-    frame : (3, 3) array
-        Contact frame: rows n, t1, t2, base frame.
-    carried, turning : (3,) arrays
-        The tip's velocity and acceleration in the contact frame are u = N ṙ − carried and u̇ = N r̈ + turning.
-    level : float
-        φ.
-    inside : float
-        Distance from the surface's edge, m, negative beyond it; inf without one.
-    """
-
-    gap: float
-    frame: Array
+    gap: float  # distance from the surface, m; to first order in it, for a φ that is no distance
+    frame: Array  # (3, 3): contact frame: rows n, t1, t2, base frame
+    # carried, turning (3,): the tip's velocity and acceleration in the contact frame are u = N ṙ − carried and u̇ = N
+    # r̈ + turning
     carried: Array
     turning: Array
-    level: float
-    inside: float
+    level: float  # φ
+    inside: float  # distance from the surface's edge, m, negative beyond it; inf without one
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedSurface:
-    """A surface in its place, and its motion.
+    """A surface in its place, and its motion."""
 
-    Attributes
-    ----------
-    section, motion : Surface, SurfaceMotion
-        What it is, and how it moves.
-    frame : (3, 3) array
-        Rows n, t1, t2 of the contact frame at its origin at t = 0, base frame.
-    origin : (3,) array
-        A point of it at t = 0, with the normal n, m, base frame.
-    below_start : bool
-        Whether it is placed `surface.gap` below the tip at the start.
-    radius : float
-        Of a ball that touches it in place of a point, m: gaps are those of the ball about the point that is asked for.
-    """
-
+    # section, motion: what it is, and how it moves
     section: Surface
     motion: SurfaceMotion
-    frame: Array
-    origin: Array
-    below_start: bool
+    frame: Array  # (3, 3): rows n, t1, t2 of the contact frame at its origin at t = 0, base frame
+    origin: Array  # (3,): a point of it at t = 0, with the normal n, m, base frame
+    below_start: bool  # whether it is placed `surface.gap` below the tip at the start
+    # of a ball that touches it in place of a point, m: gaps are those of the ball about the point that is asked for
     radius: float = 0.0
 
     @classmethod
@@ -149,13 +125,7 @@ class PlacedSurface:
         return found | ({"surface_motion": motion_entry(type(self.motion))} if self.moves else {})
 
     def memory(self) -> SurfaceMemory:
-        """Return memory by which it is asked; `Links.motion` is to be set for a surface that moves.
-
-        Raises
-        ------
-        ScenarioError
-            If its parameters do not go together.
-        """
+        """Return memory by which it is asked; `Links.motion` is to be set for a surface that moves."""
         (par, motion_par), bounds = self._packed, self.section.bounds()
         solid = self.section.solid() if self.radius == 0.0 else (0.0,) * 5  # a ball goes round the edges
         return make_memory(

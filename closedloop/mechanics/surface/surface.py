@@ -63,10 +63,7 @@ class Surface(Parameters):
     def place(self, normal: Array) -> Array | None:
         """Return the origin of the surface's axes (3,), m, base frame; None: `gap` below the tip at the start.
 
-        Parameters
-        ----------
-        normal : (3,) array
-            Unit normal.
+        `normal` (3,) is the unit normal there.
         """
         return None
 

@@ -51,22 +51,16 @@ MOST = 256
 
 
 class ContactPlaces(NamedTuple):
-    """Where the contacts of a scenario are on the links, and at the start.
+    """Where the contacts of a scenario are on the links, and at the start."""
 
-    Attributes
-    ----------
-    bound : Bound
-        The rows of each contact: n, t1, t2 of a plane at rest; x, y, z of the frame that carries another surface. They
-        say where the point is, in axes fixed to the link that has the surface.
-    shapes, edges : (k, SHAPE), (k, EDGE) arrays
-        The shapes of the contacts, those of the sections from the second on; see `make_shape_memory`.
-    start : tuple
-        The gap of each section's contact at the start, m, and how far inside the edge of its surface it is, m.
-    """
-
+    # the rows of each contact: n, t1, t2 of a plane at rest; x, y, z of the frame that carries another surface. They
+    # say where the point is, in axes fixed to the link that has the surface.
     bound: Bound
+    # shapes, edges (k, SHAPE), (k, EDGE): the shapes of the contacts, those of the sections from the second on; see
+    # `make_shape_memory`
     shapes: Array
     edges: Array
+    # the gap of each section's contact at the start, m, and how far inside the edge of its surface it is, m
     start: tuple[tuple[float, float], ...]
 
     @property

@@ -71,31 +71,16 @@ class LaneAddresses(Block):
 
 
 class Sizes(NamedTuple):
-    """Sizes of the arrays in memory.
+    """Sizes of the arrays in memory."""
 
-    Attributes
-    ----------
-    nodes : int
-        Rows of a table to each of the record's.
-    instants, columns : int
-        Of a table.
-    kept : int
-        Rows of the record in memory: all, or `BATCH`, which are then overwritten in turn.
-    width : int
-        Length of such a row.
-    order : int
-        Of the scheme, see `closedloop.record.report.step_columns.resolution_of`.
-    sampled : int
-        Whether the law's torque is held.
-    """
-
-    nodes: int
+    nodes: int  # rows of a table to each of the record's
+    # instants, columns: of a table
     instants: int
     columns: int
-    kept: int
-    width: int
-    order: int
-    sampled: int
+    kept: int  # rows of the record in memory: all, or `BATCH`, which are then overwritten in turn
+    width: int  # length of such a row
+    order: int  # of the scheme, see `closedloop.record.report.step_columns.resolution_of`
+    sampled: int  # whether the law's torque is held
 
 
 @entry_kernel
@@ -104,6 +89,9 @@ def run_in_lanes(
     limits: Array,
 ) -> int:  # fmt: skip
     """Run eight problems from start to end.
+
+    Returns OK, or NEEDS_EVENTS or a status of `closedloop.mechanics.closure.solve` if at least one lane could not
+    go on.
 
     Parameters
     ----------
@@ -123,11 +111,6 @@ def run_in_lanes(
         Of the arrays in memory.
     limits : (4 n,) array
         See `closedloop.record.report.row_sample.joint_limits`.
-
-    Returns
-    -------
-    int
-        OK, or NEEDS_EVENTS or a status of `closedloop.mechanics.closure.solve` if at least one lane could not go on.
     """
     n, state, kept, width = tree.n, State(state_numbers), sizes.kept, sizes.width
     ends = integers_at(state.addresses.group_ends, state.n)

@@ -17,45 +17,24 @@ STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STI
 
 
 class PackedLaw(NamedTuple):
-    """A law as the loop reads it: of control, of compensation, of friction, or of a soft surface.
+    """A law as the loop reads it: of control, of compensation, of friction, or of a soft surface."""
 
-    Attributes
-    ----------
-    member : type
-        Its class.
-    numbers : array
-        Its parameters, see `closedloop.jit.parameters.parameter_block`; of friction in joints a row for each, (n, ...),
-        see `closedloop.jit.parameters.one_joint_block`.
-    states : int
-        How many states it has; of friction in joints, each of them.
-    """
-
-    member: Any
+    member: Any  # its class
+    # its parameters, see `closedloop.jit.parameters.parameter_block`; of friction in joints a row for each, (n, ...),
+    # see `closedloop.jit.parameters.one_joint_block`
     numbers: Array
-    states: int
+    states: int  # how many states it has; of friction in joints, each of them
 
 
 def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[str] = ()) -> PackedLaw:
-    """Turn a law or a compensation into numbers for n joints.
-
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint, or a user's law lacks a function.
-    """
+    """Turn a law or a compensation into numbers for n joints."""
     where = "law" if isinstance(section, ControlLaw) else "compensation"
     type(section).check_functions(f"{where}.kind")
     return PackedLaw(type(section), pack(section, n, where, joint_names), state_block(type(section)).count(n))
 
 
 def pack_friction(section: FrictionLaw, n: int, joints: bool = False) -> PackedLaw:
-    """Turn a law of the surface's friction, or of the joints', into numbers for n joints.
-
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint, or a user's law lacks a function.
-    """
+    """Turn a law of the surface's friction, or of the joints', into numbers for n joints."""
     member, where = type(section), "joint_friction" if joints else "friction"
     if member is not NoFriction:
         member.check_functions(f"{where}.kind")

@@ -49,16 +49,7 @@ class Problem(ScenarioNumbers):
     """
 
     def loop(self, user_law: bool = False) -> Loop:
-        """Return the loop's memory at t = 0.
-
-        Parameters
-        ----------
-        user_law : bool
-            Whether a user's law replaces the scenario's law and compensation.
-
-        The addresses of the functions that it calls are set by `connect`, or by
-        `closedloop.simulation.engines.user_law.UserLaw`.
-        """
+        """Return the loop's memory at t = 0."""
         n, law, compensation = self.robot.n, self.law, self.compensation
         own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
         surface, joints = self.friction.states, self.joint_friction.states
@@ -159,11 +150,6 @@ class Problem(ScenarioNumbers):
             Returns the address of an entry's machine code, see `closedloop.jit.drafts`.
         loop_compiled : bool
             Whether the loop itself is machine code too; interpreted, it can call what is.
-
-        Raises
-        ------
-        ScenarioError
-            If numba cannot compile a user's member.
         """
 
         def address(entry: Any) -> int:
@@ -191,25 +177,13 @@ class Problem(ScenarioNumbers):
             user_law(compiled)
 
     def set_restitution(self, loop: Loop) -> None:
-        """Write into a loop's memory the law and the coefficient of restitution of the impact at which it stands.
-
-        Raises
-        ------
-        LawError
-            If a user's law gives none.
-        """
+        """Write into a loop's memory the law and the coefficient of restitution of the impact at which it stands."""
         law, _, _ = self._struck(loop)
         loop.state.settings.impact_law = RATIOS[law.ratio_of]
         loop.constants.restitution = self.restitution_at(loop, -float(loop.w.impact.before[0]))
 
     def restitution_at(self, loop: Loop, speed: float) -> float:
-        """Return the coefficient of restitution of the impact at which a loop stands, at a speed, m/s.
-
-        Raises
-        ------
-        LawError
-            If a user's law gives none.
-        """
+        """Return the coefficient of restitution of the impact at which a loop stands, at a speed, m/s."""
         law, given, where = self._struck(loop)
         try:
             return coefficient_at(law, given, speed, where)

@@ -160,17 +160,14 @@ def hold_on_surface(w: Work, c: LaneConstants, kept: Kept, stuck: bool, sticks: 
 def step_in_lanes(address: int, count: int) -> int:
     """Step the members of a group to their next control instant, with their torques in their memories.
 
+    Returns a number whose bit i is 1 if member i is there; else it is where it was.
+
     Parameters
     ----------
     address : int
         Of `closedloop.simulation.together.records.Group`.
     count : int
         How many there are; other lanes repeat the first.
-
-    Returns
-    -------
-    int
-        Bit i is 1 if member i is there; else it is where it was.
     """
     g = Group(integers_at(address, GROUP))
     for i in range(count, WIDE):

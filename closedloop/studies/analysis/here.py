@@ -227,10 +227,7 @@ class Here:
         if not self.problem.robot.model.loops:
             return np.zeros((0, self.n)), np.zeros(0)
         v = self.instant.values["v"]
-        at = q[None].copy(), v[None].copy()
-        for each in at:
-            each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
-        G = loop_rows(self.problem.robot, *at)[0][0]
+        G = loop_rows(self.problem.robot, q[None], v[None])[0][0]
         return G, G @ v
 
     def geometry(self) -> tuple[Array, Array, Array, Array]:

@@ -54,37 +54,23 @@ SCRATCHES = 43 * LANES
 
 
 class Tree(NamedTuple):
-    """A robot as arrays, for the kernels of this package; `tree_of` makes it.
+    """A robot as arrays, for the kernels of this package; `tree_of` makes it."""
 
-    Attributes
-    ----------
-    n, blocks : int
-        Joints, and blocks of four that hold them.
-    once : int
-        1. A loop over `LANES * once` lanes is vectorised; with a constant length the compiler would unroll it.
-    carrier : int
-        The joint that carries the tip; −1 if it sits on the base.
-    serial : int
-        1 if every joint but the first is a child of the one before it, else 0.
-    links : (LINK_ROWS n,) array
-        For each joint: its parent (−1: base; always smaller than the joint), where its constants and its scratch
-        begin, what it is (SLIDES, TURNS ...), whether it moves the tip, the first joint of its unbranched chain:
-        of the joints up to it that are each a child of the one before; and the end of its group, see `group_ends`.
-    constants : (HEAD + blocks * CONSTANTS,) array
-        See the names of `closedloop.mechanics.robot.tree.layout`. The z axis of a link is its joint axis; its x axis is
-        perpendicular to its own joint axis and to that of the next joint.
-    balls : int
-        Ball joints. Positions of one are the rotation vector θ of its link, rad, its rates the angular velocity in the
-        link's axes; see `robot_models.coordinates`.
-    """
-
+    # n, blocks: joints, and blocks of four that hold them
     n: int
     blocks: int
-    once: int
-    carrier: int
-    serial: int
+    once: int  # 1. A loop over `LANES * once` lanes is vectorised; with a constant length the compiler would unroll it.
+    carrier: int  # the joint that carries the tip; −1 if it sits on the base
+    serial: int  # 1 if every joint but the first is a child of the one before it, else 0
+    # (LINK_ROWS n,): for each joint: its parent (−1: base; always smaller than the joint), where its constants and its
+    # scratch begin, what it is (SLIDES, TURNS ...), whether it moves the tip, the first joint of its unbranched chain:
+    # of the joints up to it that are each a child of the one before; and the end of its group, see `group_ends`
     links: IntArray
+    # (HEAD + blocks * CONSTANTS,): see the names of `closedloop.mechanics.robot.tree.layout`. The z axis of a link is
+    # its joint axis; its x axis is perpendicular to its own joint axis and to that of the next joint.
     constants: Array
+    # ball joints. Positions of one are the rotation vector θ of its link, rad, its rates the angular velocity in the
+    # link's axes; see `robot_models.coordinates`.
     balls: int
 
     @property

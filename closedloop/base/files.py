@@ -274,13 +274,7 @@ def why_not_there(places: Iterable[Path]) -> str:
 
 
 def made_folder(out: str | Path) -> Path:
-    """Return the folder for the results, which is made.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be made.
-    """
+    """Return the folder for the results, which is made."""
     folder = Path(out)
     try:
         probe_folder(folder)

@@ -1,7 +1,4 @@
-"""The command ``closedloop excite --robot NAME|FILE``: a motion within limits that identifies parameters best.
-
-Exit status: 0 done; 2 the input is at fault (one line on standard error).
-"""
+"""The command ``closedloop excite --robot NAME|FILE``: a motion within limits that identifies parameters best."""
 
 from __future__ import annotations
 

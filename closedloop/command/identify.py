@@ -1,7 +1,4 @@
-"""The command ``closedloop identify LOG --robot NAME|FILE``: parameters of a robot from a log of its motion.
-
-Exit status: 0 done; 2 the input is at fault (one line on standard error).
-"""
+"""The command ``closedloop identify LOG --robot NAME|FILE``: parameters of a robot from a log of its motion."""
 
 from __future__ import annotations
 

@@ -87,13 +87,6 @@ class Results:
         The inputs of the run, see `closedloop.record.save.question`.
     overwrite : bool
         Whether results of another question may be replaced.
-
-    Raises
-    ------
-    TakenError
-        If the folder holds something else that may not be replaced, or another run is being written into it.
-    OutputError
-        If the folder cannot be written.
     """
 
     def __init__(self, folder: Path, question: dict[str, str], overwrite: bool) -> None:

@@ -1,7 +1,4 @@
-"""The command line of the studies: ``closedloop study drift``.
-
-Exit status: 0 done; 2 the input is at fault (one line on standard error).
-"""
+"""The command line of the studies: ``closedloop study drift``."""
 
 from __future__ import annotations
 

@@ -36,11 +36,6 @@ def draw(section: FrictionLaw, target: str | Path | Axes, load: float = 1.0) -> 
         A file to write, .png, .svg or .pdf, or the axes to draw on.
     load : float
         Normal force f, N; for joints 1.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
     """
     law = _Law(section, load)
     pictures: list[Callable[[Axes, _Law], None]] = [_curve]

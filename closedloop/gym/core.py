@@ -122,13 +122,7 @@ class Core:
         return generator
 
     def begin(self, i: int, seed: int | None, options: Mapping[str, Any] | None) -> None:
-        """Draw an episode of environment `i`; `start` lets it begin.
-
-        Raises
-        ------
-        ScenarioError
-            If an option is no key of the scenario, or its value is at fault.
-        """
+        """Draw an episode of environment `i`; `start` lets it begin."""
         if seed is not None:
             self._generators[i], _ = np_random(seed)
         if options is not None and not isinstance(options, Mapping):

@@ -104,13 +104,7 @@ class Control:
         return number if self.index is None else [*self.value[: self.index], number, *self.value[self.index + 1 :]]
 
     def typed(self, text: str) -> Any:
-        """Return the value of the key for a number that was typed, which may be beyond the slider.
-
-        Raises
-        ------
-        ValueError
-            If it is no number.
-        """
+        """Return the value of the key for a number that was typed, which may be beyond the slider."""
         if self.form not in ("linear", "log", "whole"):
             return self.read(text)
         try:

@@ -72,15 +72,7 @@ def page(title: str, messages: Sequence[Any] = (), theme: str = "") -> str:
 
 
 def share(run: Run, path: str | Path, command: str = "", ghosts: Sequence[Ghost] = ()) -> Path:
-    """Write the page of a run, see `page_of`, and return its path.
-
-    Raises
-    ------
-    ScenarioError
-        If the run has no rows.
-    OutputError
-        If the file cannot be written.
-    """
+    """Write the page of a run, see `page_of`, and return its path."""
     return write_whole(path, page_of(run, command, ghosts).encode())
 
 
@@ -88,25 +80,7 @@ HEIGHT = 640  # px in a notebook
 
 
 def show_run(run: Run, path: str | Path | None = None) -> Path | Any:
-    """Show the replay of a run.
-
-    Parameters
-    ----------
-    path : path, optional
-        Write the page there instead of showing it.
-
-    Returns
-    -------
-    Path or IPython.display.HTML
-        The file; in a notebook, without `path`, what it displays.
-
-    Raises
-    ------
-    ScenarioError
-        If the run has no rows.
-    OutputError
-        If the file cannot be written.
-    """
+    """Show the replay of a run, see `closedloop.record.run.Run.show`."""
     if path is not None:
         return share(run, path)
     if in_notebook():

@@ -63,13 +63,7 @@ def _line(total: Any) -> bytes:
 
 
 def unsealed(whole: memoryview) -> tuple[memoryview, bool]:
-    """Return what stands before the seal of a file's bytes, and whether this user has written it on this machine.
-
-    Raises
-    ------
-    ValueError
-        If there is no seal, or it is broken.
-    """
+    """Return what stands before the seal of a file's bytes, and whether this user has written it on this machine."""
     length = _seal_length(bytes(whole[-SEAL_LENGTH:]))
     content, line = whole[: len(whole) - length], bytes(whole[len(whole) - length :])
     total = hashlib.sha256(content)

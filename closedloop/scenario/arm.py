@@ -90,15 +90,7 @@ def free_bodies(scenario: Scenario) -> list[FreeBody]:
 
 
 def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
-    """Return the robot of a scenario, with its gravity, tool, payload and elastic joints, from the model without them.
-
-    Raises
-    ------
-    ScenarioError
-        If the tool's axis has no direction, or a tool without mass has a centre of mass or a tensor.
-    ModelError
-        If it has no such tip, or no body has such a tensor.
-    """
+    """Return the robot of a scenario, with gravity, tool, payload and elastic joints, from the model without them."""
     model = beside_bodies(scenario, model)
     tool, payload = scenario.tool, scenario.model_error.payload
     tip = model.tip if scenario.robot.tip is None else scenario.robot.tip
@@ -125,13 +117,6 @@ def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
     """Return the law of friction in the joints: the scenario's, or that of the robot's file.
 
     What a loop joint of the file says of friction acts; what a joint says, on request.
-
-    Raises
-    ------
-    ScenarioError
-        If there are both.
-    ModelError
-        If it is asked for, and the file has none.
     """
     if not scenario.robot.friction:
         damping, friction = loop_dynamics(model)

@@ -41,15 +41,7 @@ MOST_CORNERS = 64
 
 
 def with_collision_shapes(scenario: Scenario, model: RobotModel) -> Scenario:
-    """Return a scenario in which each contact of a link's collision shapes is a contact for each part of them.
-
-    Raises
-    ------
-    ScenarioError
-        If a link has no collision shapes, or a mesh more corners than there may be contacts.
-    ModelError
-        If a mesh cannot be read.
-    """
+    """Return a scenario in which each contact of a link's collision shapes is a contact for each part of them."""
     sections = scenario.contact or ()
     if not any(section.at == COLLISION for section in sections):
         return scenario
@@ -68,13 +60,7 @@ def with_collision_shapes(scenario: Scenario, model: RobotModel) -> Scenario:
 
 
 def _pairs(section: ContactSection, model: RobotModel, name: str) -> list[dict[str, Any]]:
-    """Return the contacts of the collision shapes of two links.
-
-    Raises
-    ------
-    ScenarioError
-        If there is none for two shapes, or one link is the world.
-    """
+    """Return the contacts of the collision shapes of two links."""
     if section.against == WORLD:
         raise ScenarioError(f"contact {name!r}: onto = {COLLISION!r}: the world has no collision shapes: name a link")
     if section.surface is not None or section.motion is not None:

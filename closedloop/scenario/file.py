@@ -24,13 +24,7 @@ def shipped_scenarios() -> list[str]:
 
 
 def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
-    """Return (TOML text, stem, how to call it in messages, its folder) of a file, or of a shipped scenario.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such scenario, or the file cannot be read, is no file of text, or is larger than `MOST_BYTES`.
-    """
+    """Return (TOML text, stem, how to call it in messages, its folder) of a file, or of a shipped scenario."""
     as_path = Path(name)
     if as_path.suffix == ".toml" or isinstance(name, Path):
         return _read(as_path), as_path.stem, str(as_path), as_path.parent
@@ -46,13 +40,7 @@ def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
 
 
 def robot_file(model: Any, folder: Path, where: str) -> Any:
-    """Return the absolute path of a robot's file that a scenario in `folder` names, and any other value as it is.
-
-    Raises
-    ------
-    ScenarioError
-        If it is not there, but would be if it were looked up from the current folder.
-    """
+    """Return the absolute path of a robot's file that a scenario in `folder` names, and any other value as it is."""
     if not isinstance(model, str) or not names_a_file(model):
         return model
     there = absolute(folder / model)

@@ -169,12 +169,9 @@ def driver(
 def single_calls(
     problem: Problem, kernel: Callable[..., int], loop: Loop, arrays: tuple[Array, Array, Array], engine: str
 ) -> tuple[Call, Call]:
-    """Return two functions of the table of events that call a compiled kernel once: with new terms, and with the last.
+    """Return two functions of the table of events that call a compiled kernel once: with new terms, with the last.
 
-    Parameters
-    ----------
-    problem, kernel, loop, arrays, engine
-        See `driver`. Nobody else may evaluate terms with the problem's robot.
+    Of the arguments see `driver`. Nobody else may evaluate terms with the problem's robot.
     """
     known: Array | None = None
     if engine == COMPILED:

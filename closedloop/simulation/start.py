@@ -33,13 +33,7 @@ START_RATE = 1e-4
 
 
 def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
-    """Return q and q̇ (n,) as they are asked for and as the loop has them, refusing joints beyond their limits.
-
-    Raises
-    ------
-    ScenarioError
-        If one is beyond its limits, or a quaternion has no length.
-    """
+    """Return q and q̇ (n,) as they are asked for and as the loop has them, refusing joints beyond their limits."""
     q = start_posture(scenario, model)
     v = start_velocities(scenario, model)
     if faults := [
@@ -64,13 +58,7 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
 
 
 def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:
-    """Return the surface, how the tip is to it at the start, and what it does on it.
-
-    Raises
-    ------
-    ScenarioError
-        If the start is neither on the surface nor off it.
-    """
+    """Return the surface, how the tip is to it at the start, and what it does on it."""
     section = scenario.surface
     terms = robot.terms(q, v)
     tip = terms.position

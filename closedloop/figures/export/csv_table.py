@@ -25,11 +25,6 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
     Numbers have as many digits as tell them apart from all others, so they are read back to the bit. Headers are
     ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none. Reactions
     of loop joints are last, ``reaction pin: force along x [N]`` ..., in the axes of the second of its frames.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
     """
     path = Path(path)
     rows = [*(name for name in run.specs if name not in EVENT_COLUMNS), *DERIVED]

@@ -44,15 +44,7 @@ INFO = 20  # level of a log message
 
 
 def write_mcap(run: Run, path: str | Path) -> list[Path]:
-    """Write a run as MCAP, and return its path in a list.
-
-    Raises
-    ------
-    ScenarioError
-        If the packages for it are not installed.
-    OutputError
-        If the file cannot be written.
-    """
+    """Write a run as MCAP, and return its path in a list."""
     if find_spec("mcap_ros2") is None:
         raise ScenarioError(NEEDS_MCAP)
     return [write_whole(path, partial(_write, run))]

@@ -82,10 +82,7 @@ def check_names(record: Recorded, taken: set[str]) -> None:
 def own_columns(run: Record, record: Recorded) -> tuple[dict[str, NDArray[Any]], dict[str, Column]]:
     """Return the columns that functions of one's own give of a run of at least one row, and what each is.
 
-    Raises
-    ------
-    LawError
-        If one raises something, or returns anything but a finite real number, or k of them, a row.
+    One that raises something, or returns anything but a finite real number, or k of them, a row is refused.
     """
     values, columns = {}, {}
     for name, given in record.items():

@@ -180,13 +180,7 @@ _PARTS = {"columns": (MAIN_COLUMNS, _COLUMN), "values": (MEASURES, _VALUE), "eve
 
 
 def checked_comparison(found: Any) -> dict[str, Any]:
-    """Return what a file holds if it is what `closedloop.record.report.halved.halved_comparison` returns.
-
-    Raises
-    ------
-    RunFileError
-        If it is not.
-    """
+    """Return what a file holds if it is what `closedloop.record.report.halved.halved_comparison` returns."""
     good = isinstance(found, dict) and set(found) == {*_TOP, *_PARTS} and _is_table(found, _TOP)
     for name, (keys, spec) in _PARTS.items():
         good = good and isinstance(found[name], dict) and set(found[name]) <= set(keys)

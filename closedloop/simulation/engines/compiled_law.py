@@ -49,13 +49,7 @@ _INPUT: Any = types.NamedTuple(tuple(map(_kind_of, LawInput._fields)), LawInput)
 @lru_cache(maxsize=32)
 @compiler_at_work()
 def compiled_law(law: Any) -> Any:
-    """Return the entry of a law of numba's, or say why there can be none; see `closedloop.jit.calls`.
-
-    Raises
-    ------
-    ScenarioError
-        If it is no such function: a Python function, other arguments, what numba cannot compile, another result.
-    """
+    """Return the entry of a law of numba's, or say why there can be none; see `closedloop.jit.calls`."""
     if not is_compiled(law):
         raise ScenarioError(f"engine = 'compiled': the law {name_of(law)} {_how_to_compile(law)}")
     ways = arguments_of(law)

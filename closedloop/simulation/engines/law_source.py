@@ -81,13 +81,7 @@ SIGNATURES = "must be law(x) or law(t, q, v, terms), returning the torque Q"
 
 
 def arguments_of(law: Any) -> Arguments:
-    """Return how a law is called, from the number of its arguments; of a class, how an object of it is.
-
-    Raises
-    ------
-    ScenarioError
-        If it takes none of the known numbers.
-    """
+    """Return how a law is called, from the number of its arguments; of a class, how an object of it is."""
     compiled = is_compiled(law)
     try:
         given = law.py_func if compiled else law.__call__ if isinstance(law, type) else law

@@ -39,19 +39,7 @@ class Direction:
 
 
 class Keys:
-    """The keys, their present values, and scenarios with other values.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    names : sequence of str
-        Dotted keys, as `load_scenario` takes them.
-
-    Raises
-    ------
-    ScenarioError
-        If a key is unknown or has no value, or is not a real number or a list of real numbers.
-    """
+    """The keys, their present values, and scenarios with other values."""
 
     def __init__(self, scenario: Scenario, names: Sequence[str]) -> None:
         if isinstance(names, str) or not names:

@@ -61,11 +61,6 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
         ``q@end``; or a column of the table of events, ``event_time``.
     whole : bool
         Whether columns are taken whole, and nothing else.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such quantity, or it is not of real numbers.
     """
     column, at, instant = name.partition(AT)
     if (

@@ -25,13 +25,7 @@ NEEDS = missing_line("reading MCAP and rosbag2 needs", "mcap-ros2-support", "mca
 
 
 def table_of_bag(path: Path) -> dict[str, Array]:
-    """Return the columns of a bag that are joints and wrenches, by name, (N,) each.
-
-    Raises
-    ------
-    LogError
-        If it cannot be read, or has no message of joints, or several topics of them.
-    """
+    """Return the columns of a bag that are joints and wrenches, by name, (N,) each."""
     if find_spec("mcap_ros2") is None:
         raise LogError(f"{path}: {NEEDS}")
     try:

@@ -95,11 +95,6 @@ def motion(log: Log, cutoff: float, rows: slice | None = None) -> Motion:
     rows : slice, optional
         Which rows of the positions are used, ``slice(0, None, 2)`` or ``slice(1, None, 2)``: the others are replaced by
         what lies between them, so that two motions of one log have noise that is independent.
-
-    Raises
-    ------
-    LogError
-        If the log is too short for the cutoff, or is sampled too slowly.
     """
     step, N = log.step, len(log.time)
     if not 0.0 < cutoff < 0.5 / step:

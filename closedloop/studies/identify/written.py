@@ -76,11 +76,6 @@ def robot_files(found: Identification, parameters: Array, source: str) -> tuple[
     """Return a URDF with the inertia of parameters (p,), all of the regressor's, and its sidecar, as texts.
 
     What is fixed to a link is part of it, as it was in the log, and has no inertia of its own any more.
-
-    Raises
-    ------
-    ModelError
-        If the robot is no URDF, or joints of it are locked.
     """
     import pinocchio as pin
 

@@ -36,11 +36,6 @@ class Design(Sequence[tuple[Any, ...]]):
         Number of draws.
     seed : int
         Of the draws.
-
-    Raises
-    ------
-    ScenarioError
-        If there are no axes, a key comes twice, or there are too many runs.
     """
 
     def __init__(self, axes: Sequence[Axis], kind: str = GRID, count: int = 0, seed: int = 0) -> None:

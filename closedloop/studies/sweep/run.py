@@ -43,11 +43,6 @@ def run_sweep(
     overwrite : bool
         Whether a file there that is not this sweep's is replaced once this one is done; its parts go at once.
 
-    Returns
-    -------
-    Joined
-        Where the table is, and what it holds.
-
     Raises
     ------
     OutputError

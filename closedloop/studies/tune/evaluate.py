@@ -55,13 +55,6 @@ class Runs:
         File of what has been run.
     report : callable
         Gets the number of runs done.
-
-    Raises
-    ------
-    ScenarioError
-        If a value is unknown.
-    OutputError
-        If the file is of another tuning, or cannot be written.
     """
 
     def __init__(

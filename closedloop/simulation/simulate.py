@@ -205,7 +205,7 @@ def run_loop(
         Wall time of the steps, s, without compilation; on Pinocchio of those after the first.
     """
     if problem.tolerance is not None:
-        from closedloop.simulation.engines.adaptive import run_adaptive
+        from closedloop.simulation.engines.adaptive.outcome import run_adaptive
 
         check_engine(problem.scenario, engine, law)
         return run_adaptive(problem, law, report, keep_interrupted)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from closedloop.base.arrays import Array
-from closedloop.studies.identify.regressor import INERTIAL, Regressor
+from closedloop.studies.identify.regressor import Regressor
 
 # Of columns of length one at random states, a diagonal entry of R: rounding gives 1e-14, true ones exceed 1e-5.
 RANK = 1e-9
@@ -87,8 +87,3 @@ def _name(row: Array, kept: int, names: tuple[str, ...]) -> str:
             size = "" if abs(abs(row[k]) - 1.0) < ROUNDING else f"{abs(row[k]):.4g} "
             terms.append(f"{'-' if row[k] < 0 else '+'} {size}{names[k]}")
     return " ".join(terms)
-
-
-def is_inertial(name: str) -> bool:
-    """Return whether a parameter of this name is of a link, not of a joint."""
-    return name.split("_", 1)[0] in INERTIAL

@@ -9,13 +9,7 @@ scenario has one, at every step and every row.
 smooth      the reference as a polynomial between its discontinuities
 crossing    the first root of an event function in a step
 slow        slow slip, where dry friction is stiff: an implicit scheme
-kernels     the kernels of a step, for any state at any instant
 memory      the loop's memory, and the calls on it
 drive       intervals, steps, events and rows
+outcome     a run to its end, or to where it fails
 """
-
-from __future__ import annotations
-
-from closedloop.simulation.engines.adaptive.outcome import run_adaptive
-
-__all__ = ["run_adaptive"]

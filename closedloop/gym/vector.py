@@ -34,6 +34,10 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any], Shown):
         "NextStep", "SameStep" or "Disabled", as Gymnasium has them.
     threads : int, optional
         As many as there are cores if left out. Results are the same, to the last bit, for any number.
+
+    Raises
+    ------
+    ScenarioError
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

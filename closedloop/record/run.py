@@ -243,6 +243,11 @@ class Run:
 
         Jupyter shows it inline. It is not registered with pyplot, so it is freed when you delete it.
         `closedloop.figures` has the other figures.
+
+        Raises
+        ------
+        ValueError
+            If the run has no row.
         """
         return _drawn(self, "plot")
 
@@ -277,6 +282,13 @@ class Run:
         """Write a film of the run, .gif or .mp4, and return its path; see `closedloop.lab.animate.animate`.
 
         `speed` is how many seconds of the run a second of the film shows.
+
+        Raises
+        ------
+        ScenarioError
+            If the path has another ending, or the run has no rows.
+        OutputError
+            If the file cannot be written, or there is no ffmpeg for a .mp4.
         """
         return _drawn(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
 

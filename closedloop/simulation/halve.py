@@ -48,6 +48,10 @@ def halve(
     scenario, law, model, progress, engine
         As of `simulate`. An object with a state is copied for each run; a law that has `reset` is reset.
 
+    Returns
+    -------
+    Run
+
     Raises
     ------
     ScenarioError, ModelError

@@ -13,5 +13,4 @@ time_step          one step at the level of impulses, where no modes agree
 tangential_impact  one impulse that stops a slip, where pressing harder pulls the contact in
 least_norm         of forces that are not unique those of least norm inside the cones
 surfaces           those that are curved or move
-bind               what the sections [[contact]] of a scenario ask for, as the rows that the loop reads
 """

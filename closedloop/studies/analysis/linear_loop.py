@@ -132,6 +132,11 @@ class LinearLoop:
 
         The input "surface" is the displacement of the surface along n, m, and the output "normal velocity" the
         velocity of the tip along n with which f has its power, m/s.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such input or output.
         """
         f = np.atleast_1d(np.asarray(frequency, dtype=float))
         z = np.exp(2j * math.pi * f * self.dt)
@@ -168,6 +173,11 @@ class LinearLoop:
             L = −T/(1 + T),  T the response of what is fed back to what is added to it
 
         At "torque[JOINT]" the loops of the other joints stay closed.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such place.
         """
         if cut == "sensor":
             T = self.frequency_response("sensor noise", "force felt", frequency)
@@ -208,6 +218,11 @@ class LinearLoop:
             `rise`, because no surface jumps. A step of another input is 1 of its unit at t = 0.
         duration, rise : float
             Length of the response, and the time in which the surface moves, s.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such input or output.
         """
         steps = max(1, round(duration / self.dt))
         surface = input == "surface"
@@ -234,7 +249,13 @@ class LinearLoop:
         return port_of(f, v, force, None if self.held_force else self.dt)
 
     def to_control(self) -> Any:
-        """Return it as a `control.StateSpace`."""
+        """Return it as a `control.StateSpace`.
+
+        Raises
+        ------
+        ScenarioError
+            If python-control is not installed.
+        """
         try:
             import control
         except ImportError:

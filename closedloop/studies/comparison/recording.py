@@ -87,9 +87,15 @@ def read_recording(
     ----------
     path : str or Path
         .csv, .parquet, .nc, .mcap, .db3 or a folder of rosbag2.
+    robot : RobotModel
+        Whose joints the columns are of.
     columns : mapping, optional
         Of "time", "q", "torque", "force" to names, as `closedloop.studies.identify.read.read_log` takes them; of
         "force" one name, or three with commas between.
+    degrees : bool
+        Whether angles are in degrees.
+    gain : float or (n,)
+        What torques are multiplied by.
 
     Raises
     ------

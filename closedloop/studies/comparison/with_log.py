@@ -175,6 +175,10 @@ def compare_log(
     cutoff : float, optional
         Cutoff of the filters in the audit of the log's force, Hz.
 
+    Returns
+    -------
+    LogComparison
+
     Raises
     ------
     LogError

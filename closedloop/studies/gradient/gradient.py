@@ -127,6 +127,10 @@ def gradient(
     workers : int, optional
         Threads; as many as there are cores if left out. The result is the same for any number.
 
+    Returns
+    -------
+    Gradient
+
     Raises
     ------
     ScenarioError
@@ -265,6 +269,11 @@ def gradients(
         True draws a bar on standard error; a callable gets (scenarios done, scenarios in all).
     workers : int, optional
         1 leaves all scenarios to this process. The result is the same.
+
+    Raises
+    ------
+    ScenarioError, SimulationError
+        As `gradient`, of a scenario that it is raised of.
     """
     if not scenarios:
         raise ScenarioError("scenarios: must be a list of scenarios, such as [load_scenario('wam_slide')]")

@@ -73,6 +73,15 @@ def sensitivities(
         See `closedloop.gradient`.
     of : sequence of str
         Columns of the run, such as ``["contact_force", "torque"]``.
+
+    Returns
+    -------
+    Sensitivities
+
+    Raises
+    ------
+    ScenarioError, SimulationError
+        As `closedloop.gradient`.
     """
     if isinstance(of, str) or not of:
         raise ScenarioError("of: must be a list of columns, such as ['contact_force']")

@@ -53,6 +53,13 @@ def sweep_plot(
         Keys along the axes; the first two that changed if left out.
     out : path, optional
         The picture, .png, .svg or .pdf; if left out, beside the table's file under its name with .png.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such table, column or key.
+    OutputError
+        If the picture cannot be written.
     """
     if out is None:
         if not isinstance(table, (str, Path)) or not Path(table).name:

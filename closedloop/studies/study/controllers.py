@@ -20,11 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.progress import bar
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
-from closedloop.studies.study.results import ELBOW_UP, conclude, force_and_path, measured
+from closedloop.studies.study.results import ELBOW_UP, conclude, each, force_and_path, measured
 
 SETTLED_FROM, BAND = 1.5, 0.05  # s, N
 RISES_AT, RISE, FORCE_STEP, END = 7.0, 0.05, 3.0, 9.0  # s, s, N, s; the path ends at 6.5 s
@@ -122,21 +121,15 @@ def cell(controller: str, friction: str, ideal: bool = False) -> dict[str, Any]:
 def measure(quick: bool = False) -> list[dict[str, Any]]:
     """Return a row for each controller and each kind of friction; a bar on standard error says how far it is."""
     controllers, frictions = QUICK if quick else (tuple(CONTROLLERS), tuple(FRICTIONS))
-    cells, results = list(product(controllers, frictions)), []
-    with bar("controllers", len(cells)) as report:
-        for controller, friction in cells:
-            results.append(cell(controller, friction))
-            report(len(results), len(cells))
-    return results
+    return each("controllers", list(product(controllers, frictions)), cell)
 
 
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:
     """Do the study, write controllers.json, controllers.csv and the figure into `folder`, and print the table."""
     results = measure(quick)
     columns = ["controller", "friction", *MEASURES, "control_verdict", "reason"]
-    rows = [[row[column] for column in columns] for row in results]
     figure = draw_controllers(results, folder)
-    conclude(folder, "controllers", results, columns, rows, [figure], None if as_json else print_table)
+    conclude(folder, "controllers", results, columns, [figure], None if as_json else print_table)
     return results
 
 

@@ -199,7 +199,7 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> dict[str, A
     results = measure(quick)
     columns = ["integrator", "stabiliser", "step [s]", "speed [m/s]", "tolerance", "largest |e| [m]"]
     figures = draw_drift(results, folder)
-    conclude(folder, "drift", results, columns, _csv_rows(results), figures, None if as_json else print_tables)
+    conclude(folder, "drift", results, columns, figures, None if as_json else print_tables, _csv_rows(results))
     return results
 
 

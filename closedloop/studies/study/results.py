@@ -16,6 +16,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.base.files import what_was_written, write_whole
 from closedloop.base.plain import plain
+from closedloop.base.progress import bar
 from closedloop.record.report.control_verdict import told
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -49,19 +50,30 @@ def measured(
         return row | {"reason": faults_on_one_line(error)} | none | {"control_verdict": ""}
 
 
+def each(name: str, cells: Sequence[tuple[Any, ...]], run: Callable[..., dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return what `run` gives of the arguments in each cell; a bar on standard error says how far it is."""
+    results: list[dict[str, Any]] = []
+    with bar(name, len(cells)) as report:
+        for cell in cells:
+            results.append(run(*cell))
+            report(len(results), len(cells))
+    return results
+
+
 def conclude(
     folder: Path,
     name: str,
     results: Any,
     columns: Sequence[str],
-    rows: Iterable[Sequence[Any]],
     figures: Sequence[Path],
     tables: Callable[[Any], None] | None,
+    rows: Iterable[Sequence[Any]] | None = None,
 ) -> None:
     """Write the results as `name`.json and rows of them as `name`.csv, and print their tables, or the JSON if None.
 
-    A number that is not finite is null, and an empty cell.
+    If no rows are given they are those columns of each result. A number that is not finite is null, and an empty cell.
     """
+    rows = [[row[column] for column in columns] for row in results] if rows is None else rows
     said = json.dumps(plain(results), indent=2)
     write_whole(folder / f"{name}.json", (said + "\n").encode())
     text = io.StringIO(newline="")

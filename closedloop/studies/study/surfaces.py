@@ -19,11 +19,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from closedloop.base.progress import bar
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
-from closedloop.studies.study.results import conclude, force_and_path, measured, print_table
+from closedloop.studies.study.results import conclude, each, force_and_path, measured, print_table
 
 SETTLED_FROM = 1.5  # s
 STEP, SAMPLE = 0.00025, 0.001  # s
@@ -97,12 +96,7 @@ def measure(quick: bool = False) -> list[dict[str, Any]]:
         if not name or law != "paper"
     ]
     cells += [(law, f"{k:.0e} N/m", soft(law, k)) for law in laws for k in stiffnesses]
-    results = []
-    with bar("surfaces", len(cells)) as report:
-        for law, on, scenario in cells:
-            results.append(cell(law, on, scenario))
-            report(len(results), len(cells))
-    return results
+    return each("surfaces", cells, cell)
 
 
 BREATHING = "rigid, breathes, rubs"
@@ -113,9 +107,8 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[s
     """Do the study, write surfaces.json, surfaces.csv and the figure into `folder`, and print the tables."""
     results = measure(quick)
     columns = ["law", "on", *MEASURES, "control_verdict", "reason"]
-    rows = [[row[column] for column in columns] for row in results]
     figure = draw_surfaces(results, folder)
-    conclude(folder, "surfaces", results, columns, rows, [figure], None if as_json else print_tables)
+    conclude(folder, "surfaces", results, columns, [figure], None if as_json else print_tables)
     return results
 
 

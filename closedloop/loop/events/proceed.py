@@ -79,6 +79,7 @@ from closedloop.loop.events.transitions import apply_event, resume_after_event
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.closed_loops import CLOSE
 from closedloop.loop.step.contacts import NO_FORCES, WATCH
+from closedloop.loop.step.decay import advance_decaying, keep_decays
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work
 from closedloop.loop.step.evaluate import evaluate, evaluate_law
 from closedloop.loop.step.joint_friction import stick_or_slip_joints
@@ -223,10 +224,14 @@ def proceed(
             advance_friction(w, state, tau)
             if state.settings.elastic != 0:
                 lead_motors(w, tau, substep)
+        if not semi_implicit:
+            keep_decays(stage, w)
         if state.settings.balls == 0:
             advance(stage, tau, semi_implicit, substep, tableau, w)
         else:
             advance_on_manifold(stage, tau, semi_implicit, substep, tableau, w, constants)
+        if not semi_implicit:
+            advance_decaying(stage, tau, tableau, w)
         ask_loops(state, CLOSE)  # at every stage: rows that depend on others do so only where the loops are closed
         finish_stage(w, constants.h, state, tableau)
     elif todo == ENLARGE_TABLE:

@@ -75,6 +75,7 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
     for j in range(extra):
         w.start.state[2 * n + j] = w.z[j]
         w.start.slope[n + j] = w.dz[j]
+        w.decays.begin[j] = w.decays.rate[j]
     w.start.time, w.search.tau = w.time, w.length
     w.start.gap, w.start.rate, w.start.contact_margin = w.tip.gap, w.tip.rate, w.contacts.margin
     state.trial.purpose, state.stage, state.trial.off, state.trial.watched = NO_TRIAL, 0, 0, 0
@@ -178,6 +179,7 @@ def restore_state(w: Work, state: State) -> None:
     for j in range(extra):
         w.z[j] = w.start.state[2 * n + j]
         w.dz[j] = w.start.slope[n + j]
+        w.decays.rate[j] = w.decays.begin[j]
     state.stage = 0
 
 

@@ -124,7 +124,7 @@ def contacts_in_step(address: int, what: int) -> int:
     elif what == ANSWER:
         answer_torque(links, c, w)
     elif what == FRICTION_RATES:
-        write_rates(links, c, w.dz)
+        write_rates(links, c, w.dz, w.decays.rate)
     elif what == ADVANCE_FRICTION:
         advance_states(links, c, w.friction.span, w.z)
     else:

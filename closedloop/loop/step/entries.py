@@ -92,7 +92,7 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
     """Return the entry of a law of the surface's friction, compiled when it is first needed.
 
         SLIDE, HOLD     write c and viscous: of a tip that slides, of one that sticks as a spring
-        RATES           writes dz
+        RATES           writes dz and decays.rate
         ADVANCE_STATES  advances z by friction_span
         LIMIT           writes stick_limit
         STICK           writes z where slip along `direction` has ended
@@ -100,7 +100,7 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
     In `Work` it reads slip, delayed_slip and direction.
     """
     Parameters, States = parameter_block(member), state_block(member)
-    slide, hold, rates = (function_of(member, name) for name in ("slide", "hold", "rates"))
+    slide, hold, rates, decay = (function_of(member, name) for name in ("slide", "hold", "rates", "decay"))
     advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
 
     def entry(address: int, what: int) -> int:
@@ -118,6 +118,7 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
                 hold(par, z, w.friction.c)
         elif what == RATES:
             rates(x, par, z, stuck, States(w.dz[at : at + state.friction.states], 2))
+            decay(x, par, z, stuck, States(w.decays.rate[at : at + state.friction.states], 2))
         elif what == ADVANCE_STATES:
             advance(x, par, z, stuck, w.friction.span)
         elif what == LIMIT:
@@ -138,7 +139,7 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
     joint_limit written. SLIDE is of each joint as it is, stuck or not; STICK of those with a direction.
     """
     Parameters, States = one_joint_block(member), state_block(member)
-    slide, hold, rates = (function_of(member, name) for name in ("slide", "hold", "rates"))
+    slide, hold, rates, decay = (function_of(member, name) for name in ("slide", "hold", "rates", "decay"))
     advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
 
     def entry(address: int, what: int) -> int:
@@ -162,6 +163,7 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
                     slide(x, par, z, c, viscous)
             elif what == RATES:
                 rates(x, par, z, stuck, States(w.dz[here : here + count], 1))
+                decay(x, par, z, stuck, States(w.decays.rate[here : here + count], 1))
             elif what == ADVANCE_STATES:
                 advance(x, par, z, stuck, w.friction.span)
             elif what == LIMIT:

@@ -135,7 +135,7 @@ def write_rates(w: Work, constants: Constants, state: State) -> None:
     at = state.law_states + state.sensor.states
     sensor_rates(w.tip.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
     for i in range(at, w.z.shape[0]):
-        w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
+        w.dz[i] = w.decays.rate[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
     if state.settings.semi_implicit == 0:
         if state.together != 0:
             ask_contacts(state, FRICTION_RATES)

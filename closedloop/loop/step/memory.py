@@ -18,6 +18,8 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.pointers import integers_at, vector_at
 from closedloop.loop.step.records import (
+    STAGES,
+    Decays,
     Drives,
     Encoders,
     Impact,
@@ -39,9 +41,6 @@ from closedloop.mechanics.contacts.memory import ELASTIC_STICK as ELASTIC_STICK
 from closedloop.mechanics.contacts.memory import RIGID_STICK as RIGID_STICK
 from closedloop.mechanics.contacts.memory import SMOOTH as SMOOTH
 from closedloop.mechanics.contacts.memory import SPRING_STICK as SPRING_STICK
-
-# Stages of the integrator; the other sizes are those of `closedloop.loop.step.records`.
-STAGES = Count.of("stages")
 
 
 class Member(Block):
@@ -252,6 +251,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     dz: Annotated[Array, K]
     start: Start
     stages: Annotated[Array, STAGES, 2 * N + K]  # see `closedloop.loop.step.advance.advance`
+    decays: Decays
     sensing: Sensing
     drives: Drives
     encoders: Encoders

@@ -7,8 +7,8 @@ from typing import Annotated
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 
-# Sizes: joints, numbers of state beside q and q̇, samples that the sensor keeps.
-N, K, RING = (Count.of(size) for size in ("n", "k", "ring"))
+# Sizes: joints, numbers of state beside q and q̇, stages of the integrator, samples that the sensor keeps.
+N, K, STAGES, RING = (Count.of(size) for size in ("n", "k", "stages", "ring"))
 
 
 class Search(Block):
@@ -148,6 +148,16 @@ class Start(Block, sizes=("n", "k")):
     slip: Annotated[Array, 2]  # velocity
     state: Annotated[Array, 2 * N + K]  # q, q̇ and z
     slope: Annotated[Array, N + K]  # q̈ and ż
+
+
+class Decays(Block, sizes=("k", "stages")):
+    """States that decay by themselves, ż = g − a z, see `closedloop.loop.step.decay`."""
+
+    rate: Annotated[Array, K]  # a, 1/s
+    begin: Annotated[Array, K]  # and at the beginning of the substep
+    rates: Annotated[Array, STAGES, K]  # a and g at each stage so far
+    driven: Annotated[Array, STAGES, K]
+    first: Annotated[Array, STAGES + 1, STAGES]  # see `closedloop.mechanics.integrators.Scheme.first`
 
 
 class Scratch(Block, sizes=("n",)):

@@ -60,6 +60,7 @@ class Rub(Block, sizes=("states", "par")):
     w: Annotated[Array, 2]
     z: Annotated[Array, Count.of("states")]
     dz: Annotated[Array, Count.of("states")]
+    decay: Annotated[Array, Count.of("states")]  # out: a of ż = g − a z, 1/s
     par: Annotated[Array, Count.of("par")]
 
 
@@ -71,10 +72,10 @@ RUB = Rub.count(0, 0)
 def rub_entry(member: type[SurfaceFriction]) -> Entry:
     """Return the entry of a law of friction at the address of a `Rub`, compiled when it is first needed."""
     Parameters, States = parameter_block(member), state_block(member)
-    slide, hold, rates = (function_of(member, name) for name in ("slide", "hold", "rates"))
+    slide, hold, rates, decay = (function_of(member, name) for name in ("slide", "hold", "rates", "decay"))
     advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
     states, count = States.count(2), Parameters.count(2)
-    size = RUB + 2 * states + count
+    size = RUB + 3 * states + count
 
     def entry(address: int, what: int) -> int:
         rub = Rub(vector_at(address, size), states, count)
@@ -89,8 +90,9 @@ def rub_entry(member: type[SurfaceFriction]) -> Entry:
                 hold(par, z, rub.c)
         elif what == RATES:
             for k in range(states):
-                rub.dz[k] = 0.0
+                rub.dz[k] = rub.decay[k] = 0.0
             rates(x, par, z, stuck, States(rub.dz, 2))
+            decay(x, par, z, stuck, States(rub.decay, 2))
         elif what == ADVANCE:
             advance(x, par, z, stuck, rub.span)
         elif what == LIMIT:
@@ -175,7 +177,7 @@ def has_law(links: ContactLinks, i: int) -> bool:
 def rub_at(links: ContactLinks, c: Contacts, i: int) -> Rub:
     """Return the memory of the law of contact i."""
     states, where = int(c.friction.states[i]), integers_at(links.frictions, 2 * links.k)
-    return Rub(vector_at(where[2 * i + 1], RUB + 2 * states), states, 0)
+    return Rub(vector_at(where[2 * i + 1], RUB + 3 * states), states, 0)
 
 
 @kernel
@@ -285,8 +287,8 @@ def give_states(links: ContactLinks, c: Contacts, z: Array) -> None:
 
 
 @kernel
-def write_rates(links: ContactLinks, c: Contacts, dz: Array) -> None:
-    """Write the rates of the states of the laws of friction into dz, zero of a contact that is open."""
+def write_rates(links: ContactLinks, c: Contacts, dz: Array, decay: Array) -> None:
+    """Write the rates of the states of the laws of friction, and of their decay, zero of a contact that is open."""
     for i in range(links.k if links.frictions != 0 else 0):
         if c.friction.states[i] > 0.0:
             rub, at, closed = rub_at(links, c, i), int(c.friction.states_at[i]), c.mode[i] != FREE
@@ -296,6 +298,7 @@ def write_rates(links: ContactLinks, c: Contacts, dz: Array) -> None:
                 ask_law_of(links, i, RATES)
             for j in range(rub.z.shape[0]):
                 dz[at + j] = rub.dz[j] if closed else 0.0
+                decay[at + j] = rub.decay[j] if closed else 0.0
 
 
 @kernel

@@ -90,7 +90,7 @@ class FrictionLaw(Parameters):
         rest           at the start, of a contact that is not slipping; of one just made, all states are zero
         slide          at each state, while it slides, and always if the law sticks "elastic"
         hold           at each state, while it is stuck, if the law sticks "spring"
-        rates          in a scheme of Runge and Kutta, of a law with states
+        rates, decay   in a scheme of Runge and Kutta, of a law with states
         advance        in a step of the semi-implicit scheme, of a law with states
         stick_limit    to see whether sticking begins or ends
         stick          where slip ends and sticking begins, if the law sticks "spring"
@@ -157,6 +157,13 @@ class FrictionLaw(Parameters):
     @staticmethod
     def rates(x: Slip, par: Any, z: Any, stuck: bool, dz: Any) -> None:
         """Write ż; `stuck` matters to laws that stick as a spring alone."""
+
+    @staticmethod
+    def decay(x: Slip, par: Any, z: Any, stuck: bool, a: Any) -> None:
+        """Write a >= 0, 1/s, of each state that decays by itself, ż = g − a z, fast; a is zero when it is asked.
+
+        A step then takes the decay exactly. Without it, it must resolve it: a h < 2.8 with rk4.
+        """
 
     @staticmethod
     def advance(x: Slip, par: Any, z: Any, stuck: bool, h: float) -> None:

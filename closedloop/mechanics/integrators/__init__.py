@@ -37,6 +37,10 @@ class Scheme(Member):
         Weights of the earlier stages in each stage's state; row s has s entries, whose sum is the stage's node.
     b : tuple of float
         Weights of the stages in the step, whose sum is one.
+    first : tuple of rows
+        Where states that decay take two exponentials one after the other (`closedloop.loop.step.decay`), the weights of
+        the first, the rows of `a` and then `b`; the second has the rest. Left out there is one: it has all, and those
+        states then are of order 2 at most.
     semi_implicit : bool
         Whether the position advances with the new velocity; such a scheme has one stage.
     source : str
@@ -53,6 +57,7 @@ class Scheme(Member):
     order: ClassVar[int]
     a: ClassVar[tuple[tuple[float, ...], ...]]
     b: ClassVar[tuple[float, ...]]
+    first: ClassVar[tuple[tuple[float, ...], ...]] = ()
     semi_implicit: ClassVar[bool] = False
     source: ClassVar[str]
     nodes: ClassVar[tuple[float, ...]]
@@ -73,6 +78,8 @@ class Scheme(Member):
         cls.stages = len(cls.b)
         if not cls.b or [len(row) for row in cls.a] != list(range(cls.stages)):
             raise ValueError(f"{cls.__name__}: row s of a must have s entries, s = 0, 1 ..., one row for each of b")
+        if cls.first and [len(row) for row in cls.first] != list(range(cls.stages + 1)):
+            raise ValueError(f"{cls.__name__}: first must have a row for each of a, of as many entries, and one for b")
         if abs(math.fsum(cls.b) - 1.0) > ROUNDING:
             raise ValueError(f"{cls.__name__}: the entries of b must sum to 1, not {math.fsum(cls.b):.9g}")
         if cls.semi_implicit and cls.stages > 1:
@@ -92,11 +99,19 @@ class Scheme(Member):
     def tableau(cls) -> Array:
         """Return the (S + 1, S) array that `closedloop.loop.step.advance` reads: row s holds stage s's weights, the
         last row b."""
-        table = np.zeros((cls.stages + 1, cls.stages))
-        for s, row in enumerate(cls.a):
-            table[s, : len(row)] = row
-        table[-1] = cls.b
-        return table
+        return _table((*cls.a, cls.b))
+
+    @classmethod
+    def first_tableau(cls) -> Array:
+        """Return the same of `first`."""
+        return _table(cls.first or (*cls.a, cls.b))
+
+
+def _table(rows: tuple[tuple[float, ...], ...]) -> Array:
+    table = np.zeros((len(rows), len(rows) - 1))
+    for s, row in enumerate(rows):
+        table[s, : len(row)] = row
+    return table
 
 
 class Integrator(Scheme):

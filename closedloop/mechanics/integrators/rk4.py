@@ -9,4 +9,8 @@ class RK4(Integrator):
     order = 4
     a = ((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0))
     b = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
-    source = "Kutta 1901; Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.1"
+    first = ((), (0.5,), (0.0, 0.5), (0.5, 0.0, 0.0), (1 / 4, 1 / 6, 1 / 6, -1 / 12))
+    source = (
+        "Kutta 1901; Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.1; first: Celledoni, "
+        "Marthinsen, Owren 2003"
+    )

@@ -94,6 +94,7 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     """Write where the arm, the tip's contact and the states of sensor, friction and motors are at t = 0."""
     n = problem.robot.n
     w.q[:], w.v[:] = problem.q, problem.v
+    w.decays.first[:] = problem.integrator.first_tableau()
     w.tip.frame[:] = problem.frame
     terms = problem.robot.terms(problem.q, problem.v)
     velocity = terms.jacobian @ problem.v

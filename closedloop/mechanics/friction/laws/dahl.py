@@ -63,6 +63,11 @@ class Dahl(FrictionLaw):
         relax(yielding(par.stiffness, par.kinetic, x.speed), x.u, z.deflection, dz.deflection)
 
     @staticmethod
+    def decay(x: Slip, par: Any, z: Any, stuck: bool, a: Any) -> None:
+        """Write a = σ_0|u|/μ."""
+        a.deflection[:] = yielding(par.stiffness, par.kinetic, x.speed)
+
+    @staticmethod
     def advance(x: Slip, par: Any, z: Any, stuck: bool, h: float) -> None:
         """Overwrite z with its value h seconds later."""
         advance(yielding(par.stiffness, par.kinetic, x.speed), x.u, h, z.deflection)

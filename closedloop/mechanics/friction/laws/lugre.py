@@ -136,6 +136,11 @@ class LuGre(Dahl):
         relax(yielding(par, x.speed), x.u, z.deflection, dz.deflection)
 
     @staticmethod
+    def decay(x: Slip, par: Any, z: Any, stuck: bool, a: Any) -> None:
+        """Write a = |u|/z_max."""
+        a.deflection[:] = yielding(par, x.speed)
+
+    @staticmethod
     def advance(x: Slip, par: Any, z: Any, stuck: bool, h: float) -> None:
         """Overwrite z with its value h seconds later."""
         advance(yielding(par, x.speed), x.u, h, z.deflection)

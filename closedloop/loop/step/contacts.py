@@ -231,7 +231,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             status = solve_modes(c, k)
         begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
         if status == OK and (fixed or some_share(c, k)):
-            status = turn_and_solve(c, k, c.step.span, begins)
+            status = turn_and_solve(c, k, c.step.span if state.begins != 0 else c.step.within, begins)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if joints_rub(links):
@@ -367,7 +367,9 @@ def apply_impulse_alone(links: ContactLinks, c: Contacts, w: Work, i: int, leave
 @kernel
 def save_contacts(links: ContactLinks, c: Contacts) -> None:
     """Keep speed and direction of the slips at the beginning of a substep, and which contacts have come clear."""
+    c.step.within = c.step.span
     for i in range(links.k):
+        c.friction.against[i] = c.friction.next_against[i]
         if c.located[3 * i] > HOVERING:
             c.cleared[i], c.floor[i], c.past_edge[i] = 1.0, 0.0, 0.0
             if c.mode[i] == FREE:

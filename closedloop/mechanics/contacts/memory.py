@@ -103,6 +103,7 @@ class TimeStep(Block, sizes=("k",)):
     end: float  # s
     begun: float  # 1 if the substep began within it
     span: float  # the longest that the next substep may be, and after which friction points along slow slips, s
+    within: float  # the same of the substep under way
     force: Annotated[Array, 3 * K]  # N
     friction_cut: float  # what is taken from each μ in it, a share; 0 again once modes are found
     struck: float  # when the last tangential impact was, s
@@ -200,6 +201,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     sense: Annotated[Array, K]  # sign of f that is tried of a DOUBLE whose force is not unique
     start_slip: Annotated[Array, K]  # speed of slip at the beginning of the substep, m/s
     against: Annotated[Array, K]  # 1 if friction is against the slip all the substep, not turned
+    next_against: Annotated[Array, K]  # and in the next
     start_u: Annotated[Array, K, 2]  # and its velocity
     stage_u: Annotated[Array, K, 2]  # and that at the first stage in the middle of the substep
     delayed: Annotated[Array, K]  # speed of slip that friction with memory answers to, m/s

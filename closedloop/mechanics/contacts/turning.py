@@ -64,7 +64,7 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool) -> int:
     """
     c.problem.ends = 0.0
     for i in range(k if begins else 0):
-        c.friction.against[i] = 0.0
+        c.friction.next_against[i] = 0.0
     # Without the friction that soft contacts share, which is found here, others may pull.
     if (some_pull(c, k) and not some_share(c, k)) or not some_slip_slowly(c, k, h):
         return int(OK)
@@ -229,7 +229,7 @@ def solve_within(c: Contacts, k: int, rate: float) -> bool:
             c.problem.q[3 * i + 1] += rate * u1
             c.problem.q[3 * i + 2] += rate * u2
     # q has the slips divided by τ: a residual that is small beside it may be large beside the forces.
-    if not solve_from_here(c, k, 0, ROUNDS) or not is_near(c, k):
+    if not solve_from_here(c, k, 0, ROUNDS, True) or not is_near(c, k):
         if not some_share(c, c.friction.shared.shape[0]):
             return False
         solve_from_here(c, k, SWEEPS, 1)
@@ -288,13 +288,14 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     d1, d2 = (c.u[n + 1] / speed, c.u[n + 2] / speed) if speed > STILL else (c.direction[i, 0], c.direction[i, 1])
     drives = 0.0 * size if shared else x1 * d1 + x2 * d2
     if begins:
-        c.friction.against[i] = 1.0 if drives > 0.0 else 0.0
-    if not size > 0.0 or c.friction.against[i] != 0.0 or (drives > 0.0 and speed <= STILL):
+        c.friction.next_against[i] = 1.0 if drives > 0.0 else 0.0
+    against = c.friction.next_against[i] if begins else c.friction.against[i]
+    if not size > 0.0 or against != 0.0 or (drives > 0.0 and speed <= STILL):
         return 0.0
     if drives > 0.0:
         x1, x2 = x1 - 2.0 * drives * d1, x2 - 2.0 * drives * d2
     within = size <= level * abs(f)
-    if speed <= STILL and size <= INSIDE * level * abs(f) and not shared:
+    if size <= INSIDE * level * abs(f) and not shared:
         return 0.0
     share = -1.0 / f if within and shared else -math.copysign(level / size, f)
     change = math.hypot(share * x1 - c.problem.along[i, 0], share * x2 - c.problem.along[i, 1])

@@ -38,6 +38,8 @@ from closedloop.mechanics.contacts.soft_friction import drop_contradictions, sha
 # Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
 # how often it may be no less than before: where forces are not unique it need not become less.
 TURNS, SETTLED, STALLED = 20, 1e-11, 2
+# Where directions are not found for a step, the next may be one of this share of it, down to the other share.
+SHORTER, SHORTEST = 0.25, 0.05
 # Forces that are so many times those with friction against the slip as it is have multiplied.
 MOST_GROWTH = 30.0
 # The coefficient of friction of contacts that stick here, whatever force that takes.
@@ -59,8 +61,9 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool) -> int:
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
     that is turned round with the force would drive the slip. Nor is it turned where forces would multiply: near
-    Painlevé's paradox they turn the slip faster than the step resolves. `ends` says whether a slip ends within the
-    step, `begins` is whether the step begins here.
+    Painlevé's paradox they turn the slip faster than the step resolves. If no directions are found at the beginning of
+    a step, it becomes shorter (`TimeStep.span`): the less time there is, the less the slips act on each other. `ends`
+    says whether a slip ends within the step, `begins` is whether the step begins here.
     """
     c.problem.ends = 0.0
     for i in range(k if begins else 0):
@@ -70,9 +73,14 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool) -> int:
         return int(OK)
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
-    c.problem.steps, last, stalled, most = 0.0, math.inf, 0, MOST_GROWTH * force_size(c.rigid, 3 * k)
+    c.problem.steps, last, stalled, longest, most = 0.0, math.inf, 0, h, MOST_GROWTH * force_size(c.rigid, 3 * k)
     for _ in range(TURNS):
         change = turn_slips(c, k, h, begins)
+        if change < 0.0 and begins and h > SHORTEST * longest:
+            h *= SHORTER
+            c.step.span = h
+            if solve_closed(c, k) == OK:
+                continue
         if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k) or force_size(c.rigid, 3 * k) > most:
             break
         stalled += 1 if change >= last else 0
@@ -295,7 +303,7 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     if drives > 0.0:
         x1, x2 = x1 - 2.0 * drives * d1, x2 - 2.0 * drives * d2
     within = size <= level * abs(f)
-    if size <= INSIDE * level * abs(f) and not shared:
+    if speed <= STILL and size <= INSIDE * level * abs(f) and not shared:
         return 0.0
     share = -1.0 / f if within and shared else -math.copysign(level / size, f)
     change = math.hypot(share * x1 - c.problem.along[i, 0], share * x2 - c.problem.along[i, 1])

@@ -56,3 +56,13 @@ def test_a_box_that_slides_up_and_turns_comes_to_rest_at_once(integrator: str) -
         assert np.max(np.abs(run.v[-1, 2:])) < 1e-10
     ends = [run.q[-1, 2:5] for run in runs]
     assert np.max(np.abs(ends[1] - ends[0])) < (1e-6 if integrator == "rk4" else 1e-3)
+
+
+@pytest.mark.parametrize("step", [1e-3, 7.8125e-4, 5e-4, 2.5e-4])
+def test_a_box_that_slides_up_the_angle_of_friction_itself_stays_where_it_stops(step: float) -> None:
+    """Nothing is left to move it, and nothing to spare to hold it: it sticks, and does not creep down."""
+    angle = np.arctan(MU)
+    run = let_go(angle, "rk4", (0.3, 0.0, 0.0), **{"time.step": step})
+    assert np.all(run.link_modes[-1] == 2)
+    assert np.max(np.abs(run.v[-1, 2:])) < 1e-11
+    assert along(run, angle)[-1] == pytest.approx(0.3**2 / (4.0 * G * np.sin(angle)), rel=1e-5)

@@ -36,6 +36,8 @@ from closedloop.mechanics.contacts.packed import pack, unpack
 # is asked for: feet of one body contradict each other by as much as they are off their surface, so that there may be no
 # better one; and so many times that force is none: contacts that are wedged have a residual of rounding with any.
 SOLVED, ACCEPTED, WEDGED = 1e-14, 1e-9, 1e6
+# Inner forces count for what is accepted up to so many times what is asked for.
+INNER = 100.0
 # Sweeps of Gauss and Seidel's method before Newton's, at first; it doubles from round to round.
 SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
 # A residual above the first, of the force that is asked for, is made less by so many steps with the third for ρ.
@@ -210,16 +212,17 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
 
 
 @kernel
-def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, of_forces: bool = False) -> bool:
+def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, inner: float = 0.0) -> bool:
     """Do `solve_contacts` by the two methods in turns, from F, with so many sweeps of the first at first.
 
-    With `of_forces` the residual may be a share of the forces, too, not of what is asked for alone: inner forces, as
-    of a tower that is pressed, are many times that.
+    The residual may be a share of `inner`, N, too, not of what is asked for alone: forces within a tower that is pressed
+    are many times that.
     """
     largest, m, F, best, accepted = largest_mobility(c, k), 3 * k, c.F, math.inf, 0.0
     if not largest > 0.0:
         largest = 1.0
     size = asked_of(c, k) / largest
+    inner = min(max(inner, size), INNER * size)
     for j in range(m):
         c.scratch.best[j] = F[j]
     count = sweeps
@@ -255,7 +258,7 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, of_forces: bo
                 for j in range(m):  # a residual may have to grow before it shrinks
                     c.scratch.trial[j] = F[j] + c.scratch.solution[0, j]
                 worst = write_residuals(c, k, c.scratch.trial, largest)
-            if before <= ACCEPTED * (scale if of_forces else size) and worst > 0.5 * before:
+            if before <= ACCEPTED * inner and worst > 0.5 * before:
                 break  # what is left is rounding
             for j in range(m):
                 F[j] = c.scratch.trial[j]
@@ -263,7 +266,7 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, of_forces: bo
             F[j] = c.scratch.best[j]
         c.problem.penalty = 1.0
         best = write_residuals(c, k, F, largest)
-        accepted = max(ACCEPTED * size, (ACCEPTED if of_forces else SOLVED) * force_size(F, m))
+        accepted = max(ACCEPTED * inner, SOLVED * force_size(F, m))
         if best <= accepted:
             break
         count = min(max(2 * count, SWEEPS), MOST_SWEEPS)

@@ -21,11 +21,13 @@ from closedloop.base.arrays import Array
 from closedloop.control.transmission import transmission_constants
 from closedloop.mechanics.closure.baumgarte import linear_step
 from closedloop.mechanics.closure.contact_force import PRESSED
-from closedloop.mechanics.friction.law import FrictionLaw, JointFriction
+from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
+from closedloop.mechanics.friction.presliding import bristle
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.arm import joint_friction_of
+from closedloop.scenario.contact_modes import Pressed, has_motion, motion_of_contacts
 from closedloop.scenario.gains import Rubbing, closed_mobility, feedbacks, without_normal
 from closedloop.scenario.scenario import Scenario
 
@@ -116,6 +118,7 @@ def where_it_rubs(q: Array, normal: Array, force: Array, friction: Array, mode: 
 def unresolved(
     scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float,
     rubbing: Callable[[], Rubbing | None] = lambda: None, own_law: bool = False,
+    pressed: Callable[[], Pressed | None] = lambda: None,
 ) -> list[str]:  # fmt: skip
     """Return a line for each fast part that the step does not resolve, with a step that would; not of the law alone.
 
@@ -133,13 +136,15 @@ def unresolved(
         Returns where the tip slips with the most friction; called only if there is viscous friction in joints.
     own_law : bool
         Whether the law is a user's, of whose feedback nothing is known.
+    pressed : callable
+        Returns where contacts of links press; called only if there are bristles or viscous friction in one.
     """
     soft, elastic = scenario.compliance.kind != "none", scenario.transmission.elastic
     in_joints = joint_friction_of(scenario, robot.model)
     rubs = any(hasattr(law, name) for law in (scenario.friction, in_joints) for name in ("stiffness", "viscous"))
+    lines = _of_contacts(scenario, robot, pressed)
     if scenario.time.integrator not in INTEGRATORS or not (soft or elastic or rubs):
-        return []
-    lines = []
+        return lines
     slip = rubbing() if hasattr(in_joints, "viscous") else None
     for mode in _modes(scenario, in_joints, robot, q, normal, depth, slip):
         if np.all(np.isfinite(mode.stiffness)) and (np.any(mode.stiffness) or np.any(mode.damping)):
@@ -147,6 +152,18 @@ def unresolved(
             said = _with_feedback(mode, scenario, robot, slip) if law_too else []
             lines += said or _line(mode, scenario, decays="friction." in mode.key)
     return lines
+
+
+def _of_contacts(scenario: Scenario, robot: Robot, pressed: Callable[[], Pressed | None]) -> list[str]:
+    """Return a line, in a list, where the step does not resolve the friction of contacts of links."""
+    sections, name = scenario.contact or (), scenario.time.integrator
+    where = pressed() if name in INTEGRATORS and any(map(has_motion, sections)) else None
+    found = None if where is None else motion_of_contacts(sections, robot, where)
+    if found is None or not all(np.all(np.isfinite(matrix)) for matrix in found[1:]):
+        return []
+    key, stiffness, damping = found
+    scheme = "explicit_euler" if INTEGRATORS[name].semi_implicit else name
+    return _line(Mode(key, stiffness, damping, scheme), scenario, decays=True)
 
 
 def unresolved_feedback(scenario: Scenario, robot: Robot) -> list[str]:
@@ -211,14 +228,14 @@ def _modes(
         S = S - np.outer(S[:, 0], S[0]) / S[0, 0]
     if hasattr(scenario.friction, "stiffness"):
         load = max(0.0, scenario.law.force)
-        k, d = _bristle(scenario.friction, surface_parameters(scenario.friction), load)
+        k, d = bristle(scenario.friction, surface_parameters(scenario.friction), load)
         modes.append(Mode("friction.stiffness", S[1:, 1:] * k, S[1:, 1:] * d, on_bristles))
     if hasattr(scenario.friction, "viscous"):
         d = surface_parameters(scenario.friction).viscous
         modes.append(Mode("friction.viscous", np.zeros((2, 2)), S[1:, 1:] * d, name))
     of_joints, bearings = joint_parameters(in_joints, n), ~robot.model.of_bodies
     if hasattr(in_joints, "stiffness"):
-        k, d = np.array([_bristle(in_joints, par, 1.0) for par in of_joints]).T * bearings
+        k, d = np.array([bristle(in_joints, par, 1.0) for par in of_joints]).T * bearings
         modes.append(Mode("joint_friction.stiffness", mobility * k, mobility * d, on_bristles))
     if hasattr(in_joints, "viscous"):
         d = np.array([par.viscous for par in of_joints]) * bearings
@@ -232,12 +249,6 @@ def _while_slipping(robot: Robot, rubbing: Rubbing) -> Array:
     terms = robot.terms(np.array(rubbing.q), np.zeros(robot.n))
     mobility = closed_mobility(robot, rubbing.q, np.linalg.inv(terms.mass_matrix))
     return without_normal(mobility, rubbing.normal @ terms.jacobian, rubbing.push @ terms.jacobian)
-
-
-def _bristle(section: FrictionLaw, par: Any, load: float) -> tuple[float, float]:
-    """Return stiffness and damping before slip; see `closedloop.mechanics.friction.presliding`."""
-    damper = 0.0 if section.sticks == "spring" else getattr(par, "damping", 0.0) * load + getattr(par, "viscous", 0.0)
-    return float(par.stiffness) * load, float(damper)
 
 
 def _line(mode: Mode, scenario: Scenario, decays: bool, least: float = 0.0) -> list[str]:

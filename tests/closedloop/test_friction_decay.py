@@ -71,7 +71,7 @@ def reference(law, speed, duration):
 
 @pytest.mark.parametrize("law", list(LAWS))
 def test_the_order_is_that_of_the_scheme_for_all_states_together(law):
-    """Where a step resolves the bristles, halves of it have a sixteenth of the error; nothing stops yet, where rates jump."""
+    """Where a step resolves the bristles, halves of it have a sixteenth of the error, until slip ends."""
     place, velocity = reference(law, 0.05, 0.004)
     errors = []
     for step in (5e-4, 2.5e-4, 1.25e-4):
@@ -97,3 +97,37 @@ def test_first_must_have_the_rows_of_the_scheme():
     """A table of another size is refused."""
     with pytest.raises(ValueError, match="Wrong: first must have a row for each of a"):
         type("Wrong", (Integrator,), {"order": 1, "a": ((),), "b": (1.0,), "first": ((),), "source": "none"})
+
+
+@pytest.mark.parametrize(("law", "key"), [("dahl", "stiffness"), ("lugre", "damping")])
+def test_feet_on_bristles_too_stiff_for_the_step_are_bad_alone_and_in_a_batch(law, key):
+    """Swings and decays before slip are judged of links' contacts too; the step that is named is good."""
+    # By hand: of a straight slip ω² = σ_0 g, and σ_1 g is the rate of a decay; of a turn Σ r²/4 over I/m times as much.
+    text = LAWS[law].replace("stiffness = 1e4", "stiffness = 1e6").replace("damping = 5.0", "damping = 6e3")
+    text = text.replace("damping_speed = 0.05", "damping_speed = 1e-3")
+    given = {"law": text, "speed": 0.05, "spin": 0.0, "duration": 0.02, "integrator": "rk4"}
+    scenario = parse_scenario(BOX.format(step=1e-3, **given))
+    problems = cl.simulate(scenario, progress=False).summary()["verdict"]["problems"]
+    (problem,) = [found for found in problems if found["name"] == "resolution"]
+    assert problem["text"].startswith(f"contact.foot.friction_law.{key}: rk4 with time.step = 0.001 s gets a ")
+    rate = float(problem["text"].split(" of ")[1].split()[0])
+    turned = (0.1**2 + 0.075**2) / ((0.2**2 + 0.15**2) / 12)
+    by_hand = [(1e6 * 9.81 * x) ** 0.5 if law == "dahl" else 6e3 * 9.81 * x for x in (1.0, turned)]
+    assert min(abs(rate / x - 1.0) for x in by_hand) < 0.05, (rate, by_hand)
+    (row,) = cl.simulate_batch(scenario, {"time.duration": [0.02]}).to_pylist()
+    assert "resolution" in row["verdict"]
+    short = float(problem["text"].split()[-2])
+    finer = cl.simulate(parse_scenario(BOX.format(step=short, **given)), progress=False)
+    assert "resolution" not in [found["name"] for found in finer.summary()["verdict"]["problems"]]
+
+
+def test_lugre_whose_damping_jams_a_fast_slip_is_told_what_to_lower():
+    """At 0.8 m/s a damping of 30 s/m is a coefficient of friction of 24: the message names it."""
+    text = BOX.format(
+        law='kind = "lugre", kinetic = 0.3, static = 0.4, stribeck_speed = 0.01, stiffness = 1e4, damping = 30.0',
+        step=1e-3, speed=0.8, spin=3.0, duration=0.1, integrator="rk4",
+    )  # fmt: skip
+    with pytest.raises(
+        cl.PainleveError, match=r"contact\.foot\.friction_law: .* lower damping, or give damping_speed = 0\.09"
+    ):
+        cl.simulate(parse_scenario(text), progress=False)

@@ -230,9 +230,9 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             )  # what pulls rubs with |f|
             status = solve_modes(c, k)
         begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
-        shortens = fixed and links.shapes == 0  # the points of shapes wander: their slips need not be found sooner
+        points = fixed and links.shapes == 0
         if status == OK and (fixed or some_share(c, k)):
-            status = turn_and_solve(c, k, c.step.span if state.begins != 0 else c.step.within, begins, shortens)
+            status = turn_and_solve(c, k, c.step.span if state.begins != 0 else c.step.within, begins, points)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if joints_rub(links):
@@ -246,7 +246,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                     c.F[i] = c.rigid[i] = c.step.force[i]
             elif left < math.inf:
                 c.step.span = MOST_OF * left
-                status = turn_and_solve(c, k, c.step.span, begins, shortens)
+                status = turn_and_solve(c, k, c.step.span, begins, points)
                 keep_in_cones(c, k)
                 c.margin = margin_of(c, k, STICK_SPEED, rest)
         wedges = links.stepped == 0 and force_over_load(links, c) > WEDGED

@@ -215,8 +215,8 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
 def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, inner: float = 0.0) -> bool:
     """Do `solve_contacts` by the two methods in turns, from F, with so many sweeps of the first at first.
 
-    The residual may be a share of `inner`, N, too, not of what is asked for alone: forces within a tower that is pressed
-    are many times that.
+    The residual may be a share of `inner`, N, too, not of what is asked for alone: the forces in a tower that is
+    pressed are many times that.
     """
     largest, m, F, best, accepted = largest_mobility(c, k), 3 * k, c.F, math.inf, 0.0
     if not largest > 0.0:

@@ -71,6 +71,7 @@ class Problem(Block, sizes=("k",)):
     penalty: float  # see `closedloop.mechanics.contacts.complementarity`
     residual: float  # of the last problem, N or N s
     steps: float  # of the methods that solve it, counted where there is a limit to their number
+    inner: float  # N, see `closedloop.mechanics.contacts.complementarity.solve_from_here`
     ends: float  # 1 if a slow slip ends within the step, see `closedloop.mechanics.contacts.turning`
     whole: float  # 1 once W is written beside its diagonal
 

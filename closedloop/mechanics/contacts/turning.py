@@ -55,15 +55,16 @@ SWEEPS, NEAR = 100, 1e-7
 
 
 @kernel
-def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, shortens: bool = False) -> int:
+def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, points: bool = False) -> int:
     """Turn the friction of slow slips to where they go in the step h, s, until it agrees with the forces.
 
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
     that is turned round with the force would drive the slip. Nor is it turned where forces would multiply: near
     Painlevé's paradox they turn the slip faster than the step resolves. If no directions are found at the beginning of
-    a step, with `shortens` it becomes shorter (`TimeStep.span`): the less time there is, the less the slips act on each
-    other. `ends` says whether a slip ends within the step, `begins` is whether the step begins here.
+    a step, it becomes shorter (`TimeStep.span`): the less time there is, the less the slips act on each other. So
+    it is where only `points` touch: those of shapes wander, and their rows depend on each other. `ends` says whether a
+    slip ends within the step, `begins` is whether the step begins here.
     """
     c.problem.ends = 0.0
     for i in range(k if begins else 0):
@@ -73,10 +74,11 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, shortens: bool =
         return int(OK)
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
+    c.problem.inner = force_size(c.rigid, 3 * k) if points else 0.0
     c.problem.steps, last, stalled, longest, most = 0.0, math.inf, 0, h, MOST_GROWTH * force_size(c.rigid, 3 * k)
     for _ in range(TURNS):
         change = turn_slips(c, k, h, begins)
-        if change < 0.0 and begins and shortens and h > SHORTEST * longest:
+        if change < 0.0 and begins and points and h > SHORTEST * longest:
             h *= SHORTER
             c.step.span = h
             if solve_closed(c, k) == OK:
@@ -237,7 +239,7 @@ def solve_within(c: Contacts, k: int, rate: float) -> bool:
             c.problem.q[3 * i + 1] += rate * u1
             c.problem.q[3 * i + 2] += rate * u2
     # q has the slips divided by τ: a residual that is small beside it may be large beside the forces.
-    if not solve_from_here(c, k, 0, ROUNDS, force_size(c.rigid, c.rigid.shape[0])) or not is_near(c, k):
+    if not solve_from_here(c, k, 0, ROUNDS, c.problem.inner) or not is_near(c, k):
         if not some_share(c, c.friction.shared.shape[0]):
             return False
         solve_from_here(c, k, SWEEPS, 1)

@@ -9,6 +9,7 @@ A semi-implicit Euler step h of it is stable for ω²h² + 4ζωh < 4 (Jury's te
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
@@ -33,9 +34,15 @@ def presliding_motion(
     par = surface_parameters(section) if joint is None else joint_parameters(section, n)[joint]
     if not hasattr(section, "stiffness"):
         raise ValueError(f"{section.kind} has no stiffness: give dahl, lugre or seven_parameter")
-    omega = math.sqrt(par.stiffness * load / mass)
+    stiffness, damping = bristle(section, par, load)
+    omega = math.sqrt(stiffness / mass)
+    return omega, damping / (2.0 * mass * omega)
+
+
+def bristle(section: FrictionLaw, par: Any, load: float) -> tuple[float, float]:
+    """Return stiffness, N/m, and damping, N s/m, before slip under a normal force, N; of a law without, zeros."""
     damper = 0.0 if section.sticks == "spring" else getattr(par, "damping", 0.0) * load + getattr(par, "viscous", 0.0)
-    return omega, float(damper) / (2.0 * mass * omega)
+    return float(getattr(par, "stiffness", 0.0)) * load, float(damper)
 
 
 def largest_step(omega: float, zeta: float) -> float:

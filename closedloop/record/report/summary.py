@@ -27,6 +27,7 @@ from closedloop.record.report.step_error import run_force_not_known, step_error,
 from closedloop.record.report.undetermined import friction_off_slip, motions_without_drive, not_determined_from
 from closedloop.record.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
+from closedloop.scenario.contact_modes import Pressed, where_they_press
 from closedloop.scenario.gains import Rubbing, gains_fault
 from closedloop.scenario.modes import unresolved, unresolved_feedback, where_it_rubs
 
@@ -81,7 +82,10 @@ def _unresolved(run: Record) -> list[str]:
     def rubbing() -> Rubbing | None:
         return where_it_rubs(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode)
 
-    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, rubbing, own_law)
+    def pressed() -> Pressed | None:
+        return where_they_press(run.q, run.link_forces)
+
+    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, rubbing, own_law, pressed)
 
 
 def _unresolved_feedback(run: Record) -> list[str]:

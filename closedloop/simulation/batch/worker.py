@@ -39,6 +39,7 @@ from closedloop.record.report.step_columns import resolution_of
 from closedloop.record.report.step_error import beside_of, unknown_because, why_force_not_known, write_beside
 from closedloop.record.report.step_variation import Swings
 from closedloop.record.report.tabled import forget_absent, verdict_of
+from closedloop.scenario.contact_modes import Pressed, where_they_press
 from closedloop.scenario.gains import Rubbing
 from closedloop.scenario.modes import unresolved, where_it_rubs
 from closedloop.scenario.scenario import Scenario
@@ -291,8 +292,13 @@ def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
         )
         return where_it_rubs(q, normal, f, friction, mode)
 
+    def pressed() -> Pressed | None:
+        shape = len(problem.scenario.contact or ()), problem.row_states
+        return where_they_press(recorded(rows, n, "q"), recorded(rows, n, "link_forces", *shape))
+
     depth = -float(first.closure_error)
-    return unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, depth, rubbing, own_law)
+    scenario, robot = problem.scenario, problem.robot
+    return unresolved(scenario, robot, problem.q, first.surface_normal, depth, rubbing, own_law, pressed)
 
 
 def failed(error: Exception) -> Outcome:

@@ -39,8 +39,11 @@ from closedloop.mechanics.closure.solve import (
     SINGULAR,
 )
 from closedloop.mechanics.contacts.surfaces import Called
+from closedloop.mechanics.friction.laws.lugre import LuGre, is_passive, passive_damping_speed
+from closedloop.mechanics.friction.packing import surface_parameters
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.verdict import DIVERGES
+from closedloop.scenario.contact_names import patches_of
 from closedloop.scenario.gains import feedbacks, gains_fault
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import families_in
@@ -111,7 +114,7 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     if status in (RUBS, CROWDED):
         return _rubs_without_end(status, t)
     if problem.scenario.contact and status in (PAINLEVE, SINGULAR):
-        return _contacts_fail(status, t)
+        return _contacts_fail(status, t, problem.scenario)
     if status == PAINLEVE:
         jams = ", or is jammed between it and the stops of joints" if problem.placed is not None else ""
         return PainleveError(
@@ -171,7 +174,7 @@ def _rubs_without_end(status: int, t: float) -> SimulationError:
     )
 
 
-def _contacts_fail(status: int, t: float) -> SimulationError:
+def _contacts_fail(status: int, t: float, scenario: Scenario) -> SimulationError:
     """Return the error of several contacts that no forces go with."""
     if status == SINGULAR:
         return SingularClosureError(
@@ -179,10 +182,19 @@ def _contacts_fail(status: int, t: float) -> SimulationError:
             "require; look for contacts of bodies that cannot move, and leave one out",
             t,
         )
+    sections = scenario.contact or ()
+    stiff: list[str] = []
+    for name, numbers in patches_of(sections).items():
+        law = sections[numbers[0]].friction_law
+        if isinstance(law, LuGre) and not is_passive(par := surface_parameters(law)):
+            stiff.append(
+                f"; contact.{name}.friction_law: bristles that are not bent resist a fast slip with damping times its "
+                f"speed: lower damping, or give damping_speed = {passive_damping_speed(par):.3g} m/s or less"
+            )
     return PainleveError(
         f"{when(t)}: Painlevé's paradox, or jamming: no forces inside the friction cones were found for any modes "
         "of the contacts (one slides so that pressing harder pulls it in, or is jammed); lower the coefficients of "
-        "friction, or change the posture or the direction of sliding",
+        f"friction, or change the posture or the direction of sliding{''.join(stiff)}",
         t,
     )
 

@@ -116,7 +116,7 @@ def test_feet_on_bristles_too_stiff_for_the_step_are_bad_alone_and_in_a_batch(la
     assert min(abs(rate / x - 1.0) for x in by_hand) < 0.05, (rate, by_hand)
     (row,) = cl.simulate_batch(scenario, {"time.duration": [0.02]}).to_pylist()
     assert "resolution" in row["verdict"]
-    short = float(problem["text"].split()[-2])
+    short = 0.02 / np.ceil(0.02 / float(problem["text"].split()[-2]))
     finer = cl.simulate(parse_scenario(BOX.format(step=short, **given)), progress=False)
     assert "resolution" not in [found["name"] for found in finer.summary()["verdict"]["problems"]]
 

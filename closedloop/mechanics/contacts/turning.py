@@ -149,7 +149,9 @@ def turn_slips(c: Contacts, k: int, h: float, begins: bool) -> float:
     found = solve_within(c, count, rate)
     if found and left_of_slips(c, count) < 0.0:
         c.problem.ends = 1.0
-        for _ in range(SOONER if count > 1 else 0):  # what stops has no direction: feet share their friction in many ways
+        for _ in range(
+            SOONER if count > 1 else 0
+        ):  # what stops has no direction: feet share their friction in many ways
             rate *= 2.0
             found = solve_within(c, count, rate)
             if not found or left_of_slips(c, count) >= 0.0:

@@ -58,7 +58,7 @@ def test_a_box_that_slides_up_and_turns_comes_to_rest_at_once(integrator: str) -
     assert np.max(np.abs(ends[1] - ends[0])) < (1e-6 if integrator == "rk4" else 1e-3)
 
 
-@pytest.mark.parametrize("step", [1e-3, 7.8125e-4, 5e-4, 2.5e-4])
+@pytest.mark.parametrize("step", [1e-3, 5e-4, 2.5e-4])
 def test_a_box_that_slides_up_the_angle_of_friction_itself_stays_where_it_stops(step: float) -> None:
     """Nothing is left to move it, and nothing to spare to hold it: it sticks, and does not creep down."""
     angle = np.arctan(MU)

@@ -40,8 +40,6 @@ from closedloop.mechanics.contacts.soft_friction import drop_contradictions, sha
 TURNS, SETTLED, STALLED = 20, 1e-11, 2
 # Where directions are not found for a step, the next may be one of this share of it, down to the other share.
 SHORTER, SHORTEST = 0.25, 0.05
-# Halves of a step, in which a slip ends, that are tried for its direction before that.
-SOONER = 8
 # Forces that are so many times those with friction against the slip as it is have multiplied.
 MOST_GROWTH = 30.0
 # The coefficient of friction of contacts that stick here, whatever force that takes.
@@ -145,17 +143,9 @@ def level_of(c: Contacts, i: int) -> float:
 def turn_slips(c: Contacts, k: int, h: float, begins: bool) -> float:
     """Write `along` of the contacts that slip slowly; return its largest change, of μ, negative if none was found."""
     change, count = -1.0, pack_problem(c, k, h, False)
-    rate = 1.0 / h
-    found = solve_within(c, count, rate)
+    found = solve_within(c, count, 1.0 / h)
     if found and left_of_slips(c, count) < 0.0:
         c.problem.ends = 1.0
-        for _ in range(
-            SOONER if count > 1 else 0
-        ):  # what stops has no direction: feet share their friction in many ways
-            rate *= 2.0
-            found = solve_within(c, count, rate)
-            if not found or left_of_slips(c, count) >= 0.0:
-                break
     for i in range(count if found else 0):
         c.scratch.best[3 * i], c.scratch.best[3 * i + 1] = rub(c, i)
     unpack_problem(c, k, count)

@@ -18,9 +18,11 @@ from closedloop.mechanics.contacts.memory import CONE, DOUBLE, OFF, RAY, make_co
 from closedloop.mechanics.contacts.modes import (
     CAME,
     CLOSED_GAP,
+    DEEPER,
+    DEEPEST,
     HOVERING,
     LEFT,
-    LITTLE,
+    ONTO,
     SINKING,
     SLIPPED,
     STUCK_NOW,
@@ -271,7 +273,7 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
     c.located[0], c.problem.rounding, c.direction[1] = 100.0, 1e-9, [0.6, 0.8]
     c.mode[1], c.located[3] = FREE, 1e-9
     for risen, floor, touches_at in (
-        (0.0, 0.0, -SINKING), (0.0, -1e-10, -1e-10 - SINKING), (0.0, -5e-10, -SUNK), (0.0, -SUNK, -SUNK - LITTLE),
+        (0.0, 0.0, -SINKING), (0.0, -1e-10, -1e-10 - SINKING), (0.0, -5e-10, -SUNK), (0.0, -SUNK, -SUNK - DEEPER),
         (1.0, 0.0, -CLOSED_GAP), (1.0, -5e-10, -5e-10 - CLOSED_GAP),
     ):  # fmt: skip
         c.cleared[1], c.floor[1] = risen, floor
@@ -294,8 +296,10 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
     assert margin(c, 2, slow, 0.0) == pytest.approx(1.0 + 1e-9, rel=1e-14)
     c.inside[1] = 0.25
     assert margin(c, 2, slow, 0.0) == 0.25
-    c.mode[1], c.friction.pulls[1], c.past_edge[1] = FREE, 0.0, 1.0
-    assert margin(c, 2, slow, 0.0) == pytest.approx(100.0, rel=1e-6)
+    c.mode[1], c.friction.pulls[1], c.past_edge[1] = FREE, 0.0, 1.0  # beyond its edge, until it is inside again
+    for gap, inside, left in ((0.0, -0.25, 0.25 + ONTO), (-DEEPEST, 0.25, ONTO - 0.25), (-1.1 * DEEPEST, 0.25, 100.0)):
+        c.located[3], c.inside[1] = gap, inside
+        assert margin(c, 2, slow, 0.0) == pytest.approx(left, rel=1e-6)
 
 
 def test_what_a_substep_begins_with_is_kept(memory):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import tomli_w
+from scipy.spatial.transform import Rotation
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
@@ -59,8 +60,6 @@ def located(problem, q, v):
 
 def moved(q, v, h):
     """Return positions (12,) of two bodies, rotation vectors, moved on at constant velocities for h, s."""
-    from scipy.spatial.transform import Rotation
-
     q = q.copy()
     for b in (0, 6):
         q[b : b + 3] += h * v[b : b + 3]
@@ -80,8 +79,6 @@ def test_the_least_gap_is_coals_distance(tmp_path, one, other):
     made = {"ball": coal.Sphere(0.05), "box": coal.Box(0.1, 0.14, 0.08), "rod": coal.Capsule(0.03, 0.2)}
     shapes = made[one], made[other]
     problem = prepare(bodies(tmp_path, (one, other), [([0, 0, 0], [1, 0, 0, 0]), ([0, 0, 1], [1, 0, 0, 0])]))
-    from scipy.spatial.transform import Rotation
-
     compared = 0
     for _ in range(12):
         turns = Rotation.random(2, random_state=int(rng.integers(1 << 30)))
@@ -127,8 +124,6 @@ def energy(run):
 def least_distance(run, edges):
     """Return the least distance of two boxes with these edges, m, in a run, by coal."""
     coal = pytest.importorskip("coal")
-    from scipy.spatial.transform import Rotation
-
     box, least = coal.Box(*edges), np.inf
     for q in run.q[::5]:
         places = []
@@ -199,8 +194,7 @@ def dropped_flat(folder, seed):
     """Return the scenario of a box that is dropped on another, from 2 mm, turned by a few degrees."""
     rng = np.random.default_rng(seed)
     about = turn(*np.radians(rng.uniform(-6, 6, size=3)))
-    w, r = about[0], np.array(about[1:])
-    up = np.array([2 * (r[0] * r[2] - w * r[1]), 2 * (r[1] * r[2] + w * r[0]), 1 - 2 * (r[0] ** 2 + r[1] ** 2)])
+    up = Rotation.from_quat(about, scalar_first=True).as_matrix()[2]
     place = [*rng.uniform(-0.003, 0.003, size=2), 0.102 + 0.05 * np.sum(np.abs(up))]
     velocity = rng.normal(size=3) * 0.1, rng.normal(size=3) * 0.5
     return bodies(
@@ -208,14 +202,19 @@ def dropped_flat(folder, seed):
     )
 
 
-@pytest.mark.parametrize("seed", [5, 6, 7, 8, 9])
+QUICK = (3, 10, 17, 21, 32)
+
+
+@pytest.mark.parametrize("seed", [pytest.param(s, marks=() if s in QUICK else pytest.mark.slow) for s in range(40)])
 def test_a_box_dropped_flat_on_another_comes_to_rest(tmp_path, seed):
     """A box dropped flat on another comes to rest upon it, gains no energy, and does not sink into it."""
-    # Corners and crossing edges depend on each other there. Before, 7 stopped: no impulses were found that met the
-    # velocities of contacts closed already, and rows that depend on each other but for rounding took 1e6 N.
+    # Before, corners that came onto a face from beside fell through it (1, 3), rows that hardly differ took impulses of
+    # 3 N s to stop 1e-7 m/s (17), and contacts that parted were pressed in at once, 8000 times (21, 34): by friction
+    # that was turned afterwards, or that pointed along what a solution was off (4, 29, 32).
     run = cl.simulate(dropped_flat(tmp_path, seed))
     energy = run.kinetic_energy + run.potential_energy
     assert np.max(np.diff(energy)) < 1e-7 * energy[0]
-    assert np.min(np.where(run.link_modes > 0, run.link_gaps, 0.0)) > -1e-8
+    # A time step of 20 us presses in by some 1e-8 m; where shapes touch only the stabiliser puts that back.
+    assert np.min(np.where(run.link_modes > 0, run.link_gaps, 0.0)) > -5e-8
     assert np.max(np.abs(run.v[-1])) < 1e-6
     assert len(run.events) < 1000

@@ -83,7 +83,7 @@ def pass_beside(links: ContactLinks, c: Contacts) -> bool:
 
 @kernel
 def leave_edges(w: Work, links: ContactLinks, c: Contacts, state: State, events: Array) -> None:
-    """End the contacts that have come to the edge of their surface, and let open ones beyond it pass.
+    """End the contacts that have come to the edge of their surface, let open ones beyond it pass, and others back.
 
     The velocity stays what it is. What the spring of a soft contact has stored is not the robot's.
     """
@@ -93,6 +93,8 @@ def leave_edges(w: Work, links: ContactLinks, c: Contacts, state: State, events:
         c.F[i], c.before[i], c.problem.after[i] = 0.0, c.u[i], c.u[i]
     for i in range(links.k):
         c.event.happened[i], c.event.struck[i] = 0.0, 0.0
+        if c.past_edge[i] != 0.0 and i < links.points and open_margin(c, i) <= TOUCHING:
+            c.past_edge[i] = 0.0
         if i >= links.points or c.inside[i] >= 0.0 or not touches(links, c, i):
             continue
         c.past_edge[i], c.friction.pulls[i] = 1.0, 0.0

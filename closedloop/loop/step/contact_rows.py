@@ -208,6 +208,8 @@ def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: fl
             c.G[n + a, j] = N[a, 0] * g0 + N[a, 1] * g1 + N[a, 2] * g2
     d0, d1, d2 = c.drift[n], c.drift[n + 1], c.drift[n + 2]
     c.located[n] = touch.level / touch.size
+    if c.mode[i] != FREE and 0.0 <= c.inside[i] < c.located[n]:  # left over the edge: the next face is near
+        c.inside[i] = -c.located[n]
     for a in range(3):
         c.carried[n + a], c.turning[n + a], c.at[n + a] = touch.carried[a], touch.turning[a], touch.at[a]
         c.u[n + a] = N[a, 0] * ask.velocity[0] + N[a, 1] * ask.velocity[1] + N[a, 2] * ask.velocity[2]

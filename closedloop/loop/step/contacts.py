@@ -42,7 +42,7 @@ from closedloop.mechanics.contacts.given_modes import (
     stopping_impulses,
     write_after,
 )
-from closedloop.mechanics.contacts.impact import RESTING, STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
+from closedloop.mechanics.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
 from closedloop.mechanics.contacts.memory import (
     CONE,
     DOUBLE,
@@ -56,7 +56,7 @@ from closedloop.mechanics.contacts.memory import (
     joints_of,
     joints_rub,
 )
-from closedloop.mechanics.contacts.modes import HOVERING, decide, open_margin, touches
+from closedloop.mechanics.contacts.modes import HOVERING, RESTING, decide, open_margin, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.slips_end import stop_slips

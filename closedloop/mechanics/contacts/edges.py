@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.memory import Contacts
@@ -49,20 +49,24 @@ APART = 1.0
 
 
 @kernel
-def cross_edges(edge: Array, k: int, x: Array, e1: Array, N: Array, at: Array) -> None:
+def cross_edges(edge: Array, k: int, x: Array, e1: Array, side1: Array, side2: Array, N: Array, at: Array) -> None:
     """Write how edge 1 crosses edge k of the others: N, rows n, t1, t2, and `at`: gap, how far inside, s1, |e1 × e2|.
 
     Parameters
     ----------
     edge : (EDGE,) array
     k : int
-    x, e1 : (3,) arrays
-        Middle of edge 1, m, and its direction, axes of the link with the others.
+    x, e1, side1, side2 : (3,) arrays
+        Middle of edge 1, m, its direction, and its sides, axes of the link with the others.
     N : (3, 3) array
     at : (4,) array
     """
     b = EDGE_2 + OF_EDGE_2 * k
-    e2 = edge[b + E2 : b + E2 + 3]
+    e2, other1, other2 = (
+        edge[b + E2 : b + E2 + 3],
+        edge[b + SIDES2 : b + SIDES2 + 3],
+        edge[b + SIDES2 + 3 : b + OF_EDGE_2],
+    )
     x0, x1, x2 = x[0] - edge[b + P2], x[1] - edge[b + P2 + 1], x[2] - edge[b + P2 + 2]
     m0, m1, m2 = e1[1] * e2[2] - e1[2] * e2[1], e1[2] * e2[0] - e1[0] * e2[2], e1[0] * e2[1] - e1[1] * e2[0]
     size = math.sqrt(m0 * m0 + m1 * m1 + m2 * m2)
@@ -71,35 +75,49 @@ def cross_edges(edge: Array, k: int, x: Array, e1: Array, N: Array, at: Array) -
         at[0], at[1], at[2] = APART, -1.0, 0.0
         return
     n0, n1, n2 = m0 / size, m1 / size, m2 / size
-    g = b + SIDES2
-    out1 = n0 * edge[g] + n1 * edge[g + 1] + n2 * edge[g + 2]
-    out2 = n0 * edge[g + 3] + n1 * edge[g + 4] + n2 * edge[g + 5]
     gap = n0 * x0 + n1 * x1 + n2 * x2
-    sharp = edge[g] != 0.0 or edge[g + 1] != 0.0 or edge[g + 2] != 0.0
-    if (out1 + out2 if sharp else gap) < 0.0:
-        n0, n1, n2, gap, out1, out2 = -n0, -n1, -n2, -gap, -out1, -out2
+    out = dot(other1, n0, n1, n2) + dot(other2, n0, n1, n2) if is_sharp(other1) else gap
+    if out < 0.0:
+        n0, n1, n2, gap = -n0, -n1, -n2, -gap
     along1, along2 = e1[0] * x0 + e1[1] * x1 + e1[2] * x2, e2[0] * x0 + e2[1] * x1 + e2[2] * x2
     c = e1[0] * e2[0] + e1[1] * e2[1] + e1[2] * e2[2]
     s1, s2 = (c * along2 - along1) / (size * size), (along2 - c * along1) / (size * size)
-    inside = min(edge[L1] - abs(s1), edge[b + L2] - abs(s2)) + PAST_END
-    if sharp:
-        inside = min(inside, LEVER * (out1 + LEAN), LEVER * (out2 + LEAN))
     N[0, 0], N[0, 1], N[0, 2] = n0, n1, n2
     N[1, 0], N[1, 1], N[1, 2] = e2[0], e2[1], e2[2]
     N[2, 0], N[2, 1], N[2, 2] = n1 * e2[2] - n2 * e2[1], n2 * e2[0] - n0 * e2[2], n0 * e2[1] - n1 * e2[0]
+    inside1 = inside_end(edge[L1], s1, e1, other1, other2, n0, n1, n2)
+    inside2 = inside_end(edge[b + L2], s2, e2, side1, side2, -n0, -n1, -n2)
     if gap < -edge[DEEP]:
-        gap, inside = APART, -1.0
-    at[0], at[1], at[2] = gap - edge[ROUND1] - edge[ROUND2], inside, s1
+        gap, inside1 = APART, -1.0
+    at[0], at[1], at[2] = gap - edge[ROUND1] - edge[ROUND2], min(inside1, inside2), s1
 
 
 @kernel
-def out_of_sides(side1: Array, side2: Array, N: Array, inside: float) -> float:
-    """Return how far inside a crossing is, m, with the sides of edge 1, into neither of which n may point."""
-    if side1[0] == 0.0 and side1[1] == 0.0 and side1[2] == 0.0:
-        return inside
-    into1 = -(N[0, 0] * side1[0] + N[0, 1] * side1[1] + N[0, 2] * side1[2])
-    into2 = -(N[0, 0] * side2[0] + N[0, 1] * side2[1] + N[0, 2] * side2[2])
-    return float(min(inside, LEVER * (into1 + LEAN), LEVER * (into2 + LEAN)))
+def inside_end(length: float, s: float, e: Array, side1: Array, side2: Array, n0: float, n1: float, n2: float) -> float:
+    """Return how far inside the nearer end of an edge a crossing is, m, and n between the sides of the other edge.
+
+    Where the edge ends at the other one it rests on the face that n is nearest to, if it lies over it: it crosses then
+    until it is PAST_END beyond. Otherwise it comes from beside that face, or stands on it: it does not cross yet.
+    """
+    inside = length - abs(s)
+    if not is_sharp(side1):
+        return inside + PAST_END
+    out1, out2 = dot(side1, n0, n1, n2), dot(side2, n0, n1, n2)
+    leaves = math.copysign(1.0, s) * dot(side2 if out1 >= out2 else side1, e[0], e[1], e[2])
+    inside += PAST_END if leaves >= 0.0 else -PAST_END
+    return float(min(inside, LEVER * (out1 + LEAN), LEVER * (out2 + LEAN)))
+
+
+@kernel_inlined
+def dot(v: Array, n0: float, n1: float, n2: float) -> float:
+    """Return the product of v (3,) with n."""
+    return float(v[0] * n0 + v[1] * n1 + v[2] * n2)
+
+
+@kernel_inlined
+def is_sharp(side: Array) -> bool:
+    """Whether an edge has sides, as that of a box; the rod of a capsule has none."""
+    return bool(side[0] != 0.0 or side[1] != 0.0 or side[2] != 0.0)
 
 
 @kernel
@@ -124,9 +142,8 @@ def choose_crossing(shapes: Shapes, i: int, x: Array, free: bool, taken: int) ->
     best, first, sign = -1, math.inf, -1.0 if edge[LAST] != 0.0 else 1.0
     count, crossed = int(edge[COUNT]), 0
     for k in range(count if free else 0):
-        cross_edges(edge, k, x, e1, N, at)
-        inside = out_of_sides(side1, side2, N, at[1]) if at[3] >= PARALLEL else -1.0
-        if inside >= 0.0 and k != taken:
+        cross_edges(edge, k, x, e1, side1, side2, N, at)
+        if at[1] >= 0.0 and k != taken:
             crossed += 1
             if sign * at[2] < first:
                 best, first = k, sign * at[2]
@@ -135,8 +152,7 @@ def choose_crossing(shapes: Shapes, i: int, x: Array, free: bool, taken: int) ->
         return
     if free:
         shapes.chosen[i] = best
-    cross_edges(edge, int(shapes.chosen[i]), x, e1, N, at)
-    at[1] = out_of_sides(side1, side2, N, at[1]) if at[3] >= PARALLEL else -1.0
+    cross_edges(edge, int(shapes.chosen[i]), x, e1, side1, side2, N, at)
 
 
 @kernel

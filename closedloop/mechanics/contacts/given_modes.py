@@ -27,6 +27,9 @@ from closedloop.mechanics.loops.solve import orthonormal_rows
 # What is outside its cone by no more than this share of `rounding` is at its edge; by no more than so many times
 # `rounding` it hardly is, or hardly pulls.
 ON_EDGE, HARDLY = 1e-3, 10.0
+# Impulses so many times those that are asked for are none: contacts are wedged, but for rounding. Speeds below the
+# second, m/s, may be left to the stabiliser.
+MOST_IMPULSE, LITTLE = 1e3, 1e-7
 
 
 @kernel
@@ -278,6 +281,23 @@ def stopping_impulses(c: Contacts, k: int) -> None:
     for i in range(3 * k):
         c.a[i], c.viscous[i] = c.problem.after[i], c.problem.q[i]
         c.F[i] = c.rigid[i] if status == OK else 0.0
+
+
+@kernel
+def stop(links: ContactLinks, c: Contacts, k: int) -> bool:
+    """Do `stopping_impulses` and write `after`; return False where impulses are far larger than the little they stop.
+
+    Rows of shapes that hardly differ, as of edges that cross beside a corner, are then moved by opposite impulses.
+    """
+    stopping_impulses(c, k)
+    write_after(c, k)
+    moves, most, largest = 0.0, 0.0, 0.0
+    for i in range(k):
+        if c.problem.form[i] != OFF:
+            for r in range(3 * i, 3 * i + (3 if sticks(c, i) else 1)):
+                moves, largest = max(moves, abs(c.before[r])), max(largest, c.W[r, r])
+                most = max(most, abs(c.F[r]))
+    return bool(links.shapes == 0 or moves > LITTLE or largest * most <= MOST_IMPULSE * moves)
 
 
 @kernel

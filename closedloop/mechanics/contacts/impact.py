@@ -20,22 +20,21 @@ from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import STARTS, asked_of, largest_mobility, solve_impulses
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import cone_limit, take_kinetic
-from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
+from closedloop.mechanics.contacts.given_modes import MOST_IMPULSE, energy_gained, stop, write_after
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SMOOTH, ContactLinks, Contacts
-from closedloop.mechanics.contacts.modes import touches
+from closedloop.mechanics.contacts.modes import RESTING, touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 
-# Contacts that come together slower than this do not, m/s.
-RESTING = 1e-11
+# Contacts of shapes come together faster than this, m/s: their rows hardly differ, and impulses leave as much.
+SHAPES_RESTING = 1e-10
 # Velocities after an impact may be off by this, m/s.
 ROUNDING = 1e-14
-# The largest speed along the normal that the errors of steps give closed contacts, m/s.
-MOST_CONTRADICTION = 1e-8
+# The largest speed along the normal that the errors of steps give closed contacts, m/s; where rows hardly differ
+# sweeps end at such a share of the speeds before the impact.
+MOST_CONTRADICTION, NEARLY = 1e-8, 1e-8
 # The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
 # is tried in the search for the largest factor, along one path each, for they take long.
 LEAST_SHARE, MOST_MISSING = 1e-3, 10
-# Restitution with impulses so many times those that are asked for is none: contacts are wedged, but for rounding.
-MOST_IMPULSE = 1e3
 # A rebound from a stop that is slower than this, rad/s (m/s), is none: the joint stays at its stop.
 SLOWEST_REBOUND = 1e-4
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
@@ -48,7 +47,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
 
     Returns OK, or PAINLEVE if they were not found.
     """
-    k, coming = links.k, 0
+    k, coming, resting = links.k, 0, RESTING if links.shapes == 0 else SHAPES_RESTING
     c.event.energy_lost, c.event.energy_rested, c.event.restitution_share = 0.0, 0.0, 1.0
     for i in range(3 * k):
         c.F[i], c.before[i], c.problem.after[i] = 0.0, c.u[i], c.u[i]
@@ -72,7 +71,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         elif touches(links, c, i) and c.soft[i] == 0.0:
             c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
         c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
-        if c.friction.pulls[i] == 0.0 and c.problem.form[i] != OFF and c.mode[i] == FREE and c.u[3 * i] < -RESTING:
+        if c.friction.pulls[i] == 0.0 and c.problem.form[i] != OFF and c.mode[i] == FREE and c.u[3 * i] < -resting:
             coming, c.event.struck[i] = coming + 1, 1.0
     if coming == 0:
         return OK
@@ -120,9 +119,9 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
     if fastest > RESTING:
         for i in range(3 * k):
             c.scratch.residuals[i], c.scratch.start[i], c.before[i] = c.F[i], c.before[i], c.problem.after[i]
-        stopping_impulses(c, k)
+        stopped = stop(links, c, k)
         for i in range(3 * k):
-            c.F[i] += c.scratch.residuals[i]
+            c.F[i] = c.F[i] + c.scratch.residuals[i] if stopped else c.scratch.residuals[i]
             c.before[i] = c.scratch.start[i]
         write_after(c, k)
     c.event.energy_lost = -energy_gained(c, k)
@@ -174,12 +173,12 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
 
 @kernel
 def contradiction(c: Contacts, k: int) -> float:
-    """Return by how much velocities after an impact may contradict each other, m/s: by what closed contacts move.
+    """Return by how much velocities after an impact may be off, m/s: by what closed contacts move.
 
     Where a face lies on another, or edges that cross, more contacts are closed than determine the motion along the
     normal. The errors of steps make them part or come together, each by a little, and no impulses stop all of them.
     """
-    most = 0.0
+    most = NEARLY * asked_of(c, k)
     for i in range(k):
         if c.mode[i] != FREE and c.event.struck[i] == 0.0 and c.problem.form[i] != OFF and not is_resistance(c, i):
             most = max(most, abs(c.before[3 * i]))

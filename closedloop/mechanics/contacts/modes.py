@@ -14,7 +14,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import solve_contacts
 from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
-from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
+from closedloop.mechanics.contacts.given_modes import LITTLE, energy_gained, stop
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
@@ -25,13 +25,20 @@ from closedloop.mechanics.contacts.soft_friction import write_shared
 TOUCHING, CLOSED_GAP, HOVERING = 1e-12, 1e-13, 1e-9
 # Until it has been clear a contact touches again when it is the first length below where it has parted, m, or at the
 # depth of the second, or, where it has parted deeper than that, the third below: else it would sink each time.
-SINKING, SUNK, LITTLE = 8e-10, 9.8e-10, 1e-11
+SINKING, SUNK, DEEPER = 8e-10, 9.8e-10, 1e-11
+# What is beyond the edge of its surface comes back onto it so far inside, m, no deeper than the second.
+ONTO, DEEPEST = 1e-9, 1e-8
+# Contacts that come together slower than this do not, m/s.
+RESTING = 1e-11
 # A contact that parts slower than this does not, m/s. A slip that has turned round is none below the second, m/s.
 PARTING, TURNED = 1e-8, 1e-6
 # A slip that was no faster when the substep began, m/s, has only just begun, where its law sticks as a spring.
 STICKING_AGAIN = 1e-7
 # An acceleration below this share of the terms that it is made of is none.
 NO_ACCELERATION = 1e-11
+# Where shapes touch, whose rows hardly differ, up to so many times that may be what a solution is off. Friction below
+# the second share of its limit is inside it.
+HARDLY, INSIDE = 1e5, 1.0 - 1e-6
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 CAME, LEFT, STUCK_NOW, SLIPPED, TURNED_ROUND = 2.0, 3.0, 4.0, 5.0, 6.0
 
@@ -46,12 +53,13 @@ def touches(links: ContactLinks, c: Contacts, i: int) -> bool:
 
 @kernel
 def open_margin(c: Contacts, i: int) -> float:
-    """Return what is left until contact i, which is open, closes, m: beside its surface it does not."""
+    """Return what is left until contact i, which is open, closes, m; beside its surface until it comes back onto it."""
     if c.past_edge[i] != 0.0:
-        return math.inf
+        back = c.located[3 * i] >= -DEEPEST and c.inside[i] < math.inf
+        return float(ONTO - c.inside[i]) if back else math.inf
     if c.cleared[i] != 0.0:
         return float(c.located[3 * i] - c.floor[i] + CLOSED_GAP)
-    return float(c.located[3 * i] - max(c.floor[i] - SINKING, min(-SUNK, c.floor[i] - LITTLE)))
+    return float(c.located[3 * i] - max(c.floor[i] - SINKING, min(-SUNK, c.floor[i] - DEEPER)))
 
 
 @kernel
@@ -89,7 +97,8 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
         return PAINLEVE
     for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
-            mode = mode_after(c, i, NO_ACCELERATION * size, links.chattering != 0)
+            hardly = HARDLY if links.shapes != 0 else 1.0
+            mode = mode_after(c, i, NO_ACCELERATION * size, links.chattering != 0, hardly)
             if is_resistance(c, i):
                 mode = FREE if mode_of_resistance(c, i) == FREE else mode
             elif carries_nothing(links, c, i):
@@ -104,7 +113,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             if mode == FREE:  # it parts from where it is, be that inside by the error of a step
                 c.floor[i] = min(c.floor[i], c.located[3 * i])
             c.mode[i] = mode
-    return remove_motion(c, k)
+    return remove_motion(links, c, k)
 
 
 @kernel
@@ -178,7 +187,7 @@ def carries_nothing(links: ContactLinks, c: Contacts, i: int) -> bool:
 
 
 @kernel
-def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
+def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False, hardly: float = 1.0) -> int:
     """Return the mode that goes with force and acceleration of contact i, and write that of a slip that begins.
 
     At the edge of the cone there is hardly any acceleration: a contact that is found to stick there again and again
@@ -193,11 +202,13 @@ def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
     a1, a2 = c.problem.after[at + 1], c.problem.after[at + 2]
     size = math.hypot(a1, a2)
     if c.problem.form[i] in (CONE, DOUBLE):
+        rub = math.hypot(c.F[at + 1], c.F[at + 2])
         if size <= nothing and c.friction.shared[i] != 0.0:
             return PRESSED
-        if size <= nothing:
-            rub = math.hypot(c.F[at + 1], c.F[at + 2])
-            if not (tired and c.event.outside[i] != 0.0 and rub > 0.0):
+        if size <= nothing and not (tired and c.event.outside[i] != 0.0 and rub > 0.0):
+            return STUCK
+        if size <= hardly * nothing and rub > 0.0:  # what the solution is off may be all of it: friction says where to
+            if size > nothing and rub < INSIDE * c.mu[i] * abs(c.F[at]) and c.friction.shared[i] == 0.0:
                 return STUCK
             a1, a2, size = -c.F[at + 1], -c.F[at + 2], rub
         c.event.turned[i] = 1.0 if a1 * c.direction[i, 0] + a2 * c.direction[i, 1] < 0.0 else 0.0
@@ -232,7 +243,7 @@ def write_before(c: Contacts, k: int) -> None:
 
 
 @kernel
-def remove_motion(c: Contacts, k: int) -> int:
+def remove_motion(links: ContactLinks, c: Contacts, k: int) -> int:
     """Write in F the impulses after which contacts that stick or begin to slip are at rest, and others stay closed."""
     for i in range(k):
         if c.friction.pulls[i] == 0.0 and c.mode[i] == FREE:
@@ -241,7 +252,11 @@ def remove_motion(c: Contacts, k: int) -> int:
         c.friction.start_slip[i] = 0.0 if rests else math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
         c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
     write_before(c, k)
-    stopping_impulses(c, k)
-    write_after(c, k)
+    stopped = stop(links, c, k)
+    for i in range(k if links.shapes != 0 else 0):  # those that part are not pressed in
+        parts = c.problem.form[i] == OFF and c.near[i] != 0.0 and c.located[3 * i] <= TOUCHING and c.past_edge[i] == 0.0
+        stopped = stopped and not (parts and -LITTLE < c.problem.after[3 * i] < -RESTING <= c.before[3 * i])
+    for r in range(0 if stopped else 3 * k):
+        c.F[r], c.problem.after[r] = 0.0, c.before[r]
     c.event.energy_lost = c.event.energy_rested = -energy_gained(c, k)
     return OK

@@ -19,7 +19,7 @@ import math
 
 from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.closure.contact_force import IMMOBILE, PRESSED
+from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.closed import solve_closed
 from closedloop.mechanics.contacts.complementarity import (
@@ -32,6 +32,7 @@ from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
+from closedloop.mechanics.contacts.modes import HOVERING, PARTING
 from closedloop.mechanics.contacts.packed import pack, unpack
 from closedloop.mechanics.contacts.soft_friction import drop_contradictions, shared_friction, some_share
 
@@ -61,12 +62,13 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, points: bool = F
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
     that is turned round with the force would drive the slip. Nor is it turned where forces would multiply: near
-    Painlevé's paradox they turn the slip faster than the step resolves. If no directions are found at the beginning of
-    a step, it becomes shorter (`TimeStep.span`): the less time there is, the less the slips act on each other. So
-    it is where only `points` touch: those of shapes wander, and their rows depend on each other. `ends` says whether a
-    slip ends within the step, `begins` is whether the step begins here.
+    Painlevé's paradox they turn the slip faster than the step resolves. Where only `points` touch, a step at whose
+    beginning no directions are found becomes shorter (`TimeStep.span`): the less time there is, the less the slips act
+    on each other. Shapes wander, and their rows depend on each other; a contact of theirs that has just parted would
+    come back at once, again and again: friction is not turned until it has. `ends` says whether a slip ends within the
+    step, `begins` is whether the step begins here.
     """
-    c.problem.ends = 0.0
+    c.problem.ends = 0.0  # what the beginning of a step decides counts in all its stages, once `save_contacts` keeps it
     for i in range(k if begins else 0):
         c.friction.next_against[i] = 0.0
     # Without the friction that soft contacts share, which is found here, others may pull.
@@ -85,14 +87,19 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, points: bool = F
                 continue
         if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k) or force_size(c.rigid, 3 * k) > most:
             break
+        if begins and not points and presses_in(c, k):
+            break
         stalled += 1 if change >= last else 0
         if change <= SETTLED or stalled == STALLED or not some_slip_slowly(c, k, h):
             return int(OK)
         last = float(change)
     else:
         return int(OK)
+    c.problem.ends = c.problem.ends if points else 0.0
     for i in range(k):
         c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[3 * i], c.scratch.start[3 * i + 1]
+        if begins and not points:
+            c.friction.next_against[i] = 1.0
     return int(solve_closed(c, k))
 
 
@@ -103,6 +110,21 @@ def some_pull(c: Contacts, k: int) -> bool:
     for i in range(k):
         least = min(least, c.F[3 * i] if c.problem.form[i] == RAY else 0.0)
     return bool(least < 0.0)
+
+
+@kernel
+def presses_in(c: Contacts, k: int) -> bool:
+    """Whether the forces press a contact in that has just parted, and hardly moves."""
+    presses = False
+    for i in range(k):
+        n = 3 * i
+        parted = c.mode[i] == FREE and c.near[i] != 0.0 and c.past_edge[i] == 0.0 and c.located[n] <= HOVERING
+        if parted and c.soft[i] == 0.0 and c.friction.pulls[i] == 0.0 and abs(c.u[n]) <= PARTING:
+            growth = c.a[n]
+            for j in range(3 * k):
+                growth += c.W[n, j] * c.F[j]
+            presses = presses or growth < 0.0
+    return bool(presses)
 
 
 @kernel

@@ -279,8 +279,10 @@ def test_elastic_friction_is_the_limit_of_short_steps():
     truth = cl.simulate(point(**changes))
     steps = [cl.simulate(point(**changes | {"time.integrator": "rk4", "time.step": h})) for h in (1e-3, 5e-4)]
     errors = [np.max(np.abs(run.q[:: round(0.01 / h)] - truth.q)) for run, h in zip(steps, (1e-3, 5e-4), strict=True)]
-    assert errors[1] < 1e-7
-    assert errors[0] > 8 * errors[1]
+    # A step that takes the decay of bristles exactly has a larger constant where that is slow: 6.3e-7 m, and 4.1e-8
+    # with half of that step.
+    assert errors[1] < 1e-6
+    assert errors[0] > 12 * errors[1]
 
 
 STRAIGHT = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold", "time.duration": 0.5}

@@ -60,6 +60,11 @@ class Bristle(SurfaceFriction, JointFriction):
             dz.bend[k] = (x.u[k] - x.speed * z.bend[k]) / par.reach
 
     @staticmethod
+    def decay(x, par, z, stuck, rate):
+        for k in range(x.u.size):
+            rate.bend[k] = x.speed / par.reach
+
+    @staticmethod
     def advance(x, par, z, stuck, h):
         left = math.exp(-x.speed * h / par.reach)
         for k in range(x.u.size):

@@ -17,7 +17,7 @@ from closedloop.mechanics.friction.packing import surface_parameters
 from closedloop.mechanics.friction.presliding import bristle
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.contact_names import patches_of
-from closedloop.scenario.gains import REDUNDANT, closed_mobility
+from closedloop.scenario.gains import closed_mobility, held_at
 from robot_models.loop_joint import WORLD
 
 
@@ -53,9 +53,7 @@ def motion_of_contacts(
     rows = {k: _rows(section, robot, pressed.q) for k, section in enumerate(sections) if pressed.load[k] > 0.0}
     held = [rows[k][:1] for k in rows if sections[k].compliance is None and sections[k].surface is None]
     if held:
-        N = np.vstack(held)
-        holds = np.linalg.pinv(N @ mobility @ N.T, rcond=REDUNDANT, hermitian=True)
-        mobility = mobility - mobility @ N.T @ holds @ N @ mobility
+        mobility = held_at(np.vstack(held), mobility)
     K, D, most, key = np.zeros((n, n)), np.zeros((n, n)), 0.0, ""
     for k, along in rows.items():
         law = sections[k].friction_law
@@ -68,8 +66,9 @@ def motion_of_contacts(
         rates = {"stiffness": (stiffness * fast) ** 0.5, "damping": damping * fast}
         which = max(rates, key=lambda name: rates[name])
         if rates[which] > most:
+            most = rates[which]
             which = "viscous" if which == "damping" and not hasattr(law, "damping") else which
-            most, key = rates[which if which in rates else "damping"], f"contact.{names[k]}.friction_law.{which}"
+            key = f"contact.{names[k]}.friction_law.{which}"
     return (key, mobility @ K, mobility @ D) if most > 0.0 else None
 
 

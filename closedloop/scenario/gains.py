@@ -263,6 +263,11 @@ def closed_mobility(robot: Robot, q: Array, mobility: NDArray[Any]) -> Array:
     if not robot.model.loops:
         return mobility
     G = loop_rows(robot, q[None], np.zeros((1, robot.n)))[0][0]
+    return held_at(G, mobility)
+
+
+def held_at(G: Array, mobility: Array) -> Array:
+    """Return what is left of a mobility (n, n) where G q̈ = 0, of rows (m, n) that may depend on each other."""
     return mobility - mobility @ G.T @ np.linalg.pinv(G @ mobility @ G.T, rcond=REDUNDANT) @ G @ mobility
 
 

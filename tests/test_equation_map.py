@@ -8,6 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 ROW = re.compile(r"^\| (\d+)(?:-(\d+))? \|(.*)\|$", re.MULTILINE)
 ROWS = ROW.findall((ROOT / "docs" / "equations.md").read_text(encoding="utf-8"))
+PAPER = (ROOT / "closedloop" / "paper.py").read_text(encoding="utf-8").splitlines()
 NAMES = [name for *_, rest in ROWS for name in re.findall(r"`([^`]+)`", rest)]
 
 
@@ -43,3 +44,21 @@ def test_every_test_in_the_map_exists():
         file, function = name.split("::")
         tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
         assert function in {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}, name
+
+
+def test_lines_of_the_paper():
+    """The lines of `paper.py` that a row names name its equations, and every line that names one is in the map."""
+    tagged = {
+        (int(number), at)
+        for at, line in enumerate(PAPER, start=1)
+        if at > PAPER.index("class Arm:")
+        for tag in re.findall(r"Eqs?\. ([\d, ]+)", line)
+        for number in re.findall(r"\d+", tag)
+    }
+    mapped = set()
+    for first, last, rest in ROWS:
+        lines = [int(at) for at in re.findall(r"\d+", rest.split("|")[1])]
+        numbers = range(int(first), int(last or first) + 1)
+        assert all(any((number, at) in tagged for number in numbers) for at in lines), first
+        mapped |= {(number, at) for number in numbers for at in lines}
+    assert tagged <= mapped

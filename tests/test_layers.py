@@ -11,8 +11,8 @@ from closedloop.record.run import DRAWN_BY
 
 ROOT = Path(__file__).resolve().parent.parent
 WINGS = (
-    "base", "jit", "mechanics", "control", "scenario", "loop", "record", "simulation", "figures", "studies", "lab",
-    "gym", "command", "run", "__main__", "__init__",
+    "paper", "base", "jit", "mechanics", "control", "scenario", "loop", "record", "simulation", "figures", "studies",
+    "lab", "gym", "command", "run", "__main__", "__init__",
 )  # fmt: skip
 # Modules that import by name what users named, and their own files.
 NEVER_UPWARDS = {"closedloop.base.families.family", "closedloop.scenario.user_module"}
@@ -103,8 +103,8 @@ def test_the_map_names_every_room():
     """CONTRIBUTING's table has each wing, in the order of the imports, with all packages in it and what each is for."""
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE)
-    assert [name for name, _ in rows] == [name for name in WINGS if (ROOT / "closedloop" / name).is_dir()]
-    for name, said in rows:
+    assert [name for name, _ in rows] == ["paper", *(name for name in WINGS if (ROOT / "closedloop" / name).is_dir())]
+    for name, said in rows[1:]:
         rooms = {file.parent.name for file in (ROOT / "closedloop" / name).glob("*/__init__.py")}
         assert not rooms - set(re.findall(r"`(\w+)`", said)), name
 
@@ -118,6 +118,12 @@ def test_no_import_runs_upwards():
         if WINGS.index(wing(other)) > WINGS.index(wing(name))
     }
     assert not upwards
+
+
+def test_the_paper_stands_alone():
+    """The paper's simulation in one file imports nothing of the package, and nothing of it is imported."""
+    assert not import_graph()["closedloop.paper"]
+    assert not [name for name, others in import_graph().items() if "closedloop.paper" in others]
 
 
 def test_no_files_import_each_other():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from argparse import Namespace
+from argparse import BooleanOptionalAction, Namespace
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -81,7 +81,7 @@ def _run_into(results: Results, job: Job, options: Namespace) -> int:
         warn_of_no_surface(job.scenario)
     with without_stabiliser(job, not options.no_figures) as unstabilised:
         run, failure = simulated(job, progress=not options.json)
-        if options.halve:
+        if options.halve or (options.halve is None and not failure):
             run, failure = halved(job, run, failure, progress=not options.json)
         if options.law:
             run = replace(run, law=options.law)
@@ -100,7 +100,7 @@ def _run_into(results: Results, job: Job, options: Namespace) -> int:
     else:
         from closedloop.record.report import print_report
 
-        print_report(run)
+        print_report(run, comparison=bool(options.halve))
         beside = results.not_first and printable(f"; {results.not_first}")
         wrote = what_was_written(*paths, folder=job.folder) + beside
         print(f"{max(0, len(run) - 1)} steps in {run.wall_seconds:.2g} s; {wrote}")
@@ -238,7 +238,11 @@ def _parser() -> Parser:
     add("--overwrite", action="store_true", help="replace results of another run in that folder")
     add("--no-figures", action="store_true", help="write run.nc and summary.json only")
     add("--json", action="store_true", help="print the summary as JSON instead of tables")
-    add("--halve", action="store_true", help="also run it at half the step, and compare")
+    add(
+        "--halve",
+        action=BooleanOptionalAction,
+        help="print the whole comparison with the run at half the step; or no such run",
+    )
     add("--strict", action="store_true", help="exit with status 4 or 5 if a verdict is bad")
     engines = ("pinocchio", "compiled")
     add("--engine", choices=engines, metavar="ENGINE", help="source of H, C, r, J: pinocchio (default), compiled")

@@ -36,7 +36,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a suite that a sh
 # others follow by their numbers of tests, as xdist would have them. `test_gradient` compiles the loop of dual numbers,
 # which others need later; two processes that need it at the same time would both compile it.
 LONGEST = (
-    "test_gradient", "test_lab_browser", "test_pages", "test_environments", "test_step_error", "test_notebooks",
+    "test_gradient", "test_lab_browser", "test_pages", "test_environments", "test_notebooks",
     "test_lab_shared",
     "test_sweep_killed", "test_untouched_contact", "test_simulator", "test_scenarios", "test_gradients",
     "test_compiled_engine", "test_contacts", "test_bodies_known", "test_integrator_choice", "test_sweep_signals",

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 from closedloop.command.table import COMMANDS
-from closedloop.record.run import DRAWN_BY
+from closedloop.record.run import ABOVE
 
 ROOT = Path(__file__).resolve().parent.parent
 WINGS = (
@@ -140,16 +140,16 @@ def test_a_cycle_is_found():
 
 
 def test_what_is_imported_by_name_is_named_in_one_place():
-    """Below the commands only a run's drawings, which are above it, are imported by a name that is not in an import."""
+    """Below the commands only what a run calls above itself is imported by a name that is not in an import."""
     by_name = {
         name
         for name, file in modules("closedloop").items()
         if "import_module" in file.read_text(encoding="utf-8") and WINGS.index(wing(name)) < WINGS.index("command")
     }
     assert by_name == {"closedloop.record.run", *NEVER_UPWARDS}
-    for drawn_by in DRAWN_BY.values():
-        module, _, function = drawn_by.partition(":")
-        assert wing(module) in ("figures", "lab")
+    for above in ABOVE.values():
+        module, _, function = above.partition(":")
+        assert wing(module) in ("simulation", "figures", "lab")
         assert callable(getattr(import_module(module), function))
 
 

@@ -62,10 +62,19 @@ def simulated(job: Job, progress: bool) -> tuple[Run, SimulationError | None]:
 
 
 def halved(job: Job, run: Run, failure: SimulationError | None, progress: bool) -> tuple[Run, SimulationError | None]:
-    """Return the run with its comparison with one at half the step, unless it was interrupted, and its failure."""
+    """Return the run with its comparison with one at half the step, and its failure.
+
+    There is none if it was interrupted, or if it cannot be run at half the step.
+    """
+    from closedloop.simulation.halve import beside_half, half_step
+    from closedloop.simulation.time_step import steps_and_hold
+
+    try:
+        steps_and_hold(half_step(run.scenario), 1)
+    except ScenarioError:
+        return run, failure
     if isinstance(failure, InterruptedRunError):
         return run, failure
-    from closedloop.simulation.halve import beside_half
 
     try:
         with redirect_stdout(sys.stderr):

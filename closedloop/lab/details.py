@@ -21,6 +21,7 @@ from closedloop.lab.protocol import Lab
 from closedloop.lab.strip import margin_tiles, tiles, values
 from closedloop.record.run import Run
 from closedloop.simulation.cache import Cache
+from closedloop.simulation.halve import beside_half
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.linearise import instant_of, loop_at
 from closedloop.studies.analysis.overview import Overview, overview
@@ -149,9 +150,18 @@ class Details:
         if answer is lab.answer:
             if self._began is not None and self._began[2] is None and not answer.changes:
                 self._began = (*self._began[:2], self._margins)
+            run = self._halved(run)
             self._send_strip(run, run.summary())
             if lab.clients and not lab.front:
                 lab.map.begin_by_itself(answer)
+
+    def _halved(self, run: Run) -> Run:
+        """Return the run with its comparison with one at half the step, as it is where that cannot be simulated."""
+        self._lab.wait_for_plots(GIVE_WAY)
+        try:
+            return beside_half(run, law=self._lab.answers.law, model=run.model)
+        except ClosedLoopError:
+            return run
 
 
 def analysis_message(found: Overview) -> Message:

@@ -31,7 +31,7 @@ NUMBERS: dict[str, tuple[str, str, str, bool, float]] = {
     "torque": ("torque_share", "%", "largest torque as a share of that joint's own limit", True, 100.0),
     "energy error": ("max_energy_residual", "J", "largest energy unaccounted for", True, 1.0),
     "friction loss": ("energy_lost_to_friction", "J", "energy lost to friction, of the tip and the joints", True, 1.0),
-    "step error": ("step_error_force", "N", "how far the step leaves the contact force uncertain", True, 1.0),
+    "step error": ("step_error", "N", "by how much f differs in a run at half the step", True, 1.0),
 }  # fmt: skip
 MARGINS: dict[str, tuple[str, str, str]] = {
     "gain margin": ("gain", "x", "the factor by which the loop's gain may rise until it is unstable"),
@@ -42,7 +42,7 @@ MARGINS: dict[str, tuple[str, str, str]] = {
 
 def values(run: Run, summary: Mapping[str, Any]) -> dict[str, float | None]:
     """Return the numbers of the strip: of the summary, and the largest error of f and share of a torque's limit."""
-    found = {key: summary.get(key) for key, *_ in NUMBERS.values()}
+    found = {key: summary.get(key) for key, *_ in NUMBERS.values()} | {"step_error": summary["step_error"]["force"]}
     touching = run.mode != FREE
     off = np.abs(run.contact_force - run.reference_force)[touching]
     found["peak_force_error"] = float(np.max(off)) if off.size and run.scenario.has_surface else None

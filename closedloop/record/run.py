@@ -47,11 +47,12 @@ def units_by_kind(units: str, kind: str) -> str:
 
 
 # What draws a run: MODULE:FUNCTION, found when it is asked for, as drawing is above the record (tests/test_layers.py).
-DRAWN_BY = {
+ABOVE = {
     "plot": "closedloop.figures.overview:plot",
     "html": "closedloop.figures.html:html",
     "show": "closedloop.lab.share:show_run",
     "animate": "closedloop.lab.animate:animate",
+    "step_error": "closedloop.simulation.halve:step_error_of",
 }
 
 
@@ -249,10 +250,10 @@ class Run:
         ValueError
             If the run has no row.
         """
-        return _drawn(self, "plot")
+        return _by_name(self, "plot")
 
     def _repr_html_(self) -> str:
-        return str(_drawn(self, "html"))
+        return str(_by_name(self, "html"))
 
     @arguments_checked()
     def save(self, path: str | Path) -> Path:
@@ -275,7 +276,22 @@ class Run:
         OutputError
             If the file cannot be written.
         """
-        return _drawn(self, "show", path)
+        return _by_name(self, "show", path)
+
+    def step_error(self, law: Any = None) -> dict[str, float | None]:
+        """Return by how much the same run at half the step differs: ``force``, N, and ``position`` of the tip, m.
+
+        Rows beside a change of contact do not count (`closedloop.record.report.halved`); what is not known is None. The
+        run is simulated again, unless it has the comparison. `law` is the callable of a run that was made with one.
+
+        Raises
+        ------
+        ScenarioError
+            If the integrator chooses its steps, or the law is missing.
+        SimulationError
+            If the run at half the step stops before its first row.
+        """
+        return _by_name(self, "step_error", law)
 
     @arguments_checked()
     def animate(self, path: str | Path, *, speed: float = 1.0, frames_per_second: int = 25) -> Path:
@@ -290,10 +306,10 @@ class Run:
         OutputError
             If the file cannot be written, or there is no ffmpeg for a .mp4.
         """
-        return _drawn(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
+        return _by_name(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
 
 
-def _drawn(run: Run, how: str, *arguments: Any, **options: Any) -> Any:
-    """Return what draws a run, see `DRAWN_BY`, of it."""
-    module, _, function = DRAWN_BY[how].partition(":")
+def _by_name(run: Run, how: str, *arguments: Any, **options: Any) -> Any:
+    """Return what a function above the record, see `ABOVE`, returns of a run."""
+    module, _, function = ABOVE[how].partition(":")
     return getattr(import_module(module), function)(run, *arguments, **options)

@@ -20,7 +20,6 @@ from closedloop.simulation.prepare import prepare
 SUMMED = {
     "max_energy_residual", "energy_exchanged", "energy_lost_to_friction", "energy_lost_in_impacts", "rms_force_error",
     "rms_path_error", "max_tip_speed", "max_friction_force", "time_in_contact", "force_chatter", "torque_chatter",
-    "step_error_force", "step_error_position", "step_error_extremes",
 }  # fmt: skip
 SHORT = {"time.duration": 0.65}
 

@@ -80,9 +80,6 @@ def test_soft_tip_beside_a_rigid_contact():
     assert np.any((one.link_modes[:, 0] > 0) & (one.mode > 0)), "they never touch together"
     np.testing.assert_allclose(two.q, one.q, atol=1e-9)
     np.testing.assert_allclose(two.link_forces[:, 1], one.contact_force, atol=1e-5)
-    # Its rows are too far apart for the peak of f: 174 N, and 188 N at half the step. That is stated, or not known.
-    extremes = one.summary()["step_error_extremes"]
-    assert extremes is None or extremes > 14.0
 
 
 def test_start_inside_a_soft_surface(both):

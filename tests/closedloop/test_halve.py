@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.record.report.halved import MOVES, _away_from_changes, checked_comparison
-from closedloop.record.report.verdict import MEASURED_SHARE
+from closedloop.record.report.halved import MOVES, NOT_HALVED, _away_from_changes, checked_comparison
+from closedloop.record.report.verdict import STEP_SHARE
 
 SHORT = {"time.duration": 0.04, "reference.start": 0.0, "reference.stop": 0.2, "law.pd_start": 0.0}
 
 
 @pytest.fixture(scope="module")
 def halved():
-    """Return a slide with rk4, whose error is not estimated, and its comparison; and the run at half the step."""
+    """Return a slide with rk4 and its comparison, and the run at half the step."""
     changes = SHORT | {"time.integrator": "rk4"}
     run = cl.halve(cl.load_scenario("planar2_slide", changes))
     return run, cl.simulate(cl.load_scenario("planar2_slide", changes | {"time.step": 0.5 * run.scenario.time.step}))
@@ -39,21 +39,51 @@ def test_the_comparison_is_that_of_two_runs(halved):
         assert (each["value"], each["at_half"]) == (run.summary()[name], theirs[name])
         if None not in (each["value"], each["at_half"]):
             assert each["difference"] == abs(each["value"] - each["at_half"])
-    stated = run.summary()["step_error"]
-    assert stated == {
-        "contact_force": off.max(), "position": found["columns"]["position"]["max"], "measured": True, "why_not": None,
-        "extremes": max(off.max(), *(found["values"][name]["difference"] for name in (
-            "final_contact_force", "peak_contact_force", "min_contact_force"))),
-    }  # fmt: skip
+    measured = {"force": off.max(), "position": found["columns"]["position"]["max"]}
+    assert run.summary()["step_error"] == {**measured, "why_not": None}
+    assert run.step_error() == measured
     assert theirs["halved"] is None
-    assert theirs["step_error"]["contact_force"] > 0.0
-    assert not theirs["step_error"]["measured"]
+    assert theirs["step_error"] == {"force": None, "position": None, "why_not": NOT_HALVED}
+
+
+def test_a_run_measures_its_own_error_in_either_engine():
+    """To rounding the same as by `halve`, whichever engine runs the second; a law of one's own is needed again."""
+    run, engines = cl.simulate(cl.load_scenario("planar2_slide", SHORT)), ("compiled", "pinocchio")
+    assert run.halved is None
+    found = [run.step_error(), *(cl.halve(run.scenario, engine=engine).step_error() for engine in engines)]
+    assert all(each == pytest.approx(found[0], rel=1e-6) for each in found)
+    assert found[0]["force"] > 1e-3
+
+    def law(x):
+        return x.C - 5.0 * x.A[0] - 1.0 * x.v
+
+    own = cl.simulate(run.scenario, law=law)
+    assert own.step_error(law=law)["force"] >= 0.0
+    with pytest.raises(cl.ScenarioError, match="pass it, as run"):
+        own.step_error()
+    adaptive = cl.simulate(cl.load_scenario("planar2_slide", SHORT | {"time.integrator": "dop853"}))
+    assert "time.tolerance" in adaptive.summary()["step_error"]["why_not"]
+    with pytest.raises(cl.ScenarioError, match="chooses its steps"):
+        adaptive.step_error()
+
+
+@pytest.mark.parametrize("name", ["planar2_slide", "soft_table", "joint_friction"])
+def test_the_error_stated_is_that_of_order_one(name):
+    """The true error, of a run at a sixteenth of the step, is between one and three times the difference at half.
+
+    Of a scheme of order p it is 2ᵖ/(2ᵖ − 1) times that in the limit of short steps: twice for order one, once for more.
+    """
+    scenario = cl.load_scenario(name, {"time.duration": 0.8})
+    run = cl.halve(scenario)
+    fine = cl.simulate(cl.load_scenario(name, {"time.duration": 0.8, "time.step": scenario.time.step / 16}))
+    true = np.max(np.linalg.norm(run.position - fine.position[::16], axis=1))
+    assert 1.0 < true / run.step_error()["position"] < 3.0
 
 
 def test_the_verdict_is_judged_by_what_was_measured(halved):
     """Just beyond the bound it is BAD, just within good; and BAD where the other run could not go on."""
     run, _ = halved
-    bound = MEASURED_SHARE * run.summary()["largest_reference_force"]
+    bound = STEP_SHARE * run.summary()["largest_reference_force"]
     for changed, bad in (
         ({"force": 0.99 * bound}, False),
         ({"force": 1.01 * bound}, True),
@@ -99,14 +129,23 @@ def test_rows_beside_a_change_of_mode_do_not_count_and_long_differences_do():
 
 
 def test_the_command_runs_it_twice_and_says_what_differs(command_line):
-    """One block of the report, `halved` in summary.json; and dop853 is refused before anything is run."""
+    """Its error of the step, and with --halve a block of the report; dop853 is then refused before anything is run."""
     keys = [word for key, value in SHORT.items() for word in (f"--{key}", value)]
     said = command_line("planar2_slide", *keys, "--no-figures", "--halve")
     assert said.status == 0
     assert said.out.count("at half the step, 0.0005 s, by how much it differs") == 1
-    assert "measured" in said.out
     with open("out/planar2_slide/summary.json", encoding="utf-8") as file:
-        assert json.load(file)["halved"]["step"] == 0.0005
-    refusal = command_line("planar2_slide", "--time.integrator", "dop853", "--halve", "--out", "no").refusal()
+        summary = json.load(file)
+    assert summary["halved"]["step"] == 0.0005
+    shown = f"{summary['step_error']['force']:.2g}"
+    for flag, measured in (("--halve", True), (None, True), ("--no-halve", False)):
+        said = command_line("planar2_slide", *keys, "--no-figures", "--overwrite", *([flag] if flag else []))
+        (line,) = (line for line in said.out.splitlines() if "f differs by" in line or "error of the step" in line)
+        assert (shown in line) == measured
+        assert ("not known" in line) != measured
+        assert ("by how much it differs" in said.out) == (flag == "--halve")
+    own_steps = "planar2_slide", *keys, "--time.integrator", "dop853", "--no-figures", "--out", "own"
+    assert command_line(*own_steps).status == 0
+    refusal = command_line(*own_steps, "--halve").refusal()
     assert "--halve: time.integrator = 'dop853'" in refusal
     assert "time.tolerance" in refusal

@@ -31,9 +31,6 @@ from closedloop.record.report.row_assumptions import (
 )
 from closedloop.record.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.step_columns import resolution_of
-from closedloop.record.report.step_error import beside_of, write_beside
-from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
 RUNS = {
@@ -53,21 +50,16 @@ RUNS = {
 
 def row_by_row(run):
     """The values by the kernels of a batch, interpreted, on rows taken from the run's columns."""
-    n, (held, order, sampled) = run.model.n, resolution_of(run.scenario)
+    n = run.model.n
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
-    interpreted(begin_tally)(tally, n, run.scenario.time.step, np.max(np.abs(run.reference_force)), order)
+    interpreted(begin_tally)(tally, run.scenario.time.step, np.max(np.abs(run.reference_force)))
     limits = JointLimits(joint_limits(run.model), n)
     for i in range(len(run)):
         row, wanted = columns_of(run, i), columns_of(run, i)
         wanted.position, wanted.force = run.reference_tip[i], run.reference_force[i]
         interpreted(count_row)(row, n, run.potential_energy[i], wanted, limits, i, tally)
         interpreted(count_condition)(row, tally)
-        interpreted(count_swings)(row, wanted, i, held, order, sampled, Swings(tally.swings, n))
-    interpreted(end_stretch)(held, order, Swings(tally.swings, n))
     interpreted(write_values)(row, n, len(run), tally, values)
-    events = run.event_kind, run.event_time, run.event_rate_before, run.event_contact
-    beside = beside_of(run.scenario, events, run.mode[-1], run.v, (run.contact_force, run.reference_force))
-    write_beside(run.scenario, Swings(tally.swings, n), values, beside)
     return values
 
 
@@ -136,43 +128,6 @@ def alternating(x):
     return sum(min(abs(a), abs(b)) / 4.0 for a, b in itertools.pairwise(turns) if a * b < 0.0)
 
 
-def cut_differences(x):
-    """Return the differences of a signal; of one larger than both beside it, the nearer of these; none are outside."""
-    steps = [0.0, *np.diff(x), 0.0]
-    near = [steps[k - 1 : k + 2] for k in range(1, len(steps) - 1)]
-    return np.array([sorted(d)[1] if abs(d[1]) > max(abs(d[0]), abs(d[2])) else d[1] for d in near])
-
-
-def step_error_of(x, mode, order):
-    """Return what a signal's steps add to its error in each mode, its largest difference, and the most cut of one.
-
-    Isolated differences are cut, and half of what they change by counts: with order one all of it,
-    else 0.45 of it, less by the power order - 1 of how smooth these changes are.
-    """
-    total, begin, steepest, jump = 0.0, 0, 0.0, 0.0
-    for i in range(1, len(x) + 1):
-        if i < len(x) and mode[i] == mode[begin]:
-            continue
-        part, begin = x[begin:i].tolist(), i
-        cut = cut_differences(part)
-        ending = (5.0 * abs(cut[-1]) + abs(part[-1] - part[-2])) / 6.0 if cut.size else 0.0
-        steepest = max(steepest, *map(abs, cut), ending) if cut.size else steepest
-        jump = max(jump, *(np.abs(np.diff(part)) - np.abs(cut)), 0.0) if cut.size else jump
-        if len(part) < 4:
-            total += 0.5 * (max(part) - min(part))
-            continue
-        whole = cut == np.diff(part)
-        counts = whole[1:] & whole[:-1] if order == 1 else np.ones(cut.size - 1)  # a jump at a row is exact
-        turns = [0.0, *(np.diff(cut) * counts), 0.0]
-        for k in range(1, len(turns) - 1):
-            near = turns[k - 1 : k + 2]
-            if near[1] == 0.0:
-                continue
-            rough = max(abs(near[1] - near[0]), abs(near[2] - near[1])) / max(map(abs, near))
-            total += 0.5 * abs(near[1]) * (1.0 if order == 1 else 0.45 * min(1.0, rough) ** (order - 1))
-    return min(total, max(x) - min(x)), steepest, jump
-
-
 def trapezoids(x):
     """Return the integral over time."""
     return H * np.sum(x[1:] + x[:-1]) / 2.0
@@ -183,7 +138,7 @@ def first_of(bad):
     return H * np.argmax(bad) if np.any(bad) else np.nan
 
 
-def written_out(row, wanted, limits, V, order, sampled):
+def written_out(row, wanted, limits, V):
     """Return the values of such rows by their definitions, with numpy."""
     r, count = SimpleNamespace(**row), len(V)
     f, e, touching, least = r.contact_force, r.closure_error, r.mode != FREE, r.normal_mobility
@@ -209,23 +164,6 @@ def written_out(row, wanted, limits, V, order, sampled):
         NEAR_SINGULAR) | ~touching,
     }  # fmt: skip
     failed = ~met["nonsingular"]
-    fastest, first = np.max(np.abs(r.v)), order == 1
-    varied, steepest, jump = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
-    moved = steepest if first or np.any(np.diff(r.mode)) else min(jump, steepest)
-    between = max(0.5 * (steepest + max(np.abs(cut_differences(wanted.force)[:-1]))) - moved, 0.0)
-    lands = [i for i in range(1, count) if touching[i] and not touching[i - 1]]
-    if first:
-        moved += max((abs(wanted.force[i] - wanted.force[i - 1]) for i in lands), default=0.0)
-    if sampled:
-        kicks = sum(np.abs(cut_differences(x)) for x in r.torque.T)
-        moved += max((abs(miss[i]) for i in lands), default=0.0) + 2.0 * max(kicks[:-1][touching[2:]], default=0.0)
-    of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-6 * np.max(np.abs(f))
-    of_pose += 0.0 if touching[0] and abs(e[0]) > 1e-9 else np.max(np.abs(r.stabiliser_force))
-    changes = [i for i in range(1, count) if r.mode[i] != r.mode[i - 1]]
-    changed = max((abs(f[i] * touching[i] - f[i - 1] * touching[i - 1]) for i in changes), default=0.0)
-    hidden = failed.any() or any(touching[i] and touching[i - 1] for i in changes)
-    aside = [step_error_of(x, r.mode, order)[0] for x in (r.position - wanted.position).T]
-    late = (1.0 if first else 0.5) * H * np.max(np.linalg.norm(r.velocity, axis=1))
     lower, upper, fast, strong = limits
     excess = np.maximum(r.q - upper, lower - r.q)
     return {
@@ -257,9 +195,6 @@ def written_out(row, wanted, limits, V, order, sampled):
         "rms_path_error": np.sqrt(np.mean(np.sum(off**2, axis=1))),
         "start_closure_error": e[0] if touching[0] else 0.0,
         "largest_reference_force": np.max(np.abs(wanted.force)),
-        "step_error_force": np.nan if failed.any() else varied + moved + of_pose,
-        "step_error_extremes": np.nan if hidden else varied + moved + of_pose + changed + between,
-        "step_error_position": np.linalg.norm(aside) + late + 1e-9,
         "force_chatter": alternating(f) / np.sum(np.abs(f)) if np.any(f) else 0.0,
         "failed_at": [first_of(~met[name]) for name in NAMES],
         "position_excess": np.maximum(np.max(excess, axis=0), 0.0),
@@ -276,24 +211,21 @@ def written_out(row, wanted, limits, V, order, sampled):
     }
 
 
-@pytest.mark.parametrize(("order", "sampled"), [(1, 0), (1, 1), (4, 0)])
 @pytest.mark.parametrize("case", MADE_UP)
-def test_values_are_what_they_are_called(case, order, sampled):
+def test_values_are_what_they_are_called(case):
     """Every value of rows made up by a generator, and of such in which each assumption holds, by its definition."""
     row, wanted, limits, V = made_up(case)
     n, count = 3, len(V)
     tally, values = Tally(np.full(Tally.count(n), 7.0), n), Values(np.full(Values.count(n), 7.0), n)
-    interpreted(begin_tally)(tally, n, H, np.max(np.abs(wanted.force)), order)
+    interpreted(begin_tally)(tally, H, np.max(np.abs(wanted.force)))
     joint = JointLimits(limits.ravel().copy(), n)
     for i in range(count):
         now = SimpleNamespace(**{name: column[i] for name, column in row.items()})
         desired = SimpleNamespace(position=wanted.position[i], force=wanted.force[i])
         interpreted(count_row)(now, n, V[i], desired, joint, i, tally)
         interpreted(count_condition)(now, tally)
-        interpreted(count_swings)(now, desired, i, 1, order, sampled, Swings(tally.swings, n))
-    interpreted(end_stretch)(1, order, Swings(tally.swings, n))
     interpreted(write_values)(now, n, count, tally, values)
-    expected = written_out(row, wanted, limits, V, order, sampled)
+    expected = written_out(row, wanted, limits, V)
     assert set(Values.layout.at) == {*expected, "events"}
     for name, value in expected.items():
         assert getattr(values, name) == pytest.approx(value, rel=1e-11, abs=1e-14, nan_ok=True), name

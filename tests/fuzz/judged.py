@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import math
 import tempfile
 import traceback
 import warnings
@@ -24,9 +23,9 @@ import tomli_w
 from scenario_cases import Case
 
 from closedloop.base.errors import ClosedLoopError, SimulationError, one_line
-from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.load import load_run
+from closedloop.record.report.verdict import names_of
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario, parse_scenario, scenario_of
 from closedloop.scenario.scenario import Scenario
@@ -38,12 +37,8 @@ LONGEST_LINE = 1000  # characters: more is not read
 FASTEST = 1e4  # rad/s, m/s: what moves faster without having been asked to is nonsense, and must not be called good
 FAST = {"start.v", "reference.speed", "surface_motion.velocity", "surface_motion.speed", "surface_motion.frequency"}
 REFUSED, RAN, STOPPED, FAULTY = "refused", "ran", "stopped", "FAULTY"
-# Of a run and the same at half its step: what is stated holds, is not known, or was not asked for.
-HELD, UNKNOWN, BAD, NO_STEP = "held", "not known", "not good", "chooses its steps"
-# Values of a summary that are the force's, N, and the tip's, m: they differ by no more than the stated error of either.
-OF_FORCE = ("rms_force_error",)
-EXTREMES = ("final_contact_force", "peak_contact_force", "min_contact_force")
-OF_TIP = ("rms_path_error",)
+# Of a run and the same at half its step.
+HELD, BAD, NO_STEP = "held", "not good", "chooses its steps"
 BY_STATUS = {0: RAN, 2: REFUSED, 3: STOPPED}
 ONE_IN = 20  # goes through the command line
 
@@ -94,10 +89,7 @@ def directly(case: Case, file: Path) -> tuple[str, str]:
 
 
 def judge_halved(case: Case) -> tuple[str, str]:
-    """Return `HELD` where a good run differs from the same at half the step by no more than it states, and why not.
-
-    Beside `HELD` stands the largest difference, as a share of what is stated for it.
-    """
+    """Return `HELD` where a run and the same at half the step are good together, and by how much f differs, N."""
     try:
         scenario = scenario_of(case.content, "fuzz", {})
         if scenario.time.integrator in ADAPTIVE:
@@ -107,42 +99,16 @@ def judge_halved(case: Case) -> tuple[str, str]:
         return STOPPED, one_line(str(error))
     except ClosedLoopError as error:
         return REFUSED, one_line(str(error))
-    summary = run.summary()
-    if not summary["verdict"]["good"]:
-        return BAD, ", ".join(dict.fromkeys(problem["name"] for problem in summary["verdict"]["problems"]))
-    try:
-        found = beside_half(run).halved
-    except ClosedLoopError as error:  # a delay that is no whole number of half steps, or unstable there: none is
-        return FAULTY, f"refused at half the step: {error}"
-    if found["stopped"]:
-        return FAULTY, f"stops at half the step: {found['stopped']}"
-    beyond, missing, most = [], [], 0.0
-    miss = np.max(np.abs(run.contact_force - run.reference_force)[run.mode != FREE], initial=0.0)
-    miss = max(miss, summary["step_error"]["extremes"] or 0.0)  # a row may fall beside a change of contact, or not
-    aside = np.max(np.linalg.norm(run.position - run.reference_tip, axis=1))
-    for unit, name, names in (("N", "contact_force", OF_FORCE), ("N", "extremes", EXTREMES), ("m", "position", OF_TIP)):
-        stated = summary["step_error"][name]
-        if stated is None:
-            if summary["step_error"]["why_not"] is None and (name != "contact_force" or not scenario.has_surface):
-                continue  # the report says which, or there is no surface that has a force
-            missing.append(f"{name}: {summary['step_error']['why_not']}")
-            continue
-        column = {"contact_force": "force", "position": "position"}.get(name)
-        off = {"column": found[column]} if column else {}
-        off |= {each: found["values"][each]["difference"] for each in names}
-        for each, x in off.items():
-            if x is None:
-                continue  # of a robot without a tip
-            # A mean over rows differs besides by where its jumps are between them: by a row's worth.
-            worst = {"rms_force_error": miss, "rms_path_error": aside}.get(each, 0.0)
-            rows = np.count_nonzero(run.mode != FREE) if each == "rms_force_error" else len(run)
-            row = math.hypot(summary[each], worst / math.sqrt(rows)) - summary[each] if worst and rows else 0.0
-            most = max(most, x / (stated + row) if stated else 0.0)
-            if x > stated + row:
-                beyond.append(f"{each} by {x:.3g} {unit}, {stated:.3g} stated")
-    if beyond:
-        return FAULTY, f"differs at half the step: {'; '.join(beyond)}; {found['modes_differ']} modes differ"
-    return (UNKNOWN, missing[0]) if missing else (HELD, f"{most:.3g}")
+    problems = run.summary()["verdict"]["problems"]
+    if not problems:
+        try:
+            run = beside_half(run, engine="compiled")
+        except ClosedLoopError as error:  # a delay that is no whole number of half steps, or unstable there: none is
+            return FAULTY, f"refused at half the step: {error}"
+        problems = run.summary()["verdict"]["problems"]
+    if problems:
+        return BAD, names_of(problems)
+    return HELD, f"{run.halved['force'] or 0.0:.3g}"
 
 
 # Lines that may stand beside the one that says what became of the command.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from bounded import MOST_SECONDS, judged
 from combinations import combinations
-from judged import FAULTY, HELD, STOPPED, UNKNOWN, judge, judge_halved
+from judged import FAULTY, HELD, STOPPED, judge, judge_halved
 from scenario_cases import SEED, Case, all_cases, tables
 from shipped_cases import shipped_cases, shipped_tables
 
@@ -68,7 +68,7 @@ def main() -> None:
     how = (judge_halved, FAULTY, FIRST) if options.halved else (judge, FAULTY, FIRST)
     for case, outcome, words, spent in judged(cases, *how, most=SLOWEST if options.halved else MOST_SECONDS):
         counts[outcome] += 1
-        why = words if outcome == UNKNOWN else reason(words)
+        why = reason(words)
         reasons[f"{outcome}: {why}"] += options.halved is not None and outcome not in (FAULTY, HELD)
         shares += [float(words)] if outcome == HELD else []
         if outcome == FAULTY:

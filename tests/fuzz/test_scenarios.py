@@ -8,13 +8,13 @@ import pytest
 from bounded import judged
 from budget import budget
 from combinations import change, combinations
-from judged import FAULTY, HELD, RAN, REFUSED, STOPPED, judge, judge_halved, of_json, of_line, same
+from judged import BAD, FAULTY, HELD, RAN, REFUSED, STOPPED, judge, judge_halved, of_json, of_line, same
 from scenario_cases import Case, all_cases, legal_extremes, one_wrong_value, places, tables, wrong_values
 from scenarios import FIRST
 from shipped_cases import shipped_cases, shipped_tables
 
 from closedloop.base.errors import ScenarioError
-from closedloop.record.report import step_error, summary
+from closedloop.record.report import verdict
 from closedloop.scenario.file import shipped_scenarios
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.messages import variants
@@ -77,20 +77,12 @@ def test_combinations_are_of_values_that_are_valid_alone_and_the_same_for_the_sa
 
 
 @pytest.mark.slow
-def test_a_difference_beyond_what_is_stated_is_seen(monkeypatch):
-    """What is judged at half the step holds for a slide, and is faulty where a thousandth of it is stated."""
+def test_a_difference_beyond_the_bound_is_seen(monkeypatch):
+    """What is judged at half the step holds for a slide, and is not good with a bound near zero."""
     case = Case("slide", tables("planar2", {"law": "paper"}) | {"time": {"duration": 0.05, "step": 0.001}}, {})
     assert judge_halved(case)[0] == HELD
-    whole = step_error.step_error
-
-    def less(run, values):
-        found = whole(run, values)
-        return found | {name: 1e-3 * found[name] for name in ("contact_force", "position")}
-
-    monkeypatch.setattr(summary, "step_error", less)
-    outcome, words = judge_halved(case)
-    assert outcome == FAULTY
-    assert "stated" in words
+    monkeypatch.setattr(verdict, "STEP_SHARE", 1e-12)
+    assert judge_halved(case) == (BAD, "step")
 
 
 @pytest.mark.slow

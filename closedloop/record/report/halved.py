@@ -1,9 +1,9 @@
 """By how much a run differs from the same at half the step: every value of its summary, its main columns, its events.
 
 Rows are compared at the common instants, every second row of the other run. An event is compared with the one of its
-kind, and of its contact, that has the same number. The error of the step that a run states is then this difference of
-the contact force and of the tip's position, measured, for any scheme: apart from rows beside a change of the mode of
-contact, where the force jumps at an instant that moves with the step, and which the table of events has.
+kind, and of its contact, that has the same number. The error of the step that a run states is this difference of the
+contact force and of the tip's position, for any scheme: apart from rows beside a change of the mode of contact, where
+the force jumps at an instant that moves with the step, and which the table of events has.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from closedloop.base.errors import RunFileError
 from closedloop.base.plain import plain
 from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.columns.record import Record
 from closedloop.record.report.measures import MEASURES
 
@@ -28,10 +29,9 @@ MAIN_COLUMNS = (
     "q", "v", "torque", "position", "velocity", "contact_force", "friction_force", "joint_friction", "measured_force",
     "closure_error", "closure_rate", "kinetic_energy", "motor_position", "transmitted_torque", "link_forces",
 )  # fmt: skip
-# The errors of the step are what the comparison states.
-_STATED = ("step_error_force", "step_error_position", "step_error_extremes")
-# Values of f that may be those of a row beside a change of contact.
-_EXTREMES = ("final_contact_force", "peak_contact_force", "min_contact_force")
+# Why the error of the step is not known of a run that was not compared.
+NOT_HALVED = "it was not run again at half the step"
+OWN_STEPS = "the integrator chooses its steps: time.tolerance sets its error"
 # Rows before and after a change of mode that are beside it: a row is recorded before what happens in its step.
 BESIDE = (-1, 0, 1, 2)
 # A change of mode moves with the step by this many rows at most; where the modes differ for longer, so do the runs.
@@ -108,7 +108,6 @@ def _values(own: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, dict[
             "unit": measure.units,
         }
         for name, measure in MEASURES.items()
-        if name not in _STATED
     }
 
 
@@ -134,11 +133,16 @@ def _events(run: Record, other: Record) -> dict[str, dict[str, Any]]:
     return compared
 
 
-def measured_step_error(halved: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the values of the summary that state the error of the step, measured."""
-    off = [halved["force"], *(halved["values"][name]["difference"] for name in _EXTREMES)]
-    extremes = max((x for x in off if x is not None), default=None)
-    return dict(zip(_STATED, (halved["force"], halved["position"], extremes), strict=True))
+def step_error(run: Record) -> dict[str, Any]:
+    """Return the part ``step_error`` of the summary: by how much f, N, and the tip, m, differ at half the step.
+
+    ``force`` and ``position`` are None where they are not known; ``why_not`` says why, or is None.
+    """
+    if run.halved is None:
+        own = run.scenario.time.integrator in ADAPTIVE
+        return {"force": None, "position": None, "why_not": OWN_STEPS if own else NOT_HALVED}
+    found = {name: run.halved[name] for name in ("force", "position")}
+    return found | {"why_not": None if run.halved["rows"] else "no row could be compared"}
 
 
 def _largest(off: Array) -> float | None:

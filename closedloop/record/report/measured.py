@@ -34,7 +34,6 @@ from closedloop.record.report.row_sample import (
     Sums,
     sample_row,
 )
-from closedloop.record.report.step_variation import SIGNALS, Swing, Swings, begin_swings, count_swings, end_stretch
 
 # Numbers of a row that `write_control` writes.
 CONTROL = 10
@@ -44,23 +43,6 @@ EVENTS_AT = len(MEASURES)
 FAILED_AT = EVENTS_AT + len(KINDS)
 WIDTH = FAILED_AT + len(NAMES)
 _NONSINGULAR = NAMES.index("nonsingular")
-# In steady motion a run with a scheme of order one lags by half a step, and by a whole one where readings are as old;
-# one of a higher order by far less, but what only follows, as a closure or a surface that breathes, it still gets wrong
-# in that proportion: half of it is assumed. A tip whose pose is off by a radian presses with another force altogether,
-# and posture and weight both count: twice the force itself.
-LAG, HIGHER, POSE = 1.0, 0.5, 2.0
-# Nothing finer is stated than this share of the largest force, and than so many metres: rounding, what a stabiliser
-# answers to it, and what friction at rest passes from joint to joint are below.
-ROUNDED, ROUNDED_WAY = 1e-6, 1e-9
-# The highest f may lie between two rows: it is above both by half the steepest change from row to row at most.
-BETWEEN = 0.5
-# A torque that is held lets f drift until the next sample, where it returns by what the torque changes: as many newtons
-# as newton metres at an arm a metre long. At half a metre it is twice as many, which is assumed. The share is chosen,
-# not a bound: at a shorter arm it is more.
-HELD_SHARE = 2.0
-# The stabiliser's part of f is there because steps leave the surface, and is none at short steps; not so where the tip
-# starts farther off, m.
-CLOSED = 1e-9
 _VALUES: dict[str, Any] = {
     **dict.fromkeys(MEASURES, float),
     "events": Annotated[Array, len(KINDS)],
@@ -77,7 +59,6 @@ class Tally(Block, sizes=("n",)):
     """What the rows so far come to, of n joints."""
 
     h: float  # between two rows, s
-    order: float  # of the scheme
     condition: float  # the largest condition number
     start_error: float
     last_unsettled: float  # the last row of which the force was not yet near that desired; -1: none
@@ -91,12 +72,11 @@ class Tally(Block, sizes=("n",)):
     first: Annotated[Array, Flags.count(N)]
     signals: Annotated[Array, Signals.count(N), Signal.count()]
     sample: Annotated[Array, Sample.count(N)]
-    swings: Annotated[Array, Swings.count(N)]
 
 
 @entry_kernel
 def measure_rows(
-    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int, int, int, int], h: float,
+    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int], h: float,
     limits: Array, events: Array, out: Array, signals: Array,
 ) -> None:  # fmt: skip
     """Write the values of a run.
@@ -109,9 +89,9 @@ def measure_rows(
         From `closedloop.simulation.engines.compiled.compiled_work`, and (Tally.count(n),).
     rows : (N, width) array
         The record, N >= 1 of `closedloop.loop.step.record_row.Row`s, `h` seconds apart.
-    wanted : (P, >= 2 n + 10) array, int, int, int, int
-        The table of what is desired, see `closedloop.loop.step.reference_row`, how many of its rows there are to each
-        of the record's, and what `closedloop.record.report.step_columns.resolution_of` returns.
+    wanted : (P, >= 2 n + 10) array, int
+        The table of what is desired, see `closedloop.loop.step.reference_row`, and how many of its rows there are to
+        each of the record's.
     limits : (4 n,) array
         See `closedloop.record.report.row_sample.joint_limits`.
     events : (E, EVENT_WIDTH) array
@@ -126,17 +106,17 @@ def measure_rows(
 
 @kernel_inlined
 def measure(
-    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int, int, int, int], h: float,
+    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int], h: float,
     limits: Array, events: Array, out: Array, signals: Array,
 ) -> None:  # fmt: skip
     """Do as `measure_rows`."""
     n, count = tree.n, rows.shape[0]
-    (terms, memory), (table, nodes, held, order, sampled) = scratch, wanted
+    (terms, memory), (table, nodes) = scratch, wanted
     largest = 0.0
     for i in range(count):
         largest = max(largest, abs(Reference(table[i * nodes], n).force))
     tally, values, joint_limits = Tally(memory, n), Values(out, n), JointLimits(limits, n)
-    begin_tally(tally, n, h, largest, order)
+    begin_tally(tally, h, largest)
     sines = terms[n * n + n :]  # what the terms leave there, and more
     for i in range(count):
         row = Row(rows[i], n)
@@ -144,8 +124,6 @@ def measure(
         count_row(row, n, potential, Reference(table[i * nodes], n), joint_limits, i, tally)
         count_condition(row, tally)
         write_control(row, Reference(table[i * nodes], n), signals, i)
-        count_swings(row, Reference(table[i * nodes], n), i, held, order, sampled, Swings(tally.swings, n))
-    end_stretch(held, order, Swings(tally.swings, n))
     write_values(Row(rows[count - 1], n), n, count, tally, values)
     for i in range(events.shape[0]):
         event = EventRow(events[i])
@@ -174,20 +152,12 @@ def write_control(row: Row, wanted: Reference, signals: Array, i: int) -> None:
 
 
 @kernel
-def begin_tally(tally: Tally, n: int, h: float, largest: float, order: int) -> None:
-    """Write the tally of no row of n joints.
-
-    `h`, s, is the time between two rows, `largest` the largest |f_des|, N, and `order` the scheme's, as of
-    `closedloop.record.report.step_columns.resolution_of`.
-    """
-    tally.order = order
+def begin_tally(tally: Tally, h: float, largest: float) -> None:
+    """Write the tally of no row: `h`, s, is the time between two rows, `largest` the largest |f_des|, N."""
     tally.h, tally.condition, tally.start_error, tally.last_unsettled = h, 0.0, 0.0, -1.0
     tally.excess_before = tally.settled = 0.0
     scale = Scale(tally.scale)
     scale.largest_force = largest
-    for k in range(tally.swings.shape[0]):
-        tally.swings[k] = 0.0
-    begin_swings(Swings(tally.swings, n))
     for k in range(tally.work.shape[0]):
         tally.work[k] = tally.powers_before[k] = 0.0
     for k in range(tally.greatest.shape[0]):
@@ -289,36 +259,6 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
             math.nan,
         )  # see `closedloop.record.report.limited`
         values.torque_chatter[j] = share_of(torque.alternating, max(sums.torque[j], LEAST_TORQUE * mean))
-    write_step_error(most, n, tally, values)
-
-
-@kernel_inlined
-def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
-    """Write the errors of the step, see `closedloop.record.report.step_error`; near a singular pose that of f is
-    NaN."""
-    swings, squared, fastest = Swings(tally.swings, n), 0.0 * tally.h, 0.0 * tally.h
-    first_order = tally.order < 2.0
-    for k in range(1, SIGNALS):
-        swing = Swing(swings.each[k])
-        error = min(swing.error, swing.highest - swing.lowest)
-        squared += error * error
-    lag = LAG * select(first_order, 1.0, HIGHER) * tally.h
-    values.step_error_position = math.sqrt(squared) + lag * values.max_tip_speed + ROUNDED_WAY
-    for j in range(n):
-        fastest = max(fastest, most.joint_speed[j])
-    largest = max(most.force, most.minus_force)
-    moved = select(swings.jump < swings.steepest, swings.jump, swings.steepest)
-    moved = select(first_order | (swings.stretches > 1.0), swings.steepest, moved)
-    swing = Swing(swings.each[0])
-    error = min(swing.error, swing.highest - swing.lowest) + moved + HELD_SHARE * swings.kick + swings.struck
-    error = error + select(first_order, swings.begun, 0.0)
-    error = error + (POSE * lag * fastest + ROUNDED) * largest
-    error = error + select(abs(values.start_closure_error) > CLOSED, 0.0, values.max_stabiliser_force)
-    singular = values.failed_at[_NONSINGULAR]
-    values.step_error_force = select(singular == singular, math.nan, error)
-    known = (singular != singular) & (swings.sticks == 0.0)
-    sampled = max(BETWEEN * (swings.steepest + swings.ramp) - moved, 0.0)
-    values.step_error_extremes = select(known, error + sampled + swings.changed, math.nan)
 
 
 @kernel_inlined

@@ -48,19 +48,13 @@ MEASURES: dict[str, Measure] = {
     "max_kinetic_energy": Measure("J", "highest kinetic energy"),
     "start_closure_error": Measure("m", "closure error at the start, if in contact then; positive off the surface"),
     "largest_reference_force": Measure("N", "largest contact force asked for, either way"),
-    "step_error_force": Measure("N", "how far the step leaves the contact force uncertain; none where it is not known"),
-    "step_error_position": Measure("m", "how far the step leaves the tip uncertain; none where it is not known"),
-    "step_error_extremes": Measure(
-        "N", "how far the step leaves the highest, the lowest and the last contact force uncertain; none if not known"
-    ),
     "force_chatter": Measure("1", "share of the contact force that alternates from row to row"),
 }
 
 _OF_THE_TIP = (
     "final_contact_force", "peak_contact_force", "min_contact_force", "max_stabiliser_force", "max_abs_closure_error",
     "final_closure_error", "max_abs_closure_rate", "min_normal_mobility", "deepest_penetration", "time_in_contact",
-    "max_friction_force", "rms_force_error", "force_settled_at", "start_closure_error", "step_error_force",
-    "step_error_extremes", "force_chatter",
+    "max_friction_force", "rms_force_error", "force_settled_at", "start_closure_error", "force_chatter",
 )  # fmt: skip
 
 

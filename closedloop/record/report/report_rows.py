@@ -11,7 +11,6 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
 from closedloop.record.report.link_contacts import contact_rows
-from closedloop.record.report.step_error import step_rows
 from closedloop.record.report.summary import joint_measures
 from closedloop.record.report.verdict import energy_at_stake
 
@@ -72,7 +71,7 @@ def report_rows(run: Record) -> list[Row]:
             "",
             f"{time.integrator}, {step}",
         ),
-        *step_rows(facts["step_error"]),
+        *_step_rows(facts["step_error"]),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
         *_undriven_rows(run, facts),
         *_loop_rows(run),
@@ -203,3 +202,14 @@ def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
             what += f", {rested:.2g} J taken to rest"
         rows.append(("energy lost in impacts", _shown(facts["energy_lost_in_impacts"], ".3g"), "J", what))
     return rows
+
+
+def _step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return the rows of the error of the step, see `closedloop.record.report.halved.step_error`."""
+    said = [("f differs by", found["force"], "N"), ("tip differs by", found["position"], "m")]
+    known = [
+        (label, f"{error:.2g}", unit, "from the run at half the step")
+        for label, error, unit in said
+        if error is not None
+    ]
+    return known or [("error of the step", "not known", "", found["why_not"])]

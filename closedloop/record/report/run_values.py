@@ -23,9 +23,6 @@ from closedloop.record.report.limited import count_limited
 from closedloop.record.report.link_contacts import lost_to_slips
 from closedloop.record.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.record.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
-from closedloop.record.report.step_columns import resolution_of, write_swings
-from closedloop.record.report.step_error import beside_of, write_beside
-from closedloop.record.report.step_variation import Swings
 from robot_models.coordinates import with_rotation_vectors
 
 # So many rows at a time: their samples stay in the processor's cache.
@@ -50,8 +47,7 @@ def run_values(run: Record) -> Any:
     """Return the values of a run of at least one row, see `closedloop.record.report.measured.Values`."""
     n, count, h = run.model.n, len(run), run.scenario.time.step
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
-    order = resolution_of(run.scenario)[1]
-    interpreted(begin_tally)(tally, n, h, float(np.max(np.abs(run.reference_force))), order)
+    interpreted(begin_tally)(tally, h, float(np.max(np.abs(run.reference_force))))
     Scale(tally.scale).start_energy = run.kinetic_energy[0] + run.potential_energy[0]
     Scale(tally.scale).start_supplied = run.energy_supplied[0]
     memory, signals = np.empty((Sample.count(n), min(ROWS, count))), np.empty((1 + n, 0))
@@ -65,12 +61,8 @@ def run_values(run: Record) -> Any:
         signals = np.hstack([signals[:, 1 - SPAN :], sample.signals])
         tally.signals[:, -1] += alternation(signals.T)
     tally.condition = np.max(run.kkt_condition)
-    write_swings(run, Swings(tally.swings, n))
     last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in _LAST})
     interpreted(write_values)(last, n, count, tally, values)
-    events = run.event_kind, run.event_time, run.event_rate_before, run.event_contact
-    beside = beside_of(run.scenario, events, run.mode[-1], run.v, (run.contact_force, run.reference_force))
-    write_beside(run.scenario, Swings(tally.swings, n), values, beside)
     if "torque_limited" in run.columns:
         count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)

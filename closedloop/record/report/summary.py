@@ -18,12 +18,10 @@ from closedloop.record.columns.record import Record
 from closedloop.record.report.assumptions import assumptions
 from closedloop.record.report.control_signals import limited_joints, run_signals
 from closedloop.record.report.control_verdict import judge_control
-from closedloop.record.report.halved import measured_step_error
+from closedloop.record.report.halved import step_error
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
-from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import Scale, energy_left, torque_power
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.step_error import run_force_not_known, step_error, unknown_because, why_not_known
 from closedloop.record.report.undetermined import friction_off_slip, motions_without_drive, not_determined_from
 from closedloop.record.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
@@ -54,7 +52,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "stopped": run.stopped,
         **{name: value if _exists(value) else None for name, value in values.items()},
         "not_finite": [name for name, value in values.items() if not _exists(value)],
-        "step_error": step_error(run, values),
+        "step_error": step_error(run),
         "halved": None if run.halved is None else dict(run.halved),
         "wrist": _wrist(run),
         "tool": _tool(run),
@@ -126,7 +124,7 @@ def _facts(run: Record, values: dict[str, Any], joints: dict[str, Array], held: 
     columns = {name: column.tolist() for name, column in joints.items()}
     return Facts(
         run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns, _unresolved(run),
-        run.halved is not None, run.halved["stopped"] if run.halved else None,
+        run.halved,
     )  # fmt: skip
 
 
@@ -170,18 +168,6 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
         found["rms_force_error"] = None
     if np.isnan(values.force_settled_at):
         found["force_settled_at"] = None
-    if run.halved is not None:
-        found |= measured_step_error(run.halved)
-    elif why_not_known(run.scenario, singular=False):
-        found |= dict.fromkeys(("step_error_force", "step_error_extremes", "step_error_position"))
-    elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]):
-        found |= dict.fromkeys(("step_error_force", "step_error_extremes"))
-    elif why := run_force_not_known(run):
-        found |= dict.fromkeys(unknown_because(why))
-    for name in ("step_error_extremes", "step_error_position"):
-        value = found[name]
-        if value is not None and math.isnan(value):
-            found[name] = None
     return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
 
 

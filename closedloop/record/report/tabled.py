@@ -10,7 +10,6 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.measured import EVENTS_AT, FAILED_AT, WIDTH
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
 from closedloop.record.report.row_assumptions import NAMES
-from closedloop.record.report.step_error import why_not_known, why_position_not_known
 from closedloop.record.report.verdict import Facts, judge, names_of, outside_by_the_run, outside_by_the_scenario
 from closedloop.scenario.gains import gains_fault
 from closedloop.scenario.modes import unresolved_feedback
@@ -44,9 +43,6 @@ def verdict_of(
 
 
 def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:
-    """Write NaN for the measures that do not exist, and for the errors of the step where they are not known."""
-    unknown = ["step_error_position"] if why_position_not_known(scenario) else []
-    if why_not_known(scenario, singular=False):
-        unknown = ["step_error_force", "step_error_extremes", "step_error_position"]
-    for name in (*unknown, *absent_measures(scenario, own_law)):
+    """Write NaN for the measures that do not exist."""
+    for name in absent_measures(scenario, own_law):
         values[_AT[name]] = math.nan

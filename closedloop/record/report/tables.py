@@ -109,8 +109,11 @@ _TITLES = {
 }
 
 
-def print_report(run: Record, width: int | None = None) -> None:
-    """Print the verdict, in the first line, and the tables of assumptions and errors on standard output."""
+def print_report(run: Record, width: int | None = None, comparison: bool = False) -> None:
+    """Print the verdict, in the first line, and the tables of assumptions and errors on standard output.
+
+    With `comparison` also the whole comparison with the run at half the step, of a run that has it.
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -133,7 +136,7 @@ def print_report(run: Record, width: int | None = None) -> None:
     if len(run) == 0:
         return
     _print_values("how large every error was, at its worst", "value", report_rows(run), console)
-    if run.halved is not None:
+    if comparison and run.halved is not None:
         _print_halved(run.halved, console)
     if run.events:
         _print_events(run, console)

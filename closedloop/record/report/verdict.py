@@ -12,7 +12,7 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 ``position_limit``        a joint beyond its position limits
 ``velocity_limit``        a joint faster than its velocity limit
 ``effort_limit``          more torque asked of a joint than its effort limit
-``step``                  the step leaves the contact force uncertain (`closedloop.record.report.step_error`)
+``step``                  f of a run at half the step differs too much (`closedloop.record.report.halved`)
 ``resolution``            what is fast that the step gets wrong (`closedloop.scenario.modes`)
 ``saturation``            a limit of `[drives]` cut a joint's torque more often than not
 an assumption's name      an assumption of the paper that failed though the scenario keeps to it
@@ -32,7 +32,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
-from closedloop.record.report.growth import STRIKES
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.joint_dynamics import loop_dynamics
@@ -69,11 +68,11 @@ CLOSURE_BOUND = 1e-4
 # is the limit that moves the arm, and no longer the law.
 SATURATED_SHARE = 0.5
 
-# The share of the largest force asked for that the step may cost, as an estimate, and as measured at half the step. The
-# estimate is up to thirty times too large, and twelve times as a rule (docs/verdict.md): of 386 runs drawn at random
-# eight stated more than once the force asked for, of which none missed a run at half the step by a third of it. So it
-# counts from three times on, which is a quarter as a rule. Shipped scenarios state 0.35 at most.
-ESTIMATED_SHARE, MEASURED_SHARE = 3.0, 0.5
+# The share of the largest force asked for by which f may differ from the run at half the step. Shipped scenarios differ
+# by 0.1 at most.
+STEP_SHARE = 0.5
+# Of so many events bounces are the probable reason: a touchdown has fewer.
+STRIKES = 6
 
 # What a run says that stopped by it (`closedloop.simulation.engines.failures`).
 DIVERGES = "the motion diverges"
@@ -103,8 +102,7 @@ class Facts(NamedTuple):
     # see `closedloop.record.report.measures.JOINT_MEASURES`; when is NaN where it never was
     joints: Mapping[str, Sequence[float]]
     unresolved: Sequence[str] = ()  # see `closedloop.scenario.modes.unresolved`
-    halved: bool = False  # whether the error of the step was measured with a run at half the step
-    halved_stopped: str | None = None  # why a run at half the step stopped, if there is one and it did
+    halved: Mapping[str, Any] | None = None  # see `closedloop.record.report.halved`, if the step's error was measured
 
 
 def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:
@@ -147,7 +145,7 @@ def judge(
         something else is wrong.
     feedback : callable
         Returns what of the law's feedback the step does not resolve (`closedloop.scenario.modes.unresolved_feedback`);
-        called only if the run shakes, or its step leaves f uncertain.
+        called only if the run shakes, or f differs too much at half the step.
     """
     problems = []
     if facts.stopped:
@@ -279,19 +277,20 @@ def _limits(facts: Facts) -> list[dict[str, Any]]:
 
 
 def _step(facts: Facts) -> list[dict[str, Any]]:
-    """Return the problem of a force that the step leaves uncertain, in a list; empty if there is none."""
-    if facts.halved_stopped and not facts.stopped:
-        return [problem_of("step", f"the run at half the step could not go on: {facts.halved_stopped}")]
-    error, asked = facts.measures["step_error_force"], facts.measures["largest_reference_force"] or 0.0
-    share = MEASURED_SHARE if facts.halved else ESTIMATED_SHARE
-    if error is None or math.isnan(error) or not asked > 0.0 or error <= share * asked:
+    """Return the problem of a force that differs too much at half the step, in a list; empty if there is none."""
+    if facts.halved is None:
+        return []
+    if facts.halved["stopped"] and not facts.stopped:
+        return [problem_of("step", f"the run at half the step could not go on: {facts.halved['stopped']}")]
+    error, asked = facts.halved["force"], facts.measures["largest_reference_force"] or 0.0
+    if error is None or not asked > 0.0 or error <= STEP_SHARE * asked:
         return []
     time = facts.scenario.time
     scheme = scheme_of(time.integrator)
     other = ", or time.integrator = 'rk4'" if scheme is None or scheme.order == 1 else ""
     text = (
-        f"f is within ±{error:.3g} N only of a run at a shorter step, where at most {asked:.3g} N are asked for: take "
-        f"a shorter time.step than {time.step:g} s{other}"
+        f"f differs by up to {error:.3g} N from the run at half the step, where at most {asked:.3g} N are asked for: "
+        f"take a shorter time.step than {time.step:g} s{other}"
     )
     if facts.events >= STRIKES:
         text += "; where bounces go on, each depends on all steps before it, and no step is short enough"

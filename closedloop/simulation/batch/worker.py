@@ -25,7 +25,6 @@ from closedloop.base.errors import ClosedLoopError, SingularClosureError, faults
 from closedloop.control.drives import DrivesSection
 from closedloop.jit.background import make_ready
 from closedloop.jit.simd8 import WIDE
-from closedloop.loop.events.table import EventRow
 from closedloop.loop.step.record_row import Row, recorded
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
@@ -35,9 +34,6 @@ from closedloop.record.report.link_contacts import lost_to_slips
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.step_columns import resolution_of
-from closedloop.record.report.step_error import beside_of, unknown_because, why_force_not_known, write_beside
-from closedloop.record.report.step_variation import Swings
 from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.contact_modes import Pressed, where_they_press
 from closedloop.scenario.gains import Rubbing
@@ -222,28 +218,15 @@ class Worker:
         if len(rows) > 0:
             make_ready(measure_rows)
             robot, work = tree
-            wanted = problem.table, problem.nodes, *resolution_of(problem.scenario)
-            tally = np.empty(Tally.count(n))
             measure_rows(
-                robot, (work, tally), rows, wanted, problem.h,
+                robot, (work, np.empty(Tally.count(n))), rows, (problem.table, problem.nodes), problem.h,
                 joint_limits(problem.robot.model), events, values, signals,
             )  # fmt: skip
             if k := len(problem.scenario.contact or ()):
                 rubbed = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
                 time = problem.h * np.arange(float(len(rows)))
                 Values(values, n).energy_lost_to_friction += lost_to_slips(time, *rubbed)
-            last = Row(rows[-1], n)
-            happened = [events[:, EventRow.place(name)] for name in ("kind", "time", "rate_before", "contact")]
-            forces = signals[0], signals[1]
-            beside = beside_of(problem.scenario, happened, last.mode, recorded(rows, n, "v"), forces)
-            write_beside(problem.scenario, Swings(Tally(tally, n).swings, n), Values(values, n), beside)
             forget_absent(problem.scenario, values, self.law is not None)
-            why = why_force_not_known(
-                problem.scenario, signals[0] - signals[1], (happened[0], happened[3]), signals[2] != 0.0,
-                float(np.max(np.abs(last.v))),
-            )  # fmt: skip
-            for name in unknown_because(why):
-                setattr(Values(values, n), name, math.nan)
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
         columns = {

@@ -60,16 +60,15 @@ def run_varied_at(tree: Tree, parts_at: int, address: int, most: int) -> int:
 
 
 @entry_kernel
-def measure_at(tree: Tree, parts_at: int, address: int, wanted: tuple[int, int, int, int], done: int) -> None:
-    """Do as `measure_rows` with the first `done` rows; `wanted` lacks the table."""
+def measure_at(tree: Tree, parts_at: int, address: int, nodes: int, done: int) -> None:
+    """Do as `measure_rows` with the first `done` rows; `nodes` of the table are to each of them."""
     a, parts, n = Addresses(integers_at(address, ADDRESSES)), Parts(integers_at(parts_at, PARTS)), tree.n
     state, _, _ = loop_at(a.loop)
     terms, tally = vector_at(parts.scratch, n * n + n + work_size(n)), vector_at(parts.tally, 0)
-    nodes, held, order, sampled = wanted
     table = matrix_at(a.table, a.instants, a.table_width)
     measure(
         tree_with(tree, parts), (terms, tally), matrix_at(a.rows, done, a.row_width),
-        (table, nodes, held, order, sampled), vector_at(parts.step, 1)[0], vector_at(parts.limits, 4 * n),
+        (table, nodes), vector_at(parts.step, 1)[0], vector_at(parts.limits, 4 * n),
         matrix_at(a.events, state.event.rows, EVENT_WIDTH), vector_at(parts.values, 0),
         matrix_at(parts.signals, CONTROL, done),
     )  # fmt: skip

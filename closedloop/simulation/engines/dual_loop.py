@@ -26,7 +26,6 @@ from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.record.report.measured import CONTROL, Tally, Values
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.step_columns import resolution_of
 from closedloop.simulation.engines.at_addresses import Parts, measure_at, run_at, run_varied_at
 from closedloop.simulation.engines.compiled import ALL, compiled_work
 from closedloop.simulation.engines.problem import Problem
@@ -221,10 +220,8 @@ class DualRun:
 
     def values(self) -> Array:
         """Return the values of the summary and their derivatives, (K, 8), see `closedloop.record.report.measured`."""
-        problem = self._base.problem
-        wanted = (problem.nodes, *resolution_of(problem.scenario))
         dual(measure_at)(
-            self._tree, address_of(self._parts.memory), address_of(self._addresses.memory), wanted,
+            self._tree, address_of(self._parts.memory), address_of(self._addresses.memory), self._base.problem.nodes,
             len(self.rows),
         )  # fmt: skip
         return self._values
@@ -252,7 +249,7 @@ def compile_for(base: Prepared, names: Collection[str]) -> None:
     """Compile those of the kernels that a run needs that have these names."""
     integers: dict[Any, tuple[Any, ...]] = {
         run_at: (base.problem.robot.tree, 0, 0, 0), run_varied_at: (base.problem.robot.tree, 0, 0, 0),
-        measure_at: (base.problem.robot.tree, 0, 0, (0, 0, 0, 0), 0), collide: (0,),
+        measure_at: (base.problem.robot.tree, 0, 0, 0, 0), collide: (0,),
     }  # fmt: skip
     for kernel, arguments in integers.items():
         if dual(kernel).__name__ in names:

@@ -34,7 +34,6 @@ from closedloop.mechanics.closure.solve import DIVERGED, OK
 from closedloop.mechanics.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.record.report.measured import Tally, Values, begin_tally, count_condition, count_row, write_values
 from closedloop.record.report.row_sample import JointLimits
-from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
 
 # Status: in some lane the tip may leave the surface, or is near a singular pose, or the stabiliser would pull.
 NEEDS_EVENTS = -1
@@ -79,8 +78,6 @@ class Sizes(NamedTuple):
     columns: int
     kept: int  # rows of the record in memory: all, or `BATCH`, which are then overwritten in turn
     width: int  # length of such a row
-    order: int  # of the scheme, see `closedloop.record.report.step_columns.resolution_of`
-    sampled: int  # whether the law's torque is held
 
 
 @entry_kernel
@@ -131,7 +128,7 @@ def run_in_lanes(
     joint_limits, wanted = JointLimits(limits, n), w.reference
     signals = float64x8_at(at.signals, (steps + 1) * SIGNALS).reshape(steps + 1, SIGNALS)
     worst = Worst(float64x8_at(at.worst, 0))
-    begin_tally(tally, n, h, largest, sizes.order)
+    begin_tally(tally, h, largest)
     w.supply.energy = 0.0
     for row in range(steps + 1):
         begin, slot = row * h, row % kept
@@ -153,9 +150,6 @@ def run_in_lanes(
                 potential = energy_there(tree, scratch)
                 write_signals(w, wanted, signals, row, worst)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
-                count_swings(
-                    Row(rows[slot], n), wanted, row, max(1, hold), sizes.order, sizes.sampled, Swings(tally.swings, n)
-                )
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
                 if state.batched == 0:
@@ -169,7 +163,6 @@ def run_in_lanes(
                 add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w)
         commit_work(w)
-    end_stretch(max(1, hold), sizes.order, Swings(tally.swings, n))
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
     return OK
 

@@ -31,7 +31,6 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree, work_size
 from closedloop.record.report.measured import Tally, Values
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.step_columns import resolution_of
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.lane_loop import SIGNALS, LaneAddresses, Sizes, Worst, run_in_lanes
 from closedloop.simulation.engines.loops import COMPILED
@@ -112,7 +111,7 @@ class LaneRuns:
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else BATCH, Row.count(n))
         (instants, columns), (kept, width) = like.table.shape, self._rows.shape[:2]
-        self._sizes = Sizes(like.nodes, instants, columns, kept, width, *resolution_of(like.scenario)[1:])
+        self._sizes = Sizes(like.nodes, instants, columns, kept, width)
         self._values, self._signals = aligned(Values.count(n)), aligned(like.steps + 1, SIGNALS)
         self._worst = aligned(Worst.count())
         self._limits = joint_limits(like.robot.model)

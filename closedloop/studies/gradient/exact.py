@@ -49,7 +49,7 @@ notices = logging.getLogger(__name__)
 
 DUALS, PREPARED, OF_COLUMNS = "dual numbers", "differences of the preparation", "differences of the columns"
 # Values of the summary that are not counted in row by row: they follow from what the rows came to.
-LATE = ("step_error_force", "step_error_position", "torque_limited_share", "torque_limited_at")
+LATE = ("torque_limited_share", "torque_limited_at")
 # A value that the rows are counted to must be the summary's to this share.
 SAME = 1e-9
 # Differences of the columns take steps of this share of those of differences of runs.

@@ -242,4 +242,4 @@ print(f"largest difference of q  {np.max(np.abs(held.q - loose.q)):.0e} rad")
 # events follows.
 
 # %%
-print_report(touchdown)
+print_report(cl.halve(touchdown.scenario))

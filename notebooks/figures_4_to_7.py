@@ -39,7 +39,7 @@ from closedloop.record.report import energy_balance, print_report
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 120
 
-stabilised = cl.simulate(cl.load_scenario("wam_slide"))
+stabilised = cl.halve(cl.load_scenario("wam_slide"))
 unstabilised = cl.simulate(cl.load_scenario("wam_slide_unstabilised"))
 
 scenario = stabilised.scenario

@@ -28,6 +28,7 @@ from closedloop.loop.events.phases import (
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
 from closedloop.loop.events.table import EDGE, LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED
+from closedloop.loop.step.contact_rows import resolution
 from closedloop.loop.step.entries import RESTART
 from closedloop.loop.step.evaluate import call_law
 from closedloop.loop.step.memory import Constants, State, Work, ask_contacts
@@ -37,6 +38,7 @@ from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.mechanics.contacts.modes import TOUCHING, open_margin, touches
 from closedloop.mechanics.contacts.soft import stored_in
+from closedloop.mechanics.contacts.standing import leave_seats
 
 # A contact that is further off its surface after an event is put onto it, m.
 OFF_SURFACE = 1e-10
@@ -53,6 +55,9 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         if pass_beside(links, c):
             join_tip(w, c, state)
         request_terms(state, AT_EVENT if state.together != 0 else AFTER_EVENT)
+        return NEED_TERMS
+    if links.shapes != 0 and leave_seats(links, c, resolution(constants, state)):
+        request_terms(state, AT_EVENT)
         return NEED_TERMS
     count_event(w, state)
     leave_edges(w, links, c, state, events)

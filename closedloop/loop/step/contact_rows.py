@@ -22,12 +22,13 @@ from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_of, joints_rub
 from closedloop.mechanics.contacts.mobility import own_mobilities, write_mobility
-from closedloop.mechanics.contacts.modes import HOVERING, near
+from closedloop.mechanics.contacts.modes import HOVERING, near, touches
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
 from closedloop.mechanics.contacts.rolling import roll_on_plane, roll_on_surface
 from closedloop.mechanics.contacts.shapes import has_edge, rolls, shapes_at
 from closedloop.mechanics.contacts.soft import write_soft_forces
+from closedloop.mechanics.contacts.standing import APART, OWN_STEP, is_idle
 from closedloop.mechanics.loops.memory import loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.mechanics.loops.solve import leave_free
@@ -95,11 +96,17 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     for i in range(1, links.points if links.shapes != 0 else 0):
         shapes = shapes_at(links.shapes)
         if rolls(shapes, i) and not asked(links, i) and not has_edge(shapes, i):
-            roll_on_plane(joints, rows, shapes, i)
+            if c.mode[i] == FREE and links.undecided == 0:
+                shapes.rim.stands[i] = 0.0
+            seats = links.undecided != 0 and touches(links, c, i)
+            roll_on_plane(joints, rows, shapes, i, resolution(constants, state) if seats else 0.0)
     G, given = c.G, rows.G
     for r in range(joints.m):
         i = r + 3
         c.located[i], c.u[i] = rows.error[r], rows.rate[r]
+        if links.shapes != 0 and r % 3 == 0 and c.mode[i // 3] == FREE:
+            if is_idle(shapes_at(links.shapes), c, i // 3, resolution(constants, state)):
+                c.located[i] = APART
         if rows.error[r - r % 3] > rows.clear[r - r % 3]:
             continue
         c.drift[i] = rows.drift[r]
@@ -116,6 +123,12 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     if links.joints > links.points + links.stops:
         write_resistances(joints, rows, shapes_at(links.shapes), links, c)
     return int(OK)
+
+
+@kernel
+def resolution(constants: Constants, state: State) -> float:
+    """Return the length of a step, s, that discs which lie nearly flat are resolved by."""
+    return min(constants.h, OWN_STEP) if state.settings.adaptive != 0 else constants.h
 
 
 @kernel

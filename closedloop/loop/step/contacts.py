@@ -20,6 +20,7 @@ from closedloop.loop.step.contact_rows import (
     locate_points,
     locate_stops,
     place_contacts,
+    resolution,
 )
 from closedloop.loop.step.locate import set_anchor
 from closedloop.loop.step.memory import Constants, State, Work, loop_at
@@ -62,6 +63,7 @@ from closedloop.mechanics.contacts.shapes import rolls, shapes_at
 from closedloop.mechanics.contacts.slips_end import stop_slips
 from closedloop.mechanics.contacts.soft import soft_margin
 from closedloop.mechanics.contacts.soft_friction import some_share
+from closedloop.mechanics.contacts.standing import longest_roll, rest_on_feet, rim_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import turn_and_solve
 from closedloop.mechanics.impact import energy_lost
@@ -135,6 +137,8 @@ def contacts_in_step(address: int, what: int) -> int:
             status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)
         if status == OK:
             c.step.friction_cut = c.step.in_vain = 0.0
+            if links.shapes != 0:
+                rest_on_feet(links, c)
         elif status == PAINLEVE and links.fresh == 0:
             status = begin_time_step(links, c, w.time)
         forget_joints(links, c)
@@ -204,7 +208,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
     """Write the forces in the present modes, none while these are not decided, and q̈."""
     n, k, status = links.n, links.k, OK
     if state.begins != 0:
-        c.step.span = constants.h
+        c.step.span = constants.h if links.shapes == 0 else min(constants.h, longest_roll(links, c))
     if links.undecided != 0:
         for i in range(3 * k):
             c.F[i], c.rigid[i] = 0.0, 0.0
@@ -237,7 +241,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if joints_rub(links):
             rest = max(rest, STILL)  # dry friction of the joints stops a slip within a step, which then does not turn
-        c.margin = margin_of(c, k, STICK_SPEED, rest)
+        c.margin = margin_of(links, c, k, STICK_SPEED, rest, resolution(constants, state))
         if begins and fixed and status == OK and c.margin >= 0.0:
             left = stop_slips(c, k, constants.h)
             if left <= (LAST * constants.h if state.settings.stages > 1 else constants.h):
@@ -248,7 +252,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 c.step.span = MOST_OF * left
                 status = turn_and_solve(c, k, c.step.span, begins, points)
                 keep_in_cones(c, k)
-                c.margin = margin_of(c, k, STICK_SPEED, rest)
+                c.margin = margin_of(links, c, k, STICK_SPEED, rest, resolution(constants, state))
         wedges = links.stepped == 0 and force_over_load(links, c) > WEDGED
         if (status != OK or wedges) and w.time > 0.0:  # these modes end here: others, or a time step, go on
             status, c.margin = OK, NO_FORCES
@@ -297,14 +301,16 @@ STICK_SPEED, FADED = 1e-7, 0.5
 
 
 @kernel
-def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
+def margin_of(links: ContactLinks, c: Contacts, k: int, slow: float, rest: float, h: float) -> float:
     """Return what is left until the mode of a contact ends: a gap, m, a force, N, or a speed of slip, m/s.
+
+    Or until a disc stands, or rolls, which steps of h, s, resolve (`closedloop.mechanics.contacts.standing`).
 
     Slip ends at the speed `rest`, m/s: 0 with steps of fixed length, if no dry friction of joints stops it. An
     integrator that chooses its steps would need endlessly many for the turns of the direction at the very end. One that
     is slower than `slow` has begun, or fades away.
     """
-    least = math.inf
+    least = rim_margin(links, c, h) if links.shapes != 0 else math.inf
     for i in range(k):
         n = 3 * i
         if c.friction.pulls[i] == 0.0:

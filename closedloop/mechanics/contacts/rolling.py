@@ -12,6 +12,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of, vector_at
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.shapes import RADIUS, Shapes, lowest_point, wandering
+from closedloop.mechanics.contacts.standing import left_of_rolling, see_tilt, stand, take_seat
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import ALONG, turn_direction
 from closedloop.mechanics.robot.tree import Tree
@@ -21,10 +22,11 @@ from closedloop.mechanics.surface.geometry import Pose, Touch, normal_rate, tang
 
 
 @kernel
-def roll_on_plane(joints: LoopLinks, rows: LoopRows, shapes: Shapes, i: int) -> None:
+def roll_on_plane(joints: LoopLinks, rows: LoopRows, shapes: Shapes, i: int, seats: float) -> None:
     """Move the rows of contact i, with a plane at rest in the frame against, to the lowest point of its shape.
 
-    The rows are n, t1 and t2 of the centre, which are located already.
+    The rows are n, t1 and t2 of the centre, which are located already. A disc that may begin to stand where steps of
+    `seats`, s, do not resolve its tilt, 0.0 for none, does; one that stands is at the point that it stands on.
     """
     k, n, shape = 3 * i - 3, shapes.normal, row_of(shapes.shape, i)
     turn_against(joints, rows, k, shapes)
@@ -32,6 +34,12 @@ def roll_on_plane(joints: LoopLinks, rows: LoopRows, shapes: Shapes, i: int) -> 
     n[0], n[1], n[2] = 1.0, 0.0, 0.0
     s = lowest_point(shape, shapes.axes, n, r)
     wandering(shape, shapes.axes, n, s, r, spin, wander)
+    if shapes.rim.radius[i] > 0.0:
+        see_tilt(shapes, i)
+        if shapes.rim.stands[i] == 0.0 and seats > 0.0 and left_of_rolling(shapes, i, seats) < 0.0:
+            take_seat(shapes, i, r)
+        if shapes.rim.stands[i] != 0.0:
+            stand(shapes, i, r, wander)
     for a in range(3):
         b, d = (a + 1) % 3, (a + 2) % 3
         rows.error[k + a] += r[a]

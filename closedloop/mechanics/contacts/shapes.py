@@ -25,7 +25,7 @@ from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import address_of, integers_at, vector_at
-from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.contacts.sections import THIN, ContactSection
 
 N, K = Count.of("n"), Count.of("k")
 # Numbers of a shape: M (xx, xy, xz, yy, yz, zz), m², in the link's axes, and ρ, m.
@@ -48,6 +48,19 @@ class ShapeLinks(Block):
     k: int  # contacts, as many as those of `closedloop.mechanics.contacts.memory`
 
 
+class Rims(Block, sizes=("k",)):
+    """The shapes that are discs: how each is tilted, and on which point of its edge it stands, in axes of its link."""
+
+    radius: Annotated[Array, K]  # the largest half axis, m; zero of other shapes
+    axis: Annotated[Array, K, 3]
+    foot_of: Annotated[Array, K]  # of a point of a disc's edge: the contact of that edge; 0 of other points
+    stands: Annotated[Array, K]  # 1 while the disc stands on the point `seat`
+    seat: Annotated[Array, K, 3]  # from its centre, m
+    tilt: Annotated[Array, K]  # sine of the angle between axis and normal
+    tilt_rate: Annotated[Array, K]  # of the axis' part along the plane, 1/s
+    deeper: Annotated[Array, K]  # by how much the lowest point is higher than the one it stands on, m: not positive
+
+
 class Shapes(Block, sizes=("n", "k")):
     """The shapes of k contacts, and where each touches; then what the contact asked about last is made of.
 
@@ -60,6 +73,7 @@ class Shapes(Block, sizes=("n", "k")):
     chosen: Annotated[Array, K]  # and which of the others it crosses
     crossing: Annotated[Array, 4]  # gap, m, how far inside, m, s1, m, and |e1 × e2| of the crossing asked about last
     reach: Annotated[Array, K, 3]  # r, from the centre to the contact, m
+    rim: Rims  # what of the shapes is flat, see `closedloop.mechanics.contacts.standing`
     turns: Annotated[Array, 3, N]  # rows of ω relative to the frame that carries the surface: ω = turns q̇
     spin: Annotated[Array, 3]  # ω, rad/s
     spin_rate: Annotated[Array, 3]  # its rate at q̈ = 0, rad/s²
@@ -100,7 +114,18 @@ def make_shape_memory(n: int, shapes: Array, edges: Array | None = None) -> Shap
     links.address, links.numbers, links.total = address_of(links.memory), address_of(found.memory), found.memory.size
     links.n, links.k = n, k
     found.shape[:], found.edge[:] = shapes, 0.0 if edges is None else edges
+    for i, shape in enumerate(shapes):
+        squares, axes = np.linalg.eigh(square_of(shape))
+        if np.sum(squares > THIN * THIN * squares[-1]) == 2:
+            found.rim.radius[i], found.rim.axis[i] = math.sqrt(squares[-1]), axes[:, 0]
     return ShapeMemory(links, found)
+
+
+def square_of(shape: Array) -> Array:
+    """Return M (3, 3), m², of a shape (7,)."""
+    M = np.zeros((3, 3))
+    M[np.triu_indices(3)] = shape[:RADIUS]
+    return M + np.triu(M, 1).T
 
 
 @kernel

@@ -28,7 +28,7 @@ from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_c
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING
 from closedloop.mechanics.contacts.rolling import roll_on_plane, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.contacts.shapes import EDGE, SHAPE, Shapes, make_shape_memory, shape_of
+from closedloop.mechanics.contacts.shapes import EDGE, SHAPE, Shapes, make_shape_memory, shape_of, square_of
 from closedloop.mechanics.contacts.soft import compliances_of, depth_entry, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.mechanics.friction.contact import Contact
@@ -46,6 +46,8 @@ from closedloop.scenario.scenario import Scenario
 from robot_models.errors import shown
 from robot_models.loop_joint import WORLD
 
+# A point is on the edge of a disc to this share of its size: both are given in few digits.
+ON_EDGE = 1e-6
 # As many contacts as a scenario may have.
 MOST = 256
 
@@ -113,6 +115,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     if turns or any(section.rolls or section.edge for section in sections):
         more = ((0, k - points), (0, 0))
         shapes = make_shape_memory(robot.n, np.pad(placed.shapes, more), np.pad(placed.edges, more))
+        write_feet(shapes.shapes, placed.bound)
         links.shapes = shapes.address
         links.keep_alive(shapes=shapes)
     if surfaces := surfaces_of(sections, names):
@@ -120,6 +123,21 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
         links.surfaces = address_of(given.addresses)
         links.keep_alive(surfaces=given)
     return memory
+
+
+def write_feet(shapes: Shapes, bound: Bound) -> None:
+    """Write of each point that is on the edge of a disc, beside the same plane, the contact of that edge."""
+    rim, ends = shapes.rim, bound.sides.reshape(4, -1)[1:3, ::3]
+    for i in np.flatnonzero(rim.radius):
+        M = square_of(shapes.shape[i])
+        for j in range(1, 1 + ends.shape[1]):
+            a, b = slice(3 * i - 3, 3 * i), slice(3 * j - 3, 3 * j)
+            alike = np.array_equal(ends[:, i - 1], ends[:, j - 1]) and not np.any(shapes.shape[j])
+            alike = alike and all(np.array_equal(x[a], x[b]) for x in (bound.at_b, bound.along_b))
+            off = bound.at_a[b][0] - bound.at_a[a][0]
+            within = abs(off @ rim.axis[i]) <= ON_EDGE * rim.radius[i]
+            if alike and within and abs(off @ np.linalg.pinv(M, 1e-12) @ off - 1.0) <= ON_EDGE:
+                rim.foot_of[j] = i
 
 
 def write_joints(
@@ -331,7 +349,7 @@ def start_places(
             places.append((float(shapes.crossing[0]), float(shapes.crossing[1])))
             continue
         if section.rolls and surface is None:
-            interpreted(roll_on_plane)(rows.links, rows.rows, shapes, i + 1)
+            interpreted(roll_on_plane)(rows.links, rows.rows, shapes, i + 1, 0.0)
         now = None if surface is None else check_surface(surface, place, name)
         places.append((float(place[0]), math.inf) if now is None else (now.gap, now.inside))
     return places

@@ -120,6 +120,24 @@ class Scenario(Section):
         return self.law.kind != "none"
 
     @property
+    def is_passive(self) -> bool:
+        """Whether nothing does work on what moves: there is no law, and the surfaces that it touches are at rest."""
+        motions = [self.surface_motion, *(each.motion for each in self.contact or ())]
+        return not self.has_law and all(motion is None or motion.kind == "none" for motion in motions)
+
+    @property
+    def stores_energy(self) -> bool:
+        """Whether something beside kinetic and potential energy stores any: soft surfaces, bristles, elastic joints."""
+        contacts = self.contact or ()
+        laws = (self.friction, self.joint_friction, *(each.friction_law for each in contacts))
+        soft = [self.compliance, *(each.compliance for each in contacts)]
+        return (
+            any(each is not None and each.kind != "none" for each in soft)
+            or any(isinstance(law, FrictionLaw) and law.has_states() for law in laws)
+            or self.transmission.elastic
+        )
+
+    @property
     def rubs_in_joints(self) -> bool:
         """Whether there is friction in the joints."""
         return self.joint_friction.kind != "none" or self.robot.friction

@@ -33,8 +33,10 @@ class BaumgarteGains(Section):
     damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(
         0.707, description="damping ratio ζ with which the closure error dies out"
     )
-    time_constant: Annotated[TimeConstant, TIME_CONSTANT] = Field(
-        0.001, description='T, s, or "auto": two steps, or twice the shortest stable T where that is longer'
+    time_constant: Annotated[TimeConstant, TIME_CONSTANT] | None = Field(
+        None,
+        description='T, s; time.step if left out, 1 ms with dop853; "auto": two steps, or twice the shortest stable T '
+        "where that is longer",
     )
 
 

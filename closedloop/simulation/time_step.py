@@ -25,6 +25,8 @@ MOST_NUMBERS = 200_000_000
 # Default relative tolerance of an adaptive integrator. With friction at the tip 1e-12 takes 16 s of processor time for
 # the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking are then within 2e-8 s of those at 1e-12.
 TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
+# T of the stabiliser with an integrator that chooses its steps, if none is given, s: that of the paper's step.
+OWN_CONSTANT = 1e-3
 
 
 def integrator_of(scenario: Scenario, joint_friction: JointFriction) -> tuple[type[Scheme], float | None]:
@@ -91,17 +93,18 @@ def stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
     name = scenario.time.integrator
     if name in ADAPTIVE:  # its steps are as short as stability requires
         own = 2.0 * scenario.time.step if section.time_constant == "auto" else section.time_constant
-        return baumgarte_gains(section.damping_ratio, own)
-    limit = largest_stable_ratio(name, section.damping_ratio)
+        return baumgarte_gains(section.damping_ratio, OWN_CONSTANT if own is None else own)
+    rolls = any(contact.rolls or contact.edge or contact.resists for contact in scenario.contact or ())
+    limit = largest_stable_ratio(name, section.damping_ratio, rolls)
     if section.time_constant == "auto":
-        recommended = recommended_ratio(name, section.damping_ratio)
+        recommended = recommended_ratio(name, section.damping_ratio, rolls)
         if recommended == 0.0:
             raise ScenarioError(
                 f'stabiliser.time_constant = "auto": no time constant makes the closure error die out with {name} at '
                 f"damping ratio {section.damping_ratio:g}; use a larger stabiliser.damping_ratio, such as 0.707"
             )
         return baumgarte_gains(section.damping_ratio, scenario.time.step / recommended)
-    constant = section.time_constant
+    constant = scenario.time.step if section.time_constant is None else section.time_constant
     ratio = scenario.time.step / constant
     if ratio > limit:
         if limit == 0.0:
@@ -111,9 +114,10 @@ def stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
             )
         raise ScenarioError(
             f"stabiliser.time_constant = {constant:g} s with time.step = {scenario.time.step:g} s: "
-            f"Baumgarte is unstable with {name} beyond step/time_constant = {limit:.4f} at damping ratio "
-            f"{section.damping_ratio:g}; the step may be at most {_rounded(limit * constant, down=True)} "
-            f"s, or the time constant at least {_rounded(scenario.time.step / limit, down=False)} s"
+            f"Baumgarte is unstable with {name}{', of what rolls,' if rolls else ''} beyond step/time_constant = "
+            f"{limit:.4f} at damping ratio {section.damping_ratio:g}; "
+            f"the step may be at most {_rounded(limit * constant, down=True)} s, "
+            f"or the time constant at least {_rounded(scenario.time.step / limit, down=False)} s"
         )
     return baumgarte_gains(section.damping_ratio, constant)
 

@@ -323,6 +323,62 @@ def test_time_constant_of_a_problem_is_the_one_given():
         assert cl.prepare(cl.load_scenario("wam_slide", {"stabiliser.kind": kind})).time_constant is None
 
 
+ROLLING = {
+    "ball": {"radius": 0.1},
+    "disc": {"half_axes": [[0.1, 0, 0], [0, 0, 0.1]]},
+    "point that resists pivoting": {"at": [0, 0, -0.1], "pivoting": 0.01},
+    "point": {"at": [0, 0, -0.1]},
+}
+
+
+def on_the_floor(kind, integrator, ratio, **more):
+    """Return the scenario of a body on the floor, with h/T = ratio, or without T if that is None."""
+    body = {"name": "b", "shape": "ball", "radius": 0.1, "mass": 1.0, "position": [0, 0, 0.1]} | more
+    contact = {"name": "c", "link": "b", "friction": 1.0} | ROLLING[kind]
+    section = {"kind": "baumgarte"} | ({} if ratio is None else {"time_constant": STEP / ratio})
+    time = {"duration": 200 * STEP, "step": STEP, "integrator": integrator}
+    scenario = {"robot": {"model": "none"}, "body": [body], "contact": [contact], "stabiliser": section, "time": time}
+    return cl.Scenario.model_validate(scenario)
+
+
+@pytest.mark.parametrize("integrator", SCHEMES)
+@pytest.mark.parametrize("kind", ROLLING)
+def test_what_rolls_has_a_limit_of_its_own(kind, integrator):
+    """Rows on velocity alone are u' = −s_v u: the real axis of each scheme, 2 of Euler's and 2.7853 of rk4, over 2ζ."""
+    own = {"rk4": 2.78529356, "explicit_euler": 2.0, "semi_implicit_euler": 2.0}[integrator] / (2 * 0.707)
+    limit = largest_stable_ratio(integrator, 0.707)
+    if kind != "point":
+        assert largest_stable_ratio(integrator, 0.707, rolls=True) == pytest.approx(min(own, limit), rel=1e-8)
+        limit = min(own, limit)
+    cl.prepare(on_the_floor(kind, integrator, 0.999 * limit))
+    with pytest.raises(cl.ScenarioError, match=r"stabiliser\.time_constant.*unstable") as caught:
+        cl.prepare(on_the_floor(kind, integrator, 1.001 * limit))
+    assert ("of what rolls" in str(caught.value)) == (kind != "point")
+
+
+def test_just_outside_that_limit_a_ball_that_rolls_shakes_apart():
+    """The velocity of its contact, of rounding at first, grows by the factor of rk4 at each step, and dies inside."""
+    slips = []
+    for share in (0.9, 1.1):
+        ratio = share * largest_stable_ratio("rk4", 0.707, rolls=True)
+        moves = {"velocity": [0.3, 0, 0], "spin": [0, 3, 0]}
+        problem = cl.prepare(on_the_floor("ball", "rk4", 1.0, **moves))
+        problem = dataclasses.replace(problem, stabiliser=np.array(baumgarte_gains(0.707, STEP / ratio)))
+        rows = run_loop(problem)[0]
+        slips.append(np.abs(recorded(rows, problem.robot.n, "link_slips", 1))[-1].max())
+    assert slips[0] < 1e-14
+    assert slips[1] > 1e-8
+
+
+def test_the_time_constant_follows_the_step():
+    """Left out it is the step, whatever that is; of an integrator that chooses its steps that of the paper."""
+    for step in (2e-4, 1e-3, 5e-3, 0.02):
+        scenario = on_the_floor("ball", "rk4", None)
+        time = scenario.time.model_copy(update={"step": step, "duration": 2 * step})
+        assert cl.prepare(scenario.model_copy(update={"time": time})).time_constant == pytest.approx(step, rel=1e-12)
+    assert cl.prepare(on_the_floor("ball", "dop853", None)).time_constant == pytest.approx(1e-3, rel=1e-12)
+
+
 @pytest.mark.parametrize("integrator", SCHEMES)
 def test_auto_without_damping_is_refused(integrator):
     """At ζ = 0 nothing makes the error die out: one line says so, and what to change."""

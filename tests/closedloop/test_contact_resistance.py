@@ -7,6 +7,8 @@ import tomli_w
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.contact_rows import locate_points
+from closedloop.mechanics.contacts.least_norm import least_norm
+from closedloop.mechanics.contacts.memory import CONE, OFF, make_contact_memory
 from closedloop.scenario.load import parse_scenario
 from closedloop.simulation.prepare import prepare
 
@@ -208,3 +210,16 @@ def test_a_run_is_read_back_with_its_moments(tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(run, name))
     other = cl.simulate(run.scenario, engine="pinocchio", progress=False)
     np.testing.assert_allclose(other.link_rolling_moments, run.link_rolling_moments, atol=1e-9)
+
+
+def test_the_resistance_of_an_open_contact_has_no_share_of_forces_that_are_not_unique():
+    """Two contacts with the same rows halve what they carry; a third that is open, nearly touching, has no moment."""
+    rng, k = np.random.default_rng(0), 5
+    c = make_contact_memory(6, k, resistances=((1, 0.01, False),)).contacts
+    c.X[3:9], c.X[12:15] = rng.normal(size=(6, 6)), rng.normal(size=(3, 6))
+    c.X[9:12], c.mu[:] = c.X[6:9], 1.0
+    c.problem.form[:] = [OFF, OFF, CONE, CONE, OFF]
+    c.W[:], c.scratch.Y[:], force = c.X @ c.X.T, c.X, np.zeros(3 * k)
+    force[6:9] = [2.0, 0.4, -0.2]
+    assert interpreted(least_norm)(c, k, force, True)
+    np.testing.assert_allclose(force, [0.0] * 6 + [1.0, 0.2, -0.1] * 2 + [0.0] * 3, atol=1e-12)

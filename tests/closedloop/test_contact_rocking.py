@@ -53,3 +53,18 @@ def test_a_block_that_bounces_from_foot_to_foot_strikes_as_a_planar_reference(tm
     assert struck[-1] == pytest.approx(rest, rel=0.05)
     assert np.max(np.abs(run.v[-1])) < 1e-8
     assert np.min(run.link_gaps) > -1e-9
+
+
+def test_what_rest_takes_is_what_the_block_would_have_rocked_on_with(tmp_path):
+    """Housner: r = 1 − 3/2 sin² α of the speed is left when it changes feet, r² of the energy, which rest takes."""
+    half, lift = np.array([0.05, 0.1, 0.2]), 1e-4
+    turn = lift / (2.0 * half[0])
+    start = [0.0, half[0] * np.sin(turn) + half[2] * np.cos(turn), -turn], [0.0, 0.0, 0.0]
+    feet = [(x, 0.0, -half[2]) for x in (half[0], -half[0])]
+    run = simulate(tmp_path, half, feet, start, 3.0, 0.0, **{"time.duration": 0.05, "impact.rest_speed": 1.0})
+    struck = run.event_energy_lost > 1e-12
+    rested, lost = run.event_energy_rested[struck].sum(), run.event_energy_lost[struck].sum()
+    ratio = 1.0 - 1.5 * half[0] ** 2 / (half[0] ** 2 + half[2] ** 2)
+    assert rested / lost == pytest.approx(ratio**2, rel=1e-6)
+    assert run.summary()["energy_taken_at_rest"] == pytest.approx(rested, rel=1e-12)
+    assert np.max(np.abs(run.v[-1])) < 1e-12

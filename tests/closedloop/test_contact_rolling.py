@@ -189,3 +189,48 @@ def test_a_ball_that_rolls_is_not_projected_to_where_it_stuck():
         changes = {"time.duration": 0.02, "stabiliser.kind": kind}
         ends.append(cl.simulate(cl.load_scenario("ball_on_turntable", changes), progress=False).q[-1])
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-9)
+
+
+CAN = {"shape": "cylinder", "radius": 0.04, "length": 0.1, "mass": 1.0}
+FIXED_1_MS, OWN = {"step": 1e-3}, {"step": 1e-2, "integrator": "dop853"}
+
+
+def stood(tilt, about=0.0, gap=1e-3, friction=0.0, slope=0.0, duration=0.4, body=CAN, contact=(), **time):
+    """Return the run of a can let go above the floor: its tilt is about, or the slope along, an axis at that angle."""
+    half, c, s = 0.5 * tilt, np.cos(about), np.sin(about)
+    height = 0.5 * body["length"] * np.cos(tilt) + body["radius"] * np.sin(tilt) + gap
+    turn = [np.cos(half), c * np.sin(half), s * np.sin(half), 0.0]
+    scenario = {
+        "robot": {"model": "none", "gravity": [c * G * np.sin(slope), s * G * np.sin(slope), -G * np.cos(slope)]},
+        "body": [body | {"name": "can", "position": [0, 0, height], "quaternion": turn}],
+        "contact": [{"link": "can", "at": "collision", "friction": friction} | dict(contact)],
+        "stabiliser": {"kind": "baumgarte", "time_constant": 0.01},
+        "time": {"duration": duration, "integrator": "rk4"} | time,
+    }
+    return cl.simulate(cl.Scenario.model_validate(scenario), progress=False)
+
+
+SETTLING = [
+    (0.05, 0.0, FIXED_1_MS), (0.3, 0.3, FIXED_1_MS), (0.02, 0.3, {"step": 2e-4}), (0.05, 0.0, OWN),
+    (0.1, 0.0, {"step": 1e-3, "integrator": "semi_implicit_euler"}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("tilt", "friction", "time"), SETTLING)
+def test_a_can_that_settles_on_its_end_never_gains_energy(tilt, friction, time):
+    """Its lowest point jumps to the other side as the tilt passes zero: it lands on its end, and stands on its feet."""
+    run = stood(tilt, friction=friction, **time)
+    E = energy(run)
+    assert np.max(E - np.minimum.accumulate(E)) < 1e-7
+    np.testing.assert_allclose(E[-1], 0.05 * G, atol=1e-9)
+    np.testing.assert_allclose(run.link_forces[-1], [0, 0, *[G / 3] * 3, 0, 0, 0], atol=1e-6)
+    assert run.summary()["verdict"]["good"]
+
+
+@pytest.mark.parametrize("about", [0.0, np.pi / 3, 0.7])
+@pytest.mark.parametrize("share", [0.97, 1.03])
+def test_a_can_tips_over_the_edge_of_its_end_and_not_over_its_feet(about, share):
+    """On a slope with tan θ = R/(L/2), in whatever direction from the feet: less and it stands, more and it tips."""
+    slope = np.arctan(share * 0.8)
+    run = stood(0.0, about, gap=0.0, friction=2.0, slope=slope, duration=0.05, step=1e-3)
+    assert (np.max(np.abs(run.v[-1, 3:])) > 1e-2) == (share > 1.0)

@@ -59,6 +59,7 @@ from closedloop.loop.step.singular import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at
+from closedloop.mechanics.contacts.standing import some_stand
 
 
 @kernel_inlined
@@ -108,8 +109,11 @@ def divide_step(w: Work, constants: Constants, state: State) -> None:
     fast, most = (
         (FAST, LARGEST_TURN) if state.together == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
     )
+    links, c = contacts_at(state.contacts.at)
+    stands = links.shapes != 0 and some_stand(links, c)
     for j in range(w.q.shape[0]):
-        fastest, change = max(fastest, abs(w.v[j])), max(change, abs(w.qdd[j]))
+        if c.spins[j] == 0.0 or stands:  # nothing turns with a wheel, unless its feet stand
+            fastest, change = max(fastest, abs(w.v[j])), max(change, abs(w.qdd[j]))
     state.divided = 1 if left < state.row * constants.h - w.time - INSTANT else 0
     if state.settings.adaptive != 0:
         return
@@ -119,10 +123,8 @@ def divide_step(w: Work, constants: Constants, state: State) -> None:
     if parts > 1.0:
         w.length = left / np.ceil(parts)
         state.divided = 1
-    if state.together != 0:
-        _links, c = contacts_at(state.contacts.at)
-        if c.step.span < w.length:
-            w.length, state.divided = c.step.span, 1
+    if state.together != 0 and c.step.span < w.length:
+        w.length, state.divided = c.step.span, 1
 
 
 @kernel_inlined

@@ -99,14 +99,14 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             if c.mode[i] == FREE and links.undecided == 0:
                 shapes.rim.stands[i] = 0.0
             seats = links.undecided != 0 and touches(links, c, i)
-            roll_on_plane(joints, rows, shapes, i, resolution(constants, state) if seats else 0.0)
+            roll_on_plane(joints, rows, shapes, i, resolution(constants, state) * (1.0 if seats else 0.0))
     G, given = c.G, rows.G
     for r in range(joints.m):
         i = r + 3
         c.located[i], c.u[i] = rows.error[r], rows.rate[r]
-        if links.shapes != 0 and r % 3 == 0 and c.mode[i // 3] == FREE:
-            if is_idle(shapes_at(links.shapes), c, i // 3, resolution(constants, state)):
-                c.located[i] = APART
+        foot = links.shapes != 0 and r % 3 == 0 and c.mode[i // 3] == FREE
+        if foot and is_idle(shapes_at(links.shapes), c, i // 3, resolution(constants, state)):
+            c.located[i] = APART
         if rows.error[r - r % 3] > rows.clear[r - r % 3]:
             continue
         c.drift[i] = rows.drift[r]

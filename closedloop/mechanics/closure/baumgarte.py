@@ -3,6 +3,10 @@
 ë + s_v ė + s_p e = 0 is a damped oscillator. With damping ratio ζ and time constant T its gains are
 s_v = 2ζ/T and s_p = 1/T². The paper's s_v = 1414 1/s and s_p = 10⁶ 1/s² are ζ = 0.707 and T = 1 ms.
 
+A contact that rolls without slip wanders over both bodies, and has no place to return to: its tangential rows, as those
+of resistances to rolling and pivoting, are stabilised on the velocity alone, u̇ + s_v u = 0. That is the same with s_p =
+0, with limits of its own: of the real axis, 2 for either Euler scheme and 2.785 for RK4, over 2ζ.
+
 An integrator of step h turns that oscillator into a linear map of (e, hė), stable while the map's spectral
 radius is below one. The map depends on ζ and h/T alone, so the limit is a bound on h/T.
 
@@ -52,7 +56,9 @@ def _scheme(integrator: str | type[Integrator]) -> type[Integrator]:
     return INTEGRATORS[integrator] if isinstance(integrator, str) else integrator
 
 
-def amplification(integrator: str | type[Integrator], damping_ratio: float | Array, ratio: float | Array) -> Array:
+def amplification(
+    integrator: str | type[Integrator], damping_ratio: float | Array, ratio: float | Array, rolls: bool = False
+) -> Array:
     """Return the (2, 2) map of (e, hė) over one step of `integrator`, for ratio = h/T; (..., 2, 2) for many ratios.
 
     Parameters
@@ -61,10 +67,12 @@ def amplification(integrator: str | type[Integrator], damping_ratio: float | Arr
         ζ, dimensionless; one for all, or one for each ratio.
     ratio : float, or ndarray (...)
         h/T, dimensionless.
+    rolls : bool
+        Of a row that is stabilised on the velocity alone.
     """
     # (e, hė)' = M (e, hė)/h with the stabilised closure ë = −s_v ė − s_p e
     M = np.zeros((*np.shape(ratio), 2, 2))
-    M[..., 0, 1], M[..., 1, 0], M[..., 1, 1] = 1.0, -np.square(ratio), -2.0 * damping_ratio * ratio
+    M[..., 0, 1], M[..., 1, 0], M[..., 1, 1] = 1.0, 0.0 if rolls else -np.square(ratio), -2.0 * damping_ratio * ratio
     return linear_step(_scheme(integrator), M)
 
 
@@ -83,30 +91,38 @@ def linear_step(scheme: type[Integrator], M: Array) -> Array:
     return eye + sum((b * k for b, k in zip(scheme.b, stages, strict=True)), np.zeros_like(M))
 
 
-def spectral_radius(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
+def spectral_radius(
+    integrator: str | type[Integrator], damping_ratio: float, ratio: float, rolls: bool = False
+) -> float:
     """Return the spectral radius: the asymptotic growth of the closure error per step."""
-    return float(spectral_radii(integrator, damping_ratio, ratio))
+    return float(spectral_radii(integrator, damping_ratio, ratio, rolls))
 
 
-def spectral_radii(integrator: str | type[Integrator], damping_ratio: float | Array, ratios: float | Array) -> Array:
+def spectral_radii(
+    integrator: str | type[Integrator], damping_ratio: float | Array, ratios: float | Array, rolls: bool = False
+) -> Array:
     """Return the spectral radius for one ratio h/T, or for each of an array; arguments as those of `amplification`."""
-    return np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratios))), axis=-1)
+    return np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratios, rolls))), axis=-1)
 
 
-def largest_stable_ratio(integrator: str | type[Integrator], damping_ratio: float) -> float:
+def largest_stable_ratio(integrator: str | type[Integrator], damping_ratio: float, rolls: bool = False) -> float:
     """Return the largest h/T for which the closure error does not grow; 0 if it grows at any (ζ = 0, explicit Euler).
 
     Found by looking upwards from small ratios and bisecting the first crossing of spectral radius one.
-    For ζ = 1/√2: 1.0353 semi-implicit Euler, 1.4142 explicit Euler, 2.7044 RK4.
+    For ζ = 1/√2: 1.0353 semi-implicit Euler, 1.4142 explicit Euler, 2.7044 RK4. With `rolls` that of a system which
+    has rows stabilised on the velocity alone, too: 1.9694 RK4.
     """
-    return _largest_stable_ratio(_scheme(integrator), damping_ratio)  # type: ignore[arg-type]  # a class is hashable
+    limit = _largest_stable_ratio(_scheme(integrator), damping_ratio, False)  # type: ignore[arg-type]  # hashable
+    if not rolls:
+        return limit
+    return min(limit, _largest_stable_ratio(_scheme(integrator), damping_ratio, True))  # type: ignore[arg-type]
 
 
 @lru_cache(maxsize=256)
-def _largest_stable_ratio(integrator: type[Integrator], damping_ratio: float) -> float:
+def _largest_stable_ratio(integrator: type[Integrator], damping_ratio: float, rolls: bool) -> float:
     # The faster of two overdamped modes has rate 2ζ/T, so limits fall with 1/ζ.
     ratios = np.geomspace(1e-5, 1e3, 801) / max(1.0, damping_ratio)
-    grows = np.flatnonzero(spectral_radii(integrator, damping_ratio, ratios) > NEUTRAL)
+    grows = np.flatnonzero(spectral_radii(integrator, damping_ratio, ratios, rolls) > NEUTRAL)
     if grows.size == 0:
         return float(ratios[-1])
     if grows[0] == 0:
@@ -114,18 +130,18 @@ def _largest_stable_ratio(integrator: type[Integrator], damping_ratio: float) ->
     low, high = float(ratios[grows[0] - 1]), float(ratios[grows[0]])
     while high - low > 1e-12 * high:
         middle = math.sqrt(low * high)
-        if spectral_radius(integrator, damping_ratio, middle) > NEUTRAL:
+        if spectral_radius(integrator, damping_ratio, middle, rolls) > NEUTRAL:
             high = middle
         else:
             low = middle
     return low
 
 
-def recommended_ratio(integrator: str | type[Integrator], damping_ratio: float) -> float:
+def recommended_ratio(integrator: str | type[Integrator], damping_ratio: float, rolls: bool = False) -> float:
     """Return the h/T of ``stabiliser.time_constant = "auto"``; 0 if no T makes the closure error die out (ζ = 0).
 
     T is two steps, or twice the shortest stable time constant where that is longer; the top of this module says why.
     """
     if not damping_ratio > 0.0:
         return 0.0
-    return min(1.0 / STEPS, largest_stable_ratio(integrator, damping_ratio) / MARGIN)
+    return min(1.0 / STEPS, largest_stable_ratio(integrator, damping_ratio, rolls) / MARGIN)

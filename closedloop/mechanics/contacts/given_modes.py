@@ -18,7 +18,13 @@ from closedloop.mechanics.contacts.least_norm import least_norm
 from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
-from closedloop.mechanics.contacts.resistance import add_turning, has_resistance, is_resistance, moved_by_turning
+from closedloop.mechanics.contacts.resistance import (
+    add_turning,
+    has_resistance,
+    is_resistance,
+    mode_of_resistance,
+    moved_by_turning,
+)
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, SAME_ROW, independent_rows, shortest_solutions
 from closedloop.mechanics.contacts.soft_friction import write_shared
 from closedloop.mechanics.contacts.sticking import all_stick, shortest_sticking
@@ -46,6 +52,8 @@ def kinds_of_modes(links: ContactLinks, c: Contacts) -> None:
         c.problem.form[i] = OFF
         c.viscous[3 * i + 1], c.viscous[3 * i + 2] = 0.0, 0.0
         pulls = c.friction.pulls[i] != 0.0
+        if is_resistance(c, i) and mode_of_resistance(c, i) == FREE:
+            c.mode[i] = FREE  # whatever has opened its owner
         if c.mode[i] == STUCK and c.friction.sticks[i] != SPRING_STICK:
             c.problem.form[i] = DOUBLE if pulls else CONE
         elif pulls or c.mode[i] != FREE:

@@ -92,10 +92,10 @@ def project_all(c: Contacts, k: int, multiplier: Array, spans: bool) -> float:
         c.scratch.best[i], c.scratch.trial[i] = s, s
     for i in range(k):
         F, kind = c.scratch.trial[3 * i : 3 * i + 3], c.problem.form[i]
-        if is_resistance(c, i):
-            F[0] = 0.0  # the rest is written with its owner's
-        elif kind == OFF:
+        if kind == OFF:
             F[0], F[1], F[2] = 0.0, 0.0, 0.0
+        elif is_resistance(c, i):
+            F[0] = 0.0  # the rest is written with its owner's
         elif has_resistance(c, i):
             nearest_shared(c, i, c.scratch.best, spans, c.scratch.trial)
         elif kind in (CONE, DOUBLE):

@@ -58,7 +58,8 @@ class Rims(Block, sizes=("k",)):
     seat: Annotated[Array, K, 3]  # from its centre, m
     tilt: Annotated[Array, K]  # sine of the angle between axis and normal
     tilt_rate: Annotated[Array, K]  # of the axis' part along the plane, 1/s
-    deeper: Annotated[Array, K]  # by how much the lowest point is higher than the one it stands on, m: not positive
+    lowest: Annotated[Array, K, 3]  # while it stands, the lowest point, from its centre, m
+    apart: Annotated[Array, K]  # and the cosine of the angle between the two
 
 
 class Shapes(Block, sizes=("n", "k")):

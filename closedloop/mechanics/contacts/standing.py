@@ -7,9 +7,10 @@ work that nothing supplies. A disc with
 
     X |t| < h |ṫ| + X t0
 
-stands: what was its lowest point is a point of the body, as its feet are (`closedloop.scenario.collision`). It goes on
-to another one with an impact, without restitution, where that has come to be deeper; and rolls where the tilt is
-resolved. A foot is a point of the edge, and no contact while the edge rolls.
+stands: what was its lowest point is a point of the body, as its feet are (`closedloop.scenario.collision`). Where
+another has come to be deeper it goes on, with an impact, to the next corner of a polygon in the edge: to a point as
+high as the one it stood on, beyond the lowest. It rolls where the tilt is resolved and the lowest point is the one it
+stands on. A foot is a point of the edge, and no contact while the edge rolls.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ from closedloop.mechanics.contacts.shapes import RADIUS, Shapes, shapes_at
 
 # X: t may change by this share of itself in a step; a step is divided so that it changes by no more than the second.
 RESOLVED, IN_A_PART = 0.8, 0.1
-# t0: what is tilted less is flat, but for rounding. What stands rolls again from so many times the limit on.
-LEAST_TILT, AGAIN = 1e-6, 2.0
+# t0: what is tilted less is flat, but for rounding. What stands rolls again from so many times the limit on, where the
+# lowest point is no further than this share of R |t| below that which it stands on; from the third on, wherever it is.
+LEAST_TILT, AGAIN, NEAR, SURELY = 1e-6, 2.0, 1e-4, 8.0
 # Of an integrator that chooses its steps: as if they were so long, s.
 OWN_STEP = 1e-3
-# How deep another point of the edge may be, as a share of R |t|, and beside it, m: the disc stands on one that is up to
-# 11° from the lowest.
-SHARE_DEEPER, DEEPER = 0.02, 1e-10
+# How deep another point of the edge may be, as a share of R |t|, and beside it, m: a polygon of some 31 corners. The
+# next corner is beyond the lowest point by this share of the angle of the last; from further away, the lowest point.
+SHARE_DEEPER, DEEPER, BEYOND, FAR = 0.005, 1e-10, 0.95, 0.9
 # A foot that is no contact is so far, m.
 APART = 1.0
 
@@ -48,15 +50,18 @@ def see_tilt(shapes: Shapes, i: int) -> None:
 
 @kernel
 def stand(shapes: Shapes, i: int, r: Array, wander: Array) -> None:
-    """Write r and ṙ of the point that contact i stands on, in place of its lowest, and how deep that is."""
-    rim, axes, w, radius, lowest = shapes.rim, shapes.axes, shapes.spin, shapes.shape[i, RADIUS], r[0]
+    """Write r and ṙ of the point that contact i stands on, in place of its lowest, and where that is."""
+    rim, axes, w, radius = shapes.rim, shapes.axes, shapes.spin, shapes.shape[i, RADIUS]
+    lowest = r[0] + radius
+    for a in range(3):
+        rim.lowest[i, a] = axes[0, a] * lowest + axes[1, a] * r[1] + axes[2, a] * r[2]
     for a in range(3):
         r[a] = axes[a, 0] * rim.seat[i, 0] + axes[a, 1] * rim.seat[i, 1] + axes[a, 2] * rim.seat[i, 2]
     for a in range(3):
         b, d = (a + 1) % 3, (a + 2) % 3
         wander[a] = w[b] * r[d] - w[d] * r[b]
+    rim.apart[i] = r[0] / lowest if lowest < 0.0 else 1.0
     r[0] -= radius
-    rim.deeper[i] = lowest - r[0]
 
 
 @kernel
@@ -66,7 +71,7 @@ def take_seat(shapes: Shapes, i: int, r: Array) -> None:
     for a in range(3):
         at = r[0] + shapes.shape[i, RADIUS]
         rim.seat[i, a] = axes[0, a] * at + axes[1, a] * r[1] + axes[2, a] * r[2]
-    rim.stands[i], rim.deeper[i] = 1.0, 0.0
+    rim.stands[i] = 1.0
 
 
 @kernel
@@ -79,15 +84,18 @@ def left_of_rolling(shapes: Shapes, i: int, h: float) -> float:
 def left_of_standing(shapes: Shapes, i: int, h: float) -> float:
     """Return what is left until contact i, which stands, rolls or stands on another point: negative once it does."""
     rim = shapes.rim
-    rolls = AGAIN * h * rim.tilt_rate[i] - RESOLVED * (rim.tilt[i] - AGAIN * LEAST_TILT)
-    return float(min(rolls, rim.deeper[i] + SHARE_DEEPER * rim.radius[i] * rim.tilt[i] + DEEPER))
+    size, deeper = rim.radius[i] * rim.tilt[i], rim.radius[i] * rim.tilt[i] * (1.0 - rim.apart[i])
+    limit, tilt = h * rim.tilt_rate[i] + RESOLVED * LEAST_TILT, RESOLVED * rim.tilt[i]
+    rolls = max(AGAIN * limit - tilt, deeper - NEAR * size - DEEPER)
+    return float(min(rolls, SURELY * limit - tilt, DEEPER + SHARE_DEEPER * size - deeper))
 
 
 @kernel
 def is_idle(shapes: Shapes, c: Contacts, j: int, h: float) -> bool:
-    """Whether contact j is a foot of a disc whose edge rolls."""
+    """Whether contact j is a foot of a disc whose edge rolls; those of soft contacts are springs of their own."""
     i = int(shapes.rim.foot_of[j])
-    return bool(i > 0 and c.mode[i] != FREE and shapes.rim.stands[i] == 0.0 and left_of_rolling(shapes, i, h) >= 0.0)
+    rolls = i > 0 and c.mode[i] != FREE and shapes.rim.stands[i] == 0.0 and left_of_rolling(shapes, i, h) >= 0.0
+    return bool(rolls and c.soft[i] == 0.0)
 
 
 @kernel
@@ -99,6 +107,16 @@ def rim_margin(links: ContactLinks, c: Contacts, h: float) -> float:
             stands = shapes.rim.stands[i] != 0.0
             least = min(least, left_of_standing(shapes, i, h) if stands else left_of_rolling(shapes, i, h))
     return float(least)
+
+
+@kernel
+def some_stand(links: ContactLinks, c: Contacts) -> bool:
+    """Whether a disc stands on its edge or on its feet."""
+    shapes, stands = shapes_at(links.shapes), False
+    for i in range(1, links.points):
+        on_foot = shapes.rim.foot_of[i] > 0.0 and c.mode[i] != FREE
+        stands = stands or on_foot or (shapes.rim.stands[i] != 0.0 and c.mode[i] != FREE)
+    return stands
 
 
 @kernel
@@ -114,26 +132,48 @@ def longest_roll(links: ContactLinks, c: Contacts) -> float:
 
 @kernel
 def leave_seats(links: ContactLinks, c: Contacts, h: float) -> bool:
-    """Let discs that stand no longer on the point that they stood on touch with their lowest; whether there are any.
+    """Let discs stand on the next point, or roll, where they do no longer stand as they did; whether there are any.
 
     What rolls again has no feet.
     """
     shapes, left = shapes_at(links.shapes), False
+    rim = shapes.rim
     for i in range(1, links.points):
-        if shapes.rim.stands[i] != 0.0 and c.mode[i] != FREE and left_of_standing(shapes, i, h) < 0.0:
-            shapes.rim.stands[i], left = 0.0, True
-            for j in range(1, links.points if left_of_rolling(shapes, i, h) >= 0.0 else 0):
-                if shapes.rim.foot_of[j] == i and c.mode[j] != FREE:
-                    c.mode[j], c.cleared[j], c.floor[j] = FREE, 0.0, min(c.located[3 * j], 0.0)
+        if rim.stands[i] == 0.0 or c.mode[i] == FREE or left_of_standing(shapes, i, h) >= 0.0:
+            continue
+        left = True
+        size = rim.radius[i] * rim.tilt[i]
+        if DEEPER + SHARE_DEEPER * size < (1.0 - rim.apart[i]) * size:
+            seat_next(shapes, i)
+            continue
+        rim.stands[i] = 0.0
+        for j in range(1, links.points):
+            if rim.foot_of[j] == i and c.mode[j] != FREE and c.soft[i] == 0.0:
+                c.mode[j], c.cleared[j], c.floor[j] = FREE, 0.0, min(c.located[3 * j], 0.0)
     return left
 
 
 @kernel
+def seat_next(shapes: Shapes, i: int) -> None:
+    """Let contact i stand on the next point: in coordinates in which the edge is a circle, beyond the lowest."""
+    rim, of_lowest, of_last = shapes.rim, 1.0, 0.0
+    if FAR < rim.apart[i] < 1.0:
+        angle = math.acos(rim.apart[i])
+        of_lowest, of_last = math.sin((1.0 + BEYOND) * angle), math.sin(BEYOND * angle)
+        of_lowest, of_last = of_lowest / math.sin(angle), of_last / math.sin(angle)
+    for a in range(3):
+        rim.seat[i, a] = of_lowest * rim.lowest[i, a] - of_last * rim.seat[i, a]
+
+
+@kernel
 def rest_on_feet(links: ContactLinks, c: Contacts) -> None:
-    """Open the edge of a disc that stands on its feet: it is a fourth point of the same plane."""
+    """Open the edge of a disc that stands on its feet: it is a fourth point of the same plane.
+
+    Not of a soft one: what its springs carry does not go elsewhere at once.
+    """
     shapes = shapes_at(links.shapes)
     for i in range(1, links.points):
-        if shapes.rim.stands[i] == 0.0 or c.mode[i] == FREE:
+        if shapes.rim.stands[i] == 0.0 or c.mode[i] == FREE or c.soft[i] != 0.0:
             continue
         feet = 0
         for j in range(1, links.points):

@@ -64,6 +64,8 @@ class Tally(Block, sizes=("n",)):
     last_unsettled: float  # the last row of which the force was not yet near that desired; -1: none
     excess_before: float  # `Sample.unsettled` of the row before
     settled: float  # from which row on it is near, by a line between two rows
+    lowest_energy: float  # kinetic and potential, above that in the first row, J
+    energy_gained: float  # largest rise above the lowest before, J
     scale: Annotated[Array, Scale.count()]
     powers_before: Annotated[Array, Powers.count()]
     work: Annotated[Array, Powers.count()]
@@ -156,6 +158,7 @@ def begin_tally(tally: Tally, h: float, largest: float) -> None:
     """Write the tally of no row: `h`, s, is the time between two rows, `largest` the largest |f_des|, N."""
     tally.h, tally.condition, tally.start_error, tally.last_unsettled = h, 0.0, 0.0, -1.0
     tally.excess_before = tally.settled = 0.0
+    tally.lowest_energy = tally.energy_gained = 0.0
     scale = Scale(tally.scale)
     scale.largest_force = largest
     for k in range(tally.work.shape[0]):
@@ -191,6 +194,8 @@ def count_row(row: Row, n: int, potential: float, wanted: Reference, limits: Joi
     enters = (sample.unsettled <= 0.0) & (tally.excess_before > 0.0)
     tally.settled = select(enters, i - 1.0 + share_inside(tally.excess_before, sample.unsettled), tally.settled)
     tally.excess_before = sample.unsettled
+    tally.lowest_energy = min(tally.lowest_energy, sample.energy)
+    tally.energy_gained = max(tally.energy_gained, sample.energy - tally.lowest_energy)
     for k in range(sample.greatest.shape[0]):
         tally.greatest[k] = max(tally.greatest[k], sample.greatest[k])
     for k in range(sample.sums.shape[0]):
@@ -228,6 +233,7 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
     values.max_tip_speed = math.sqrt(most.tip_speed_squared)
     values.max_friction_force = math.sqrt(most.friction_squared)
     values.max_energy_residual, values.energy_exchanged = most.energy_residual, work.torques
+    values.energy_gained, values.energy_above_start = tally.energy_gained, max(most.energy, 0.0)
     values.energy_lost_to_friction = -work.friction
     values.time_in_contact = tally.h * (sums.touching - select(last.mode != FREE, 1.0, 0.0))
     touching = select(sums.touching > 0.0, sums.touching, math.nan)

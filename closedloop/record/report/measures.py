@@ -33,6 +33,8 @@ MEASURES: dict[str, Measure] = {
         "1", "1 if the tip came near singular poses on the way through only, with a contact force that stayed as it was"
     ),
     "max_energy_residual": Measure("J", "largest energy unaccounted for"),
+    "energy_gained": Measure("J", "largest rise of kinetic and potential energy, of what moves without drives"),
+    "energy_above_start": Measure("J", "how far they rise above the start's; of what moves without drives"),
     "energy_exchanged": Measure("J", "energy that the joint torques exchanged with the arm"),
     "deepest_penetration": Measure("m", "deepest that the tip was below the surface"),
     "time_in_contact": Measure("s", "time in contact"),
@@ -59,8 +61,13 @@ _OF_THE_TIP = (
 
 
 def absent_measures(scenario: Scenario, own_law: bool = False) -> tuple[str, ...]:
-    """Return the measures that do not exist: without a surface those of the contact, without a law that of the path."""
+    """Return the measures that do not exist: without a surface those of the contact, without a law that of the path.
+
+    What is driven, or touches something that moves by itself, may gain energy.
+    """
     without_law = ("rms_path_error",) if not (scenario.has_law or own_law) else ()
+    if own_law or not scenario.is_passive:
+        without_law += ("energy_gained", "energy_above_start")
     return without_law if scenario.has_surface else (*_OF_THE_TIP, *without_law)
 
 

@@ -56,6 +56,7 @@ class Greatest(Block, sizes=("n",)):
     friction_squared: float
     kinetic_energy: float
     energy_residual: float
+    energy: float  # above the start
     joint_friction: Annotated[Array, N]
     position_excess: Annotated[Array, N]
     joint_speed: Annotated[Array, N]
@@ -100,6 +101,7 @@ class Sample(Block, sizes=("n",)):
 
     unsettled: float  # N by which the force is farther from that desired than it may be; the last above 0 counts
     contact_error: float  # e in contact, else 0; the first row's counts
+    energy: float  # kinetic and potential, above that in the first row, J; what it rises by counts
     powers: Annotated[Array, Powers.count()]
     greatest: Annotated[Array, Greatest.count(N)]
     sums: Annotated[Array, Sums.count(N)]
@@ -167,6 +169,7 @@ def sample_row(
     greatest.kinetic_energy = row.kinetic_energy
     left = energy_left(row, potential, scale)
     greatest.energy_residual = abs(left)
+    greatest.energy = sample.energy = row.kinetic_energy + potential - scale.start_energy
     powers.torques, powers.friction = abs(torque_power(row, n)), friction_power(row, n)
 
     met = assumptions_met(row, friction_squared, in_joints)

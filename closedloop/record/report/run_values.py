@@ -84,6 +84,9 @@ def _sample_rows(run: Record, rows: slice, scale: Scale, sample: Sample) -> None
 def _count_rows(time: Array, begin: int, sample: Sample, tally: Tally) -> None:
     """Count in the rows from row `begin` on; `time` is theirs and, unless it is the first, the one's before."""
     np.maximum(tally.greatest, np.max(sample.greatest, axis=1), out=tally.greatest)
+    lowest = np.minimum(np.minimum.accumulate(sample.energy), tally.lowest_energy)
+    tally.energy_gained = max(tally.energy_gained, np.max(sample.energy - lowest))
+    tally.lowest_energy = lowest[-1]
     tally.sums += np.sum(sample.sums, axis=1)
     powers = np.hstack([tally.powers_before[:, None], sample.powers]) if begin > 0 else sample.powers
     tally.work += np.sum(0.5 * (powers[:, 1:] + powers[:, :-1]) * np.diff(time), axis=1)

@@ -39,6 +39,20 @@ from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.robot.tree.layout import (
+    CONSTANT,
+    HALF_XX,
+    HALF_YY,
+    HX,
+    HY,
+    PARENT,
+    REVOLUTE,
+    SUPPORT,
+    TURNS,
+    XY,
+    XZ,
+    YZ,
+)
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.scenario.arm import joint_friction_of, stop_limits
 from closedloop.scenario.contact_names import names_of
@@ -48,6 +62,8 @@ from robot_models.loop_joint import WORLD
 
 # A point is on the edge of a disc to this share of its size: both are given in few digits.
 ON_EDGE = 1e-6
+# A quarter turn about z.
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 # As many contacts as a scenario may have.
 MOST = 256
 
@@ -116,6 +132,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
         more = ((0, k - points), (0, 0))
         shapes = make_shape_memory(robot.n, np.pad(placed.shapes, more), np.pad(placed.edges, more))
         write_feet(shapes.shapes, placed.bound)
+        write_spins(contacts, shapes.shapes, robot, placed.bound)
         links.shapes = shapes.address
         links.keep_alive(shapes=shapes)
     if surfaces := surfaces_of(sections, names):
@@ -138,6 +155,26 @@ def write_feet(shapes: Shapes, bound: Bound) -> None:
             within = abs(off @ rim.axis[i]) <= ON_EDGE * rim.radius[i]
             if alike and within and abs(off @ np.linalg.pinv(M, 1e-12) @ off - 1.0) <= ON_EDGE:
                 rim.foot_of[j] = i
+
+
+def write_spins(contacts: Contacts, shapes: Shapes, robot: Robot, bound: Bound) -> None:
+    """Write which joints turn a wheel: a link whose mass and whose contacts are symmetric about its axis.
+
+    It carries no other link, nor the tip, and no surface that others touch. Feet of a disc count as its edge.
+    """
+    tree, (own, others) = robot.tree, bound.sides.reshape(4, -1)[1:3, ::3]
+    kinds, supports, parents = (tree.links[row * tree.n : (row + 1) * tree.n] for row in (REVOLUTE, SUPPORT, PARENT))
+    for j in np.flatnonzero((kinds == TURNS) & (supports == 0)):
+        x, mixed = tree.constants[tree.links[CONSTANT * tree.n + j] :], (XY, XZ, YZ, HX, HY)
+        even = not np.any(x[list(mixed)]) and abs(x[HALF_XX] - x[HALF_YY]) <= ON_EDGE * x[HALF_XX]
+        carries = bool(np.any(parents == j) or np.any(others == j))
+        for i in np.flatnonzero(own == j) + 1:
+            M, place = square_of(shapes.shape[i]), bound.at_a[3 * i - 3]
+            size = ON_EDGE * max(np.linalg.norm(place), ON_EDGE)
+            alike = np.max(np.abs(M - QUARTER @ M @ QUARTER.T)) <= ON_EDGE * np.max(np.abs(M))
+            on_axis = np.hypot(place[0], place[1]) <= size and not np.any(shapes.edge[i])
+            even = even and (shapes.rim.foot_of[i] > 0 or (alike and on_axis))
+        contacts.spins[j] = float(even and not carries)
 
 
 def write_joints(

@@ -103,11 +103,12 @@ class ScenarioNumbers:
 
     @property
     def time_constant(self) -> float | None:
-        """T of Baumgarte's stabiliser, s, as given or as chosen by "auto"; None without that stabiliser."""
+        """T of Baumgarte's stabiliser, s, as given or as chosen; None without that stabiliser."""
         section = self.scenario.stabiliser
         if not isinstance(section, BaumgarteGains):
             return None
-        return float(self.stabiliser[1] ** -0.5) if section.time_constant == "auto" else section.time_constant
+        given = section.time_constant
+        return given if isinstance(given, float) else float(self.stabiliser[1] ** -0.5)
 
     @property
     def plane(self) -> Plane:

@@ -1,0 +1,112 @@
+"""Bodies of every shape that fall on a floor at rest, with nothing that drives them: their energy never grows.
+
+    PYTHONPATH=.:tests/fuzz python tests/fuzz/passive.py --count 1000 --seed 0
+
+Cans and coins near their ends, boxes, balls, capsules and ellipsoids; rigid and soft, with restitution, friction and
+resistances to rolling and pivoting; any integrator. Of each it says if its run stopped, if its energy grew by more than
+its verdict allows, and if that does not say so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+import closedloop as cl
+
+SHAPES = ("can", "coin", "box", "ball", "capsule", "ellipsoid")
+INTEGRATORS = ("rk4", "semi_implicit_euler", "explicit_euler", "dop853")
+# The share of the energy by which it grows at most.
+RISE = 1e-3
+
+
+def draw(seed: int, shapes: tuple[str, ...] = SHAPES, integrators: tuple[str, ...] = INTEGRATORS) -> dict[str, Any]:
+    """Return a scenario."""
+    rng = np.random.default_rng(seed)
+    kind, integrator = (str(rng.choice(names)) for names in (shapes, integrators))
+    turn, body = rng.normal(size=4), {"name": "body", "mass": float(10 ** rng.uniform(-1.5, 0.7))}
+    if kind in ("can", "coin"):
+        radius = rng.uniform(0.02, 0.08)
+        length = radius * (rng.uniform(0.5, 4.0) if kind == "can" else rng.uniform(0.03, 0.3))
+        body |= {"shape": "cylinder", "radius": float(radius), "length": float(length)}
+        low = float(np.hypot(radius, 0.5 * length))
+        if rng.random() < 0.7:  # on its end, or nearly
+            tilt, about = (10 ** rng.uniform(-4, 0) if rng.random() < 0.9 else 0.0), rng.uniform(0, 2 * np.pi)
+            turn = np.array([np.cos(tilt / 2), *(np.sin(tilt / 2) * np.array([np.cos(about), np.sin(about), 0.0]))])
+            low = 0.5 * length * np.cos(tilt) + radius * np.sin(tilt)
+    elif kind == "box":
+        edges = rng.uniform(0.03, 0.15, 3)
+        body, low = body | {"shape": "box", "edges": edges.tolist()}, 0.5 * float(np.linalg.norm(edges))
+    elif kind == "ellipsoid":
+        half = rng.uniform(0.01, 0.1, 3)
+        body, low = body | {"shape": "ellipsoid", "half_axes": half.tolist()}, float(half.max())
+    else:
+        radius, length = rng.uniform(0.02, 0.08), rng.uniform(0.02, 0.2)
+        body, low = body | {"shape": kind, "radius": float(radius)}, radius
+        if kind == "capsule":
+            body, low = body | {"length": float(length)}, radius + 0.5 * length
+    body["quaternion"] = (turn / np.linalg.norm(turn)).tolist()
+    body["position"] = [0.0, 0.0, float(low + 10 ** rng.uniform(-5, -1.3))]
+    if rng.random() < 0.6:
+        body["spin"] = (rng.normal(size=3) * 10 ** rng.uniform(-2, 1)).tolist()
+        body["velocity"] = (rng.normal(size=3) * 10 ** rng.uniform(-2, -0.3)).tolist()
+    contact = {"link": "body", "at": "collision", "friction": float(rng.choice([0, 0.1, 0.3, 0.8, 1.5]))}
+    contact["restitution"] = float(rng.choice([0, 0, 0, 0.3, 0.7]))
+    if rng.random() < 0.2:
+        stiffness, damping = float(10 ** rng.uniform(3, 4.5)), float(10 ** rng.uniform(0, 1.3))
+        contact["compliance"] = {"kind": "kelvin_voigt", "stiffness": stiffness, "damping": damping}
+    for key in ("rolling", "pivoting"):
+        if rng.random() < 0.25:
+            contact[key] = float(10 ** rng.uniform(-4, -2.3))
+    step = float(rng.choice([5e-4, 1e-3, 2e-3])) if integrator != "dop853" else 0.01
+    times = {"duration": round(0.5 / step) * step, "step": step, "integrator": integrator}
+    stabiliser = {"kind": "baumgarte", "time_constant": 0.01}
+    return {"robot": {"model": "none"}, "body": [body], "contact": [contact], "stabiliser": stabiliser, "time": times}
+
+
+def examine(scenario: dict[str, Any]) -> tuple[Any, dict[str, float]]:
+    """Return the run of a scenario, and what is wrong with it, by name, and how much."""
+    wrong = {}
+    try:
+        run = cl.simulate(cl.Scenario.model_validate(scenario), progress=False)
+    except cl.SimulationError as error:
+        run, wrong["stopped"] = error.run, 1.0
+    energy = run.kinetic_energy + run.potential_energy
+    soft = "compliance" in scenario["contact"][0]
+    lowest = energy[0] if soft else np.minimum.accumulate(energy)
+    rise = float(np.max(energy - lowest))
+    said = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
+    if rise > max(1e-6, RISE * (energy[0] - energy.min())):
+        wrong["energy, said" if said & {"gain", "stopped"} else "energy"] = rise
+    return run, wrong
+
+
+def main() -> None:
+    """Run the campaign."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--shapes", nargs="*", default=SHAPES)
+    parser.add_argument("--integrators", nargs="*", default=INTEGRATORS)
+    args = parser.parse_args()
+    counts: Counter[str] = Counter()
+    for seed in range(args.seed, args.seed + args.count):
+        scenario = draw(seed, tuple(args.shapes), tuple(args.integrators))
+        since = time.process_time()
+        run, wrong = examine(scenario)
+        seconds = time.process_time() - since
+        counts.update(list(wrong))
+        if wrong or seconds > 20.0:
+            times = scenario["time"]
+            print(
+                f"{seed}: {times['integrator']} {times['step']:g} s, {seconds:.1f} s, {len(run.events)} events", wrong
+            )
+    print(dict(counts))
+
+
+if __name__ == "__main__":
+    main()

@@ -295,11 +295,7 @@ def record_contacts(w: Work, state: State, part: Array) -> None:
         row.link_gaps[to], row.link_forces[to] = c.located[at], c.F[at]
         row.link_frictions[2 * to], row.link_frictions[2 * to + 1] = c.F[at + 1], c.F[at + 2]
         row.link_slips[2 * to], row.link_slips[2 * to + 1] = c.u[at + 1], c.u[at + 2]
-        for which in range(2):
-            s = resistance_of(c, i, which)
-            if s >= 0 and which == 0:
-                arm = c.friction.resistance.arm[s]
-                row.link_rolling_moments[2 * to] = arm * c.F[3 * s + 1]
-                row.link_rolling_moments[2 * to + 1] = arm * c.F[3 * s + 2]
-            elif s >= 0:
-                row.link_pivoting_moments[to] = c.friction.resistance.arm[s] * c.F[3 * s + 1]
+        rolling, pivoting, arm = resistance_of(c, i, 0), resistance_of(c, i, 1), c.friction.resistance.arm
+        for a in range(2):
+            row.link_rolling_moments[2 * to + a] = arm[rolling] * c.F[3 * rolling + 1 + a] if rolling >= 0 else 0.0
+        row.link_pivoting_moments[to] = arm[pivoting] * c.F[3 * pivoting + 1] if pivoting >= 0 else 0.0

@@ -16,6 +16,7 @@ from closedloop.jit.user_code import of_users
 from closedloop.loop.events.phases import RESTING, TOUCHING
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.compliance import largest_mobility
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.placed import PlacedSurface, Touching
@@ -80,6 +81,9 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
     rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
     given, at_most, place = _where_given(section, surface, tip)
     if soft:  # how deep the tip is, or how fast it comes, is for the surface to answer
+        mobility = largest_mobility(terms.mass_matrix, now.frame[:1] @ terms.jacobian)
+        if now.inside >= 0.0 and (thrown := scenario.compliance.thrown_out(-gap, mobility)):
+            raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface{thrown}: {at_most}")
         return surface, now, PRESSED if section.contact == "bilateral" or gap <= TOUCHING else FREE
     if section.contact == "bilateral":
         if abs(gap) > START_GAP:

@@ -14,6 +14,7 @@ from closedloop.mechanics.closure.baumgarte import baumgarte_gains, largest_stab
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.compliance import largest_mobility
 from closedloop.mechanics.surface.placed import Touching
 from closedloop.record.columns.added import recorded_states
 from closedloop.scenario.scenario import Scenario
@@ -64,11 +65,7 @@ def integrator_of(scenario: Scenario, joint_friction: JointFriction) -> tuple[ty
 def check_stiffness(scenario: Scenario, robot: Robot, q: Array, now: Touching) -> None:
     """Refuse a soft surface that is too stiff for the step: tip and surface are a mass, a spring and a damper."""
     terms, name, h = robot.terms(q, np.zeros(robot.n)), scenario.time.integrator, scenario.time.step
-    A = now.frame[0] @ terms.jacobian
-    try:
-        mobility = float(A @ np.linalg.solve(terms.mass_matrix, A))
-    except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
-        return
+    mobility = largest_mobility(terms.mass_matrix, now.frame[:1] @ terms.jacobian)
     stiffness, damping = scenario.compliance.tangent(max(0.0, -now.gap))
     rate = math.sqrt(stiffness * mobility)
     if not 0.0 < rate < math.inf:

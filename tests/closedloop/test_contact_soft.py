@@ -5,6 +5,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.scenario.load import scenario_of
+from closedloop.simulation.prepare import prepare
 from robot_models import load
 
 SOFT = {"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 300.0}
@@ -13,7 +14,7 @@ SOFT = {"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 300.0}
 def dropped(scheme, friction, duration=0.3, **more):
     """Return the changes that drop an arm with two joints on a soft surface."""
     rubs = {"friction.kind": "coulomb", "friction.coefficient": friction} if friction else {}
-    return {"time.duration": duration, "time.integrator": scheme, "compliance": SOFT, **rubs, **more}
+    return {"time.duration": duration, "time.integrator": scheme, "compliance": SOFT, **rubs} | more
 
 
 def as_contacts(tip, *others, **more):
@@ -90,6 +91,35 @@ def test_start_inside_a_soft_surface(both):
     assert run.link_forces[0, 0] == pytest.approx(SOFT["stiffness"] * 0.001, rel=1e-9)
     with pytest.raises(cl.ScenarioError, match="inside the surface"):
         cl.simulate(as_contacts(tip, through=inside, compliance={"kind": "none"}), progress=False)
+
+
+@pytest.mark.parametrize("compliance", [SOFT, {"kind": "hunt_crossley", "stiffness": 1e6}])
+def test_a_start_deep_inside_a_soft_surface_is_refused(both, compliance):
+    """Of links and of the tip: the surface would throw it out, as a cannon does, at δ √(k/m)."""
+    tip = both[0]
+    deep = (tip.position[0] + 0.5 * tip.surface_normal[0]).tolist()
+    where = r"the (point|tip) starts 0\.5 m inside the surface, which throws it out at some [0-9.e+]+ m/s: [^\n]*$"
+    with pytest.raises(cl.ScenarioError, match=where):
+        prepare(as_contacts(tip, through=deep, compliance=compliance))
+    plane = {"surface.gap": 0.0, "surface.offset": float(tip.surface_normal[0] @ deep)}
+    with pytest.raises(cl.ScenarioError, match=where):
+        prepare(cl.load_scenario("planar2_drop", dropped("rk4", 0.3, compliance=compliance, **plane)))
+
+
+@pytest.mark.parametrize("speed", [9.0, 11.0])
+def test_the_speed_at_which_a_soft_surface_throws_a_ball_out(speed):
+    """δ √(k/m), from both sides of the largest that may start."""
+    k, m = 2e4, 1.3
+    contact = {"link": "b", "at": "collision", "compliance": {"kind": "kelvin_voigt", "stiffness": k, "damping": 0.0}}
+    ball = {"name": "b", "shape": "ball", "radius": 0.2, "mass": m, "position": [0, 0, 0.2 - speed * (m / k) ** 0.5]}
+    tables = {"robot": {"model": "none", "gravity": [0, 0, 0]}, "body": [ball], "contact": [contact]}
+    tables["time"] = {"duration": 0.02, "step": 1e-4, "integrator": "rk4"}
+    scenario = scenario_of(tables, "ball", {})
+    if speed > 10.0:
+        with pytest.raises(cl.ScenarioError, match="throws it out at some 11 m/s"):
+            prepare(scenario)
+    else:
+        assert cl.simulate(scenario, progress=False).v[-1, 2] == pytest.approx(speed, rel=1e-6)
 
 
 def thrown(compliance, mu, duration, velocity=(0.3, 0.1, 0.0), spin=(0, 0, 2.0), gravity=(0, 0, -9.81), **time):

@@ -11,13 +11,29 @@ Those that ship are in `closedloop.mechanics.surface.compliances`, one file each
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar
 
+import numpy as np
+
+from closedloop.base.arrays import Array
 from closedloop.base.families import Family, Parameters
 
 # Gauss and Legendre's rule with eight points, on −1 to 1: half of the points, and their weights.
 POINTS = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
 WEIGHTS = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)
+
+# The fastest at which a surface may throw out what starts inside it, m/s: a body that fell from 5 m comes with as much.
+# What is faster is no motion that has been interrupted, but a surface that is in a wrong place.
+FASTEST_OUT = 10.0
+
+
+def largest_mobility(H: Array, rows: Array) -> float:
+    """Return the largest eigenvalue of G H⁻¹ Gᵀ, 1/kg, of rows G (m, n); 0 if some joint moves no inertia."""
+    try:
+        return float(np.linalg.eigvalsh(rows @ np.linalg.solve(H, rows.T))[-1])
+    except np.linalg.LinAlgError:
+        return 0.0
 
 
 class Compliance(Parameters):
@@ -32,6 +48,15 @@ class Compliance(Parameters):
     def tangent(self, depth: float) -> tuple[float, float]:
         """Return stiffness, N/m, and damping, N s/m, of small motions about a depth, m: what a step must resolve."""
         return 0.0, 0.0
+
+    def thrown_out(self, depth: float, mobility: float) -> str:
+        """Return in words that a start so deep, m, is not one, of what has this mobility, 1/kg; "" if it is.
+
+        A spring throws it out at δ √(k w), of one that stiffens to its order.
+        """
+        stiffness = max(self.tangent(depth)[0], 0.0) if depth > 0.0 and mobility > 0.0 else 0.0
+        speed = depth * math.sqrt(stiffness * mobility)
+        return f", which throws it out at some {speed:.3g} m/s" if speed > FASTEST_OUT else ""
 
     @staticmethod
     def force(depth: float, speed: float, par: Any) -> float:

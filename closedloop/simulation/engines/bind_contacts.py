@@ -53,6 +53,7 @@ from closedloop.mechanics.robot.tree.layout import (
     XZ,
     YZ,
 )
+from closedloop.mechanics.surface.compliance import largest_mobility
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.scenario.arm import joint_friction_of, stop_limits
 from closedloop.scenario.contact_names import names_of
@@ -357,23 +358,32 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
     bound, shapes = bind_rows(sections, robot), shapes_of(sections, robot)
     sides = bound.sides.reshape(4, -1)[:, ::3]
-    places = start_places(sections, make_loop_memory(robot.tree, bound), make_shape_memory(robot.n, *shapes).shapes, q)
-    for i, (name, section, (gap, inside)) in enumerate(zip(names, sections, places, strict=True)):
+    memory = make_loop_memory(robot.tree, bound)
+    places = start_places(sections, memory, make_shape_memory(robot.n, *shapes).shapes, q)
+    for i, (name, section, (gap, inside, n)) in enumerate(zip(names, sections, places, strict=True)):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
-        if gap < -HOVERING and inside >= 0.0 and not is_soft(section):
-            what = "shape" if section.rolls else "point"
+        if gap < -HOVERING and inside >= 0.0:
+            thrown, what = "", "shape" if section.rolls else "point"
+            if section.compliance is not None and is_soft(section):
+                H, rows = robot.terms(q, np.zeros(robot.n)).mass_matrix, memory.rows.G[3 * i : 3 * i + 3]
+                thrown = section.compliance.thrown_out(-gap, largest_mobility(H, n[None] @ rows))
+                if not thrown:
+                    continue
             raise ScenarioError(
-                f"contact {name!r}: the {what} starts {-gap:.4g} m inside the surface: "
+                f"contact {name!r}: the {what} starts {-gap:.4g} m inside the surface{thrown}: "
                 "start it outside, or move the surface with through"
             )
-    return ContactPlaces(bound, *shapes, tuple(places))
+    return ContactPlaces(bound, *shapes, tuple((gap, inside) for gap, inside, _ in places))
 
 
 def start_places(
     sections: tuple[ContactSection, ...], rows: LoopMemory, shapes: Shapes, q: Array
-) -> list[tuple[float, float]]:
-    """Return the gap of each contact at q (n,), m, and how far inside the edge of its surface it is, m."""
+) -> list[tuple[float, float, Array]]:
+    """Return the gap of each contact at q (n,), m, how far inside the edge of its surface it is, m, and its normal.
+
+    The normal is in the axes of its rows. At the start these are those of `bind_rows`.
+    """
     names = names_of(sections)
     rows.rows.q[:] = q
     interpreted(locate_rows)(rows.links, rows.rows)
@@ -383,10 +393,10 @@ def start_places(
         if section.edge is not None:
             interpreted(turn_against)(rows.links, rows.rows, 3 * i, shapes)
             interpreted(choose_crossing)(shapes, i + 1, place, True, -1)
-            places.append((float(shapes.crossing[0]), float(shapes.crossing[1])))
+            places.append((float(shapes.crossing[0]), float(shapes.crossing[1]), shapes.frame[i + 1][0].copy()))
             continue
         if section.rolls and surface is None:
             interpreted(roll_on_plane)(rows.links, rows.rows, shapes, i + 1, 0.0)
         now = None if surface is None else check_surface(surface, place, name)
-        places.append((float(place[0]), math.inf) if now is None else (now.gap, now.inside))
+        places.append((float(place[0]), math.inf, np.eye(3)[0]) if now is None else (now.gap, now.inside, now.frame[0]))
     return places

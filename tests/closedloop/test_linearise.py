@@ -132,7 +132,10 @@ def test_a_rigid_surface_answers_with_the_laws_stiffness():
 
 
 def test_delay_and_sampling():
-    """With the plant's exact hold P(z) the poles are the roots of (z − 1) z^d + K h P(z), d the delay and a sample."""
+    """With the plant's exact hold P(z) the poles are the roots of (z − 1) z^d + K h P(z), d the delay in samples.
+
+    The integral of a step is that of the sample taken at its beginning.
+    """
     h, delayed, K = 0.002, 3, 15.0
     loop = cl.linearise(mass_on_a_spring(gain=K, time__step=h, sensor__delay=delayed * h, law__sample_period=h))
     both = np.zeros((3, 3))
@@ -141,7 +144,7 @@ def test_delay_and_sampling():
     den = np.poly(step[:2, :2])
     num = np.poly(step[:2, :2] - step[:2, 2:] @ c) - den  # c adj(z − A) b = det(z − A + b c) − det(z − A)
     found = sorted_by([pole.z for pole in normal_poles(loop)])
-    for late, same in ((delayed + 1, True), (delayed, False)):
+    for late, same in ((delayed, True), (delayed + 1, False)):
         characteristic = np.polyadd(np.polymul(np.append([1.0, -1.0], np.zeros(late)), den), K * h * num)
         wanted = sorted_by(np.roots(characteristic))
         assert (found.size == wanted.size and np.allclose(found, wanted, rtol=0, atol=1e-9)) is same
@@ -158,7 +161,7 @@ def test_delay_and_sampling_against_python_control():
     plant = control.ss([[0.0, 1.0], [-STIFFNESS / MASS, -DAMPING / MASS]], [[0.0], [1.0 / MASS]],
                        [[STIFFNESS, DAMPING]], [[0.0]])  # fmt: skip
     z = control.tf([1, 0], [1], h)
-    cut = control.c2d(plant, h, "zoh") * control.ss(control.tf([K * h], [1, -1], h)) * control.ss(z ** -(delayed + 1))
+    cut = control.c2d(plant, h, "zoh") * control.ss(control.tf([K * h], [1, -1], h)) * control.ss(z**-delayed)
     wanted = control.feedback(cut, 1).poles()
     found = [pole.z for pole in normal_poles(loop)]
     np.testing.assert_allclose(sorted_by(found), sorted_by(wanted), atol=1e-9)

@@ -1,9 +1,12 @@
 """The linear loop against small steps of the run itself, and the columns that disturb it."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
+from budget import every
+from linear_loops import mass_on_a_spring
 
 import closedloop as cl
 from closedloop.loop.step.record_row import ContactRow
@@ -36,6 +39,74 @@ PULSES = {
         "encoder.velocity": "difference", "encoder.filter_time_constant": 0.003, "compliance.kind": "kelvin_voigt",
     }),
 }  # fmt: skip
+
+
+def steps_of_a_bias(make, size):
+    """Return f of runs, per newton, whose sensor is wrong by ± size, and that of the linear loop, sample by sample.
+
+    `make` gives the scenario of a bias; at rest before t = 0 all readings in the sensor have it.
+    """
+    runs = [cl.simulate(make(bias), progress=False) for bias in (size, -size)]
+    loop = cl.linearise(make(0.0), at=0.0)
+    at, by = loop.output("contact force"), loop.input("sensor noise")
+    x = np.array([float(state.name.startswith("reading")) for state in loop.states])
+    hold, wanted = round(loop.dt / make(0.0).time.step), []
+    seen = ((runs[0].contact_force - runs[1].contact_force) / (2.0 * size))[::hold]
+    for _ in seen:
+        wanted.append(loop.C[at] @ x + loop.D[at, by])
+        x = loop.A @ x + loop.B[:, by]
+    return seen, np.array(wanted)
+
+
+SCHEMES = ("rk4", "explicit_euler", "semi_implicit_euler", "dop853")
+
+
+@pytest.mark.parametrize(
+    ("scheme", "held", "delay", "low_pass"),
+    every(5, itertools.product(SCHEMES, (0, 1, 2), (0, 1, 3), (0.0, 0.004))),
+)
+def test_steps_of_the_linear_loop_are_those_of_a_run(scheme, held, delay, low_pass):
+    """Of a mass on a spring, whose run is linear, to 1e-9: each integrator × sampling × delay × low-pass.
+
+    What reaches the force after many samples has passed through every state of the loop.
+    """
+    h = 0.0005
+    changes = {
+        "time__integrator": scheme, "time__step": h, "time__duration": 40 * h, "law__force_feedback": 0.3,
+        "sensor__delay": delay * h * max(held, 1), "sensor__filter_time_constant": low_pass,
+    }  # fmt: skip
+    if held:
+        changes["law__sample_period"] = held * h
+    if scheme == "dop853":
+        changes["time__tolerance"] = 1e-12
+    seen, wanted = steps_of_a_bias(lambda bias: mass_on_a_spring(**changes, sensor__bias=bias), 0.1)
+    np.testing.assert_allclose(seen, wanted, rtol=0, atol=1e-9)
+    assert np.max(np.abs(seen)) > 0.3
+
+
+FORCE_LAW = {"kind": "operational_space", "force": 10.0, "force_integral": 20.0, "force_feedback": 0.2}
+ARMS = {
+    "an admittance": {"law": {"kind": "admittance", "force": 10.0, "admittance_inertia": 2.0,
+                              "admittance_damping": 200.0}, "sensor.delay": 0.002},
+    "an observer": {"law": FORCE_LAW, "compensation.kind": "observer"},
+    "differences of encoders": {"law": FORCE_LAW, "compensation.kind": "observer", "encoder.velocity": "difference",
+                                "encoder.filter_time_constant": 0.003, "sensor.delay": 0.002},
+    "elastic joints": {"law": FORCE_LAW, "transmission.stiffness": 5000.0, "transmission.damping": 10.0,
+                       "sensor.delay": 0.002},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arm", "scheme"), every(2, [(arm, scheme) for arm in ARMS for scheme in ("rk4", "semi_implicit_euler")])
+)
+def test_steps_of_an_arm_at_rest(arm, scheme):
+    """What sensor, encoders and elastic joints bring into the steps of an arm, by small steps of the run, to 1e-7."""
+    changes = ARMS[arm] | {
+        "surface.contact": "bilateral", "reference.kind": "hold", "time.duration": 0.04, "time.integrator": scheme,
+    }  # fmt: skip
+    seen, wanted = steps_of_a_bias(lambda bias: cl.load_scenario("soft_table", changes | {"sensor.bias": bias}), 1e-3)
+    np.testing.assert_allclose(seen, wanted, rtol=0, atol=1e-7)
+    assert np.max(np.abs(seen)) > 0.1
 
 
 @pytest.mark.parametrize("case", PULSES)

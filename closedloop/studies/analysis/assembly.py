@@ -22,7 +22,11 @@ MOST_STATES = 2000
 
 
 def _step(r: Reduced) -> tuple[Array, list[Array]]:
-    """Return Φ (x, x) of a step of the coordinates, and Γ by each of the inputs of a step."""
+    """Return Φ (x, x) of a step of the coordinates, and Γ by each of the inputs of a step.
+
+    They are the reading of the sensor at the row, that after it, the encoders' readings before, the inputs of the loop
+    and the held torque.
+    """
     block, half, free = r.plant, r.half, r.free
     parts = []
     for qdd, dz in zip(r.all_of(block, "qdd"), r.all_of(block, "dz"), strict=True):
@@ -45,22 +49,28 @@ def _step(r: Reduced) -> tuple[Array, list[Array]]:
         leads[first : first + r.n] = np.arange(first + r.n, first + 2 * r.n)
     for name in ("friction", "joint friction"):
         exact[r.z0 + r.parts[name].start : r.z0 + r.parts[name].stop] = True
-    h = r.problem.h
-    Phi, Gamma = step_of(_scheme(r.problem), A, np.hstack(parts[1:]), h, leads, exact)
-    ends = np.cumsum([part.shape[1] for part in parts[1:]])
-    effects = np.split(Gamma, ends[:-1], axis=1)
+    kept, none = np.zeros_like(A), np.zeros_like(parts[1])
+    kept[r.z0 : r.s0] = r.read_at_rows()  # what encoders read at a row acts until the next
+    h, (reading, *others) = r.problem.h, parts[1:]
+    Phi, Gamma = step_of(
+        _scheme(r.problem), A - kept, np.hstack([none, reading, *others, kept]),
+        np.hstack([reading, none, *others, kept]), h, leads, exact,
+    )  # fmt: skip
+    ends = np.cumsum([part.shape[1] for part in (none, reading, *others)])
+    *effects, by_kept = np.split(Gamma, ends, axis=1)
+    Phi += by_kept
     surface = slice(r.s0, r.s0 + 2)  # which moves as it moves, whatever the scheme
     Phi[surface], Phi[surface, surface] = 0.0, [[1.0, h], [0.0, 1.0]]
     for effect in effects:
         effect[surface] = 0.0
-    effects[2][surface, ACCELERATION] = 0.5 * h * h, h
+    effects[3][surface, ACCELERATION] = 0.5 * h * h, h
     return Phi, effects
 
 
 def assembled(r: Reduced) -> LinearLoop:
     """Put the loop together: coordinates, samples of the sensor, newest first, encoders' readings, held torque."""
     inputs, outputs = _inputs(r), _outputs(r)
-    Phi, (reading, lasting, entering, driving) = _step(r)
+    Phi, (reading, after, lasting, entering, driving) = _step(r)
     ages, size = r.problem.sensor.ring, r.size
     lasts, held = lasting.shape[1], r.n if r.sampled else 0
     at_last = size + ages
@@ -104,6 +114,8 @@ def assembled(r: Reduced) -> LinearLoop:
         felt = F[size : size + 1].copy(), E[size : size + 1].copy()
         E[size, NOISE] += 1.0
         F[size + 1 : at_last, size : at_last - 1] = np.eye(ages - 1)
+        F[:size] += after @ F[at_last - 1 : at_last]
+        E[:size] += after @ E[at_last - 1 : at_last]
         F[at_last:at_torque], E[at_last:at_torque] = widened(r.all_of(r.plant, "last"), None) if lasts else (0, 0)
         tip = np.zeros((3, whole))
         tip[:, :size] = r.plant["q"]["r"] @ r.by_q
@@ -187,7 +199,10 @@ def _closure_poles(r: Reduced) -> ComplexArray:
         return np.zeros(0, dtype=complex)
     s_v, s_p = r.problem.stabiliser
     A = np.array([[0.0, 1.0], [-s_p, -s_v]])
-    step, _ = step_of(_scheme(r.problem), A, np.zeros((2, 0)), r.problem.h, np.array([1, -1]), np.zeros(2, dtype=bool))
+    step, _ = step_of(
+        _scheme(r.problem), A, np.zeros((2, 0)), np.zeros((2, 0)), r.problem.h, np.array([1, -1]),
+        np.zeros(2, dtype=bool),
+    )  # fmt: skip
     return np.repeat(np.linalg.eigvals(step).astype(complex), r.rows)
 
 

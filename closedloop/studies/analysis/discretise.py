@@ -1,9 +1,11 @@
-"""One step of a linear system by each integrator, its inputs held over the step.
+"""One step of a linear system by each integrator, its inputs constant over the step but for its beginning.
 
-    ẋ = A x + B u,  u constant over h:    x⁺ = Φ x + Γ u
+    ẋ = A x + B₀ u  at the beginning,  A x + B u  within the step:    x⁺ = Φ x + Γ u
 
 A scheme of Runge and Kutta gives polynomials in h A, the semi-implicit one lets positions advance with the new
-velocities, and an integrator that chooses its own steps the exponential, which is exact.
+velocities, and an integrator that chooses its own steps the exponential, which is exact. B₀ is that of the first stage:
+what a sampled sensor reads changes at a row, between the law's evaluation there and those within the step. Of schemes
+of one stage it is the whole step, of the exponential no part.
 """
 
 from __future__ import annotations
@@ -15,15 +17,17 @@ from closedloop.base.arrays import Array
 from closedloop.mechanics.integrators import AdaptiveIntegrator, Scheme
 
 
-def step_of(scheme: type[Scheme], A: Array, B: Array, h: float, leads: Array, exact: Array) -> tuple[Array, Array]:
+def step_of(
+    scheme: type[Scheme], A: Array, B: Array, begin: Array, h: float, leads: Array, exact: Array
+) -> tuple[Array, Array]:
     """Return Φ (k, k) and Γ (k, m) of a step h, s.
 
     Parameters
     ----------
     scheme : type of Scheme
         The integrator.
-    A, B : (k, k), (k, m) arrays
-        The system.
+    A, B, begin : (k, k), (k, m), (k, m) arrays
+        The system; `begin` is B₀.
     leads : (k,) array of int
         For the semi-implicit scheme, the state whose new value is in the rate of this one; −1: none.
     exact : (k,) array of bool
@@ -35,20 +39,21 @@ def step_of(scheme: type[Scheme], A: Array, B: Array, h: float, leads: Array, ex
     if issubclass(scheme, AdaptiveIntegrator):
         step = expm(h * both)[:k]
         return step[:, :k], step[:, k:]
-    eye = np.eye(k + m)
+    eye, first = np.eye(k + m), both.copy()
+    first[:k, k:] = begin
     if scheme.semi_implicit:
-        step = eye + h * both
+        step = eye + h * first
         if np.any(exact):
-            alone = both.copy()
+            alone = first.copy()
             alone[~np.append(exact, np.zeros(m, dtype=bool))] = 0.0
             rows = np.flatnonzero(exact)
             step[rows] = expm(h * alone)[rows]
         for place in np.flatnonzero(leads >= 0):
-            step[place] = eye[place] + h * (both[place] - eye[leads[place]] + step[leads[place]])
+            step[place] = eye[place] + h * (first[place] - eye[leads[place]] + step[leads[place]])
         return step[:k, :k], step[:k, k:]
     slopes: list[Array] = []
     for row in scheme.a:
         state = eye + h * sum((weight * slope for weight, slope in zip(row, slopes, strict=True)), np.zeros_like(both))
-        slopes.append(both @ state)
+        slopes.append((both if slopes else first) @ state)
     step = eye + h * sum((weight * slope for weight, slope in zip(scheme.b, slopes, strict=True)), np.zeros_like(both))
     return step[:k, :k], step[:k, k:]

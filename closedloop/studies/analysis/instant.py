@@ -69,10 +69,14 @@ def refuse_outside(scenario: Scenario, at: float, what: str = "linearise: at") -
 
 
 def row_at(problem: Problem, at: float) -> int:
-    """Return the row of an instant, s: the nearest at which the law is evaluated."""
+    """Return the row of an instant, s: the nearest at which the law is evaluated, and its velocities are as always.
+
+    The first reading of encoders that take differences has none before it.
+    """
     hold = max(problem.hold, 1)
     refuse_outside(problem.scenario, at)
-    return min(round(at / (problem.h * hold)) * hold, problem.steps // hold * hold)
+    first = 1 if problem.scenario.encoder.velocity == "difference" else 0
+    return min(max(round(at / (problem.h * hold)), first), problem.steps // hold) * hold
 
 
 def run_to(problem: Problem, row: int) -> Instant:

@@ -152,12 +152,34 @@ class Reduced:
 
     def _unseen(self, found: dict[str, Array]) -> dict[str, Array]:
         """Return the derivatives by a torque that the law does not know of: it sees the change of f alone."""
-        dz, sensor = found["dz"].copy(), self.problem.sensor
-        laws = slice(0, self.parts["compensation"].stop)
-        dz[laws] = 0.0
-        if sensor.states == 0 and not sensor.sampled and self.state.settings.general != 0:
-            dz[laws] = self.law["bias"]["dz"][laws] @ found["f"]
+        dz = found["dz"].copy()
+        dz[: self.parts["compensation"].stop] = self._by_force_felt() @ found["f"]
         return found | {"dz": dz}
+
+    def read_at_rows(self) -> Array:
+        """Return the derivatives of ż by what encoders read at a row, by the coordinates; zero without encoders.
+
+        They are all those of the law and its compensation by the joints but for what f, unsampled, brings: these know
+        of the joints by their encoders alone.
+        """
+        found = np.zeros((self.by_z.shape[0], self.size))
+        if not self.problem.scenario.reads_encoders:
+            return found
+        laws, own = slice(0, self.parts["compensation"].stop), slice(0, self.parts["filter"].stop)
+        for name, by in (("q", self.by_q), ("v", self.by_v), ("z", self.by_z)):
+            block = self.plant[name]
+            read = block["dz"][laws] - self._by_force_felt() @ block["f"]
+            if name == "z":
+                read[:, own] = 0.0
+            found[laws] += read @ by
+        return found
+
+    def _by_force_felt(self) -> Array:
+        """Return the derivatives (k, 1) of the rates of law and compensation by f that they feel unsampled."""
+        laws, sensor = slice(0, self.parts["compensation"].stop), self.problem.sensor
+        if sensor.states == 0 and not sensor.sampled and self.state.settings.general != 0:
+            return self.law["bias"]["dz"][laws]
+        return np.zeros((laws.stop, 1))
 
     def _by_contact_force(self) -> dict[str, Array]:
         """Return the derivatives by f of a soft surface: those by the parameter of it that f depends on most."""

@@ -69,11 +69,12 @@ class AdaptiveRun:
         self.next_step, self.steps_since_row, self.checked_at = FIRST * problem.h, 0, 0.0
         self.scheme = EXPLICIT
         others = [problem.pd_start + 1e-9 * problem.h]
-        if self.memory.hold:
-            others += self.instants[:: self.memory.hold].tolist()
-        elif law is not None or problem.scenario.law.force_feedback != 0.0 or problem.sensor.sampled:
+        at_rows = law is not None or problem.scenario.law.force_feedback != 0.0
+        if problem.sensor.sampled or (at_rows and not self.memory.hold):
             # The force is measured at rows, and a user's law may change its output at rows.
             others += self.instants.tolist()
+        elif self.memory.hold:
+            others += self.instants[:: self.memory.hold].tolist()
         bounds = jumps(problem.wanted, np.array(others), self.instants)
         self.bounds = np.append(bounds, bounds[-1] + problem.h)
 

@@ -91,9 +91,13 @@ def test_boundary_over_two_keys(study, monkeypatch):
         assert limit.value == pytest.approx(limit_of(stiffness), rel=1e-6)
 
 
-def test_whole_runs_on_both_sides():
-    """Ten per cent below and above the limit two nonlinear runs go together, and apart, as fast as the linear loop."""
-    scenario = mass_on_a_spring(time__integrator="semi_implicit_euler", time__duration=3.0)
+@pytest.mark.parametrize("scheme", ["semi_implicit_euler", "dop853"])
+def test_whole_runs_on_both_sides(scheme):
+    """Ten per cent below and above the limit two nonlinear runs go together, and apart, as fast as the linear loop.
+
+    With an integrator that chooses its steps they are runs by rk4.
+    """
+    scenario = mass_on_a_spring(time__integrator=scheme, time__duration=3.0, sensor__delay=0.002)
     study = Stability(scenario, at=0.1)
     (limit,), _ = study.limits(Range("law.force_integral", 5.0, 80.0))
     below, above = study.try_beside(limit)

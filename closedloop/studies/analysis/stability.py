@@ -26,7 +26,7 @@ from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.here import Here
 from closedloop.studies.analysis.instant import Instant, refuse_outside, run_on
 from closedloop.studies.analysis.linear_loop import LinearLoop
-from closedloop.studies.analysis.linearise import instant_of, loop_at
+from closedloop.studies.analysis.linearise import instant_of, loop_at, of_fixed_steps
 from closedloop.studies.analysis.ranges import Limit, Range, Trial, Value
 from robot_models import RobotModel
 
@@ -243,6 +243,7 @@ class Stability:
             values = {**(given or {}), limit.key: limit.value * factor}
             try:
                 problem, instant = self._at(values)
+                problem = of_fixed_steps(problem, self._model, self._cache)
                 expected = self.growth(values)
                 trials.append(Trial(values, expected, self._seen(problem, instant, limit.pole.frequency)))
             except ClosedLoopError:  # beyond what the scenario may be, or without a linear loop

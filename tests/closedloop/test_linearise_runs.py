@@ -9,7 +9,8 @@ from budget import every
 from linear_loops import mass_on_a_spring
 
 import closedloop as cl
-from closedloop.loop.step.record_row import ContactRow
+from closedloop.control.reference.table import Reference
+from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.scenario.contact_names import names_of
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.instant import rows_on, run_on
@@ -107,6 +108,32 @@ def test_steps_of_an_arm_at_rest(arm, scheme):
     seen, wanted = steps_of_a_bias(lambda bias: cl.load_scenario("soft_table", changes | {"sensor.bias": bias}), 1e-3)
     np.testing.assert_allclose(seen, wanted, rtol=0, atol=1e-7)
     assert np.max(np.abs(seen)) > 0.1
+
+
+@pytest.mark.parametrize("scheme", ["rk4", "explicit_euler"])
+@pytest.mark.parametrize("stiffness", [1e3, 1e5])
+def test_bristles_of_a_steady_slip(scheme, stiffness):
+    """They decay by e^(−a h) in a step, a = σ₀ u/μ, however fast; the tip's way along the slip is the run's to 1e-9."""
+    h, speed, friction = 0.001, 0.1, 0.2
+    scenario = mass_on_a_spring(
+        time__integrator=scheme, time__duration=2.1, time__step=h, start__v=[speed, 0.0, 0.0],
+        reference={"kind": "line", "direction": [1, 0, 0], "speed": speed, "start": 0.0, "stop": 5.0},
+        law__kp=[400, 100, 0], law__kd=[80, 20, 0], law__force_feedback=0.2, sensor__delay=2 * h,
+        friction={"kind": "lugre", "kinetic": friction, "static": 0.3, "stribeck_speed": 0.001, "damping": 1.0,
+                  "stiffness": stiffness},
+    )  # fmt: skip
+    problem = prepare(scenario)
+    instant = instant_of(scenario, problem, 2.0)
+    loop, n, seen = loop_at(problem, instant), problem.robot.n, []
+    command = problem.table[round(instant.time / h) * problem.nodes :, Reference.place("force", n)]
+    for kick in (1e-3, -2e-3):
+        command += kick
+        seen.append(rows_on(problem, instant, 60)[:, Row.place("position", n)][:, 0])
+    _, wanted = loop.response("force command", "tip x", 59 * h)
+    np.testing.assert_allclose((seen[0] - seen[1]) / 2e-3, wanted, rtol=0, atol=1e-9 * np.max(np.abs(wanted)))
+    poles = np.array([pole.z for pole in loop.poles()])
+    assert np.min(np.abs(poles - math.exp(-stiffness * speed / friction * h))) < 1e-3
+    assert loop.stable
 
 
 @pytest.mark.parametrize("case", PULSES)

@@ -51,10 +51,12 @@ def _step(r: Reduced) -> tuple[Array, list[Array]]:
         exact[r.z0 + r.parts[name].start : r.z0 + r.parts[name].stop] = True
     kept, none = np.zeros_like(A), np.zeros_like(parts[1])
     kept[r.z0 : r.s0] = r.read_at_rows()  # what encoders read at a row acts until the next
+    decays = np.zeros(r.size)
+    decays[r.z0 : r.s0] = r.decays
     h, (reading, *others) = r.problem.h, parts[1:]
     Phi, Gamma = step_of(
         _scheme(r.problem), A - kept, np.hstack([none, reading, *others, kept]),
-        np.hstack([reading, none, *others, kept]), h, leads, exact,
+        np.hstack([reading, none, *others, kept]), h, leads, exact, decays,
     )  # fmt: skip
     ends = np.cumsum([part.shape[1] for part in (none, reading, *others)])
     *effects, by_kept = np.split(Gamma, ends, axis=1)
@@ -201,7 +203,7 @@ def _closure_poles(r: Reduced) -> ComplexArray:
     A = np.array([[0.0, 1.0], [-s_p, -s_v]])
     step, _ = step_of(
         _scheme(r.problem), A, np.zeros((2, 0)), np.zeros((2, 0)), r.problem.h, np.array([1, -1]),
-        np.zeros(2, dtype=bool),
+        np.zeros(2, dtype=bool), np.zeros(2),
     )  # fmt: skip
     return np.repeat(np.linalg.eigvals(step).astype(complex), r.rows)
 

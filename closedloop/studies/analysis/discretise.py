@@ -2,10 +2,10 @@
 
     ẋ = A x + B₀ u  at the beginning,  A x + B u  within the step:    x⁺ = Φ x + Γ u
 
-A scheme of Runge and Kutta gives polynomials in h A, the semi-implicit one lets positions advance with the new
-velocities, and an integrator that chooses its own steps the exponential, which is exact. B₀ is that of the first stage:
-what a sampled sensor reads changes at a row, between the law's evaluation there and those within the step. Of schemes
-of one stage it is the whole step, of the exponential no part.
+A scheme of Runge and Kutta gives polynomials in h A, and exponentials of what decays by itself, the semi-implicit one
+lets positions advance with the new velocities, and an integrator that chooses its own steps the exponential, which is
+exact. B₀ is that of the first stage: what a sampled sensor reads changes at a row, between the law's evaluation there
+and those within the step. Of schemes of one stage it is the whole step, of the exponential no part.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from closedloop.mechanics.integrators import AdaptiveIntegrator, Scheme
 
 
 def step_of(
-    scheme: type[Scheme], A: Array, B: Array, begin: Array, h: float, leads: Array, exact: Array
+    scheme: type[Scheme], A: Array, B: Array, begin: Array, h: float, leads: Array, exact: Array, decays: Array
 ) -> tuple[Array, Array]:
     """Return Φ (k, k) and Γ (k, m) of a step h, s.
 
@@ -32,6 +32,8 @@ def step_of(
         For the semi-implicit scheme, the state whose new value is in the rate of this one; −1: none.
     exact : (k,) array of bool
         For the semi-implicit scheme, the states that advance exactly, with what they depend on held over the step.
+    decays : (k,) array
+        For the schemes of Runge and Kutta, the rates a of states that decay by themselves, 1/s; 0 of others.
     """
     k, m = B.shape
     both = np.zeros((k + m, k + m))
@@ -51,9 +53,29 @@ def step_of(
         for place in np.flatnonzero(leads >= 0):
             step[place] = eye[place] + h * (first[place] - eye[leads[place]] + step[leads[place]])
         return step[:k, :k], step[:k, k:]
-    slopes: list[Array] = []
-    for row in scheme.a:
-        state = eye + h * sum((weight * slope for weight, slope in zip(row, slopes, strict=True)), np.zeros_like(both))
-        slopes.append((both if slopes else first) @ state)
-    step = eye + h * sum((weight * slope for weight, slope in zip(scheme.b, slopes, strict=True)), np.zeros_like(both))
-    return step[:k, :k], step[:k, k:]
+    return _stages(scheme, both, first, h, np.append(decays, np.zeros(m)), k)
+
+
+def _stages(scheme: type[Scheme], within: Array, first: Array, h: float, decays: Array, k: int) -> tuple[Array, Array]:
+    """Return Φ and Γ of a scheme of Runge and Kutta, with exponentials of the states that decay.
+
+    About states at rest, g = a z, the E of `closedloop.loop.step.decay` is E δz = e^(−s) δz + (1 − e^(−s))/s p, with
+    p = h Σ wᵢ (δżᵢ + a δzᵢ).
+    """
+    states, slopes = [np.eye(within.shape[0])], list[Array]()
+    fast = np.flatnonzero(decays > 0.0)
+    a = decays[fast, None]
+    for weights, early in zip(scheme.tableau()[1:], scheme.first_tableau()[1:], strict=True):
+        slopes.append((within if slopes else first) @ states[-1])
+        done = len(slopes)
+        new = states[0] + h * np.tensordot(weights[:done], slopes, 1)
+        z = states[0][fast]
+        driven = [slope[fast] + a * state[fast] for slope, state in zip(slopes, states, strict=True)]
+        for part in (early, weights - early):
+            s = h * a * np.sum(part)
+            z = np.exp(-s) * z + np.where(s == 0.0, 1.0, -np.expm1(-s) / np.where(s == 0.0, 1.0, s)) * (
+                h * np.tensordot(part[:done], driven, 1)
+            )
+        new[fast] = z
+        states.append(new)
+    return states[-1][:k, :k], states[-1][:k, k:]

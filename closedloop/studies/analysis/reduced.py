@@ -49,7 +49,7 @@ class Reduced:
         self.here = here = Here(problem, instant, free)
         here()
         _refuse_limited(here)
-        self.state = here.loop.state
+        self.state, self.decays = here.loop.state, np.array(here.loop.w.decays.rate)
         self.soft = problem.compliance.member is not Rigid and instant.mode != FREE
         self.rigid = problem.compliance.member is Rigid and instant.mode != FREE
         self.sampled = problem.hold > 0

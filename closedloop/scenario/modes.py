@@ -11,7 +11,7 @@ filter and delay that its samples do not resolve (`closedloop.control.sensor`, `
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -177,12 +177,26 @@ def unresolved_feedback(scenario: Scenario, robot: Robot) -> list[str]:
     return lines
 
 
+def feedback_key(scenario: Scenario) -> Hashable:
+    """Return what `unresolved_feedback` depends on beside the robot: many runs of a batch have it in common."""
+    sections = (
+        scenario.start, scenario.surface, scenario.surface_motion, scenario.tool, scenario.transmission,
+        scenario.encoder, scenario.time,
+    )  # fmt: skip
+    return (
+        type(scenario.law), scenario.law.model_dump_json(exclude={"force"}), getattr(scenario.reference, "start", None),
+        *(section.model_dump_json() for section in sections),
+    )  # fmt: skip
+
+
 def _of_feedback(scenario: Scenario, robot: Robot, rubbing: Rubbing | None = None) -> list[Mode]:
     """Return what a law's feedback makes the arm do, where it acts at every stage of the scheme."""
-    name, start = scenario.time.integrator, getattr(scenario.law, "pd_start", None)
+    name, start = scenario.time.integrator, getattr(scenario.law, "pd_start", 0.0)
     if name not in INTEGRATORS or scenario.law.sample_period or scenario.reads_encoders:
         return []
-    if start is not None and start >= scenario.time.duration:
+    if start is None:
+        start = getattr(scenario.reference, "start", 0.0)  # as `closedloop.simulation.prepare` has it
+    if start >= scenario.time.duration:
         return []
     return [
         Mode(f"{feedback.spring}, {feedback.damper}", feedback.stiffness, feedback.damping, name)

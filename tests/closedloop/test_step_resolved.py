@@ -110,7 +110,7 @@ def test_a_slip_whose_friction_makes_joints_fast_for_the_step_is_bad_in_a_run_an
 
 def test_friction_and_a_law_that_damp_joints_together_too_fast_are_said_together():
     """Each alone is resolved."""
-    both = {**VISCOUS, "joint_friction.viscous": 60.0, "law.kd": [90.0, 90.0, 45.0, 30.0], "time.duration": 0.5}
+    both = {**VISCOUS, "joint_friction.viscous": 60.0, "law.kd": [90.0, 90.0, 45.0, 30.0]}
     (line,), feedback = faults_of(both)
     assert line.startswith(
         "joint_friction.viscous, law.kp, law.kd: semi_implicit_euler with time.step = 0.001 s gets a "
@@ -130,3 +130,18 @@ def test_feedback_that_alternates_is_said_before_the_run(capsys):
     assert faults_of({}) == ([], [])
     warn_of_gains(cl.load_scenario("wam_slide", {"law.kd": 160.0}), robot_models.load("wam4"))
     assert capsys.readouterr().err == f"closedloop: warning: {line}\n"
+
+
+def test_gains_that_the_step_does_not_resolve_are_bad_though_the_run_is_quiet():
+    """In a run, in a batch and in its lanes; with a shorter step they are good."""
+    gains = {"law.kd": [60.0, 60.0, 30.0, 160.0], "time.duration": 0.7}
+    scenario = cl.load_scenario("wam_slide", gains)
+    (problem,) = cl.simulate(scenario, engine="compiled").summary()["verdict"]["problems"]
+    assert problem["name"] == "resolution"
+    assert problem["text"].startswith("law.kp, law.kd: semi_implicit_euler with time.step = 0.001 s gets a decay of")
+    rows = cl.simulate_batch(scenario, {"law.force": [10.0 + 0.1 * i for i in range(8)]}, workers=1).to_pylist()
+    assert {row["verdict"] for row in rows} == {"resolution"}
+    steps = cl.simulate_batch(
+        scenario, {"time.step": [1e-3, 2.5e-4], "stabiliser.time_constant": [1e-3] * 2}, workers=1
+    )
+    assert [row["verdict"] for row in steps.to_pylist()] == ["resolution", "good"]

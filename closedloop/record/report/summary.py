@@ -40,7 +40,7 @@ def summarise(run: Record) -> dict[str, Any]:
     joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
     held = assumptions(run, values)
     facts = _facts(run, values, joints, held)
-    problems = judge(facts, lambda: run_gains_fault(run), lambda: _unresolved_feedback(run))
+    problems = judge(facts, lambda: run_gains_fault(run))
     return {
         "verdict": {"good": not problems, "problems": problems},
         "control_verdict": _control(run, joints),
@@ -83,14 +83,8 @@ def _unresolved(run: Record) -> list[str]:
     def pressed() -> Pressed | None:
         return where_they_press(run.q, run.link_forces)
 
-    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, rubbing, own_law, pressed)
-
-
-def _unresolved_feedback(run: Record) -> list[str]:
-    """Return what of the law's feedback the step does not resolve; of a law of one's own nothing is known."""
-    if run.law != "scenario":
-        return []
-    return unresolved_feedback(run.scenario, robot_of(run.scenario, run.model))
+    lines = unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, rubbing, own_law, pressed)
+    return lines if own_law else lines + unresolved_feedback(run.scenario, robot)
 
 
 def _control(run: Record, joints: dict[str, Array]) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_m
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.verdict import Facts, judge, names_of, outside_by_the_run, outside_by_the_scenario
 from closedloop.scenario.gains import gains_fault
-from closedloop.scenario.modes import unresolved_feedback
 from closedloop.scenario.scenario import Scenario
 
 _AT = {name: at for at, name in enumerate(MEASURES)}
@@ -23,7 +22,7 @@ def verdict_of(
 ) -> str:
     """Return "good", or the names of what is wrong with a run, as `closedloop.record.report.verdict` judges its values.
 
-    `swings` are what `closedloop.scenario.modes.unresolved` says.
+    `swings` are what `closedloop.scenario.modes.unresolved` and `unresolved_feedback` say.
     """
     numbers, n = values.tolist(), robot.n
     measures = dict(zip(MEASURES, numbers[:EVENTS_AT], strict=True))
@@ -39,7 +38,7 @@ def verdict_of(
         {name: numbers[WIDTH + n * m : WIDTH + n * (m + 1)] for m, name in enumerate(JOINT_MEASURES)},
         swings,
     )  # fmt: skip
-    return names_of(judge(facts, lambda: gains_fault(scenario, robot), lambda: unresolved_feedback(scenario, robot)))
+    return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 
 
 def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:

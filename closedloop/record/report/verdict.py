@@ -106,7 +106,8 @@ class Facts(NamedTuple):
     failed: Mapping[str, tuple[float, str]]
     # see `closedloop.record.report.measures.JOINT_MEASURES`; when is NaN where it never was
     joints: Mapping[str, Sequence[float]]
-    unresolved: Sequence[str] = ()  # see `closedloop.scenario.modes.unresolved`
+    # see `closedloop.scenario.modes.unresolved` and `unresolved_feedback`
+    unresolved: Sequence[str] = ()
     halved: Mapping[str, Any] | None = None  # see `closedloop.record.report.halved`, if the step's error was measured
 
 
@@ -137,9 +138,7 @@ def outside_by_the_run(measures: Mapping[str, float | None], stopped: str | None
     return {"nonsingular"} if measures["singular_pose_passed"] == 1.0 and not stopped else set()
 
 
-def judge(
-    facts: Facts, gains: Callable[[], str], feedback: Callable[[], Sequence[str]] = tuple
-) -> list[dict[str, Any]]:
+def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     """Return what is wrong with a run: a list of ``name``, ``at``, the instant, s, or None, and ``text``.
 
     Parameters
@@ -148,9 +147,6 @@ def judge(
     gains : callable
         Returns what is wrong with the gains for this step (`closedloop.scenario.gains.gains_fault`); called only if
         something else is wrong.
-    feedback : callable
-        Returns what of the law's feedback the step does not resolve (`closedloop.scenario.modes.unresolved_feedback`);
-        called only if the run shakes, or f differs too much at half the step.
     """
     problems = []
     if facts.stopped:
@@ -168,8 +164,6 @@ def judge(
             for name, (at, measured) in facts.failed.items()
         ]
         problems += _step(facts) + [problem_of("resolution", text) for text in facts.unresolved]
-        if {*SHAKEN, "step"} & {problem["name"] for problem in problems}:
-            problems += [problem_of("resolution", text) for text in feedback()]
     return problems
 
 

@@ -37,7 +37,7 @@ from closedloop.record.report.row_sample import joint_limits
 from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.contact_modes import Pressed, where_they_press
 from closedloop.scenario.gains import Rubbing
-from closedloop.scenario.modes import unresolved, where_it_rubs
+from closedloop.scenario.modes import feedback_key, unresolved, unresolved_feedback, where_it_rubs
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import positions_told
 from closedloop.simulation.batch.control import control_in_lanes, control_of_rows
@@ -48,7 +48,7 @@ from closedloop.simulation.engines.law_source import fresh
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.prepare import prepare
+from closedloop.simulation.prepare import SECTION_BYTES, prepare
 from closedloop.simulation.simulate import run_loop
 from robot_models import RobotModel
 
@@ -202,7 +202,8 @@ class Worker:
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
         forget_absent(scenario, values)
-        verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
+        robot = lane_runs.kind.robot
+        verdict = verdict_of(scenario, robot, values, steps, swings=self._unresolved_feedback(scenario, robot))
         control = control_in_lanes(lane_runs, lane, scenario)
         return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
 
@@ -241,10 +242,19 @@ class Worker:
             values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
         reason = None if failure is None else str(failure)
         swings = _unresolved(problem, rows, self.law is not None)
+        if self.law is None and len(rows):
+            swings += self._unresolved_feedback(problem.scenario, problem.robot)
         verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason, swings)
         control = control_of_rows(problem, signals, events, values, reason)
         status = RAN if failure is None else STOPPED
         return Outcome(status, reason, len(rows), values, end, columns, verdict, control)
+
+    def _unresolved_feedback(self, scenario: Scenario, robot: Robot) -> list[str]:
+        """Return what of the law's feedback the step does not resolve."""
+        return self._cache.get(
+            ("feedback", robot, feedback_key(scenario)), lambda: unresolved_feedback(scenario, robot),
+            lambda lines: SECTION_BYTES,
+        )  # fmt: skip
 
     def _tree(self, problem: Problem) -> tuple[Tree, Array]:
         robot = problem.robot

@@ -289,7 +289,9 @@ def test_identity_is_all_that_the_table_depends_on(tmp_path):
     for change in ({"force": 11.0}, {"spec": "law.kp=1:3"}, {"seed": 1}, {"keep": ("f",)}):
         assert identity(**change) != base, change
     mine.write_text(re.sub(r'mass value="([^"]*)"', 'mass value="1.2345"', urdf.read_text()))
-    assert identity()["robot"] != base["robot"]
+    assert (heavy := identity()["robot"]) != base["robot"]
+    mine.with_suffix(".toml").write_text("[drive_inertia]\nJ1 = 0.5\n")
+    assert identity()["robot"] != heavy
 
 
 def test_the_commands_of_the_page_run(capsys, tmp_path, monkeypatch):

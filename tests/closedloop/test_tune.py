@@ -1,11 +1,14 @@
 """Tuning: optima that are known, traps, constraints that bind or cannot be met, resuming, and the command."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import closedloop as cl
+import robot_models
 from closedloop.studies.tune.given import limit_of, varied
 from closedloop.studies.tune.search import MEAN, WORST, Search
 
@@ -118,12 +121,48 @@ def test_what_was_run_is_not_run_again(tuned):
     tuning, kept = tuned
     lines = kept.read_text().splitlines()
     part = kept.with_name("part.jsonl")
-    part.write_text("\n".join(lines[: len(lines) // 2]) + '\n["cut')
+    damaged = ["5", "null", "[]", '["key"]', '["key", [[1.0]]]', '["key", [["0.1", 10.0]]]', "[" * 100_000]
+    part.write_text("\n".join([*lines[: len(lines) // 2], *damaged]) + '\n["cut')
     again = cl.tune(tuning.before, GAINS, "rms_force_error", ["peak_contact_force<=10.9"], starts=2, kept=part)
     assert again.numbers == tuning.numbers
     assert again.runs < tuning.runs
-    with pytest.raises(cl.OutputError, match="another tuning"):
+    whole = cl.tune(tuning.before, GAINS, "rms_force_error", ["peak_contact_force<=10.9"], starts=2, kept=part)
+    assert (whole.numbers, whole.runs) == (tuning.numbers, 1)  # of the scenario as it is
+    with pytest.raises(cl.OutputError, match="another tuning: the list of ranges differs, the list of values differs"):
         cl.tune(tuning.before, {"law.kd[1]": (5.0, 100.0)}, "rms_force_error", starts=1, kept=kept)
+    part.write_text("notes of mine\n")
+    with pytest.raises(cl.OutputError, match="holds no tuning"):
+        cl.tune(tuning.before, GAINS, "rms_force_error", starts=1, kept=part)
+    assert part.read_text() == "notes of mine\n"
+
+
+def test_what_was_run_is_of_this_robot(tmp_path):
+    """A file of runs of an arm whose URDF has other masses since is of another tuning; an empty file is none."""
+    robot, kept = tmp_path / "arm.urdf", tmp_path / "runs.jsonl"
+    text = (Path(robot_models.__file__).parent / "planar2" / "planar2.urdf").read_text()
+    robot.write_text(text)
+    kept.touch()
+    scenario = cl.load_scenario(
+        "planar2_slide", {"robot.model": str(robot), "robot.tip": "tip", "start.q": [0.6, -1.4], "time.duration": 0.6}
+    )
+    vary = {"law.kd[0]": (5.0, 100.0)}
+    first = cl.tune(scenario, vary, starts=1, iterations=1, kept=kept)
+    assert cl.tune(scenario, vary, starts=1, iterations=1, kept=kept).numbers == first.numbers
+    robot.write_text(re.sub(r'mass value="([^"]*)"', r'mass value="9\1"', text))
+    with pytest.raises(cl.OutputError, match="another tuning: the robot differs; name another folder"):
+        cl.tune(scenario, vary, starts=1, iterations=1, kept=kept)
+
+
+def test_gains_that_the_step_does_not_resolve_are_no_optimum():
+    """What a ringing loop makes of a value is not looked for: the tip is fastest at gains that are resolved at most."""
+    scenario = cl.load_scenario("wam_slide", SHORT)
+    for name in ("max_tip_speed", "modulus_margin@0.5"):
+        with pytest.raises(cl.ScenarioError, match=r"be good \(resolution\); narrow them"):
+            cl.tune(scenario, {"law.kd[3]": (180.0, 230.0)}, {name: -1.0}, starts=1)
+    tuning = cl.tune(scenario, {"law.kd[3]": (100.0, 230.0)}, {"max_tip_speed": -1.0}, starts=2)
+    assert 130.0 < tuning.numbers[0] < 160.0
+    problems = cl.simulate(tuning.scenario, engine="compiled").summary()["verdict"]["problems"]
+    assert "resolution" not in [problem["name"] for problem in problems]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """What the loader hands out: the same dynamics as the file, whole, read-only and repeatable."""
 
 import pickle
+import re
 import subprocess
 import sys
 from functools import cache
@@ -15,6 +16,7 @@ from model_texts import INERTIAL, LIMIT, arm, joint, link, mjcf, urdf
 
 import robot_models
 from robot_models import inspected, shipped
+from robot_models.digest import digest_of
 
 ARRAYS = ("armature", "position_lower", "position_upper", "velocity_limit", "effort_limit", "home", "gravity")
 
@@ -51,6 +53,34 @@ def write(tmp_path):
         return path
 
     return write
+
+
+def test_digest_is_of_all_that_a_run_reads(tmp_path):
+    """Another mass, drive, loop, home or collision mesh is another robot; another description or folder is not."""
+    shipped_folder = Path(robot_models.__file__).parent / "four_bar"
+    text, sidecar = ((shipped_folder / f"four_bar.{kind}").read_text() for kind in ("urdf", "toml"))
+    mesh = '<collision><geometry><mesh filename="a.stl"/></geometry></collision></link>'
+    text, sidecar = text.replace("</link>", mesh, 1), re.sub("source = .*", "", sidecar)
+
+    def digest(text=text, sidecar=sidecar, stl=b"solid", where="here"):
+        folder = tmp_path / where
+        folder.mkdir(exist_ok=True)
+        (folder / "a.urdf").write_text(text)
+        (folder / "a.toml").write_text(sidecar)
+        (folder / "a.stl").write_bytes(stl)
+        return digest_of(robot_models.load(str(folder / "a.urdf")))
+
+    base = digest()
+    assert digest(where="there") == base
+    assert digest(sidecar=re.sub("description = .*", 'description = "mine"', sidecar)) == base
+    others = [digest(text=re.sub('mass value="[^"]*"', 'mass value="1.25"', text)), digest(stl=b"another")]
+    for old, new in (('drives = ["J1"]', 'drives = ["J2"]'), ("J1 = 1.77042", "J1 = 1.77043"), ('"hinge"', '"point"')):
+        assert old in sidecar
+        others.append(
+            digest(sidecar=sidecar.replace(old, new).replace("axis", "# axis" if new == '"point"' else "axis"))
+        )
+    assert base not in others
+    assert len(set(others)) == 5
 
 
 @pytest.mark.parametrize("name", [*robot_models.shipped_names(), "panda", "ur5", "kinova", "talos_arm"])

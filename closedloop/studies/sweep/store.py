@@ -31,6 +31,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import OutputError
 from closedloop.base.files import remove_unfinished, why_not_there, write_whole
 from closedloop.record.difference import difference
+from closedloop.studies.identity import NAMES
 from closedloop.studies.sweep.part_file import read_part, write_part
 
 if TYPE_CHECKING:
@@ -41,12 +42,15 @@ DESCRIPTION, LOCK = "sweep.json", "lock"
 # What is written here, and so may be removed again.
 _PART = re.compile(r"part-\d{8,}\.(arrow|npz)")
 # What a sweep depends on, in words.
-_NAMES = {
-    "scenario": "scenario", "robot": "robot", "design": "design", "axes": "list of keys and values",
-    "runs": "number of runs", "seed": "seed", "keep": "list of columns kept", "engine": "engine",
-    "versions": "list of versions", "kernels": "text of closedloop", "members": "text of a class of your own",
-    "law": "law", "law_digest": "text of the law",
-}  # fmt: skip
+_NAMES = NAMES | {
+    "design": "design",
+    "axes": "list of keys and values",
+    "runs": "number of runs",
+    "seed": "seed",
+    "keep": "list of columns kept",
+    "law": "law",
+    "law_digest": "text of the law",
+}
 # How often the lock's file is made anew where another process removes it in between.
 TRIES = 20
 

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-import robot_models
 from closedloop.base.errors import ScenarioError
-from closedloop.jit.cache_folder import cache_folder
-from closedloop.jit.user_code import source_digest
 from closedloop.record.columns.recorded import ALL_COLUMNS
-from closedloop.record.versions import package_versions
-from closedloop.scenario.members import members_of_users
 from closedloop.scenario.overrides import Variants
-from closedloop.scenario.robot_sections import NO_ROBOT
-from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import import_law
 from closedloop.simulation.batch.table import kept_columns
 from closedloop.simulation.engines.law_source import law_digest
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.simulate import check_engine
+from closedloop.studies.identity import identity_of, members
 from closedloop.studies.sweep.design import GRID, LATIN, Design
 from closedloop.studies.sweep.part import Job
 from robot_models.cached import cached_property
@@ -77,23 +70,15 @@ class Sweep:
     def identity(self) -> dict[str, Any]:
         """What the table depends on, as JSON has it."""
         design = self.design
-        versions = package_versions()
+        identity = identity_of(self.scenario, self._changes, self.engine)
         if design.kind == LATIN:
-            versions["scipy"] = version("scipy")
-        # The text of a user's class, or a robot's file, may change between a kill and what follows.
-        digests = {name: source_digest(families()[key].get(name)) for key, name in self._members}
-        return {
-            "scenario": self.scenario.to_toml(),
-            "robot": self._robots(),
+            identity["versions"]["scipy"] = version("scipy")
+        return identity | {
             "design": design.kind,
             "axes": {axis.key: axis.spec for axis in design.axes},
             "runs": design.runs,
             "seed": design.seed if design.kind != GRID else None,
             "keep": list(self.keep),
-            "engine": self.engine,
-            "versions": versions,
-            "kernels": cache_folder().name,
-            **({"members": digests} if digests else {}),
             **({"law": self.law, "law_digest": self.law_digest} if self.law else {}),
         }
 
@@ -126,30 +111,10 @@ class Sweep:
         return range(first, min(first + self.part_size, self.design.runs))
 
     @cached_property
-    def _members(self) -> tuple[tuple[str, str], ...]:
-        """The keys that pick a user's class in any run, with its name."""
-        found = list(members_of_users(self.scenario).items())
-        for axis in self.design.axes:
-            if axis.key in families():
-                found += [(axis.key, name) for name in axis.values if isinstance(name, str) and ":" in name]
-        return tuple(found)
+    def _changes(self) -> dict[str, Any]:
+        """The values of the keys that change."""
+        return {axis.key: axis.values for axis in self.design.axes}
 
-    def _robots(self) -> dict[str, str]:
-        """Return a digest of each robot that a run may load."""
-        section = self.scenario.robot
-        names = {section.model}
-        for axis in self.design.axes:
-            if axis.key == "robot.model":
-                names = {str(value) for value in axis.values}
-        digests = {}
-        for name in sorted(names - {NO_ROBOT}):
-            try:
-                model = robot_models.load(name)
-            except Exception as error:  # of the runs with this robot, which say it, as long as there are others
-                if len(names) == 1:
-                    raise
-                digests[name] = f"{type(error).__name__}: {error}"
-                continue
-            whole = (model.text, model.armature.tolist(), model.home.tolist(), model.tip)
-            digests[name] = hashlib.sha256(json.dumps(whole).encode()).hexdigest()
-        return digests
+    @cached_property
+    def _members(self) -> tuple[tuple[str, str], ...]:
+        return members(self.scenario, self._changes)

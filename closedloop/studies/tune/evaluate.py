@@ -1,15 +1,18 @@
 """The values and constraints of many points at once: one batch of runs for all points and variations.
 
 What has been run is kept in a file, a line a point, so that a tuning that was interrupted goes on: the search is the
-same for the same input, and takes from the file what is there.
+same for the same input, and takes from the file what is there. A line that is damaged is run again.
+
+A run whose numbers mean nothing, since it shakes or its step does not resolve the loop, is none: what a step makes of a
+ringing loop may look best.
 """
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,13 +22,19 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, OutputError, ScenarioError
 from closedloop.mechanics.integrators import ADAPTIVE
+from closedloop.record.difference import difference
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.report.verdict import SHAKEN
+from closedloop.scenario.arm import robot_of
+from closedloop.scenario.modes import unresolved_feedback
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import simulate_batch
 from closedloop.simulation.batch.table import one_number
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
+from closedloop.simulation.prepare import load_model
 from closedloop.studies.analysis.linearise import linearise
+from closedloop.studies.identity import NAMES, identity_of
 from closedloop.studies.tune.given import Limit, Varied, with_numbers
 
 AT = "@"
@@ -38,6 +47,10 @@ MARGINS: dict[str, Callable[[Any], float]] = {
 }
 # A margin without end, as that of a loop that no gain makes unstable, counts as this.
 NO_END = 1e6
+# Problems of a verdict with which the numbers of a run mean nothing.
+MEANINGLESS = SHAKEN | {"gains", "resolution"}
+# What a file of runs depends on, in words.
+NAMES_OF_ALL = NAMES | {"vary": "list of ranges", "names": "list of values", "over": "list of variations"}
 
 
 class Runs:
@@ -70,7 +83,10 @@ class Runs:
     ) -> None:
         self.scenario, self.some, self.minimise, self.limits = scenario, list(some), dict(minimise), list(limits)
         self.variations = [dict(zip(over, point, strict=True)) for point in itertools.product(*over.values())]
-        self.done, self._report, self._workers, self._kept = 0, report, workers, kept
+        self.done, self._report, self._workers = 0, report, workers
+        self._kept: Path | None = None
+        # problems of runs whose numbers mean nothing, and how often each was met
+        self.refused: Counter[str] = Counter()
         self.names = list(dict.fromkeys([*self.minimise, *(limit.name for limit in self.limits)]))
         for name in self.names:
             if name not in MEASURES and name not in JOINT_MEASURES and name.partition(AT)[0] not in MARGINS:
@@ -107,9 +123,7 @@ class Runs:
             for key, rows in zip(todo, found, strict=True):
                 self._known[key] = [[float(v) if math.isfinite(v) else None for v in row] for row in rows]
                 lines.append(json.dumps([key, self._known[key]]))
-            if self._kept is not None:
-                with self._kept.open("a", encoding="utf-8") as file:
-                    file.write("\n".join(lines) + "\n")
+            self._keep(lines)
         return np.array([[[math.nan if v is None else v for v in row] for row in self._known[key]] for key in keys])
 
     def __call__(self, points: Array) -> tuple[Array, Array]:
@@ -124,10 +138,13 @@ class Runs:
     def as_it_is(self) -> Array:
         """Return the values of the scenario's own numbers, (V, names), be they in their ranges or not."""
         own = with_numbers(self.scenario, self.some, [each.present for each in self.some])
-        return self._run([own])[0]
+        return self._run([own], whatever=True)[0]
 
-    def _run(self, changed: list[dict[str, Any]]) -> Array:
-        """Run the scenario with each of these overrides under all variations, in one batch."""
+    def _run(self, changed: list[dict[str, Any]], whatever: bool = False) -> Array:
+        """Run the scenario with each of these overrides under all variations, in one batch.
+
+        Without `whatever` a run has no values if they mean nothing.
+        """
         rows = [change | variation for change in changed for variation in self.variations]
         changes = {key: [row[key] for row in rows] for key in rows[0]}
         found = np.full((len(rows), len(self.names)), math.nan)
@@ -135,19 +152,27 @@ class Runs:
         if plain:
             table = simulate_batch(self.scenario, changes, engine=self._engine, workers=self._workers)
             ran = np.array([status == "done" for status in table.column("status").to_pylist()])
+            if not whatever:
+                ran &= [self._means_something(verdict) for verdict in table.column("verdict").to_pylist()]
             for i in plain:
                 column = [one_number(value) for value in table.column(self.names[i]).to_pylist()]
                 found[:, i] = np.where(ran, column, math.nan)
         if len(plain) < len(self.names):
             variants = Variants(self.scenario, tuple(changes))
             for row, values in enumerate(rows):
-                self._margins(variants, values, found[row])
+                self._margins(variants, values, found[row], whatever)
         self.done += len(rows)
         self._report(self.done)
         return found.reshape(len(changed), len(self.variations), -1)
 
-    def _margins(self, variants: Variants, values: Mapping[str, Any], row: Array) -> None:
-        """Write the margins of a run; a loop that is unstable has negative ones."""
+    def _means_something(self, verdict: str | None) -> bool:
+        """Return whether the numbers of a run of this verdict mean something; count the problems if not."""
+        problems = MEANINGLESS.intersection((verdict or "").split(", "))
+        self.refused.update(problems)
+        return not problems
+
+    def _margins(self, variants: Variants, values: Mapping[str, Any], row: Array, whatever: bool) -> None:
+        """Write the margins of a run; a loop that is unstable has negative ones, one that is not resolved none."""
         loops: dict[str, Any] = {}
         for i, name in enumerate(self.names):
             margin, at, instant = name.partition(AT)
@@ -156,36 +181,85 @@ class Runs:
             try:
                 if instant not in loops:
                     loops[instant] = linearise(variants.scenario(tuple(values.values())), float(instant))
+                    if not whatever and self._unresolved(loops[instant].scenario):
+                        loops[instant] = None
                 loop = loops[instant]
+                if loop is None:
+                    continue
                 found = MARGINS[margin](loop.margins())
                 row[i] = min(found, NO_END) if loop.stable else -abs(min(found, NO_END))
             except ClosedLoopError:
                 row[i] = math.nan
 
+    def _unresolved(self, scenario: Scenario) -> bool:
+        found = unresolved_feedback(scenario, robot_of(scenario, load_model(scenario)))
+        self.refused.update(["resolution"] * bool(found))
+        return bool(found)
+
     def _read(self, kept: Path) -> None:
         """Take what has been run from the file, or begin one."""
-        mark = self._fingerprint()
+        mine = json.loads(json.dumps(self._identity(), default=str))
         try:
-            if kept.exists():
-                first, *lines = kept.read_text(encoding="utf-8").splitlines() or [""]
-                if first != mark:
-                    raise OutputError(f"{kept}: is of another tuning; name another folder, or remove the file")
-                for line in lines:
-                    try:
-                        key, rows = json.loads(line)
-                    except ValueError:  # cut off where it was interrupted
-                        continue
-                    self._known[key] = rows
-            else:
-                kept.write_text(mark + "\n", encoding="utf-8")
+            text = kept.read_text(encoding="utf-8") if kept.exists() else ""
         except (OSError, UnicodeDecodeError) as error:
             raise OutputError(f"{kept}: cannot be used: {error}") from None
+        self._kept = kept
+        if not text.strip():
+            return self._keep([json.dumps({"tuning": mine})])
+        first, *lines = text.splitlines()
+        begun = _parsed(first)
+        theirs = begun.get("tuning") if isinstance(begun, dict) else None
+        if not isinstance(theirs, dict):
+            raise OutputError(f"{kept}: exists and holds no tuning; name another folder, or remove the file")
+        if different := [key for key in mine | theirs if theirs.get(key) != mine.get(key)]:
+            raise OutputError(
+                f"{kept}: is of another tuning: {difference(different, NAMES_OF_ALL, theirs, mine)}; name another "
+                "folder, or remove the file"
+            )
+        for line in lines:
+            if self._is_record(record := _parsed(line)):
+                self._known[record[0]] = record[1]
+        if not text.endswith("\n"):  # cut off where it was interrupted
+            self._keep([""])
+        return None
 
-    def _fingerprint(self) -> str:
-        ranges = [(each.name, each.low, each.high, each.log) for each in self.some]
-        given = [self.scenario.to_toml(), ranges, self.names, self.variations]
-        digest = hashlib.sha256(json.dumps(given, sort_keys=True, default=str).encode()).hexdigest()
-        return json.dumps({"tuning": digest})
+    def _keep(self, lines: list[str]) -> None:
+        """Write lines at the end of the file, if there is one."""
+        if self._kept is None:
+            return
+        try:
+            with self._kept.open("a", encoding="utf-8") as file:
+                file.write("\n".join(lines) + "\n")
+        except OSError as error:
+            raise OutputError(f"{self._kept}: cannot be written: {error.strerror or error}") from None
+
+    def _is_record(self, record: Any) -> bool:
+        """Return whether this is what is kept of a point: its key, and for each variation each value, or None."""
+        match record:
+            case [str(), list(rows)] if len(rows) == len(self.variations):
+                return all(
+                    isinstance(row, list)
+                    and len(row) == len(self.names)
+                    and all(v is None or (type(v) in (int, float) and math.isfinite(v)) for v in row)
+                    for row in rows
+                )
+        return False
+
+    def _identity(self) -> dict[str, Any]:
+        """Return what the values depend on."""
+        over = {key: [row[key] for row in self.variations] for key in (self.variations or [{}])[0]}
+        return identity_of(self.scenario, over, self._engine) | {
+            "vary": [(each.name, each.low, each.high, each.log) for each in self.some],
+            "names": self.names, "over": self.variations,
+        }  # fmt: skip
+
+
+def _parsed(line: str) -> Any:
+    """Return what a line of JSON says, None if it is none."""
+    try:
+        return json.loads(line)
+    except (ValueError, RecursionError):
+        return None
 
 
 def _is_number(text: str) -> bool:

@@ -140,6 +140,8 @@ class Search:
                 end = self._descend(end)
             ends.append(self.merit(self.look(end[None])[0][0]) if self._met(end) else np.inf)
         x, values, violations = self.best()
+        if not np.isfinite(self.merit(values)):
+            return Found(x, np.inf, values, violations, ends=ends)
         for _ in range(AGAIN):
             if not _feasible(violations) or self._explained(x)[0] <= FLAT:
                 break

@@ -86,7 +86,7 @@ def tune(
     ScenarioError
         If a key, a value or a constraint is at fault, or nothing can be run in the ranges.
     OutputError
-        If the file is of another tuning, or cannot be written.
+        If the file is of another tuning, such as that of another robot, or cannot be written.
     """
     if robust not in (WORST, MEAN):
         raise ScenarioError(f"tune: robust = {robust!r}: must be {WORST!r} or {MEAN!r}")
@@ -114,7 +114,8 @@ def tune(
         found = search.run(start, starts, seed)
         if not math.isfinite(found.value):
             Variants(scenario, tuple(runs.changes(start))).scenario(tuple(runs.changes(start).values()))
-            raise ScenarioError("tune: no run in these ranges could be made to its end; narrow them")
+            met = f" ({', '.join(name for name, _ in runs.refused.most_common(2))})" if runs.refused else ""
+            raise ScenarioError(f"tune: no run in these ranges could be made to its end and be good{met}; narrow them")
         return _tuning(scenario, runs, search, found, robust)
 
 

@@ -158,7 +158,7 @@ class Browser:
         self._past: list[tuple[float, ...]] = []
         self._steps = 0
         self._server = Server(
-            "127.0.0.1", 8080, token, lambda: page("closedloop.gym"), self._opened,
+            "127.0.0.1", 8080, token, lambda nonce: page("closedloop.gym", nonce=nonce), self._opened,
             lambda client, said: client.drawn() if said.get("do") == "shown" else None, self._closed,
         )  # fmt: skip
         print(f"closedloop.gym: http://127.0.0.1:{self._server.port}/?token={token}", flush=True)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.base.files import what_was_written
 from closedloop.lab.keeping import save, save_page
+from closedloop.lab.messages import pack
 from closedloop.lab.pins import MOST_PINS
 from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Client
@@ -22,16 +24,18 @@ MOST_COLUMNS = 8
 
 
 def act(lab: Lab, client: Client, said: Said) -> None:
-    """Do what a page asks; what is at fault is a line on the page, and what is no request is left alone."""
-    action = ACTIONS.get(str(said.get("do")))
-    if action is None:
-        return
-    client.time = _number(said.get("t"), client.time)
+    """Do what a page asks; what is at fault is a line on the page, also what is no request."""
     try:
+        action = ACTIONS.get(str(said.get("do")))
+        if action is None:
+            client.put("status", pack(_status("what the page sent is no request of the lab's: nothing was done", True)))
+            return
+        client.time = _number(said.get("t"), client.time)
         action(lab, client, said)
     except ClosedLoopError as error:
         _say(lab, one_line(str(error)), loud=True)
     except Exception:  # the page goes on: what comes from a browser may be anything
+        client.put("status", pack(_status("what the page asked for failed: the terminal says why", True)))
         logger.exception("a request of the page failed")
 
 
@@ -150,11 +154,16 @@ def _open(lab: Lab, client: Client, said: Said) -> None:
 
 
 def _say(lab: Lab, line: str, loud: bool = False) -> None:
-    lab.tell("status", {"kind": "status", "line": line, "loud": loud}, keep=False)
+    lab.tell("status", _status(line, loud), keep=False)
+
+
+def _status(line: str, loud: bool) -> Said:
+    return {"kind": "status", "line": line, "loud": loud}
 
 
 def _number(value: Any, otherwise: float) -> float:
-    good = isinstance(value, int | float) and math.isfinite(value)
+    """Return a finite number; an integer beyond every float is none."""
+    good = isinstance(value, int | float) and abs(value) <= sys.float_info.max
     return float(value) if good else otherwise
 
 

@@ -33,6 +33,7 @@ from closedloop.lab.kinds import begin_values
 from closedloop.lab.mapping_work import MapWork
 from closedloop.lab.messages import pack
 from closedloop.lab.newest import Newest
+from closedloop.lab.page import in_notebook
 from closedloop.lab.pins import Pins
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, new_token
 from closedloop.lab.share import hello, page
@@ -112,8 +113,9 @@ class Lab:
         self._token = new_token()
         theme = "dark" if dark else ""
         self.server = Server(
-            host, port, self._token, lambda: page(f"closedloop: {self.history.base.name}", theme=theme), self._opened,
-            lambda client, message: act(self, client, message), self._closed,
+            host, port, self._token,
+            lambda nonce: page(f"closedloop: {self.history.base.name}", theme=theme, nonce=nonce), self._opened,
+            lambda client, message: act(self, client, message), self._closed, framed=in_notebook(),
         )  # fmt: skip
         self.refresh()
         self.ask("")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time as clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import reduce
@@ -121,15 +122,13 @@ def page_latencies(page: Any, key: str, changes: int) -> tuple[Array, Array, Arr
     for k in range(changes):
         # to and fro, never where it was, and not to an end: its handle may have been held beside its middle
         page.mouse.move(x + 2.0 * (6 - abs(k % 20 - 10)), y)
-        page.wait_for_function(f"window.lab.shown.length > {k}", polling=20)
+        wait_until(page, f"window.lab.shown.length > {k}")
     page.mouse.up()
     return tuple(np.array(page.evaluate(f"window.lab.{name}")) / 1e3 for name in ("first", "drawn", "shown"))  # type: ignore[return-value]
 
 
 def page_drag(page: Any, lab: Lab, key: str, seconds: float, rate: float) -> Moved:
     """Drag a slider with the pointer `rate` times a second."""
-    import time as clock
-
     box = slider_of(page, key)
     middle, y = box["x"] + 0.7 * box["width"], box["y"] + 0.5 * box["height"]
     heap = "performance.memory ? performance.memory.usedJSHeapSize / 1e6 : 0"
@@ -153,6 +152,20 @@ def page_drag(page: Any, lab: Lab, key: str, seconds: float, rate: float) -> Mov
         plotted = reduce(getattr, key.split("."), lab.run.scenario) if lab.run is not None else np.nan
     wanted = float(slider_at(page, key).input_value())
     return Moved(moves, redrawn, took, float(plotted), wanted, faults, float(page.evaluate(heap)) - early)
+
+
+def wait_until(page: Any, condition: str, seconds: float = 1e-3 * PATIENCE) -> None:
+    """Wait until a condition is true in a page; Playwright's own way evaluates text, which the page's policy forbids.
+
+    Raises
+    ------
+    TimeoutError
+    """
+    end = clock.monotonic() + seconds
+    while not page.evaluate(f"Boolean({condition})"):
+        if clock.monotonic() > end:
+            raise TimeoutError(f"after {seconds:g} s: {condition}")
+        page.wait_for_timeout(20)
 
 
 def program() -> str | None:

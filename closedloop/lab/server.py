@@ -7,6 +7,7 @@ the token alone, a random word in the page's address, ``http://127.0.0.1:8080/?t
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import ipaddress
 import json
@@ -15,6 +16,7 @@ import secrets
 import socket
 import threading
 import time as clock
+from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from http import HTTPStatus
@@ -30,6 +32,13 @@ FIRST_PORT, LAST_PORT, PORTS = 8080, 65535, 100  # how many are tried, one after
 RUN, FORGOTTEN = "run", 5.0
 LONGEST = 1_000_000  # bytes of what a page says
 PING = 20.0  # s, after so long a page without news is asked whether it is still there
+# Pages that may be open; sockets that have not asked for anything yet, and how long, s, they may take to.
+PAGES, HALF_OPEN, PATIENCE = 32, 16, 5.0
+# A script or a style that is not the server's own does not run in the page, which loads nothing and asks nobody else.
+POLICY = (
+    "default-src 'none'; script-src 'nonce-{0}'; style-src 'nonce-{0}'; img-src data:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'"
+)
 
 
 def new_token() -> str:
@@ -106,9 +115,12 @@ class Server:
     token : str
         What lets in.
     page : callable
-        Returns the page.
+        Returns the page, given the word (nonce) that its own scripts and styles carry.
     opened, said, closed : callable
-        Called with a `Client` when its page opens, with it and what its page says, and when it is gone.
+        Called with a `Client` when its page opens, with it and what its page says, {} if that is no JSON object, and
+        when it is gone.
+    framed : bool
+        Whether the page may stand inside another one, as that of a notebook.
 
     Raises
     ------
@@ -117,17 +129,21 @@ class Server:
     """
 
     def __init__(
-        self, host: str, port: int, token: str, page: Callable[[], str], opened: Callable[[Client], None],
+        self, host: str, port: int, token: str, page: Callable[[str], str], opened: Callable[[Client], None],
         said: Callable[[Client, Any], None], closed: Callable[[Client], None] = lambda client: None,
+        framed: bool = False,
     ) -> None:  # fmt: skip
         from websockets.sync.server import serve
 
+        self._framed, self._half_open, self._pages = framed, deque[socket.socket](), 0
+        self._lock = threading.Lock()
         self.host, self.port = host, _free_port(host, port)
         self._page, self._opened, self._said, self._closed = page, opened, said, closed
-        gate = partial(self._answer, is_loopback(host), token)
+        gate = partial(self._checked_answer, is_loopback(host), token)
         self._server = serve(
             self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, close_timeout=1.0,
-            ping_interval=PING, logger=_quiet(), server_header=None,
+            ping_interval=PING, logger=_quiet(), server_header=None, open_timeout=PATIENCE,
+            create_connection=self._connection,
         )  # fmt: skip
         threading.Thread(target=self._server.serve_forever, name="closedloop-server", daemon=True).start()
 
@@ -135,41 +151,79 @@ class Server:
         """Stop listening."""
         self._server.shutdown()
 
-    def _answer(self, loopback: bool, token: str, connection: Any, request: Any) -> Any:
-        """Return the answer to a request, None for one that opens the socket."""
+    def _connection(self, sock: socket.socket, *given: Any, **more: Any) -> Any:
+        """Return a connection that is half open; where there are too many the oldest of them is closed."""
+        from websockets.sync.server import ServerConnection
+
+        with self._lock:
+            self._half_open.append(sock)
+            oldest = self._half_open.popleft() if len(self._half_open) > HALF_OPEN else None
+        if oldest is not None:
+            with contextlib.suppress(OSError):  # it was closed already
+                oldest.shutdown(socket.SHUT_RDWR)
+        return ServerConnection(sock, *given, **more)
+
+    def _checked_answer(self, loopback: bool, token: str, connection: Any, request: Any) -> Any:
+        """Return the answer to a request, with what a browser is to know of it; None for one that opens the socket."""
+        with self._lock, contextlib.suppress(ValueError):
+            self._half_open.remove(connection.socket)
+        nonce = secrets.token_urlsafe(16)
+        try:
+            found = self._answer(loopback, token, nonce, connection, request)
+        except (ValueError, LookupError):  # neither an address nor a host can be read of it, or there are two of one
+            found = connection.respond(
+                HTTPStatus.BAD_REQUEST, "the request has a Host or an address of no known form\n"
+            )
+        if found is None:
+            return None
+        policy = POLICY.format(nonce)
+        if not self._framed:
+            policy += "; frame-ancestors 'none'"
+            found.headers["X-Frame-Options"] = "DENY"
+        found.headers["Content-Security-Policy"] = policy
+        found.headers["X-Content-Type-Options"] = "nosniff"
+        found.headers["Referrer-Policy"] = "no-referrer"
+        found.headers["Cache-Control"] = "no-store"
+        return found
+
+    def _answer(self, loopback: bool, token: str, nonce: str, connection: Any, request: Any) -> Any:
         if foreign(request.headers, loopback):
             return connection.respond(HTTPStatus.FORBIDDEN, "only the lab's own page may use this server\n")
         path = without_token(request.path, token)
         if path is None:
             line = "the lab's address has a token, as it was printed: http://HOST:PORT/?token=...\n"
             return connection.respond(HTTPStatus.FORBIDDEN, line)
+        if self._pages >= PAGES:
+            line = f"{PAGES} pages of the lab are open, and no more may be: close one\n"
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, line)
         if request.headers.get("Upgrade") is not None:
             return None
         if not path:
             found = connection.respond(HTTPStatus.FOUND, "")
             found.headers["Location"] = f"/{token}"
         elif path == "/":
-            found = connection.respond(HTTPStatus.OK, self._page())
+            found = connection.respond(HTTPStatus.OK, self._page(nonce))
             del found.headers["Content-Type"]
             found.headers["Content-Type"] = "text/html; charset=utf-8"
         else:
             found = connection.respond(HTTPStatus.NOT_FOUND, "there is nothing here\n")
-        found.headers["Referrer-Policy"] = "no-referrer"
-        found.headers["Cache-Control"] = "no-store"
         return found
 
     def _talk(self, connection: Any) -> None:
+        with self._lock:
+            self._pages += 1
         client = Client(connection)
         try:
             self._opened(client)
             for text in connection:
                 try:
                     message = json.loads(text)
-                except ValueError:
-                    continue  # no page of the lab's
-                if isinstance(message, dict):
-                    self._said(client, message)
+                except (ValueError, RecursionError):
+                    message = None
+                self._said(client, message if isinstance(message, dict) else {})
         finally:
+            with self._lock:
+                self._pages -= 1
             client.close()
             self._closed(client)
 

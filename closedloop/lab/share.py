@@ -52,15 +52,17 @@ def hello(scenario: Scenario, model: RobotModel, **more: Any) -> dict[str, Any]:
     return {"kind": "hello", "name": name, "title": title, "about": about[:1].upper() + about[1:], **more}
 
 
-def page(title: str, messages: Sequence[Any] = (), theme: str = "") -> str:
+def page(title: str, messages: Sequence[Any] = (), theme: str = "", nonce: str = "") -> str:
     """Return the page with messages inside; without any it opens a socket below its own address.
 
-    `theme` is "dark", "light", or "" for what the system prefers. No text of a run can end the script it stands in.
+    `theme` is "dark", "light", or "" for what the system prefers; `nonce` is the word by which the policy of a server
+    knows the page's own script and style. No text of a run can end the script it stands in.
     """
     web = files("closedloop.lab") / "web"
     parts = {
         "TITLE": html.escape(title),
         "THEME": theme,
+        "NONCE": nonce,
         "STYLE": (web / "style.css").read_text(encoding="utf-8"),
         "SCRIPT": "\n".join((web / name).read_text(encoding="utf-8") for name in SCRIPTS),
         "DATA": in_text(list(messages)),

@@ -6,6 +6,7 @@ import signal
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import closedloop as cl
@@ -83,6 +84,28 @@ def test_all_threads_get_the_value_that_was_first():
     for thread in threads:
         thread.join()
     assert seen[0] is seen[1] is thing.value
+
+
+def test_environments_are_stepped_and_closed_in_a_fork():
+    """The threads that step them are not in the copy, which has its own; both give the same."""
+    pytest.importorskip("gymnasium", reason="gymnasium is not installed: the extra 'gym'")
+    from closedloop.gym.vector import ContactVectorEnv
+
+    envs = ContactVectorEnv(4, "press", threads=2)
+    envs.reset(seed=0)
+    actions = np.zeros(envs.action_space.shape)
+    envs.step(actions)
+    receive, send = os.pipe()
+
+    def ask():
+        os.write(send, envs.step(actions)[0].tobytes())
+        envs.close()
+
+    assert answered_in_a_fork(ask)
+    assert os.read(receive, 1 << 16) == envs.step(actions)[0].tobytes()
+    envs.close()
+    os.close(receive)
+    os.close(send)
 
 
 def test_no_property_has_a_lock():

@@ -7,6 +7,8 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.figures.export.mcap_file import write_mcap
-from closedloop.lab.server import Server, is_loopback, without_token
+from closedloop.lab.server import HALF_OPEN, PATIENCE, Server, is_loopback, without_token
 from closedloop.lab.start import open_in_browser
 
 
@@ -69,13 +71,14 @@ TOKEN = "0123456789abcdef"
 def served():
     """The port of a server of a page."""
     pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
-    server = Server("127.0.0.1", 8591, TOKEN, lambda: "<p>page</p>", lambda client: None, lambda client, said: None)
+    server = Server("127.0.0.1", 8591, TOKEN, lambda nonce: f"<p>{nonce}</p>", lambda client: None,
+                    lambda client, said: client.put("said", b"heard"))  # fmt: skip
     yield server.port
     server.close()
 
 
-def asked_for(served, path, *, socketed=True, origin="http://{}", host="{}"):
-    """Return the head of what the server answers to a request, for its websocket or for a page."""
+def asked_for(served, path, *, socketed=True, origin="http://{}", host="{}", whole=False):
+    """Return the head of what the server answers to a request, for its websocket or for a page; or all of it."""
     port = served
     own = f"127.0.0.1:{port}"
     lines = [f"Host: {host.format(own)}"]
@@ -86,9 +89,9 @@ def asked_for(served, path, *, socketed=True, origin="http://{}", host="{}"):
     with socket.create_connection(("127.0.0.1", port), 30.0) as asking:
         asking.sendall("\r\n".join([f"GET {path} HTTP/1.1", *lines, "", ""]).encode())
         head = b""
-        while b"\r\n\r\n" not in head and (more := asking.recv(4096)):
+        while (whole or b"\r\n\r\n" not in head) and (more := asking.recv(4096)):
             head += more
-    return head.partition(b"\r\n\r\n")[0].decode()
+    return (head if whole else head.partition(b"\r\n\r\n")[0]).decode()
 
 
 @pytest.mark.parametrize(
@@ -105,6 +108,79 @@ def test_no_other_page_reaches_the_socket(origin, host, let_in, served):
     """A browser lets any page open it: it is refused by its origin, a name elsewhere that leads here by its host."""
     status = asked_for(served, f"/{TOKEN}", origin=origin, host=host)
     assert status.startswith("HTTP/1.1 101" if let_in else "HTTP/1.1 403")
+
+
+@pytest.mark.parametrize(
+    ("path", "host"),
+    [("/", "["), ("/", "[::1"), ("/", "127.0.0.1\r\nHost: x"), ("//[", "{}"), ("/{}", "127.0.0.1:x@[")],
+)
+def test_a_malformed_request_is_answered_in_one_line(path, host, served):
+    """It is the one who asks that is at fault, not the server."""
+    status, *_, line = asked_for(served, path, socketed=False, origin=None, host=host, whole=True).splitlines()
+    assert status.startswith("HTTP/1.1 400")
+    assert "no known form" in line
+
+
+def test_every_answer_says_what_a_browser_may_do_with_it(served):
+    """Nothing is framed, guessed or loaded from elsewhere; only the script that carries the answer's own word runs."""
+    nonces = set()
+    for path in (f"/{TOKEN}", f"/{TOKEN}", f"/?token={TOKEN}", "/", "//["):
+        answer = asked_for(served, path, socketed=False, origin=None, whole=True)
+        assert "X-Frame-Options: DENY" in answer
+        assert "X-Content-Type-Options: nosniff" in answer
+        policy = dict(each.split(" ", 1) for each in re.search("Security-Policy: (.*)\r", answer)[1].split("; "))
+        assert policy["default-src"] == policy["frame-ancestors"] == "'none'"
+        assert policy["script-src"] == policy["style-src"]
+        assert not set(policy["script-src"].split()) & {"'unsafe-inline'", "'unsafe-eval'", "*"}
+        nonces.add(nonce := re.fullmatch("'nonce-(.{20,})'", policy["script-src"])[1])
+        assert (f"<p>{nonce}</p>" in answer) == (path == f"/{TOKEN}")
+    assert len(nonces) == 5
+
+
+@pytest.mark.parametrize("said", ["{", "[1]", "9" * 5000, "[" * 100_000, '{"do": ' * 50_000], ids=lambda said: said[:5])
+def test_what_is_no_request_leaves_the_socket_open(said, served):
+    """Also a number of too many digits and lists that are too deep: the page is told so, and goes on."""
+    sockets = pytest.importorskip("websockets.sync.client")
+    with sockets.connect(f"ws://127.0.0.1:{served}/{TOKEN}", compression=None) as page:
+        for text in (said, '{"do": "x"}'):
+            page.send(text)
+            assert page.recv(30.0) == b"heard"
+
+
+def test_clients_are_bounded_in_number_and_in_time(served, monkeypatch):
+    """Sockets that ask for nothing give way to newer ones; of pages that are open there are so many at most."""
+    sockets = pytest.importorskip("websockets.sync.client")
+    silent = [socket.create_connection(("127.0.0.1", served), 30.0) for _ in range(60)]
+    assert asked_for(served, f"/{TOKEN}", socketed=False, origin=None).startswith("HTTP/1.1 200")
+    assert [each.recv(1) for each in silent[: 60 - HALF_OPEN]] == (60 - HALF_OPEN) * [b""]
+    assert threading.active_count() < 2 * HALF_OPEN + 20
+    for each in silent:
+        each.close()
+    monkeypatch.setattr("closedloop.lab.server.PAGES", 2)
+    url = f"ws://127.0.0.1:{served}/{TOKEN}"
+    with sockets.connect(url) as one, sockets.connect(url) as other:
+        for page in (one, other):
+            page.send("{}")
+            page.recv(30.0)
+        answer = asked_for(served, f"/{TOKEN}", socketed=False, origin=None, whole=True)
+        assert answer.startswith("HTTP/1.1 503")
+        assert answer.endswith("2 pages of the lab are open, and no more may be: close one\n")
+        assert asked_for(served, f"/{TOKEN}").startswith("HTTP/1.1 503")
+    for _ in range(100):  # until the server knows that they are gone
+        if (status := asked_for(served, f"/{TOKEN}", socketed=False, origin=None)).startswith("HTTP/1.1 200"):
+            break
+        time.sleep(0.1)
+    assert status.startswith("HTTP/1.1 200")
+
+
+@pytest.mark.slow
+def test_a_socket_that_asks_for_nothing_is_closed_in_time(served):
+    """A part of a request is none."""
+    with socket.create_connection(("127.0.0.1", served), 30.0) as asking:
+        asking.sendall(b"GET / HTTP/1.1\r\n")
+        began = time.monotonic()
+        assert asking.recv(1) == b""
+        assert time.monotonic() - began < PATIENCE + 5.0
 
 
 @pytest.mark.parametrize("socketed", [True, False], ids=["websocket", "page"])

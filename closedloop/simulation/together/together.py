@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
@@ -159,6 +160,7 @@ class Together:
         self._ready: set[Any] = set()  # kernels that are compiled
         self._trees: WeakKeyDictionary[Robot, Tree] = WeakKeyDictionary()
         self._pool: ThreadPoolExecutor | None = None
+        self._process = os.getpid()  # that has the threads of the pool
         self._lanes: list[Lanes] = []
         self._groups: IntArray = np.zeros((self.threads, 2), dtype=np.int64)  # of each thread, see `step_members`
         self.rows: Array = np.zeros((count, 0))
@@ -282,15 +284,15 @@ class Together:
             step_members(self._members, one, 0, 1, *given)
 
     def _threads(self) -> ThreadPoolExecutor:
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self.threads - 1, "closedloop")
+        if self._pool is None or self._process != os.getpid():  # a fork has the pool, but none of its threads
+            self._pool, self._process = ThreadPoolExecutor(self.threads - 1, "closedloop"), os.getpid()
         return self._pool
 
     def close(self) -> None:
         """End the threads."""
-        if self._pool is not None:
+        if self._pool is not None and self._process == os.getpid():
             self._pool.shutdown()
-            self._pool = None
+        self._pool = None
 
 
 def refuse_torque(problem: Problem) -> None:

@@ -1,5 +1,7 @@
 """The lab's page in a browser: opened, waited for, read."""
 
+from closedloop.lab.in_browser import wait_until
+
 # How many colours the picture in space has.
 COLOURS = """() => {
   const g = Object.assign(document.createElement('canvas'), {width: 300, height: 300}).getContext('2d');
@@ -10,13 +12,14 @@ COLOURS = """() => {
 
 
 def opened_page(browser, lab, **settings):
-    """Return a page of the lab that shows a run, and the list of what is thrown in it."""
+    """Return a page of the lab that shows a run, and the list of what is thrown in it, or forbidden by its policy."""
     page, faults = browser.new_page(**({"viewport": {"width": 1440, "height": 900}} | settings)), []
     page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
     page.set_default_timeout(60_000)
     page.goto(lab.url)
     page.get_by_text("steps in").wait_for()
-    page.wait_for_function("space.scene && run && map.x.options.length")
+    wait_until(page, "space.scene && run && map.x.options.length")
     return page, faults
 
 
@@ -24,7 +27,7 @@ def settled(page, lab):
     """Wait until the page shows the newest run, with all that follows it."""
     page.wait_for_timeout(300)
     assert lab.wait(120.0)
-    page.wait_for_function(f"run.n >= {lab._count}")
+    wait_until(page, f"run.n >= {lab._count}")
     page.wait_for_timeout(100)
 
 

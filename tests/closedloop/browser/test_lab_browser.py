@@ -11,6 +11,7 @@ from lab_page import plotted, row, settled
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.lab import in_browser, mapping_work
+from closedloop.lab.in_browser import wait_until
 from closedloop.studies.analysis.stability import Stability
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
@@ -58,7 +59,7 @@ def test_keys_move_the_slider_in_the_focus_else_the_replay(page, lab):
     assert page.evaluate("state.time") == pytest.approx(8.0)
     page.keyboard.press("Home")
     page.keyboard.press("Space")
-    page.wait_for_function("state.playing && state.time > 0.1")
+    wait_until(page, "state.playing && state.time > 0.1")
     page.keyboard.press("Space")
     at = page.evaluate("state.time")
     page.wait_for_timeout(200)
@@ -186,7 +187,7 @@ def test_a_drag_in_the_map_loads_the_runs_below_the_pointer(page, lab, monkeypat
     page.locator("#tabs select").nth(1).select_option("law.kp J2")
     page.locator("#tabs select").nth(2).select_option("peak_contact_force")
     page.locator("#compute").click()
-    page.wait_for_function("map.m?.complete", timeout=300_000)
+    wait_until(page, "map.m?.complete", 300.0)
     assert page.evaluate("map.m.grid.every(Number.isFinite)")
     box = page.locator("#map").bounding_box()
     left, top, wide, high = page.evaluate("map.area()")
@@ -211,20 +212,20 @@ def test_the_map_shows_where_the_loop_becomes_unstable(page, lab, monkeypatch):
     short = {"reference.start": 0.05, "reference.stop": 0.55, "time.duration": 0.6}
     cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.1}), {"law.force": [10.0] * 8})
     lab.ask()  # no map begins by itself until what it needs is compiled, as it is now
-    page.wait_for_function("map.m")
+    wait_until(page, "map.m")
     monkeypatch.setattr(mapping_work, "AT_MOST", 600.0)
     monkeypatch.setattr(mapping_work, "POINTS", 8)
     monkeypatch.setattr(mapping_work, "CELLS", 12)
     for key, value in short.items():
         lab.changed(key, value)
     settled(page, lab)
-    page.wait_for_function("map.m.complete && map.canvas.classList.contains('late')")
+    wait_until(page, "map.m.complete && map.canvas.classList.contains('late')")
     assert "another reference.start" in page.locator("#pane").inner_text()
     assert page.locator("#tabs select").nth(0).input_value() == "law.kp, all"
     assert page.locator("#tabs select").nth(1).input_value() == "law.kd, all"
     page.evaluate("map.line = null")
     page.locator("#compute").click()
-    page.wait_for_function("map.line?.x && map.m.complete", timeout=300_000)
+    wait_until(page, "map.line?.x && map.m.complete", 300.0)
     kps, kds = (page.evaluate(f"[...map.line.{axis}]") for axis in "xy")
     for k in (0, -1):
         for share, stable in ((0.98, True), (1.02, False)):
@@ -241,7 +242,7 @@ def test_the_map_shows_where_the_loop_becomes_unstable(page, lab, monkeypatch):
 
 def test_the_label_of_the_vertical_axis_of_a_map_is_whole(page, lab):
     """It stands within the canvas, left of the numbers; where all values are equal the map says the value."""
-    page.wait_for_function("map.m && map.under")
+    wait_until(page, "map.m && map.under")
     texts = """() => {
       const found = [], write = CanvasRenderingContext2D.prototype.fillText;
       CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {

@@ -4,6 +4,7 @@ import pytest
 from lab_page import COLOURS, opened_page, plotted, row, settled
 
 from closedloop.lab import in_browser
+from closedloop.lab.in_browser import wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
 
@@ -18,9 +19,9 @@ def test_two_tabs_and_a_reload_show_the_same_run(page, browser, lab):
         assert plotted(each)["commanded"] == 13.0
         assert row(each, "law.force").locator(".num").input_value() == "13"
     other.reload()
-    other.wait_for_function("run && space.scene")
+    wait_until(other, "run && space.scene")
     assert plotted(other)["commanded"] == 13.0
-    other.wait_for_function("map.m === null || map.stale === 'law.force'")  # the map knows the run that is shown
+    wait_until(other, "map.m === null || map.stale === 'law.force'")  # the map knows the run that is shown
     other.close()
     assert faults == []
     row(page, "law.force").locator(".num").fill("14")
@@ -57,11 +58,16 @@ def test_a_thousand_changes_and_an_idle_page_leave_the_last_value(page, lab):
 def test_what_is_no_request_of_the_page_changes_nothing(page, lab):
     """Wrong kinds, wrong keys, wrong values, no JSON: no traceback, no other run, and the page goes on."""
     before = lab.run
-    for message in ("{", "[]", '"x"', '{"do": "set"}', '{"do": "set", "key": "law.force", "shown": "wide"}',
+    huge, deep = "9" * 400, "[" * 100_000
+    for message in (f'{{"do": "shown", "t": {huge}}}', f'{{"do": "point", "u": {huge}}}', deep, "9" * 5000,
+                    f'{{"do": "window", "range": [0, {huge}]}}', f'{{"do": "analyse", "at": {huge}}}',
+                    f'{{"do": {"[" * 900 + "]" * 900}}}',
+                    "{", "[]", '"x"', '{"do": "set"}', '{"do": "set", "key": "law.force", "shown": "wide"}',
                     '{"do": "set", "key": "law.kind", "shown": "os:system"}', '{"do": "open", "name": "/etc/passwd"}',
                     '{"do": "columns", "names": 3}', '{"do": "window", "range": ["a", null]}',
                     '{"do": "point", "u": null}', '{"do": "analyse", "at": "x"}', '{"do": "boundary"}'):  # fmt: skip
         page.evaluate("text => socket.send(text)", message)
+    page.get_by_text("is no request of the lab's").wait_for()
     settled(page, lab)
     assert lab.run.scenario == before.scenario
     assert page.evaluate("socket.readyState") == 1
@@ -89,7 +95,7 @@ def test_a_curve_of_many_points_covers_what_its_line_would(page):
 def test_pictures_wait_for_the_run_where_they_are_slow(page, lab):
     """While a slider moves they come late and coarse; once it rests a good one shows the newest instant."""
     settled(page, lab)
-    page.wait_for_function("!space.waits")
+    wait_until(page, "!space.waits")
     page.evaluate("""() => {
       const paint = space.paint;
       window.painted = [];
@@ -98,9 +104,9 @@ def test_pictures_wait_for_the_run_where_they_are_slow(page, lab):
       space.moved();
       draw_space();
     }""")
-    page.wait_for_function("painted.length && !painted.some(coarse => !coarse)")
+    wait_until(page, "painted.length && !painted.some(coarse => !coarse)")
     page.evaluate("space.answered()")
-    page.wait_for_function("painted.at(-1) === false && !space.waits")
+    wait_until(page, "painted.at(-1) === false && !space.waits")
     assert page.evaluate(COLOURS) > 20
 
 
@@ -109,9 +115,9 @@ def test_the_picture_comes_back_after_the_graphics_processor_was_lost(page, lab)
     settled(page, lab)
     views = page.evaluate("space.views")
     page.evaluate("() => { window.lost = space.gl.getExtension('WEBGL_lose_context'); lost.loseContext(); }")
-    page.wait_for_function("space.gl.isContextLost()")
+    wait_until(page, "space.gl.isContextLost()")
     page.evaluate("lost.restoreContext()")
-    page.wait_for_function("!space.gl.isContextLost() && space.drawing.size.length && !space.waits")
+    wait_until(page, "!space.gl.isContextLost() && space.drawing.size.length && !space.waits")
     assert page.evaluate(COLOURS) > 20
     assert page.evaluate("space.views") == views
 

@@ -11,6 +11,7 @@ from lab_page import opened_page, plotted, settled
 import closedloop as cl
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab import in_browser
+from closedloop.lab.in_browser import wait_until
 from closedloop.lab.share import MOST_FRAMES
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
@@ -24,11 +25,11 @@ def test_the_first_page_offers_the_scenarios_that_ship(browser, tmp_path):
         cards = page.locator(".card")
         cards.first.wait_for()
         assert cards.count() == len(cl.shipped_scenarios())
-        drawn = """() => { const c = document.querySelector('.card canvas'), g = c.getContext('2d');
-            return c.width > 1 && g.getImageData(0, 0, c.width, c.height).data.some(x => x) }"""
-        page.wait_for_function(drawn)
+        drawn = """(() => { const c = document.querySelector('.card canvas'), g = c.getContext('2d');
+            return c.width > 1 && g.getImageData(0, 0, c.width, c.height).data.some(x => x) })()"""
+        wait_until(page, drawn)
         page.locator(".card", has_text="planar2 slide").click()
-        page.wait_for_function("document.title.startsWith('planar2_slide')")
+        wait_until(page, "document.title.startsWith('planar2_slide')")
         settled(page, lab)
         assert lab.run.scenario.name == "planar2_slide"
         assert not page.locator("#cards").is_visible()
@@ -95,7 +96,7 @@ def test_the_shared_page_opens_from_disk_without_network(name, offline, tmp_path
     assert ("friction on the tip" in legend) == (scene_of(run).ground.there and run.scenario.friction.kind != "none")
     page.evaluate(f"seek({0.5 * float(run.time[-1])!r})")
     page.click("#play")
-    page.wait_for_function(f"Math.abs(state.time - {0.5 * float(run.time[-1])!r}) > 0.001")
+    wait_until(page, f"Math.abs(state.time - {0.5 * float(run.time[-1])!r}) > 0.001")
     assert faults == []
     assert [url for url in asked if not url.startswith("file:")] == []
 

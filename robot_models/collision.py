@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from robot_models.model import RobotModel
 
 Array = NDArray[np.float64]
+SMALLEST, LARGEST = 1e-6, 1e6  # m, of a mesh: another size is a wrong unit, or a damaged file
 
 
 @dataclass(frozen=True)
@@ -124,10 +125,24 @@ def _mesh(name: str, scale: Array, place: Array, folder: Path | None, where: str
     file = mesh_file(name, folder)
     if file is None:
         raise ModelError(f"{where}: the file of its collision mesh, {name!r}, is not there")
+    if scale.size not in (1, 3):
+        raise ModelError(
+            f"{where}: the scale of its collision mesh {name!r} has {scale.size} numbers: it must have three"
+        )
     try:
-        mesh = trimesh.load_scene(file).to_mesh()
+        mesh = trimesh.load_scene(file, process=False).to_mesh()  # processed, it has no vertex that is not finite
         vertices = np.asarray(mesh.vertices, dtype=float) * scale
         centroids = np.asarray(mesh.triangles_center, dtype=float) * scale
     except Exception as error:  # whatever a reader of meshes makes of a file
         raise ModelError(f"{where}: its collision mesh {name!r} cannot be read: {error}") from None
+    if not len(centroids):
+        raise ModelError(f"{where}: its collision mesh {name!r} has no triangles")
+    if not np.isfinite(vertices).all():
+        raise ModelError(f"{where}: its collision mesh {name!r} has a vertex, or a scale, that is no finite number")
+    size, reach = float(np.max(np.ptp(vertices, axis=0))), float(np.max(np.abs(vertices)))
+    if size < SMALLEST or reach > LARGEST:
+        raise ModelError(
+            f"{where}: its collision mesh {name!r} is {size:g} m large and reaches {reach:g} m: it must be at least "
+            f"{SMALLEST:g} m large and reach at most {LARGEST:g} m"
+        )
     return CollisionShape("mesh", np.zeros(3), place, vertices, name, centroids=centroids)

@@ -22,8 +22,11 @@ def mesh_file(name: str, folder: Path | None) -> Path | None:
         path, root = (None, None) if folder is None else (folder / name.removeprefix("file://"), folder.parent)
     if path is None or root is None or path.suffix.lower() not in FORMATS:
         return None
-    path = path.resolve()
-    return path if path.is_relative_to(root.resolve()) and path.is_file() else None
+    try:
+        path = path.resolve()
+        return path if path.is_relative_to(root.resolve()) and path.is_file() else None
+    except (OSError, RuntimeError, ValueError):  # links that lead in a circle, a name that no file can have
+        return None
 
 
 @lru_cache(maxsize=1)

@@ -24,7 +24,7 @@ from closedloop.base.errors import ModelError
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import placed_frame
-from closedloop.scenario.collision import hull_corners, parts_of
+from closedloop.scenario.collision import hull_of, parts_of
 from robot_models import RobotModel
 from robot_models.collision import CollisionShape, collision_shapes
 from robot_models.coordinates import in_pinocchios_order
@@ -125,7 +125,8 @@ def _solids(model: RobotModel) -> tuple[Solid, ...]:
                 shapes = collision_shapes(model, link, visual)
             except ModelError:
                 continue
-            found += [Solid(link, joint, place @ shape.place, shape) for shape in shapes]
+            solid = (shape for shape in shapes if shape.kind != "mesh" or len(_hull(shape.vertices.tobytes())))
+            found += [Solid(link, joint, place @ shape.place, shape) for shape in solid]
         if found:
             return tuple(found)
     return ()
@@ -226,8 +227,10 @@ def _lowest(shape: CollisionShape, n: Array) -> Array:
 
 @lru_cache(maxsize=128)
 def _hull(vertices: bytes) -> Array:
-    """Return the corners of the convex hull of a mesh, m."""
-    return hull_corners(np.frombuffer(vertices).reshape(-1, 3))
+    """Return the corners of the convex hull of a mesh, m; none if it is flat."""
+    points = np.frombuffer(vertices).reshape(-1, 3)
+    hull = hull_of(points)
+    return points[:0] if hull is None else points[hull.vertices]
 
 
 @lru_cache(maxsize=512)

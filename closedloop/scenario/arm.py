@@ -67,7 +67,7 @@ def _whole(
         return values
     what = f"{model.name} has {len(names)} joints" if not model.balls else f"for {model.name} it has {len(names)}"
     less = f", or {held.sum()} without those that move freely" if 0 < held.sum() < len(names) else ""
-    raise ScenarioError(f"{key} has {len(given)} entries: {what}{less}, {', '.join(names)}")
+    raise ScenarioError(f"{key} has {len(given)} entries: {what}{less}, in the order {', '.join(names)}")
 
 
 def is_of_model(key: str) -> bool:

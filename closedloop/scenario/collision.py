@@ -85,7 +85,7 @@ def hulls_taken(scenario: Scenario, model: RobotModel) -> list[str]:
     sections = scenario.contact or ()
     for name, section in zip(names_of(sections), sections, strict=True):
         for shape in _shapes(section, model, name) if section.at == COLLISION else ():
-            if shape.kind == "mesh" and _hollow(shape) > INSIDE * float(np.max(np.ptp(shape.vertices, axis=0))):
+            if shape.kind == "mesh" and _is_hollow(shape):
                 lines.append(f"contact {name!r}: the mesh {shape.file!r} is not convex: its convex hull touches")
     return lines
 
@@ -127,7 +127,12 @@ def parts_of(shape: CollisionShape, where: str) -> list[dict[str, Any]]:
         feet = [(a * np.cos(x), a * np.sin(x)) for x in angles]
         edges = [{"at": at((0, 0, end * b)), "half_axes": half_axes((a, a))} for end in (-1, 1)]
         return edges + [{"at": at((x, y, end * b))} for end in (-1, 1) for x, y in feet]
-    corners = hull_corners(shape.vertices)
+    hull = hull_of(shape.vertices)
+    if hull is None:
+        raise ScenarioError(
+            f"{where}: the mesh {shape.file!r} is flat: give the mesh of a solid, or at as a list of points"
+        )
+    corners = shape.vertices[np.sort(hull.vertices)]
     if len(corners) > MOST_CORNERS:
         raise ScenarioError(
             f"{where}: the convex hull of the mesh {shape.file!r} has {len(corners)} corners; at most {MOST_CORNERS}: "
@@ -136,23 +141,27 @@ def parts_of(shape: CollisionShape, where: str) -> list[dict[str, Any]]:
     return [{"at": at(corner)} for corner in corners]
 
 
-def hull_corners(vertices: Array) -> Array:
-    """Return the corners (k, 3) of the convex hull of points (V, 3), in their order."""
-    from scipy.spatial import ConvexHull
+def hull_of(vertices: Array) -> Any:
+    """Return the convex hull of points (V, 3) about their mean, `scipy.spatial.ConvexHull`; None if they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
 
-    return vertices[np.sort(ConvexHull(vertices).vertices)]
+    try:
+        return ConvexHull(vertices - np.mean(vertices, axis=0))
+    except QhullError:
+        return None
 
 
-def _hollow(shape: CollisionShape) -> float:
-    """Return how far a mesh's surface is inside the convex hull at most, at its corners and triangles' centroids, m.
+def _is_hollow(shape: CollisionShape) -> bool:
+    """Whether a mesh's surface, at its corners and triangles' centroids, is inside its convex hull anywhere.
 
     The centroids tell a flat part with a notch, whose corners are all on its two faces.
     """
-    from scipy.spatial import ConvexHull
-
-    faces = ConvexHull(shape.vertices).equations
-    points = np.concatenate([shape.vertices, shape.centroids])
-    return float(np.max(np.min(-(points @ faces[:, :3].T + faces[:, 3]), axis=1)))
+    hull = hull_of(shape.vertices)
+    if hull is None:
+        return False
+    points = np.concatenate([shape.vertices, shape.centroids]) - np.mean(shape.vertices, axis=0)
+    inside = np.min(-(points @ hull.equations[:, :3].T + hull.equations[:, 3]), axis=1)
+    return bool(np.max(inside) > INSIDE * np.max(np.ptp(shape.vertices, axis=0)))
 
 
 Parts = list[dict[str, Any]]

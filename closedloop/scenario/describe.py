@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import OneOf
 from closedloop.base.sections import field_units, sizes
-from closedloop.scenario.messages import OWN, elsewhere, is_section, usual_kind, variants
+from closedloop.scenario.messages import COUNTS, OWN, elsewhere, is_section, usual_kind, variants
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.scenario.synonyms import key_meant, section_meant
 from closedloop.scenario.tables import described_key, table_type
@@ -225,7 +225,7 @@ def _kind_of_value(annotation: Any) -> str:
     if origin is tuple:
         inner = _kind_of_value(parts[0])
         if Ellipsis not in parts:
-            return "three numbers"
+            return f"{COUNTS[len(parts)]} {'numbers' if inner == 'a number' else f'lists of {inner}'}"
         return "a list of numbers" if inner == "a number" else f"a list of lists of {inner}"
     if origin is dict:
         return "a table of numbers by joint"

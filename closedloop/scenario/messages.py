@@ -72,9 +72,9 @@ CURES = {
     "finite_number": "must be finite, not NaN or infinite",
     "string_type": "must be text",
     "tuple_type": "must be a list of numbers",
-    "too_long": "must be three numbers",  # the only lists of fixed length are vectors
-    "too_short": "must be three numbers",
 }
+# Lengths of lists of fixed length: of a line, a vector, a quaternion, a tensor.
+COUNTS = {2: "two", 3: "three", 4: "four", 6: "six"}
 
 LONGEST_KEY = 60  # characters, more than any has; a joint's name may
 MOST_FAULTS = 20  # lines; a list of ten thousand points may have a fault in each
@@ -86,15 +86,20 @@ def explain(error: ValidationError, data: dict[str, Any]) -> list[str]:
     problems = sorted(error.errors(include_url=False), key=lambda p: p["type"] != "extra_forbidden")
     unknown_kind = {p["loc"][:1] for p in problems if p["loc"][-1:] == ("kind",) and p["type"] == "literal_error"}
     lines: dict[str, str] = {}
+    lengths: dict[tuple[Any, ...], int] = {}  # of the lists that have an entry too few, at least
+    for problem in problems:
+        if problem["type"] == "missing" and isinstance(problem["loc"][-1], int):
+            lengths[problem["loc"][:-1]] = max(problem["loc"][-1] + 1, lengths.get(problem["loc"][:-1], 0))
     for problem in problems:
         if problem["type"] in ("extra_forbidden", "missing") and problem["loc"][:1] in unknown_kind:
             continue  # its keys are those of the kind that was meant
-        name, line = _explain(problem, data)
+        name, line = _explain(problem, data, lengths.get(problem["loc"][:-1], 0))
         meant = (f"did you mean '{name}'?", f"did you mean '{name}.")
         if problem["type"] == "missing" and any(words in said for said in lines.values() for words in meant):
             continue  # it is there under the misspelt name
         lines.setdefault(name, one_line(line))  # the branches of a union say the same of one key
-    short = [name for name, line in lines.items() if line.endswith(CURES["too_short"])]
+    cures = tuple(map(counted, COUNTS))
+    short = [name for name, line in lines.items() if line.endswith(cures)]
     for name in short:  # of a list of another length the entries do not matter
         for entry in [each for each in lines if each.startswith(f"{name}[")]:
             del lines[entry]
@@ -103,8 +108,13 @@ def explain(error: ValidationError, data: dict[str, Any]) -> list[str]:
     return told if more <= 0 else [*told[:MOST_FAULTS], f"{more} more faults of this sort"]
 
 
-def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
-    """Return the key of a fault, and a line about it."""
+def counted(length: int) -> str:
+    """Return that a list must have so many numbers."""
+    return f"must be {COUNTS.get(length, length)} numbers"
+
+
+def _explain(problem: ErrorDetails, data: dict[str, Any], length: int) -> tuple[str, str]:
+    """Return the key of a fault, and a line about it; `length` is that of the list in which an entry is missing."""
     location = [_brief(str(part)) for part in problem["loc"]]
     section = location[0] if location else ""
     # pydantic names the branch of a union that it tried, after the section; a user knows only keys and places in lists.
@@ -121,7 +131,7 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
     if kind == "extra_forbidden":
         return whole, f"unknown key '{whole}'; {_known_keys(section, location, data)}"
     if kind == "missing" and location[-1].isdigit():
-        name, shown, cure = name.rpartition("[")[0], shown_value(value), CURES["too_short"]
+        name, shown, cure = name.rpartition("[")[0], shown_value(value), counted(length)
     elif kind == "missing":
         return whole, f"'{whole}' is missing"
     elif kind == "value_error" and isinstance(problem["ctx"]["error"], SizeError):
@@ -145,6 +155,8 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
         cure = f"must be {problem['ctx']['expected']}"
     elif kind in ("model_type", "model_attributes_type", "dict_type"):
         cure = f"must be a section of its own, [{name}]"
+    elif kind == "too_long":
+        cure = counted(problem["ctx"]["max_length"])
     elif kind == "less_than_equal":
         cure = f"must be at most {problem['ctx']['le']:g}"
     elif kind == "value_error":

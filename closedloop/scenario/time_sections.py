@@ -32,8 +32,8 @@ class StartSection(Section):
 
     q: Annotated[PerJoint, ANGLE] | None = Field(
         None,
-        description="joint positions, rad (m), of a free joint x y z and the quaternion w x y z; the model's home "
-        "posture if left out",
+        description="joint positions, rad (m), of a free joint x y z and the quaternion w x y z, in the order of "
+        "coordinate_names: of a URDF by the joints' names, not as in the file; the model's home posture if left out",
     )
     v: Annotated[PerJoint, JOINT_SPEED] | None = Field(
         None, description="joint velocities, rad/s (m/s); at rest if left out"

@@ -104,6 +104,75 @@ def test_a_flat_part_with_a_notch_is_told_too(tmp_path):
     assert (len(told["L"]), told["plate"]) == (1, [])
 
 
+CUBE = trimesh.creation.box((1, 1, 1))
+NAN = np.where(np.arange(24).reshape(8, 3) == 4, np.nan, CUBE.vertices)
+DEGENERATE = {
+    "no byte": (None, "has no triangles"),
+    "no triangle": (CUBE.vertices[:0], "has no triangles"),
+    "a plate without thickness": (CUBE.vertices * [1, 1, 0], "is flat: give the mesh of a solid, or at as a list"),
+    "a rod without thickness": (CUBE.vertices * [1, 0, 0], "is flat"),
+    "one point": (CUBE.vertices * 0, "is 0 m large"),
+    "a corner that is NaN": (NAN, "has a vertex, or a scale, that is no finite number"),
+    "every corner NaN": (CUBE.vertices * np.nan, "no finite number"),
+    "1e30 m": (CUBE.vertices * 1e30, "is 2e+30 m large and reaches 1e+30 m: it must be"),
+    "1e-30 m": (CUBE.vertices * 1e-30, "is 2e-30 m large"),
+    "1e12 m away": (CUBE.vertices + 1e12, "reaches 2e+12 m"),
+}
+
+
+@pytest.mark.parametrize(("vertices", "said"), DEGENERATE.values(), ids=DEGENERATE)
+@pytest.mark.parametrize("form", ["obj", "stl"])
+def test_a_degenerate_mesh_is_refused_in_a_line(tmp_path, form, vertices, said):
+    """It can touch nothing, or a reader would leave out what is no number; beside a contact it is left alone."""
+    mesh = b"" if vertices is None else text_of_mesh(form, vertices).encode()
+    (tmp_path / f"part.{form}").write_bytes(mesh)
+    text = URDF.format(file=f"part.{form}")
+    with pytest.raises(cl.ClosedLoopError) as caught:
+        cl.prepare(scenario(tmp_path, text, "body.urdf")[0])
+    assert f"mesh 'part.{form}'" in str(caught.value)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    scenario(tmp_path, text, "body.urdf", at=[0, 0, 0])
+    beside = cl.simulate(cl.load_scenario(tmp_path / "scenario.toml", {"time.duration": 0.002}))
+    assert beside.summary()["clearance"] is None
+
+
+def text_of_mesh(form, vertices):
+    """Return a cube's triangles between other corners, as text."""
+    faces = CUBE.faces if len(vertices) else ()
+    if form == "obj":
+        lines = ["v {} {} {}".format(*each) for each in vertices]
+        return "\n".join(lines + ["f {} {} {}".format(*(face + 1)) for face in faces]) + "\n"
+    facets = ("".join("vertex {} {} {}\n".format(*vertices[i]) for i in face) for face in faces)
+    return (
+        "solid x\n"
+        + "".join(f"facet normal 0 0 1\nouter loop\n{each}endloop\nendfacet\n" for each in facets)
+        + "endsolid\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("file", "scale", "said"),
+    [
+        ("circle.stl", "1 1 1", "'circle.stl', is not there"),
+        ("x" * 300 + ".stl", "1 1 1", ".stl', is not there"),
+        ("folder.stl", "1 1 1", "'folder.stl', is not there"),
+        ("cube.stl", "1 1", "the scale of its collision mesh 'cube.stl' has 2 numbers: it must have three"),
+        ("cube.stl", "nan 1 1", "no finite number"),
+        ("cube.stl", "1 0 1", "is flat"),
+    ],
+)
+def test_a_mesh_that_no_file_or_scale_gives_is_refused_in_a_line(tmp_path, file, scale, said):
+    """Links that lead in a circle, names that no file has."""
+    (tmp_path / "circle.stl").symlink_to("circle.stl")
+    (tmp_path / "folder.stl").mkdir()
+    CUBE.export(tmp_path / "cube.stl")
+    with pytest.raises(cl.ClosedLoopError) as caught:
+        cl.prepare(scenario(tmp_path, URDF.format(file=file).replace("2 2 2", scale), "body.urdf")[0])
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 WRONG = [
     ({"at": "colision"}, "contact[0].at = 'colision': must be a point, a list of points, or \"collision\""),
     ({"radius": 0.1}, 'at = "collision" takes the shapes of the link: radius must be left out'),

@@ -298,7 +298,10 @@ def test_stepped_from_outside_it_is_the_same_run(tmp_path):
     ("q", "says"),
     [
         ([0, 0, 0, 0, 0, 0, 0], "a quaternion w, x, y, z of length zero is no rotation"),
-        ([0, 0, 0, 1, 0, 0], "start.q has 6 entries: for bodies it has 7, body_x, body_y, body_z, body_qw"),
+        (
+            [0, 0, 0, 1, 0, 0],
+            "start.q has 6 entries: for bodies it has 7, in the order body_x, body_y, body_z, body_qw",
+        ),
     ],
 )
 def test_a_start_that_is_none_is_refused(tmp_path, q, says):

@@ -89,6 +89,7 @@ def test_a_run_file_has_the_bodies(tmp_path: Path) -> None:
         ({"body.ball.shape": "cone"}, "body"),
         ({"body.ball.mass": 0}, "mass"),
         ({"body.ball.quaternion": [0, 0, 0, 0]}, "quaternion has length zero"),
+        ({"body.ball.quaternion": [0, 0, 1]}, r"quaternion = \[0, 0, 1\]: must be four numbers"),
         ({"body.bal.mass": 1}, "there is no body 'bal'"),
         ({"start.q": [0, 0]}, "start.q has 2 entries.*10, or 3 without those that move freely"),
         ({"start.v": [0] * 8}, "start.v has 8 entries.*9, or 3 without"),

@@ -312,6 +312,9 @@ REFUSED = {
     "normal of two": ({"surface.normal": [0, 1]}, ["surface.normal", "three numbers"]),
     "normal of four": ({"surface.normal": [0, 0, 1, 0]}, ["surface.normal", "three numbers"]),
     "direction of one": ({"reference.direction": [1]}, ["reference.direction", "three numbers"]),
+    "tensor of three": ({"tool.inertia": [1, 1, 1]}, ["tool.inertia = [1, 1, 1]: must be six numbers"]),
+    "tensor of nine": ({"tool.inertia": [1.0] * 9}, ["tool.inertia", "must be six numbers"]),
+    "extent of one": ({"surface.extent": [1]}, ["surface.extent = [1]: must be two numbers"]),
     # what cannot be simulated
     "normal zero": ({"surface.normal": [0, 0, 0]}, ["surface.normal", "direction"]),
     "direction zero": ({"reference.direction": [0, 0, 0]}, ["reference.direction", "direction"]),

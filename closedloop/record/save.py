@@ -11,12 +11,11 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.files import write_whole
 from closedloop.record.columns.added import as_text
 from closedloop.record.columns.by_contact import columns_by_contact
 from closedloop.record.columns.record import Record
@@ -153,9 +152,5 @@ def save_run(run: Record, path: str | Path) -> Path:
     own = {spec.dims[1]: run.columns[name].shape[1] for name, spec in run.added.items() if len(spec.dims) == 2}
     dimensions = own | dimensions
     made = attributes(run)
-
-    def write(file: BinaryIO) -> None:
-        write_netcdf(file, dimensions, variables, made | {CHECKSUM: checksum(made, run.columns)})
-        seal_file(file)
-
-    return write_whole(path, write)
+    made |= {CHECKSUM: checksum(made, run.columns)}
+    return write_netcdf(Path(path), dimensions, variables, made, seal_file)

@@ -11,7 +11,6 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.command.completion import bash, collect, fish, zsh
 from closedloop.command.robots import names
 from closedloop.command.table import COMMANDS, overview
 from closedloop.control.law import LAWS, ControlLaw
@@ -143,20 +142,25 @@ def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
 
 
 def test_completion_knows_commands_options_and_keys(closedloop):
-    """The words come from the table, the help and the schema; bash gives those that begin as what is typed."""
+    """The words come from the table, the parsers and the schema; bash gives those that begin as what is typed."""
+    pytest.importorskip("shtab", reason="shtab is not installed")
     LAWS.named(Own, "law.kind")  # which is not among them: the words do not depend on what the process has seen
-    words = collect()
-    assert set(words.options) == {command.name for command in COMMANDS}
-    assert {"--out", "--strict", "--law.kp", "--time.step"} <= set(words.options["run"])
-    assert words.values["--law.kind"] == LAWS.names()
-    assert words.values["--engine"] == ["pinocchio", "compiled"]
-    assert words.arguments["study"] == ["drift", "controllers", "surfaces"]
-    script = bash(words)
-    ask = (
-        f'{script}\nCOMP_WORDS=(closedloop run wam_slide --law.k); COMP_CWORD=3; _closedloop; echo "${{COMPREPLY[@]}}"'
-    )
-    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["--law.kind", "--law.kp", "--law.kd"]
-    assert "closedloop" in zsh(words)
-    assert "complete -c closedloop" in fish(words)
+    _, script, _ = closedloop("completion", "bash")
+    lines = {
+        "ru": "run", "run wam_slide_un": "wam_slide_unstabilised", "study ": "drift controllers surfaces",
+        "run wam_slide --law.k": "--law.kind --law.kp --law.kd", "run --law.kind ": " ".join(LAWS.names()),
+        "run x --engine ": "pinocchio compiled", "run --str": "--strict", "robots wam": "wam4 wam7",
+        "sweep wam_slide --ov": "--over --overwrite", "analyse --time.st": "--time.step",
+    }  # fmt: skip
+    ask = [script]
+    for line in lines:
+        *before, word = f"closedloop {line}".split(" ")
+        ask.append(
+            f"COMP_WORDS=({' '.join(before)} '{word}'); COMP_CWORD={len(before)}; "
+            f"_shtab_closedloop closedloop '{word}' {before[-1]}; echo ${{COMPREPLY[@]}}"
+        )
+    done = subprocess.run(["bash"], input="\n".join(ask), capture_output=True, text=True, check=True)
+    assert dict(zip(lines, done.stdout.splitlines(), strict=True)) == lines
+    for shell in ("zsh", "fish"):
+        assert "closedloop" in closedloop("completion", shell)[1]
     assert closedloop("completion", "tcsh")[2].startswith("closedloop: command line: argument shell: invalid choice")

@@ -1,15 +1,9 @@
-"""Damage to a run file is told from its bytes, by its seal, and from what it holds, by its checksum."""
+"""Damage to a run file is told from its bytes, by its last line, and from what it holds, by its checksum."""
 
 import dataclasses
 import hashlib
-import hmac
-import io
 import os
 import shutil
-import signal
-import stat
-import threading
-import time
 
 import h5py
 import numpy as np
@@ -20,10 +14,8 @@ from closedloop.__main__ import main
 from closedloop.figures import draw_figures
 from closedloop.record import sealed
 from closedloop.record.columns.recorded import COLUMNS
-from closedloop.record.hdf5_reader import read_hdf5
 from closedloop.record.report import print_report
 from closedloop.record.save import attributes
-from closedloop.record.sealed import seal_key
 
 
 @pytest.fixture(scope="module")
@@ -39,35 +31,15 @@ def copy(saved, tmp_path):
     return shutil.copy(saved, tmp_path / "copy.nc")
 
 
-@pytest.fixture
-def no_other_process(monkeypatch):
-    """Let a file that would be read by a process of its own fail the test."""
-
-    def refuse(*arguments):
-        raise AssertionError("read by another process")
-
-    monkeypatch.setattr(sealed, "_read_apart", refuse)
-
-
-@pytest.fixture
-def read_here(monkeypatch):
-    """Read a file that nothing vouches for in this process, where HDF5 is known to bear it: a process takes 0.4 s."""
-
-    def read(path, size, names):
-        return read_hdf5(io.BytesIO(path.read_bytes()), size, names)
-
-    monkeypatch.setattr(sealed, "_read_apart", read)
-
-
 def same(file, saved):
     """Whether a file holds the run of another."""
     one, other = cl.load_run(file), cl.load_run(saved)
     return all(np.array_equal(one.columns[name], other.columns[name]) for name in COLUMNS)
 
 
-@pytest.mark.usefixtures("no_other_process")
-def test_every_changed_byte_is_told_before_hdf5_reads_it(copy, saved):
-    """One bit anywhere in front of the seal is one line, at once."""
+def test_every_changed_byte_is_told_before_hdf5_reads_it(copy, saved, monkeypatch):
+    """One bit anywhere in front of the last line is one line, at once."""
+    monkeypatch.setattr(sealed, "_read_hdf5", None)
     whole = bytearray(saved.read_bytes())
     rng = np.random.default_rng(2)
     for at in rng.integers(0, len(whole) - sealed.SEAL_LENGTH, 100):
@@ -78,93 +50,21 @@ def test_every_changed_byte_is_told_before_hdf5_reads_it(copy, saved):
             cl.load_run(copy)
 
 
-@pytest.mark.usefixtures("no_other_process")
-def test_intact_file_needs_no_other_process(saved):
-    """What was written is read here, and quickly."""
-    assert len(cl.load_run(saved)) == 51
-
-
-@pytest.fixture
-def not_ours(monkeypatch):
-    """Let another user have written what there is."""
-    monkeypatch.setattr(sealed, "seal_key", lambda: b"another user's")
-
-
-@pytest.mark.usefixtures("not_ours")
-def test_a_seal_is_no_reason_to_read_a_file_here(saved, monkeypatch):
-    """Anyone can seal a damaged file: what this process did not write is read by one that can be ended."""
-    expected, asked = cl.load_run(saved), []
-    monkeypatch.setattr(
-        sealed, "_read_apart", lambda path, size, names: asked.append(path) or read_hdf5(str(path), size, names)
-    )
-    assert np.array_equal(cl.load_run(saved).q, expected.q)
-    assert asked == [saved]
-
-
-@pytest.mark.usefixtures("not_ours")
-@pytest.mark.parametrize("ended_by", ["the limit", "Ctrl-C"])
-def test_a_sealed_file_that_hdf5_never_finishes_is_ended(saved, ended_by, monkeypatch, tmp_path):
-    """The reader of a resealed file loops for ever: after the time for its size, or at Ctrl-C, it is gone."""
-    program, begun = tmp_path / "python", tmp_path / "begun"
-    program.write_text(
-        f"#!/bin/sh\ntrap '' INT\necho $$ >{begun}.new; mv {begun}.new {begun}\nwhile :; do sleep 1; done\n"
-    )
-    program.chmod(0o700)
-    monkeypatch.setattr(sealed.sys, "executable", str(program))
-    if ended_by == "the limit":
-        monkeypatch.setattr(sealed, "PATIENCE", 2.0)
-        with pytest.raises(cl.RunFileError, match="HDF5 did not finish reading it"):
-            cl.load_run(saved)
-    else:
-
-        def interrupt():
-            while not begun.exists():
-                time.sleep(0.01)
-            os.kill(os.getpid(), signal.SIGINT)
-
-        threading.Thread(target=interrupt, daemon=True).start()
-        with pytest.raises(KeyboardInterrupt):
-            cl.load_run(saved)
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(begun.read_text()), 0)
-
-
-def test_the_line_of_the_seal_says_what_it_is(saved):
+def test_the_last_line_says_what_it_is(saved):
     """Anybody can check it: the digest of all bytes before the line."""
     content, _, line = saved.read_bytes().rpartition(b"\nclosedloop SHA-256 of all bytes before this line: ")
-    digest, signed = line.decode().split()
-    assert digest == hashlib.sha256(content).hexdigest()
-    assert signed == hmac.new(seal_key(), bytes.fromhex(digest), "sha256").hexdigest()
+    assert line.decode() == hashlib.sha256(content).hexdigest() + "\n"
 
 
-@pytest.mark.usefixtures("read_here")
-def test_a_seal_without_a_signature_is_one(copy, saved):
-    """Files of earlier versions end in the digest alone; in them, too, a bit that changed is told."""
+def test_the_line_of_an_earlier_version_is_one(copy, saved):
+    """It has a second number, which nobody needs; in such a file, too, a bit that changed is told."""
     whole = saved.read_bytes()
-    copy.write_bytes(whole[:-66] + b"\n")
+    older = whole[:-1] + b" " + 64 * b"0" + b"\n"
+    copy.write_bytes(older)
     assert same(copy, saved)
-    copy.write_bytes(whole[:500] + bytes([whole[500] ^ 1]) + whole[501:-66] + b"\n")
+    copy.write_bytes(older[:500] + bytes([older[500] ^ 1]) + older[501:])
     with pytest.raises(cl.RunFileError, match=r"copy.nc: is damaged: its bytes are not those"):
         cl.load_run(copy)
-
-
-def test_the_key_is_the_users_alone(tmp_path, monkeypatch):
-    """Made once for this user to read; one that others can read or write is not used, nor one of another length."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    key, file = seal_key.__wrapped__(), tmp_path / "cache" / sealed.NAME
-    assert seal_key.__wrapped__() == key == file.read_bytes()
-    assert stat.S_IMODE(file.stat().st_mode) == 0o600
-    for mode in (0o640, 0o604, 0o620):
-        file.chmod(mode)
-        assert seal_key.__wrapped__() != key
-    file.chmod(0o600)
-    (tmp_path / "cache").chmod(0o777)
-    assert seal_key.__wrapped__() != key
-    (tmp_path / "cache").chmod(0o700)
-    assert seal_key.__wrapped__() == key
-    file.write_bytes(b"short")
-    assert len(seal_key.__wrapped__()) == sealed.LENGTH
-    assert list((tmp_path / "cache").iterdir()) == [file]
 
 
 def test_additions_of_others_are_no_damage(copy, saved):
@@ -177,7 +77,6 @@ def test_additions_of_others_are_no_damage(copy, saved):
     assert same(copy, saved)
 
 
-@pytest.mark.usefixtures("read_here")
 @pytest.mark.parametrize("what", ["column", "scenario", "engine", "no law", "no column", "no added column"])
 def test_changes_by_others_are_told(what, copy):
     """A number, a text or an attribute changed or removed through h5py is told by the checksum."""
@@ -196,7 +95,6 @@ def test_changes_by_others_are_told(what, copy):
         cl.load_run(copy)
 
 
-@pytest.mark.usefixtures("read_here")
 def test_file_from_before_there_was_a_checksum_is_read(copy, saved):
     """Neither seal nor checksum nor the attributes that came with them: the run is there all the same."""
     with h5py.File(copy, "r+") as h5:
@@ -206,7 +104,6 @@ def test_file_from_before_there_was_a_checksum_is_read(copy, saved):
     assert cl.load_run(copy).engine == "pinocchio"
 
 
-@pytest.mark.usefixtures("read_here")
 def test_file_from_before_there_were_all_columns_is_read(copy, saved):
     """What an earlier version did not write is no number, and whatever is made of it says so; the rest is the same."""
     with h5py.File(copy, "r+") as h5:
@@ -247,7 +144,6 @@ def test_everything_is_made_of_a_file_of_an_earlier_version(tmp_path, capsys):
     assert np.array_equal(again.energy_supplied, old.energy_supplied, equal_nan=True)
 
 
-@pytest.mark.usefixtures("read_here")
 def test_column_that_all_versions_wrote_is_asked_for(copy):
     """Only what was added since may be missing."""
     with h5py.File(copy, "r+") as h5:
@@ -257,7 +153,6 @@ def test_column_that_all_versions_wrote_is_asked_for(copy):
         cl.load_run(copy)
 
 
-@pytest.mark.usefixtures("read_here")
 def test_columns_of_the_links_contacts_are_asked_for(tmp_path):
     """Where the scenario has contacts they may not be missing."""
     file = cl.simulate(cl.load_scenario("two_arms_bar", {"time.duration": 0.001})).save(tmp_path / "run.nc")
@@ -265,26 +160,6 @@ def test_columns_of_the_links_contacts_are_asked_for(tmp_path):
         del h5.attrs["checksum"], h5["link_forces"]
     with pytest.raises(cl.RunFileError, match="'link_forces' is missing"):
         cl.load_run(file)
-
-
-def test_reading_that_does_not_end_is_ended(copy, saved, monkeypatch):
-    """A file over which HDF5 would sit for ever is refused after a while."""
-    copy.write_bytes(saved.read_bytes()[: -sealed.SEAL_LENGTH])
-    monkeypatch.setattr(sealed, "PATIENCE", 1e-3)
-    monkeypatch.setattr(sealed, "BYTES_A_SECOND", np.inf)
-    with pytest.raises(cl.RunFileError, match="HDF5 did not finish reading it"):
-        cl.load_run(copy)
-
-
-def test_reading_that_breaks_down_breaks_down_alone(copy, saved, monkeypatch, tmp_path):
-    """A file over which HDF5 ends its process is refused."""
-    program = tmp_path / "python"
-    program.write_text("#!/bin/sh\nkill -SEGV $$\n")
-    program.chmod(0o700)
-    copy.write_bytes(saved.read_bytes()[: -sealed.SEAL_LENGTH])
-    monkeypatch.setattr(sealed.sys, "executable", str(program))
-    with pytest.raises(cl.RunFileError, match="HDF5 failed while reading it"):
-        cl.load_run(copy)
 
 
 def test_column_larger_than_its_file_is_refused(copy):
@@ -344,7 +219,7 @@ def test_seed_is_that_of_the_sensors_noise(saved):
     ("event_contact", 0, -1, "'event_contact' has -1: the run has contacts 0 to 2"),
     ("event_contact", 0, 3, "'event_contact' has 3: the run has contacts 0 to 2"),
 ])  # fmt: skip
-def test_what_no_run_can_hold_is_refused(bounced, tmp_path, read_here, capsys, name, where, value, words):
+def test_what_no_run_can_hold_is_refused(bounced, tmp_path, capsys, name, where, value, words):
     """In a file without digests: time backwards or standing still, modes and kinds that there are not."""
     copy = shutil.copy(bounced, tmp_path / "copy.nc")
     with h5py.File(copy, "r+") as file:
@@ -358,7 +233,7 @@ def test_what_no_run_can_hold_is_refused(bounced, tmp_path, read_here, capsys, n
 
 
 @pytest.mark.parametrize("kind", [">f8", ">f4"])
-def test_numbers_of_another_machine_are_read_as_this_ones(saved, tmp_path, read_here, kind):
+def test_numbers_of_another_machine_are_read_as_this_ones(saved, tmp_path, kind):
     """Another program may write them with the first byte first: what uses the run, as a table of text, takes them."""
     copy, run = shutil.copy(saved, tmp_path / "copy.nc"), cl.load_run(saved)
     with h5py.File(copy, "r+") as file:
@@ -379,7 +254,7 @@ def bounced(tmp_path_factory):
 
 
 @pytest.mark.parametrize("how", ["external storage", "external link", "virtual dataset", "soft link", "circle"])
-def test_a_column_in_another_file_is_refused(copy, tmp_path, read_here, how):
+def test_a_column_in_another_file_is_refused(copy, tmp_path, how):
     """Bytes of another file are never read as numbers of a run, whatever way HDF5 has to refer to them."""
     secret, name = tmp_path / "secret", "contact_force"
     with h5py.File(copy, "r+") as file:

@@ -11,7 +11,6 @@ from sweeps import Forked, sweep
 import closedloop as cl
 from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
-from closedloop.record.unfailing import Unfailing
 from closedloop.studies.sweep.axes import parse_axis
 from closedloop.studies.sweep.design import Design
 from closedloop.studies.sweep.run import run_sweep
@@ -23,57 +22,6 @@ KEPT = (
 )  # fmt: skip
 
 
-class Limited(io.BytesIO):
-    """A file on a disk with so much room."""
-
-    def __init__(self, room):
-        super().__init__()
-        self.room = room
-
-    def write(self, data):
-        """Write as much as there is room for; fail where there is none."""
-        left = self.room - self.tell()
-        if left <= 0:
-            raise OSError(28, "No space left on device")
-        return super().write(data[:left])
-
-    def truncate(self, size=None):
-        """Refuse what there is no room for."""
-        if size is not None and size > self.room:
-            raise OSError(28, "No space left on device")
-        return super().truncate(size)
-
-
-def fill(file):
-    """Write some columns as a sweep does; return what was written."""
-    values = np.random.default_rng(0).normal(size=(12, 501))
-    with h5netcdf.File(file, "w") as out:
-        out.dimensions = {"run": 12, "time": 501}
-        column = out.create_variable("f", ("run", "time"), "f8", fillvalue=np.nan, chunks=(1, 501))
-        for first in range(0, 12, 4):
-            column[first : first + 4] = values[first : first + 4]
-        np.testing.assert_array_equal(column[...], values)  # read back while the disk is full
-        column.attrs["units"] = "N"
-    return values
-
-
-def test_hdf5_never_hears_of_a_full_disk():
-    """At every 2 kB of the file: HDF5 ends in peace, the first error is there to be raised; with room, all is right."""
-    whole = Limited(10**9)
-    with_room = Unfailing(whole)
-    values = fill(with_room)
-    with_room.check()
-    with h5netcdf.File(io.BytesIO(whole.getvalue())) as file:
-        np.testing.assert_array_equal(file.variables["f"][...], values)
-    size = len(whole.getvalue())
-    assert size > 12 * 501 * 8
-    for room in range(0, size, 2000):
-        tight = Unfailing(Limited(room))
-        fill(tight)
-        with pytest.raises(OSError, match="No space left"):
-            tight.check()
-
-
 def small(**options):
     """Return a sweep of six runs of ten steps that keeps columns."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})
@@ -83,7 +31,11 @@ def small(**options):
 @pytest.mark.parametrize(("where", "after"), [("store", 0), ("store", 1), ("store", 3), ("join", 0), ("join", 1)])
 def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch, where, after):
     """A write that fails in the parts, or in the table: what was done is kept, nothing else, and it goes on."""
-    modules = {"store": ("store", "part_file"), "join": ("join",)}[where]
+    sweeps = "closedloop.studies.sweep"
+    modules = {
+        "store": (f"{sweeps}.store", f"{sweeps}.part_file"),
+        "join": (f"{sweeps}.join", "closedloop.record.netcdf_file"),
+    }[where]
     calls, memory = [], []
 
     class Noted(io.BytesIO):
@@ -100,7 +52,7 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch
     out = tmp_path / "t.parquet"
     with monkeypatch.context() as patch:
         for module in modules:
-            patch.setattr(f"closedloop.studies.sweep.{module}.write_whole", full)
+            patch.setattr(f"{module}.write_whole", full)
         patch.setattr("closedloop.studies.sweep.store.io.BytesIO", Noted)
         with pytest.raises(OutputError) as refused:
             run_sweep(small(), out, workers=1)

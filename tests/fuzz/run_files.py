@@ -53,10 +53,8 @@ def damaged_files(whole: bytes, count: int, seed: int) -> Iterator[Damaged]:
     for i in range(count):
         rng = np.random.default_rng([seed, i])
         kind = i % 20
-        if kind < 10:
-            yield Damaged(f"{i}: bytes", _bytes(whole, rng), True)
-        elif kind < 13:
-            yield Damaged(f"{i}: bytes, no seal", _bytes(whole[:-SEAL_LENGTH], rng), True)
+        if kind < 12:
+            yield Damaged(f"{i}: bytes", _bytes(whole[:-SEAL_LENGTH], rng) + whole[-SEAL_LENGTH:], True)
         else:
             checked = kind < 16
             change = _CHANGES[int(rng.integers(len(_CHANGES)))]
@@ -104,7 +102,7 @@ def _through_h5py(
         if not checked and "checksum" in file.attrs:
             del file.attrs["checksum"]
     content = image.getvalue()
-    return content + seal(content)[:-2] + b"-\n"  # as another user would: nobody's signature
+    return content + seal(content)
 
 
 _TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped", "engine", "law_digest", "not_finite")

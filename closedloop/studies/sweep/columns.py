@@ -1,40 +1,47 @@
-"""Whole columns of a sweep as a NetCDF-4 file, on a disk that may be full: see `closedloop.record.unfailing`."""
+"""Whole columns of a sweep as a NetCDF-4 file, on a disk that may be full: see `closedloop.record.netcdf_file`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, BinaryIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from closedloop.record.columns.recorded import ALL_COLUMNS
-from closedloop.record.unfailing import Unfailing
+from closedloop.record.netcdf_file import OF_VARIABLE, write_reserved
 
 if TYPE_CHECKING:
     from closedloop.studies.sweep.store import Store
 
+# Bytes that HDF5 takes beside the numbers of a run's column at most.
+OF_CHUNK = 400
+
 
 def write_columns(
-    file: BinaryIO, store: Store, parts: int, attributes: dict[str, str], step: float, check: Callable[[], None]
+    path: Path, store: Store, parts: int, attributes: dict[str, str], step: float, check: Callable[[], None]
 ) -> None:
     """Write the whole columns of all parts into a file.
 
     Parameters
     ----------
-    file : binary file
-        Open for reading and writing, empty.
     step : float
         Time between the rows of a run, s, where the runs do not say.
     check : callable
         Called between two parts; it may raise.
-    """
-    import h5netcdf
 
+    Raises
+    ------
+    OutputError
+    """
     runs, rows = store.identity["runs"], 0
+    widths: dict[str, tuple[int, ...]] = {}
     for part in range(parts):
+        check()
         rows = max(rows, max(store.read(part)["rows"].to_pylist(), default=0))
-    steady = Unfailing(file)
-    with h5netcdf.File(steady, "w") as out:
+        widths |= {name: data.shape[2:] for name, data in store.read_columns(part).items() if data.shape[1]}
+
+    def write(out: Any) -> None:
         out.attrs.update(attributes)
         out.dimensions = {"run": runs, "time": rows, "axis": 3}
         if "time.step" in store.identity["axes"]:
@@ -42,6 +49,8 @@ def write_columns(
             steps.attrs["units"] = "s"
         else:
             out.create_variable("time", ("time",), data=step * np.arange(rows)).attrs["units"] = "s"
+        for name, wide in widths.items():
+            _create(out, name, rows, wide)
         first = 0
         for part in range(parts):
             check()
@@ -50,14 +59,13 @@ def write_columns(
             if "time.step" in store.identity["axes"]:
                 steps[first:stop] = table["time.step"].to_numpy()
             for name, data in store.read_columns(part).items():
-                if data.shape[1] == 0:  # no run of this part has a row
-                    continue
-                if name not in out.variables:
-                    _create(out, name, rows, data.shape[2:])
-                out.variables[name][first:stop, : data.shape[1]] = data
-                steady.check()
+                if name in widths:
+                    out.variables[name][first:stop, : data.shape[1]] = data
             first = stop
-    steady.check()
+
+    room = sum(runs * (8 * rows * int(np.prod(wide)) + OF_CHUNK) + OF_VARIABLE for wide in widths.values())
+    texts = 4 * sum(map(len, attributes.values()))
+    write_reserved(path, room + 8 * (runs + rows) + texts, write)
 
 
 def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:

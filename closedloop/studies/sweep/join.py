@@ -106,7 +106,7 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
         if kept is None and store.overwrite:
             _remove_columns(out)
         if kept is not None:  # first: where the table is, all is there
-            write_whole(kept, lambda file: write_columns(file, store, parts, attributes, step, done.check))
+            write_columns(kept, store, parts, attributes, step, done.check)
         write_whole(out, write_table)
 
     remove_unfinished(out.parent)  # of a process that was killed while it joined

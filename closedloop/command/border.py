@@ -30,7 +30,7 @@ DONE, BAD_INPUT, STOPPED, NOT_GOOD, NOT_CONTROLLED = 0, 2, 3, 4, 5
 
 
 class Left(Exception):
-    """The parser has done everything, such as --help."""
+    """The parser, its argument, has done everything, such as --help."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -52,7 +52,7 @@ class Parser(argparse.ArgumentParser):
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         """Leave after --help."""
-        raise Left
+        raise Left(self)
 
 
 def as_command(

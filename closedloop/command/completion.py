@@ -1,27 +1,20 @@
 """Completion by a shell: ``eval "$(closedloop completion bash)"``.
 
-The script is made from the table of commands, from what --help says of each, and from the schema of a scenario; nothing
-of Python runs while one types. It is to be made again after an update.
+The script is made by shtab from the parsers of the commands and the schema of a scenario; nothing of Python runs while
+one types. It is to be made again after an update.
 """
 
 from __future__ import annotations
 
 import io
-import re
-from collections.abc import Iterable, Mapping
-from contextlib import redirect_stderr, redirect_stdout
-from typing import NamedTuple
+from argparse import ArgumentParser
+from contextlib import redirect_stdout, suppress
+from inspect import unwrap
 
-from closedloop.command.border import DONE, Parser, as_command
+from closedloop.command.border import DONE, Left, Parser, as_command
 from closedloop.command.table import COMMANDS, Command, imported
 
-
-class Words(NamedTuple):
-    """What can be typed."""
-
-    options: Mapping[str, list[str]]  # command to its options
-    arguments: Mapping[str, list[str]]  # command to the words that it takes beside them; files come on top
-    values: Mapping[str, list[str]]  # option to the words that may follow it
+SHELLS = "bash", "zsh", "fish"
 
 
 @as_command()
@@ -33,120 +26,54 @@ def main(words: list[str]) -> int:
         epilog='Put into ~/.bashrc, ~/.zshrc: eval "$(closedloop completion bash)", or zsh; '
         "for fish: closedloop completion fish > ~/.config/fish/completions/closedloop.fish",
     )
-    parser.add_argument("shell", choices=("bash", "zsh", "fish"))
+    parser.add_argument("shell", choices=SHELLS)
     shell = parser.parse_args(words).shell
-    print({"bash": bash, "zsh": zsh, "fish": fish}[shell](collect()))
+    import shtab
+
+    print(shtab.complete(all_commands(), shell))
     return DONE
 
 
-def collect() -> Words:
-    """Return the words that can be typed next."""
+def all_commands() -> ArgumentParser:
+    """Return a parser of all commands with the words that may follow each option."""
+    import shtab
+
     from closedloop.command.robots import names
     from closedloop.scenario.describe import all_keys, choices, sections
     from closedloop.scenario.file import shipped_scenarios
     from closedloop.scenario.tables import table_type
 
-    keys = all_keys()
-    robots = list(names())
-    values = {f"--{key}": found for key in keys if (found := choices(key))}
-    values |= {"--help": list(sections()), "--explain": keys, "--robot": robots, "--robot.model": robots}
-    options: dict[str, list[str]] = {}
-    arguments: dict[str, list[str]] = {}
-    known = {"scenario": shipped_scenarios(), "robot": robots}
+    keys, robots = all_keys(), list(names())
+    keys = [key for key in keys if not table_type(key.partition(".")[0])]
+    known = {
+        "scenario": shipped_scenarios(),
+        "robot": robots,
+        "robots": robots,
+        "explain": keys,
+        "help": list(sections()),
+    }
+    whole = ArgumentParser(prog="closedloop")
+    commands = whole.add_subparsers()
     for command in COMMANDS:
-        said = _help_of(command)
-        options[command.name] = sorted(set(re.findall(r"(?m)^ +(?:-\w(?: \[\w+\])?, )?(--[a-z][a-z-]*)", said)))
-        if command.takes == "scenario":
-            options[command.name] += [f"--{key}" for key in keys if not table_type(key.partition(".")[0])]
-        own = [word for group in re.findall(r"(?m)^ +\{([\w,]+)\}", said) for word in group.split(",")]
-        arguments[command.name] = list(dict.fromkeys(own)) or known.get(command.takes, [])
-        values |= {option: group.split(",") for option, group in re.findall(r"(--[a-z-]+) \{([\w,]+)\}", said)}
-    return Words(options, arguments, values)
+        found = _parser_of(command)
+        if found is None:
+            continue
+        parser = commands.add_parser(command.name, help=command.help, parents=[found], add_help=False)
+        for action in parser._actions:
+            if action.choices is None and action.dest in known:
+                action.choices = known[action.dest]
+            elif action.choices is None and action.nargs != 0:
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+        for key in keys if command.takes == "scenario" else ():
+            parser.add_argument(f"--{key}", choices=robots if key == "robot.model" else choices(key) or None)
+    return whole
 
 
-def _help_of(command: Command) -> str:
-    """Return what a command says of itself, nothing if it is not installed."""
-    said = io.StringIO()
-    try:
-        run = imported(command)
-    except ImportError:
-        return ""
-    with redirect_stdout(said), redirect_stderr(io.StringIO()):
-        run(["--help"])
-    return said.getvalue()
-
-
-def bash(words: Words) -> str:
-    """Return the script for bash."""
-    return f"""\
-_closedloop() {{
-    local cur="${{COMP_WORDS[COMP_CWORD]}}" words=""
-    if [ "$COMP_CWORD" -eq 1 ]; then
-        words="{_names()}"
-    else
-        case "${{COMP_WORDS[COMP_CWORD-1]}}" in
-{_cases(words.values, 'words="', '"', 12)}
-            *) case "${{COMP_WORDS[1]}}:$cur" in
-{_cases(_patterns(words), 'words="', '"', 16)}
-            esac ;;
-        esac
-    fi
-    COMPREPLY=($(compgen -W "$words" -- "$cur"))
-}}
-complete -o bashdefault -o default -F _closedloop closedloop"""
-
-
-def zsh(words: Words) -> str:
-    """Return the script for zsh."""
-    return f"""\
-#compdef closedloop
-_closedloop() {{
-    local -a found
-    if (( CURRENT == 2 )); then
-        found=({_names()})
-    else
-        case "${{words[CURRENT-1]}}" in
-{_cases(words.values, "found=(", ")", 12)}
-            *) case "${{words[2]}}:${{words[CURRENT]}}" in
-{_cases(_patterns(words), "found=(", ")", 16)}
-            esac; [[ "${{words[CURRENT]}}" == -* ]] || _files ;;
-        esac
-    fi
-    compadd -a found
-}}
-compdef _closedloop closedloop"""
-
-
-def fish(words: Words) -> str:
-    """Return the script for fish."""
-    lines = [
-        f"complete -c closedloop -f -n __fish_use_subcommand -a {command.name} -d {_quoted(command.help)}"
-        for command in COMMANDS
-    ]
-    for name, options in words.options.items():
-        only = f"complete -c closedloop -n '__fish_seen_subcommand_from {name}'"
-        if words.arguments[name]:
-            lines.append(f"{only} -a {_quoted(' '.join(words.arguments[name]))}")
-        for option in options:
-            values = words.values.get(option)
-            takes = f" -x -a {_quoted(' '.join(values))}" if values and option != "--help" else ""
-            lines.append(f"{only} -l {option.removeprefix('--')}{takes}")
-    return "\n".join(lines)
-
-
-def _names() -> str:
-    return " ".join(command.name for command in COMMANDS)
-
-
-def _patterns(words: Words) -> dict[str, list[str]]:
-    """Return COMMAND:WORD, as the case of a shell matches it, and what the word may become."""
-    found = {f"{name}:-*": options for name, options in words.options.items() if options}
-    return found | {f"{name}:*": list(taken) for name, taken in words.arguments.items() if taken}
-
-
-def _cases(cases: Mapping[str, Iterable[str]], before: str, after: str, indent: int) -> str:
-    return "\n".join(f"{' ' * indent}{case}) {before}{' '.join(words)}{after} ;;" for case, words in cases.items())
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "\\'") + "'"
+def _parser_of(command: Command) -> ArgumentParser | None:
+    """Return the parser of a command, None if it is not installed."""
+    with suppress(ImportError), redirect_stdout(io.StringIO()):
+        try:
+            unwrap(imported(command))(["--help"])
+        except Left as left:
+            return left.args[0]
+    return None

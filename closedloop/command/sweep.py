@@ -15,6 +15,7 @@ import threading
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import wraps
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -44,6 +45,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command("closedloop sweep", _main, arguments)
 
 
+def _main(words: list[str]) -> int:
+    try:
+        return _plot(words[1:]) if words[:1] == ["plot"] else _sweep(words)
+    except KeyboardInterrupt as stop:
+        raise type(stop)(_last_words(stop, words)) from None
+
+
+@wraps(_main, assigned=())  # whose parser the completion of a shell asks for
 def as_process(arguments: Sequence[str] | None = None) -> int:
     """Run the command line as all that this process does, and return the exit status.
 
@@ -54,13 +63,6 @@ def as_process(arguments: Sequence[str] | None = None) -> int:
         status = main(words)
     _leave_if_still_at_work(status)
     return status
-
-
-def _main(words: list[str]) -> int:
-    try:
-        return _plot(words[1:]) if words[:1] == ["plot"] else _sweep(words)
-    except KeyboardInterrupt as stop:
-        raise type(stop)(_last_words(stop, words)) from None
 
 
 def _last_words(stop: KeyboardInterrupt, words: Sequence[str]) -> str:

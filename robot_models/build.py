@@ -3,18 +3,16 @@
 What stands in the end is compared with the text.
 """
 
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from pathlib import Path
 from sys import float_info
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_models import mjcf, mjcf_mechanism, mjcf_pinocchio, urdf, urdf_mechanism
+from robot_models import urdf, urdf_mechanism
 from robot_models.compare import check_built
 from robot_models.coordinates import BALL, RATES
 from robot_models.errors import ModelError
@@ -62,21 +60,24 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     Returns
     -------
     Built
-        With nv = n ≥ 1 velocities, free joints taken apart (`robot_models.separate`). The armature is that of the text
+        With nv = n velocities, free joints taken apart (`robot_models.separate`). The armature is that of the text
         (zero for a URDF), the gravity Pinocchio's own. A limit that the text does not give, and an effort or velocity
         limit of 0, is infinite.
 
     Raises
     ------
     ModelError
-        Pinocchio refuses the text or reads another mechanism than it says, a locked joint is not in it, or
-        nothing is left to move.
+        Pinocchio refuses the text or reads another mechanism than it says, or a locked joint is not in it.
     """
     import pinocchio as pin
 
     kinds = urdf.joint_types(text) if format == "urdf" else {}
     try:
-        model = pin.buildModelFromXML(urdf_mechanism.for_pinocchio(text)) if format == "urdf" else _from_mjcf(text)
+        model = (
+            pin.buildModelFromXML(urdf_mechanism.for_pinocchio(text)) if format == "urdf" else _of_mjcf(text, {}, where)
+        )
+    except ModelError:
+        raise
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"{where}: Pinocchio cannot read it: {str(error).strip().splitlines()[0]}") from None
     model = separated(model, [name for name, kind in kinds.items() if kind == "spherical"], sliding=False)
@@ -91,22 +92,25 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= float_info.max:
             raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: it must be a finite number")
         check_size("home", value, f"{where}: locked joint {name!r}")
-    if locked:
+    if locked and format == "mjcf":
+        model = _of_mjcf(text, locked, where)
+    elif locked:
         posture = pin.neutral(model)
         for name, value in locked.items():
             posture[model.idx_qs[model.getJointId(name)]] = value
         model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
-    if model.nv == 0:
-        raise ModelError(f"{where} has no joint that moves: a revolute, continuous or prismatic joint is needed")
+    if locked and model.nv == 0:
+        raise ModelError(f"{where} has no joint that moves: the lock holds them all; leave one out of it")
     if format == "mjcf":
         kinds = mjcf_joint_types(model)
     for side in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
         bound = np.array(getattr(model, side))
         bound = np.where(np.abs(bound) >= urdf_mechanism.NO_BOUND, np.copysign(np.inf, bound), bound)
         setattr(model, side, bound)
-    links = urdf_mechanism.mechanism(text) if format == "urdf" else mjcf_mechanism.mechanism(text, mjcf.STILL)
-    check_sizes(links, where)
-    check_built(model, links, locked, where)
+    if format == "urdf":
+        links = urdf_mechanism.mechanism(text)
+        check_sizes(links, where)
+        check_built(model, links, locked, where)
     model = separated(model, free_joints(model))
     columns: list[tuple[str, str]] = []
     for joint in range(1, model.njoints):
@@ -115,7 +119,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
             columns.append((name, kinds.get(name, "prismatic")))
         else:
             columns += [(name + rate, BALL) for rate in RATES]
-    named, types = zip(*columns, strict=True)
+    named, types = tuple(name for name, _ in columns), tuple(kind for _, kind in columns)
     for name in named:
         if named.count(name) > 1:
             raise ModelError(f"{where}: two coordinates are named {name!r}: give its joints other names")
@@ -137,11 +141,8 @@ def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:
     return types
 
 
-def _from_mjcf(text: str) -> "pin.Model":
-    import pinocchio as pin
+def _of_mjcf(text: str, locked: Mapping[str, float], where: str) -> "pin.Model":
+    from robot_models.mjcf import compiled  # here: they import MuJoCo
+    from robot_models.mjcf_tree import pinocchio_model
 
-    # Pinocchio reads MJCF from a file only.
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.xml"
-        path.write_text(mjcf_pinocchio.for_pinocchio(text), encoding="utf-8")
-        return pin.buildModelFromMJCF(str(path))
+    return pinocchio_model(compiled(text, where), locked, where)

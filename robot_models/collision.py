@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_models.errors import ModelError
+from robot_models.mechanism import transform
 from robot_models.mesh_files import mesh_file, source_folder
-from robot_models.mjcf_mechanism import Units, geom_pose, sizes
+from robot_models.mjcf_coupling import rotation
 from robot_models.urdf_mechanism import origin_of
 
 if TYPE_CHECKING:
@@ -77,17 +78,14 @@ def _shape(kind: str, size: Any, place: Array) -> CollisionShape:
 
 def _of_mjcf(text: str, link: str, visual: bool) -> list[CollisionShape]:
     root, found = _parsed(text), []
-    units = Units(root)
     for body in root.iter("body"):
         for geom in body.findall("geom") if body.get("name") == link else ():
             given = geom.attrib
             if not visual and given.get("contype") == "0" and given.get("conaffinity") == "0":
                 continue
-            shape = _shape(given.get("type", "sphere"), sizes(given), geom_pose(given, units))
-            if "rgba" in given:
-                red, green, blue = (float(word) for word in given["rgba"].split()[:3])
-                shape = replace(shape, colour=(red, green, blue))
-            found.append(shape)
+            size, pos, quat, rgba = ([float(x) for x in given[key].split()] for key in ("size", "pos", "quat", "rgba"))
+            shape = _shape(given["type"], size, transform(rotation(np.array(quat)), np.array(pos)))
+            found.append(replace(shape, colour=(rgba[0], rgba[1], rgba[2])))
     return found
 
 

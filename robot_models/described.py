@@ -1,11 +1,11 @@
 """A robot by its name or its file: its canonical text, and what is known beside it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from robot_models import example_robots, mjcf, shipped, urdf
+from robot_models import example_robots, shipped, urdf
 from robot_models.errors import ModelError
 from robot_models.sidecar import Sidecar, read_sidecar
 from robot_models.xml_text import parse, read_text
@@ -28,6 +28,8 @@ class Description:
     format: Format
     where: str
     sidecar: Sidecar
+    #: What of the file is left out, or is not as it should be, a line each.
+    warnings: list[str] = field(default_factory=list)
 
 
 def find(name: "str | PathLike[str]") -> Description:
@@ -77,17 +79,40 @@ def _from_file(name: str, path: Path, owner: str) -> Description:
     if root not in _ROOTS:
         raise ModelError(f"{where} is neither URDF nor MJCF: its root is <{root}>, not <robot> or <mujoco>")
     format = _ROOTS[root]
-    text = urdf.read(text, where) if format == "urdf" else mjcf.read(text, where, path.parent)
-    joints = joint_names(text, format)
-    sidecar = read_sidecar(path.with_suffix(".toml"), joints)
-    if not owner:
-        sidecar = replace(sidecar, source=sidecar.source or where)
-    return Description(name, text, format, where, sidecar)
+    found = canonical(text, format, name, where, path)
+    own, sidecar = found.sidecar, read_sidecar(path.with_suffix(".toml"), joint_names(found.text, format))
+    sidecar = replace(
+        sidecar,
+        source=sidecar.source or ("" if owner else where),
+        home=dict(own.home) | dict(sidecar.home),
+        drives=sidecar.drives or own.drives,
+        closed_loop=(*own.closed_loop, *sidecar.closed_loop),
+    )
+    return replace(found, sidecar=sidecar)
+
+
+def canonical(text: str, format: Format, name: str, where: str, path: Path | None) -> Description:
+    """Return the description of a text alone, that of the file `path` if there is one.
+
+    Raises
+    ------
+    ModelError
+        The text is at fault.
+    """
+    if format == "urdf":
+        return Description(name, urdf.read(text, where), format, where, Sidecar())
+    from robot_models import mjcf  # here: it imports MuJoCo
+
+    said = mjcf.read(text, where, path)
+    sidecar = Sidecar(home=said.home, drives=said.drives, closed_loop=said.loops)
+    return Description(name, said.text, format, where, sidecar, said.warnings)
 
 
 def joint_names(text: str, format: Format) -> tuple[str, ...]:
     """Return the joints of a canonical text that move by one coordinate, in its order."""
     if format == "mjcf":
+        from robot_models import mjcf
+
         return tuple(name for name, kind in mjcf.joint_types(text) if kind not in mjcf.POSITIONS)
     kinds = urdf.joint_types(text)
     return tuple(joint for joint, kind in kinds.items() if kind in urdf.MOVING and kind not in urdf.MANY)

@@ -1,4 +1,4 @@
-"""Friction in the joints as a URDF has it: `<dynamics damping="" friction="">`."""
+"""Friction in the joints as a robot's file has it: `<dynamics damping="" friction="">`, an MJCF's `frictionloss`."""
 
 import xml.etree.ElementTree as ET
 
@@ -9,22 +9,22 @@ from robot_models.errors import ModelError
 from robot_models.model import RobotModel
 from robot_models.physics import check_size
 
-KEYS = ("damping", "friction")
+# Where a file has damping and friction of a joint.
+KEYS = {"urdf": ("damping", "friction"), "mjcf": ("damping", "frictionloss")}
+_WHERE = {"urdf": "<dynamics>", "mjcf": "damping and frictionloss"}
 
 
 def joint_dynamics(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return damping, N m s/rad (N s/m), and friction, N m (N), of each joint of a URDF, (n,) each; zero if left out.
+    """Return damping, N m s/rad (N s/m), and friction, N m (N), of each joint, (n,) each; zero if left out.
 
     Raises
     ------
     ModelError
-        If the robot is no URDF, if no joint has any, or if a number is negative.
+        If no joint has any, or if a number is negative.
     """
-    if model.format != "urdf":
-        raise ModelError(f"{model.name}: friction of the robot's file acts from a URDF's <dynamics> only; this is MJCF")
     found = _dynamics(model)
     if not np.any(found):
-        raise ModelError(f"{model.name}: no joint of the robot's file has damping or friction (<dynamics>)")
+        raise ModelError(f"{model.name}: no joint of the robot's file has damping or friction ({_WHERE[model.format]})")
     return found[0], found[1]
 
 
@@ -39,14 +39,15 @@ def loop_dynamics(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.fl
 def _dynamics(model: RobotModel) -> NDArray[np.float64]:
     """Return damping and friction of each joint, (2, n)."""
     found = np.zeros((2, model.n))
-    for joint in ET.fromstring(model.text).findall("joint"):
-        dynamics, name = joint.find("dynamics"), joint.get("name", "")
+    root, keys = ET.fromstring(model.text), KEYS[model.format]
+    for joint in root.findall("joint") if model.format == "urdf" else root.iter("joint"):
+        dynamics, name = joint.find("dynamics") if model.format == "urdf" else joint, joint.get("name", "")
         if dynamics is None or name not in model.joint_names:
             continue
-        j = model.joint_names.index(name)
-        found[:, j] = [float(dynamics.get(key, "0")) for key in KEYS]
+        j, where = model.joint_names.index(name), f"{model.name}: joint {name}: {_WHERE[model.format]}"
+        found[:, j] = [float(dynamics.get(key, "0")) for key in keys]
         if not (np.all(np.isfinite(found[:, j])) and np.all(found[:, j] >= 0.0)):
-            raise ModelError(f"{model.name}: joint {name}: <dynamics>: damping and friction must be zero or more")
-        for key, number in zip(KEYS, found[:, j], strict=True):
-            check_size(key, number, f"{model.name}: joint {name}: <dynamics>")
+            raise ModelError(f"{where}: damping and friction must be zero or more")
+        for key, number in zip(KEYS["urdf"], found[:, j], strict=True):
+            check_size(key, number, where)
     return found

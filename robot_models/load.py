@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_models import build, inspected, mjcf, mjcf_equality, mjcf_mechanism, notes, physics, urdf
+from robot_models import build, inspected, notes, physics, urdf
 from robot_models.coordinates import (
     PARTS,
-    PLACES,
     RATES,
     balls,
     coordinate_names,
     in_pinocchios_order,
     normalised,
 )
-from robot_models.described import Description, Format, find, joint_names, names_a_file
+from robot_models.described import Description, Format, canonical, find, joint_names, names_a_file
 from robot_models.errors import ModelError
 from robot_models.loop_coordinate import with_coordinates
 from robot_models.loop_joint import LoopJoint, check_loops, loop_joint
@@ -134,18 +133,19 @@ def from_text(
     """
     if format not in ("urdf", "mjcf"):
         raise ModelError(f"{name}: format is {format!r}: it must be 'urdf' or 'mjcf'")
-    canonical = urdf.read(text, name) if format == "urdf" else mjcf.read(text, name, None)
-    if format == "urdf" and not inspected.has_passed(canonical, locked):
-        urdf.inspect(canonical, name, locked)
-    closed = tuple(loop_joint(table, name) for table in loops)
-    sidecar = Sidecar(description=description, source=source, closed_loop=closed, drives=tuple(drives))
-    found = _with_coordinates(Description(name, canonical, format, name, sidecar))
+    own = canonical(text, format, name, name, None)
+    if format == "urdf" and not inspected.has_passed(own.text, locked):
+        urdf.inspect(own.text, name, locked)
+    closed = tuple(loop_joint(table, name) for table in loops) or own.sidecar.closed_loop
+    acting = tuple(drives) or own.sidecar.drives
+    sidecar = Sidecar(description=description, source=source, closed_loop=closed, drives=acting)
+    found = _with_coordinates(replace(own, sidecar=sidecar))
     built = build.build(found.text, format, locked, name)
     n = built.model.nv
     given = np.ones(n, dtype=bool)
-    if found.text != canonical:  # what is given is of the joints that the text had
+    if found.text != own.text:  # what is given is of the joints that the text had
         _refuse_loops(built, found.sidecar.closed_loop, name)
-        given = np.array([joint in joint_names(canonical, format) for joint in built.joint_names])
+        given = np.array([joint in joint_names(own.text, format) for joint in built.joint_names])
     m = int(given.sum())
     built.model.armature = np.zeros(n)
     built.model.armature[given] = _vector(armature, m, f"{name}: armature")
@@ -153,7 +153,7 @@ def from_text(
     posture = np.zeros(len(new))
     posture[~new] = _vector(home, int(np.sum(~new)), f"{name}: home")
     posture = normalised(posture, built.joint_types, f"{name}: home")
-    if found.text != canonical:
+    if found.text != own.text:
         posture = _placed(built, found.sidecar.closed_loop, posture, new)
     if built.model.armature.min() < 0.0:
         raise ModelError(f"{name}: armature has a negative entry: an inertia is zero or more")
@@ -219,14 +219,7 @@ def _home(found: Description, built: build.Built) -> NDArray[np.float64]:
     bounded = np.isfinite(low) & np.isfinite(high) & ((low > 0.0) | (high < 0.0))
     posture = np.zeros(len(joints))
     posture[bounded] = 0.5 * (low[bounded] + high[bounded])
-    named = dict(found.sidecar.home)
-    if found.format == "mjcf" and not named:
-        key = mjcf.home(found.text)
-        order = mjcf.position_names(found.text)
-        if key is not None and len(key) != len(order):
-            raise ModelError(f"{found.where}: a keyframe has {len(key)} values for {len(order)} joints")
-        named = dict(zip(order, key or (), strict=False))
-    named = _where_bodies_stand(found) | named
+    named = found.sidecar.home
     posture = np.array([named.get(joint, value) for joint, value in zip(joints, posture, strict=True)])
     # A published angle may be a turn away from the limits (Kinova's elbow): the same pose is meant.
     for turn in (-2.0 * np.pi, 2.0 * np.pi):
@@ -241,18 +234,6 @@ def _home(found: Description, built: build.Built) -> NDArray[np.float64]:
     return normalised(posture, built.joint_types, f"{found.where}: home")
 
 
-def _where_bodies_stand(found: Description) -> dict[str, float]:
-    """Return by name the positions of free joints where the bodies are written."""
-    import pinocchio as pin
-
-    named: dict[str, float] = {}
-    for joint, pose in (mjcf_mechanism.start_poses(found.text) if found.format == "mjcf" else {}).items():
-        x, y, z, w = pin.Quaternion(pose[:3, :3]).coeffs().tolist()
-        ends = (*PLACES, *PARTS)
-        named |= {joint + end: value for end, value in zip(ends, (*pose[:3, 3].tolist(), w, x, y, z), strict=True)}
-    return named
-
-
 def _frames(model: "pin.Model") -> tuple[str, ...]:
     """Return the links, bodies and sites that can be asked for by name.
 
@@ -264,7 +245,7 @@ def _frames(model: "pin.Model") -> tuple[str, ...]:
     times = Counter(frame.name for frame in model.frames)
     usable = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
     named = (frame.name for frame in model.frames if frame.type in usable)
-    return tuple(name for name in named if times[name] == 1 and name != mjcf.STILL)
+    return tuple(name for name in named if times[name] == 1)
 
 
 def _default_tip(model: "pin.Model", loops: Sequence[LoopJoint]) -> str | None:
@@ -312,10 +293,11 @@ def _finish(
     """Check the mechanism that was built and write it down."""
     model = built.model
     if gravity is None:
-        gravity = np.array(mjcf.gravity(found.text) if found.format == "mjcf" else (0.0, 0.0, -9.81))
+        gravity = built.model.gravity.linear
     for what, numbers in (("armature", model.armature), ("home", home), ("gravity", gravity)):
         physics.check_size(what, numbers, found.where)
-    physics.check_mechanism(model, in_pinocchios_order(home, built.joint_types), found.where)
+    if model.nv:
+        physics.check_mechanism(model, in_pinocchios_order(home, built.joint_types), found.where)
     joints, (lower, upper) = built.joint_names, built.limits
     own = [joint for joint in joints if joint not in stands_for(found.sidecar.closed_loop)]
     robot = RobotModel(
@@ -337,8 +319,9 @@ def _finish(
         description=found.sidecar.description,
         source=found.sidecar.source,
         notes=notes.notes(found.text, found.format, own, model.velocityLimit, model.effortLimit),
-        loops=found.sidecar.closed_loop or (mjcf_equality.loops(found.text, model) if found.format == "mjcf" else ()),
+        loops=found.sidecar.closed_loop,
         drives=_drives(found.sidecar, joints),
+        warnings=found.warnings,
     )
     if robot.loops:
         _refuse_loops(built, robot.loops, found.where)

@@ -1,81 +1,80 @@
-"""MJCF, reduced to the mechanism that it describes and written so that Pinocchio reads it as MuJoCo does.
+"""MJCF as MuJoCo's own compiler reads it, and as a plain text that holds the mechanism and nothing else.
 
-Read against Pinocchio 4.1 and MuJoCo 3.17, Pinocchio's own reader
+A file is compiled with its includes, classes, frames, replicas and attached models, and everything is taken from the
+compiled model. Its plain text has bodies, joints, inertias, sites and shapes with all numbers written out. It stands by
+itself, and MuJoCo compiles it to the same mechanism to the last bit. What couples joints and what drives them is
+beside the text (`robot_models.mjcf_coupling`).
 
-- loses the pose of a base body without joints, and every body of the world but the first;
-- takes no notice of `<option gravity>`, of `<frame>`, springs, equality constraints, tendons, gravity
-  compensation;
-- mixes a joint's class with the `childclass` around it, where MuJoCo takes the class alone;
-- counts no geom without contact in an inertia that is inferred from geoms, and, under
-  `inertiafromgeom="true"`, leaves a body without geoms massless, where MuJoCo does neither;
-- turns a negative mass into 0, and takes the axis of an axisangle for a unit vector and the
-  range of a slide joint for degrees;
-- looks for mesh files even where no inertia depends on them;
-- wants `<compiler>` to stand before the bodies, and counts several joints of one body as one.
-
-So `read` inlines the includes, resolves the default classes into plain attributes, keeps what the mechanism
-needs (bodies, joints, inertias, sites, shapes that are not meshes, loops, keyframes) and refuses what would change
-the motion and cannot be honoured. Damping, friction loss, contacts and sensors do not belong to the mechanism and
-are left out; of actuators the torques that they can give are kept (`robot_models.mjcf_actuators`).
+What does no work is left out with a warning. What would change the motion and cannot be simulated is refused by name.
 """
 
+import warnings as python_warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from math import inf
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from robot_models import mjcf_equality
+import numpy as np
+
 from robot_models.coordinates import PARTS, PLACES
 from robot_models.errors import ModelError
-from robot_models.mechanism import check_size
-from robot_models.mjcf_actuators import limit_joint, torque_ranges
-from robot_models.mjcf_defaults import Defaults
-from robot_models.mjcf_mechanism import TURNS, Units, mechanism
-from robot_models.mjcf_schema import check_schema
-from robot_models.mjcf_values import (
-    check_inertial,
-    check_joint,
-    check_neutral,
-    check_shape,
-    check_turns,
-    check_weighing_bodies,
-    check_weighing_geom,
-    is_mesh,
-)
-from robot_models.notes import LEFT_OUT
-from robot_models.xml_text import MAX_DEPTH, MAX_ELEMENTS, numbers, parse, read_text, tidy
+from robot_models.loop_joint import LoopJoint
+from robot_models.mechanism import Array, check_size
+from robot_models.mjcf_coupling import couplings, drives, torque_limits
+from robot_models.xml_text import parse, read_text, tidy
 
-#: Sections that would change the motion.
-_REFUSED = ("deformable", "extension", "tendon")
-_IN_BODY = ("body", "joint", "inertial", "geom", "site")
-_IGNORED_IN_BODY = ("camera", "light")
+#: Names of the kinds of joints and of geoms, by MuJoCo's numbers.
+JOINTS = ("free", "ball", "slide", "hinge")
+_GEOMS = {2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
+_NOT_READ = {0: "planes", 1: "height fields", 7: "meshes", 8: "signed distance fields"}
+# How many numbers the size of each shape has.
+_SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 
-#: Attributes that survive: everything that places, moves or weighs something, and what a viewer draws.
-_POSE = ("pos", *TURNS)
-_ATTRIBUTES = {
-    "body": ("name", *_POSE),
-    "inertial": ("mass", "diaginertia", "fullinertia", *_POSE),
-    "joint": ("name", "type", "axis", "pos", "range", "armature", "actuatorfrcrange"),
-    "site": ("name", *_POSE),
-    "geom": ("name", "type", "size", "fromto", "mass", "density", "rgba", "contype", "conaffinity", *_POSE),
-}
-
-#: Files that one model may include.
-MAX_INCLUDES = 100
-
-#: Velocities of a joint that has more than one, by its type; and its positions.
+#: Velocities of a joint that has more than one, by its kind; and its positions.
 ONE_BY_ONE, POSITIONS = {"ball": 3, "free": 6}, {"ball": 4, "free": 7}
 
-# What a joint says of friction; it does not act.
-_FRICTION = ("damping", "frictionloss")
-
-#: The body that `mjcf_pinocchio` adds; no body of a file may be named so.
-STILL = "robot_models/world"
+_MUSCLE, _MESH = 2, 7
+# Which kinds of objects MuJoCo names, by the names of its fields.
+_NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator")
 
 
-def read(text: str, where: str, folder: Path | None) -> str:
-    """Return an MJCF text that holds the mechanism and nothing that another file must complete.
+# Numbers that place, move or weigh, by kinds of objects.
+_NUMBERS = {
+    "body": ("pos", "quat", "ipos", "iquat", "mass", "inertia"),
+    "jnt": ("pos", "axis", "range", "stiffness"),
+    "site": ("pos", "quat"),
+}
+_TITLES = {"body": "body", "jnt": "joint", "site": "site"}
+
+
+class Mjcf(NamedTuple):
+    """What a file says.
+
+    Attributes
+    ----------
+    text
+        The plain text.
+    home
+        The posture of the keyframe "home", of the first one or of the model, by the names of coordinates: rad (m).
+    loops
+        Its equalities.
+    drives
+        Joints with a drive; all if empty.
+    warnings
+        What was left out, a line each.
+    """
+
+    text: str
+    home: dict[str, float]
+    loops: tuple[LoopJoint, ...]
+    drives: tuple[str, ...]
+    warnings: list[str]
+
+
+def read(text: str, where: str, path: Path | None) -> Mjcf:
+    """Return what MuJoCo makes of an MJCF.
 
     Parameters
     ----------
@@ -83,204 +82,326 @@ def read(text: str, where: str, folder: Path | None) -> str:
         The document.
     where
         How to name it in a message.
-    folder
-        Where the files of `<include>` are looked up; None allows no include.
+    path
+        Its file, for what it includes; None for a text that must stand by itself.
 
     Raises
     ------
     ModelError
-        The XML is malformed, is no MJCF, or says something that cannot be honoured.
+        MuJoCo refuses it, or it says something that cannot be simulated.
     """
     root = parse(text, where)
     if root.tag != "mujoco":
         raise ModelError(f"{where} is no MJCF: its root is <{root.tag}>, not <mujoco>")
-    _include(root, where, folder, set())
-    if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
-        raise ModelError(f"{where} has more than {MAX_ELEMENTS} elements with what it includes")
-    floating = root.findall("worldbody//freejoint")
-    moving = sum(ONE_BY_ONE.get(joint.get("type", ""), 1) for joint in root.iterfind("worldbody//joint"))
-    moving += ONE_BY_ONE["free"] * len(floating)
-    check_size(len(root.findall("worldbody//body")) + len(root.findall("worldbody//site")), moving, where)
     tidy(root)
-    for section in root:
-        if section.tag in _REFUSED:
-            raise ModelError(f"{where}: <{section.tag}> is not simulated: the model must do without it")
-    check_schema(root, where)
-    out = ET.Element("mujoco", model=root.get("model") or "model")
-    _copy_settings(root, out, where)
-    world = ET.SubElement(out, "worldbody")
-    defaults = Defaults(root, where)
-    defaults.check_references(root)
-    names: set[tuple[str, str]] = set()
-    # Joints with friction, from the file itself or from a canonical text that was written before.
-    rough = [e.get("data", "") for e in root.iterfind("custom/text") if e.get("name") == LEFT_OUT]
-    shared = _Copied(defaults, Units(out), names, rough, torque_ranges(root, defaults, where))
-    for element in root.findall("worldbody"):
-        _copy_body(element, world, shared, None, False, f"{where}: the world")
-    for joint in world.iterfind("body//body/joint"):
-        if joint.get("type") == "free":
-            raise ModelError(f"{where}: joint {joint.get('name')!r}: a free joint must be that of a body of the world")
-    check_weighing_bodies(mechanism(ET.tostring(out, encoding="unicode"), STILL), where)
-    if rough:
-        custom = ET.SubElement(out, "custom")
-        ET.SubElement(custom, "text", name=LEFT_OUT, data="\n".join(rough))
-    mjcf_equality.copy(root, out, where)
-    keys = ET.SubElement(out, "keyframe")
-    for key in root.iterfind("keyframe/key[@qpos]"):
-        numbers(key.attrib["qpos"], None, f"{where}: keyframe qpos")
-        ET.SubElement(keys, "key", name=key.get("name", "home"), qpos=key.attrib["qpos"])
-    return ET.tostring(out, encoding="unicode")
+    _check_includes(root, where, None if path is None else path.parent, [])
+    with _said() as warnings:
+        model = _compile(ET.tostring(root, encoding="unicode") if path is None else path, where)
+    names = Names(model)
+    _check(model, names, where)
+    warnings += _left_out(model, names)
+    joints = names.joint
+    limits = torque_limits(model)
+    plain = ET.Element("mujoco", model=root.get("model") or "model")
+    ET.SubElement(plain, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
+    ET.SubElement(plain, "option", gravity=_words(_gravity(model)))
+    world = ET.SubElement(plain, "worldbody")
+    bodies = {0: world}
+    for b in range(model.nbody):
+        if b:
+            place = {"pos": _words(model.body_pos[b]), "quat": _words(model.body_quat[b])}
+            bodies[b] = ET.SubElement(bodies[int(model.body_parentid[b])], "body", {"name": names.body[b], **place})
+        _write_body(bodies[b], b, model, names, limits)
+    loops, more = couplings(model, names, where)
+    return Mjcf(
+        ET.tostring(plain, encoding="unicode"),
+        _home(model, joints),
+        loops,
+        drives(model, joints),
+        list(dict.fromkeys(warnings + more)),
+    )
 
 
-def _copy_settings(root: ET.Element, out: ET.Element, where: str) -> None:
-    """Copy what <compiler> says of angles, and gravity; what would change anything else must be neutral."""
-    compiler = ET.SubElement(out, "compiler")
-    for element in root.findall("compiler"):
-        check_neutral(element, dict(element.attrib), f"{where}: <compiler>")
-        sequence = element.get("eulerseq", "xyz")
-        if len(sequence) != 3 or not set(sequence) <= set("xyz"):
-            raise ModelError(
-                f"{where}: eulerseq is {sequence!r}: it must be three of x, y, z; capitals, for fixed "
-                "axes, are not honoured"
-            )
-        compiler.attrib.update({k: v for k, v in element.attrib.items() if k in ("angle", "eulerseq")})
-    for element in root.findall("option"):
-        for part in element.iter():
-            check_neutral(part, dict(part.attrib), f"{where}: <{part.tag}>")
-        if "gravity" in element.attrib:
-            numbers(element.attrib["gravity"], 3, f"{where}: option gravity")
-            ET.SubElement(out, "option", gravity=element.attrib["gravity"])
+#: Files that one model may include.
+MAX_INCLUDES = 100
 
 
-def gravity(text: str) -> tuple[float, float, float]:
-    """Return the gravity of a canonical MJCF, m/s² in the world frame; MuJoCo's default where it has none."""
-    found = [option.attrib["gravity"].split() for option in ET.fromstring(text).findall("option")]
-    x, y, z = (float(word) for word in (found[-1] if found else ("0", "0", "-9.81")))
-    return x, y, z
-
-
-def home(text: str) -> list[float] | None:
-    """Return the posture of the keyframe "home", or of the first one, or None."""
-    keys = ET.fromstring(text).findall("keyframe/key")
-    keys.sort(key=lambda key: key.get("name") != "home")
-    return [float(word) for word in keys[0].attrib["qpos"].split()] if keys else None
-
-
-def _include(element: ET.Element, where: str, folder: Path | None, seen: set[Path], depth: int = 0) -> None:
-    """Replace every <include> by its file's content: each file once, relative to the model's folder."""
-    if depth > MAX_DEPTH:
-        raise ModelError(f"{where}: elements are nested deeper than {MAX_DEPTH} levels with what it includes")
-    position = 0
-    while position < len(element):
-        child = element[position]
-        if child.tag != "include":
-            _include(child, where, folder, seen, depth + 1)
-            position += 1
-            continue
-        name = child.get("file")
+def _check_includes(root: ET.Element, where: str, folder: Path | None, seen: list[str]) -> None:
+    """Refuse what cannot be included: MuJoCo would wait for a pipe for ever."""
+    for element in root.iter("include"):
+        name = element.get("file")
         if not name or folder is None:
             raise ModelError(f"{where}: cannot include {name!r}: the text must stand by itself")
-        path = (folder / name).resolve()
-        if path in seen:
-            raise ModelError(f"{where}: {name!r} is included twice: a file may be included once")
-        seen.add(path)
+        seen.append(name)
         if len(seen) > MAX_INCLUDES:
             raise ModelError(f"{where} includes more than {MAX_INCLUDES} files: merge some")
         try:
-            element[position : position + 1] = list(parse(read_text(path), name))
+            included = parse(read_text(folder / name), name)
         except ModelError as error:
             raise ModelError(f"{where}: included {name}: {error}") from None
+        _check_includes(included, where, folder, seen)
 
 
-class _Copied(NamedTuple):
-    """What all bodies of a file have in common while they are copied.
+class Names:
+    """Names of bodies, joints and sites of a compiled model: its own, or made up where it has none.
 
-    Attributes
-    ----------
-    defaults, units
-        How the file's attributes are to be read.
-    names
-        Tag and name of every body and joint so far.
-    rough
-        Joints with friction so far.
-    most
-        The largest torque of the actuators of each joint that has some, N m (N).
+    A joint without a name has that of its body. Bodies and sites have different names, since both are frames.
     """
 
-    defaults: Defaults
-    units: Units
-    names: set[tuple[str, str]]
-    rough: list[str]
-    most: dict[str, float]
+    def __init__(self, model: Any):
+        self._texts, self._at = model.names, {kind: getattr(model, f"name_{kind}adr") for kind in _NAMED}
+        used: set[str] = {"world"}
+        self.body = ["world"] + [
+            _unused(self.own("body", b) or f"body{b}", used, "body") for b in range(1, model.nbody)
+        ]
+        self.site = [_unused(self.own("site", s) or f"site{s}", used, "site") for s in range(model.nsite)]
+        taken = {self.own("jnt", j) for j in range(model.njnt)}
+        self.joint = []
+        for j in range(model.njnt):
+            named = self.own("jnt", j)
+            if not named:
+                named = _unused(self.body[model.jnt_bodyid[j]], taken, "joint")
+            self.joint.append(named)
+
+    def own(self, kind: str, index: int) -> str:
+        """Return the name that the file gives to an object, "" if none."""
+        start = int(self._at[kind][index])
+        return str(self._texts[start : self._texts.index(b"\0", start)].decode())
 
 
-def _copy_body(
-    source: ET.Element, target: ET.Element, shared: _Copied, childclass: str | None, moves: bool, at: str
-) -> None:
-    """Copy what a body holds that the mechanism is made of: `moves` if a joint carries it, `at` in messages."""
-    childclass = source.get("childclass", childclass)
-    where = at.split(": ")[0]
-    joints = [child for child in source if child.tag in ("joint", "freejoint")]
-    if len(joints) > 1:
-        raise ModelError(f"{at} has {len(joints)} joints: give each a body of its own")
-    moves = moves or bool(joints)
-    weighs = moves and source.find("inertial") is None
-    for child in source:
-        if child.tag in _IGNORED_IN_BODY:
+def _unused(name: str, used: set[str], kind: str) -> str:
+    """Return a name, or one made of it that nothing else has, and note it as used."""
+    found, k = name, 1
+    while found in used:
+        found, k = f"{name} {kind}{k if k > 1 else ''}", k + 1
+    used.add(found)
+    return found
+
+
+@contextmanager
+def _said() -> Iterator[list[str]]:
+    """Collect what MuJoCo warns of; some of it, it otherwise writes to a file in the current folder."""
+    import mujoco
+
+    found: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: found.append(f"MuJoCo says: {_one_line(text)}"))
+    try:
+        with python_warnings.catch_warnings(record=True) as heard:
+            python_warnings.simplefilter("always")
+            yield found
+        found += [f"MuJoCo says: {_one_line(each.message)}" for each in heard]
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _one_line(text: object) -> str:
+    return " ".join(str(text).split())
+
+
+def _compile(source: str | Path, where: str) -> Any:
+    """Return MuJoCo's model of a file or a text.
+
+    A mesh from which no inertia follows is not opened: shapes of meshes are not read.
+    """
+    import mujoco
+
+    try:
+        read_in = mujoco.MjSpec.from_string if isinstance(source, str) else mujoco.MjSpec.from_file
+        spec = read_in(source if isinstance(source, str) else str(source))
+        _drop_idle_assets(spec)
+        return spec.compile()
+    except (ValueError, TypeError, KeyError, RuntimeError, mujoco.FatalError) as error:
+        reason = _one_line(error).removeprefix("Error: ").replace("XML Error: ", "")
+        raise ModelError(f"{where}: MuJoCo cannot read it: {reason}") from None
+
+
+def _drop_idle_assets(spec: Any) -> None:
+    """Delete what is only drawn, whose files need not be there: skins, textures, and meshes that weigh nothing."""
+    weighs = int(spec.compiler.inertiafromgeom)  # 0: no, 1: always, 2: where a body has no <inertial>
+    for geom in list(spec.geoms):
+        body = geom.parent
+        idle = weighs == 0 or (weighs == 2 and body.explicitinertial) or body.name == "world"
+        if int(geom.type) == _MESH and idle:
+            spec.delete(geom)
             continue
-        if child.tag == "freejoint":
-            check_neutral(child, dict(child.attrib), f"{at}: freejoint")
-            given = {"type": "free", "name": child.get("name", source.get("name", ""))}
-            child = ET.Element("joint", given)
-        elif child.tag in _IN_BODY:
-            given = shared.defaults.resolve(child, childclass)
-        else:
-            raise ModelError(f"{at}: <{child.tag}> is not simulated: the model must do without it")
-        name = f"{child.tag} {given['name']!r}" if "name" in given else f"a {child.tag} without a name"
-        here = f"{where}: {name}"
-        check_neutral(child, given, here)
-        check_turns(child.tag, given, shared.units, here)
-        if child.tag in ("geom", "site"):
-            check_shape(child.tag, given, here)
-        if child.tag == "geom" and weighs:
-            check_weighing_geom(given, at)
-        elif child.tag == "geom" and is_mesh(given):
-            continue
-        if child.tag in ("body", "joint"):
-            _check_name(child.tag, given, at, here, shared.names)
-        if child.tag == "site" and source.tag == "worldbody":
-            continue
-        copy = ET.SubElement(target, child.tag, {k: given[k] for k in _ATTRIBUTES[child.tag] if k in given})
-        if child.tag == "body":
-            _copy_body(child, copy, shared, childclass, moves, here)
-        elif child.tag == "joint":
-            check_joint(given, here)
-            limit_joint(copy, given, shared.most.get(given["name"], inf), here)
-            if any(word.strip("0.") for key in _FRICTION for word in given.get(key, "").split()):
-                shared.rough.append(given["name"])
-        elif child.tag == "inertial":
-            check_inertial(given, at)
+        geom.material = ""
+    for skin in list(spec.skins):
+        spec.delete(skin)
+    for site in spec.sites:
+        site.material = ""
+    for tendon in spec.tendons:
+        tendon.material = ""
+    for asset in (*spec.materials, *spec.textures):
+        spec.delete(asset)
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
 
 
-def _check_name(tag: str, given: dict[str, str], at: str, here: str, names: set[tuple[str, str]]) -> None:
-    name = given.get("name", "")
-    if not name or name == STILL:
-        raise ModelError(f"{at}: a {tag} has no name: every body and joint needs one")
-    if (tag, name) in names:
-        raise ModelError(f"{here}: the name is taken: names must differ")
-    names.add((tag, name))
+@lru_cache(maxsize=8)
+def compiled(text: str, where: str = "the model") -> Any:
+    """Return MuJoCo's model of a plain text, that of `read`; it is not to be changed.
+
+    Raises
+    ------
+    ModelError
+    """
+    with _said():
+        return _compile(text, where)
+
+
+def gravity(text: str) -> tuple[float, float, float]:
+    """Return the gravity of a plain text, m/s² in the world frame."""
+    x, y, z = (float(word) for word in ET.fromstring(text).find("option").get("gravity", "").split())  # type: ignore[union-attr]
+    return x, y, z
+
+
+def _gravity(model: Any) -> Array:
+    off = int(model.opt.disableflags) & (1 << 7)
+    return np.zeros(3) if off else np.array(model.opt.gravity)
 
 
 def joint_types(text: str) -> Iterator[tuple[str, str]]:
-    """Yield name and type of the joints of a canonical MJCF, in the order of the text."""
+    """Yield name and type of the joints of a plain text, in its order."""
     for element in ET.fromstring(text).iterfind("worldbody//joint"):
-        yield element.attrib["name"], element.get("type", "hinge")
+        yield element.attrib["name"], element.attrib["type"]
 
 
-def position_names(text: str) -> list[str]:
-    """Return the names of the positions of a canonical MJCF in the order of its keyframes, see `coordinates`."""
-    found = []
-    for name, kind in joint_types(text):
-        ends = {"free": (*PLACES, *PARTS), "ball": PARTS}.get(kind, ("",))
-        found += [name + end for end in ends]
+def position_names(joint: str, kind: str) -> list[str]:
+    """Return the names of the positions of a joint in MuJoCo's order, see `coordinates`."""
+    return [joint + end for end in {"free": (*PLACES, *PARTS), "ball": PARTS}.get(kind, ("",))]
+
+
+def _home(model: Any, joints: list[str]) -> dict[str, float]:
+    """Return a posture by the names of its coordinates."""
+    keys = [model.key(k) for k in range(model.nkey)]
+    keys.sort(key=lambda key: key.name != "home")
+    posture = keys[0].qpos if keys else model.qpos0
+    named = [name for j, joint in enumerate(joints) for name in position_names(joint, JOINTS[model.jnt_type[j]])]
+    return dict(zip(named, np.asarray(posture).tolist(), strict=True))
+
+
+def _write_body(element: ET.Element, b: int, model: Any, names: Names, limits: dict[int, float]) -> None:
+    """Write joints, inertia, shapes and sites of a body of a compiled model."""
+    first = int(model.body_jntadr[b])
+    for j in range(first, first + int(model.body_jntnum[b])):
+        kind = JOINTS[model.jnt_type[j]]
+        given = {"name": names.joint[j], "type": kind}
+        if kind != "free":
+            given["pos"] = _words(model.jnt_pos[j])
+        v = int(model.jnt_dofadr[j])
+        if kind in ("slide", "hinge"):
+            given["axis"] = _words(model.jnt_axis[j])
+            q = int(model.jnt_qposadr[j])
+            if model.jnt_limited[j]:
+                given["range"] = _words(model.jnt_range[j])
+            for key, value in (("ref", model.qpos0[q]), ("springref", model.qpos_spring[q])):
+                given |= {key: _word(value)} if value else {}
+            if limits.get(j):
+                given["actuatorfrcrange"] = f"{-limits[j]!r} {limits[j]!r}"
+        acting = ("armature", model.dof_armature), ("damping", model.dof_damping), (
+            "frictionloss", model.dof_frictionloss,
+        )  # fmt: skip
+        for key, values in acting:
+            value = float(np.ravel(values[v])[0])
+            given |= {key: _word(value)} if value else {}
+        stiffness = float(np.ravel(model.jnt_stiffness[j])[0])
+        given |= {"stiffness": _word(stiffness)} if stiffness else {}
+        ET.SubElement(element, "joint", given)
+    if b and model.body_mass[b] > 0.0:
+        ET.SubElement(
+            element, "inertial", pos=_words(model.body_ipos[b]), quat=_words(model.body_iquat[b]),
+            mass=_word(model.body_mass[b]), diaginertia=_words(model.body_inertia[b]),
+        )  # fmt: skip
+    for g in range(model.ngeom):
+        kind = _GEOMS.get(int(model.geom_type[g]), "")
+        if model.geom_bodyid[g] == b and kind:
+            ET.SubElement(
+                element, "geom", type=kind, size=_words(model.geom_size[g][: _SIZES[kind]]),
+                pos=_words(model.geom_pos[g]), quat=_words(model.geom_quat[g]),
+                rgba=_words(model.geom_rgba[g].astype(float).round(7)), contype=str(model.geom_contype[g]),
+                conaffinity=str(model.geom_conaffinity[g]),
+            )  # fmt: skip
+    for s in range(model.nsite):
+        if model.site_bodyid[s] == b:
+            place = {"pos": _words(model.site_pos[s]), "quat": _words(model.site_quat[s])}
+            ET.SubElement(element, "site", {"name": names.site[s], **place})
+
+
+def _word(x: float) -> str:
+    return repr(float(x))
+
+
+def _words(vector: Any) -> str:
+    return " ".join(map(_word, vector))
+
+
+def _check(model: Any, names: Names, where: str) -> None:
+    """Refuse what would change the motion and is not simulated."""
+    kinds = [JOINTS[kind] for kind in model.jnt_type]
+    check_size(model.nbody - 1 + model.nsite, sum(ONE_BY_ONE.get(kind, 1) for kind in kinds), where)
+    for kind, keys in _NUMBERS.items():
+        for key in keys:
+            values = np.asarray(getattr(model, f"{kind}_{key}"), dtype=np.float64)
+            if not np.isfinite(values).all():
+                i = int(np.argwhere(~np.isfinite(values))[0][0])
+                name = names.own(kind, i) or str(i)
+                raise ModelError(f"{where}: {_TITLES[kind]} {name!r}: its {key} is not finite: write a number")
+    if np.any(model.dof_armature < 0.0):
+        joint = names.joint[int(model.dof_jntid[int(np.argmin(model.dof_armature))])]
+        raise ModelError(f"{where}: joint {joint!r} has a negative armature: an inertia is zero or more")
+    for count, what in ((model.nflex, "<flex>"), (model.nplugin, "<plugin>")):
+        if count:
+            raise ModelError(f"{where}: {what} is not simulated: the model must do without it")
+    for a in range(model.nu):
+        if model.actuator_gaintype[a] == _MUSCLE or model.actuator_biastype[a] == _MUSCLE:
+            name = names.own("actuator", a) or str(a + 1)
+            raise ModelError(f"{where}: actuator {name!r} is a muscle, which is not simulated: use a motor")
+    if model.nv and (model.opt.density or model.opt.viscosity):
+        raise ModelError(
+            f"{where}: <option> has the density {model.opt.density:g} or the viscosity {model.opt.viscosity:g} of a "
+            "medium, which is not simulated: leave them out"
+        )
+
+
+def _left_out(model: Any, names: Names) -> list[str]:
+    """Return what of a model is not read, a line each."""
+    found = [
+        f"{what} of the file are left out: they do no work"
+        for count, what in ((model.ncam, "cameras"), (model.nlight, "lights"), (model.nsensor, "sensors"))
+        if count
+    ]
+    if model.nexclude or model.npair:
+        found.append("<exclude> and <pair> of the file are left out: a scenario says what touches")
+    kinds = sorted({int(kind) for kind in model.geom_type} & set(_NOT_READ))
+    found += [f"{_NOT_READ[kind]} of the file are not read as shapes" for kind in kinds]
+    still = [names.body[b] for b in range(model.nbody) if model.body_mocapid[b] >= 0]
+    if still:
+        found.append(f"mocap bodies stand still where the file has them: {', '.join(still)}")
+    if model.nv and model.body_gravcomp.any():
+        carried = [names.body[b] for b in np.flatnonzero(model.body_gravcomp)]
+        found.append(f"gravcomp does not act ({_some(carried)}): compensation of gravity is the law's")
+    stiff = [names.joint[j] for j in range(model.njnt) if np.any(model.jnt_stiffness[j])]
+    if stiff:
+        found.append(f"springs of joints (stiffness) do not act: {_some(stiff)}")
+    for j, (low, high) in enumerate(model.jnt_range.tolist()):
+        if not model.jnt_limited[j] and low >= high and (low or high):
+            found.append(f"joint {names.joint[j]!r}: its range {low:g} {high:g} is none to MuJoCo, and does not act")
+    for a in range(model.nu):
+        for key in ("force", "ctrl"):
+            low, high = getattr(model, f"actuator_{key}range")[a].tolist()
+            if not getattr(model, f"actuator_{key}limited")[a] and low >= high and (low or high):
+                name = names.own("actuator", a) or str(a + 1)
+                found.append(f"actuator {name!r}: its {key}range {low:g} {high:g} is none to MuJoCo, and does not act")
+    turning = [
+        names.joint[j] for j in range(model.njnt) if model.jnt_limited[j] and JOINTS[model.jnt_type[j]] == "ball"
+    ]
+    if turning:
+        found.append(f"the range of a ball joint does not act: {_some(turning)}")
     return found
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

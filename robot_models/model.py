@@ -67,6 +67,8 @@ class RobotModel:
     notes: tuple[str, ...] = ()
     #: Bodies fixed to frames of the robot, in this order: a tool, a load.
     tools: tuple[Tool, ...] = ()
+    #: What of the file is left out, or is not as it should be, a line each.
+    warnings: list[str] = field(default_factory=list)
     #: What closes its loops; joint names, frames and arrays are those of the tree that is left without them.
     loops: tuple[LoopJoint, ...] = ()
     #: Joints with a drive; all if empty. The others turn freely.

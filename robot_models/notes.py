@@ -6,9 +6,6 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-# The name under which a canonical MJCF keeps the joints whose damping and friction were left out of it.
-LEFT_OUT = "robot_models/left_out"
-
 
 def notes(
     text: str,
@@ -56,11 +53,7 @@ def _rough_urdf(root: ET.Element) -> set[str]:
 
 
 def _rough_mjcf(root: ET.Element) -> set[str]:
-    return {
-        word
-        for element in root.findall(f"custom/text[@name='{LEFT_OUT}']")
-        for word in element.get("data", "").split("\n")
-    }
+    return {joint.get("name", "") for joint in root.iter("joint") if joint.get("damping") or joint.get("frictionloss")}
 
 
 def _some(names: list[str]) -> str:

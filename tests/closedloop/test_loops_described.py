@@ -2,17 +2,20 @@
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 from falling_loops import falling, free, null_space_acceleration
 
 import closedloop as cl
 import robot_models
+from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.loops import close
 from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.loops.bind import bound_by_loops, loop_memory
 from closedloop.mechanics.loops.memory import IDLE, POSITION
 from closedloop.mechanics.loops.reactions import loop_rows as rows_of_loops
+from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops.mechanisms import four_bar, loop
 
@@ -29,13 +32,11 @@ CONNECT = '<connect name="pin" body1="coupler" body2="rocker" anchor="0.3 0 0.4"
 
 def from_mjcf(tmp_path, equality):
     """The mechanism of an MJCF with this section."""
-    (tmp_path / "m.xml").write_text(MJCF.format(equality), encoding="utf-8")
-    return robot_models.load(tmp_path / "m.xml")
+    return from_mjcf_text(tmp_path, MJCF.format(equality))
 
 
 def test_connect_of_mujoco_is_a_point(tmp_path):
     """The harder MuJoCo's force is made, the nearer its acceleration comes to ours."""
-    mujoco = pytest.importorskip("mujoco")
     model = from_mjcf(tmp_path, CONNECT.format(""))
     q, v = np.zeros(3), np.zeros(3)
     ours = null_space_acceleration(model, q, v, np.zeros(3))
@@ -61,6 +62,74 @@ def test_welds_and_gears_of_mujoco(tmp_path):
     run = falling(geared, duration=0.1)
     np.testing.assert_allclose(run.q[:, 0], run.q[:, 2] + 0.2 * run.q[:, 2] ** 2, atol=1e-13)
     assert from_mjcf(tmp_path, '<weld body1="coupler" body2="crank" active="false"/>').loops == ()
+
+
+TREE = """<mujoco><compiler angle="radian"/><worldbody><site name="mark" pos=".3 .2 .1" euler=".1 .2 .3"/>
+<body name="a" pos=".1 .2 .3" euler=".1 0 .3"><joint name="J1" axis="0 -1 .2" ref=".3"/><geom size=".1"/>
+ <body name="b" pos="0.2 0 .1"><joint name="J2" axis="1 -1 0" pos="0 .1 0"/><joint name="J3" type="slide" ref=".1"/>
+  <geom size=".1"/><site name="s" pos=".1 0 .2" euler=".5 0 .2"/></body></body>
+<body name="c" pos="0.5 0 0" euler="0 -1 0"><joint name="J4" axis="0 -1 0"/><geom size=".1" pos=".2 0 0"/>
+ <body name="d" pos="0 .1 .2"><joint name="J5" axis="1 0 0" ref="-.2"/><geom size=".1"/></body></body>
+<body name="m" mocap="true"/></worldbody>
+<tendon><fixed name="t"><joint joint="J1" coef=".5"/><joint joint="J4" coef="-2"/></fixed>
+<fixed name="u"><joint joint="J5" coef="3"/></fixed><fixed name="w"><joint joint="J2" coef="2"/></fixed></tendon>
+<equality>{}</equality></mujoco>"""
+EQUALITIES = {
+    "connect": '<connect body1="b" body2="d" anchor=".1 .2 .3"/>',
+    "connect to the world": '<connect body1="b" anchor=".1 .2 .3"/>',
+    "connect from the world": '<connect body1="world" body2="d" anchor=".1 .2 .3"/>',
+    "connect of sites": '<connect site1="s" site2="mark"/>',
+    "weld": '<weld body1="b" body2="d" anchor=".1 .2 .3"/>',
+    "weld with a pose": '<weld body1="b" body2="d" relpose=".1 .2 .3 .5 .5 -.5 .5"/>',
+    "weld with a pose and an anchor": '<weld body1="d" body2="b" anchor=".3 0 .1" relpose=".1 .2 .3 .7 .5 -.5 .2"/>',
+    "weld to the world": '<weld body1="d"/>',
+    "weld from the world": '<weld body1="world" body2="d" relpose=".1 .2 .3 .5 .5 -.5 .5"/>',
+    "weld of sites": '<weld site1="s" site2="mark"/>',
+    "a polynomial of the fourth degree": '<joint joint1="J1" joint2="J5" polycoef=".1 .5 -.3 .2 .4"/>',
+    "a joint that is held": '<joint joint1="J3" polycoef=".1 0 0 0 0"/>',
+    "a tendon that is held": '<tendon tendon1="t" polycoef=".1 0 0 0 0"/>',
+    "two tendons": '<tendon tendon1="u" tendon2="w" polycoef=".1 .7 0 0 0"/>',
+}
+
+
+@pytest.mark.parametrize("case", EQUALITIES)
+def test_equalities_bind_what_they_bind_in_mujoco(tmp_path, case):
+    """MuJoCo's rows and ours span the same forces, and both are open by the same, at any posture of a weld's place."""
+    text = TREE.format(EQUALITIES[case])
+    robot = Robot(from_mjcf_text(tmp_path, text))
+    theirs = mujoco.MjModel.from_xml_string(text)
+    data, (links, rows) = mujoco.MjData(theirs), loop_memory(robot)
+    for q in np.random.default_rng(0).uniform(-1.0, 1.0, size=(3, 5)):
+        data.qpos[:] = rows.q[:] = q
+        mujoco.mj_forward(theirs, data)
+        interpreted(locate_rows)(links, rows)
+        their = data.efc_J.reshape(-1, 5)[: data.ne], data.efc_pos[: data.ne]
+        assert len(their[1]) == links.m
+        points = 0 if robot.model.loops[0].type == "gear" else 3
+        assert abs(np.linalg.norm(their[1][:points]) - np.linalg.norm(rows.error[:points])) < 1e-12
+        if not points:
+            scale = np.linalg.norm(their[0]) / np.linalg.norm(rows.G)
+            assert np.linalg.matrix_rank(np.vstack([their[0], rows.G]), tol=1e-12) == 1
+            assert abs(abs(their[1][0]) - scale * abs(rows.error[0])) < 1e-12
+        elif links.m > 3:  # MuJoCo's error is half the sine of half the angle, times the axis
+            loop = robot.model.loops[0]
+            first, second = (robot.frame_at(frame, q)[1] for frame in loop.frames)
+            apart = second.T @ first @ np.array(loop.turn).T
+            half = 0.5 * np.arccos(np.clip(0.5 * (np.trace(apart) - 1.0), -1.0, 1.0))
+            assert abs(np.linalg.norm(their[1][3:]) - np.sin(half)) < 1e-7
+
+
+def test_an_equality_to_a_mocap_body_is_left_out(tmp_path):
+    """It is a means of moving a robot, and here a law moves it."""
+    model = from_mjcf_text(tmp_path, TREE.format('<weld name="hold" body1="m" body2="d"/>'))
+    assert model.loops == ()
+    assert any("'hold'" in line and "'m'" in line for line in model.warnings)
+
+
+def from_mjcf_text(tmp_path, text):
+    """The mechanism of an MJCF."""
+    (tmp_path / "m.xml").write_text(text, encoding="utf-8")
+    return robot_models.load(tmp_path / "m.xml")
 
 
 BAD = {

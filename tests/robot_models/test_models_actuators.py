@@ -87,7 +87,21 @@ def test_a_range_of_one_direction_has_its_larger_bound(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["forcerange", "ctrlrange"])
-def test_a_reversed_range_is_refused(tmp_path, key):
-    """As MuJoCo does, with the actuator and the key."""
-    with pytest.raises(robot_models.ModelError, match=f"<motor> 'm': {key} is '2 -2': its upper limit must be above"):
-        load(tmp_path, driven(f'<motor name="m" joint="shoulder" {key}="2 -2"/>'))
+def test_a_reversed_range_is_none_with_a_warning(tmp_path, key):
+    """As to MuJoCo, with the actuator and the key."""
+    robot = load(tmp_path, driven(f'<motor name="m" joint="shoulder" {key}="2 -2"/>'))
+    assert robot.effort_limit[0] == np.inf
+    assert any(f"actuator 'm': its {key} 2 -2 is none" in line for line in robot.warnings)
+
+
+def test_joints_without_an_actuator_have_no_drive(tmp_path):
+    """Where a file has actuators, they are all its drives; a fixed tendon drives its joints by its coefficients."""
+    assert load(tmp_path, mjcf()).driven.all()
+    one = load(tmp_path, driven('<motor joint="shoulder"/>'))
+    assert one.driven.tolist() == [True, False]
+    tendon = (
+        '<tendon><fixed name="t"><joint joint="shoulder" coef="2"/><joint joint="elbow" coef="-0.5"/></fixed></tendon>'
+    )
+    both = load(tmp_path, mjcf(tail=f'{tendon}<actuator><motor tendon="t" ctrlrange="-3 3" gear="4"/></actuator>'))
+    assert both.driven.all()
+    np.testing.assert_allclose(both.effort_limit, [24.0, 6.0])

@@ -1,11 +1,13 @@
 """An MJCF means to Pinocchio what it means to MuJoCo, or is refused."""
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 from model_texts import MJCF_INERTIAL, mjcf
 
 import robot_models
+from robot_models.coordinates import in_pinocchios_order, normalised
 
 CLASSES = (
     '<default><joint armature="1" axis="1 0 0"/><site pos="0 0 0.3"/>'
@@ -53,6 +55,57 @@ SAME = {
 }
 
 
+CUBE = '<asset><mesh name="m" vertex="0 0 0 .1 0 0 0 .2 0 0 0 .3 .1 .2 .3"/></asset>'
+# One for each thing that files of real robots have.
+SAME |= {
+    "three joints of a body": mjcf(
+        joint='<joint name="shoulder" axis="0 1 0" pos=".1 0 0"/><joint name="b" type="slide" axis="1 1 0" '
+        'armature=".3"/><joint name="c" pos="0 .2 .1"/>'
+    ),
+    "a body and joints without names": mjcf(
+        inner=f'<body pos="0 .1 0"><joint/>{MJCF_INERTIAL}<body pos="0 0 .2"><joint type="ball"/>{MJCF_INERTIAL}<site/>'
+        "</body></body>"
+    ),
+    "ref": mjcf(
+        joint='<joint name="shoulder" axis="0 1 0" pos=".1 .2 0" ref="30"/><joint type="slide" name="b" ref=".2"/>'
+    ),
+    "frame and replicate": mjcf(
+        inner=f'<frame pos="0 0 1" euler="10 20 30"><body name="k" pos="0 1 0"><joint name="l"/>{MJCF_INERTIAL}</body>'
+        f'</frame><replicate count="3" euler="0 0 40"><body name="r" pos=".1 0 0"><joint name="s"/>{MJCF_INERTIAL}'
+        "</body></replicate>"
+    ),
+    "several defaults": mjcf(
+        head='<default><joint armature=".2"/></default><default><joint damping="3"/></default>'
+    ),
+    "inertia from geoms": mjcf(
+        head='<compiler inertiafromgeom="true"/>',
+        inner='<geom size=".1"/><geom type="box" size=".1 .2 .3" pos="1 0 0"/>',
+    ).replace("</body></body></body>", '<geom size=".2"/></body><geom size=".1"/></body></body>'),
+    "inertia from a mesh": mjcf(head=CUBE, inertial='<geom type="mesh" mesh="m" pos="0 .1 0" euler="10 0 0"/>'),
+    "geoms without contact": mjcf(inertial='<geom size="0.1" contype="0" conaffinity="0"/>'),
+    "free body, with a limit that is none": mjcf(
+        head='<default><joint limited="true"/></default>',
+        world='<body name="box" pos="1 2 3" euler="10 20 30"><joint type="free" name="f" limited="false"/>'
+        f"{MJCF_INERTIAL}</body>",
+        joint='<joint name="shoulder" range="-90 90"/>',
+    ).replace('<joint name="elbow"', '<joint name="elbow" limited="false"'),
+    "axes turned to the principal ones": mjcf(
+        world=f'<body name="box" pos="1 2 3"><freejoint align="true"/>{MJCF_INERTIAL}</body>'
+    ),
+    "a site on a body that is fixed to a fixed body": mjcf(
+        base='<body name="base" pos="0.3 0 1" euler="15 0 0"><body name="p" pos="0 .1 0" euler="0 30 0">'
+        '<body name="deep" pos=".2 0 0" euler="10 0 0"><site name="mark" pos="0 0 .1"/></body></body>'
+    ),
+    "mocap body": mjcf(world='<body name="target" mocap="true" pos="1 0 0"><geom size=".1"/></body>'),
+    "fixed axes of Euler angles": mjcf(head='<compiler eulerseq="XYZ"/>'),
+    "no gravity by a flag": mjcf(head='<option><flag gravity="disable"/></option>'),
+    "what does no work": mjcf(
+        inner='<camera name="c"/><light/>',
+        tail='<contact><exclude body1="upper" body2="base"/></contact><sensor><jointpos joint="elbow"/></sensor>',
+    ),
+}  # fmt: skip
+
+
 def load(tmp_path, text):
     """Return the robot of a text."""
     path = tmp_path / "robot.xml"
@@ -62,41 +115,105 @@ def load(tmp_path, text):
 
 @pytest.mark.parametrize("case", SAME)
 def test_agrees_with_mujoco(tmp_path, case):
-    """The same mass matrix, bias and places of bodies as MuJoCo's, from the file and from our text."""
-    mujoco = pytest.importorskip("mujoco")
+    """The same mass matrix, bias and places of bodies as MuJoCo's, in its order, from the file and from our text."""
     robot = load(tmp_path, SAME[case])
     model = robot.pinocchio_model()
+    theirs = mujoco.MjModel.from_xml_string(SAME[case])
     rng = np.random.default_rng(0)
-    q, v = rng.normal(size=(2, robot.n))
-    data = model.createData()
-    upper = np.triu(pin.crba(model, data, q))
+    q, v = rng.normal(size=theirs.nq), rng.normal(size=theirs.nv)
+    q = normalised(q, robot.joint_types, "q")
+    data, own = model.createData(), in_pinocchios_order(q, robot.joint_types)
+    upper = np.triu(pin.crba(model, data, own))
     H = upper + np.triu(upper, 1).T
-    C = pin.nonLinearEffects(model, data, q, v)
-    pin.framesForwardKinematics(model, data, q)
-    for text in (SAME[case], robot.text):
-        theirs = mujoco.MjModel.from_xml_string(text)
-        their_data = mujoco.MjData(theirs)
-        order = [theirs.joint(name).qposadr[0] for name in robot.joint_names]
-        their_data.qpos[order], their_data.qvel[order] = q, v
-        mujoco.mj_forward(theirs, their_data)
-        full = np.column_stack([_mass_column(mujoco, theirs, their_data, k) for k in range(theirs.nv)])
-        np.testing.assert_allclose(H, full[np.ix_(order, order)], atol=1e-11)
-        np.testing.assert_allclose(C, their_data.qfrc_bias[order], atol=1e-11)
-        for name in robot.frames:
-            kind = "site" if name == "touch" else "body"
-            place = getattr(their_data, kind)(name).xpos
+    C = pin.nonLinearEffects(model, data, own, v)
+    pin.framesForwardKinematics(model, data, own)
+    assert len(robot.home) == theirs.nq
+    for their in (theirs, mujoco.MjModel.from_xml_string(robot.text)):
+        their_data = mujoco.MjData(their)
+        their_data.qpos[:], their_data.qvel[:] = q, v
+        mujoco.mj_forward(their, their_data)
+        full = np.column_stack([_mass_column(their, their_data, k) for k in range(their.nv)])
+        np.testing.assert_allclose(H, full, atol=1e-11)
+        np.testing.assert_allclose(C, their_data.qfrc_bias, atol=1e-11)
+        bodies = {their.body(b).name: their_data.xpos[b] for b in range(their.nbody)}
+        sites = {their.site(s).name: their_data.site_xpos[s] for s in range(their.nsite)}
+        places = {name: place for name, place in (bodies | sites).items() if name not in ("", "world")}
+        assert set(places) <= set(robot.frames)
+        for name, place in places.items():
             np.testing.assert_allclose(data.oMf[model.getFrameId(name)].translation, place, atol=1e-13)
-        bounded = np.array([theirs.joint(name).limited[0] for name in robot.joint_names], dtype=bool)
-        np.testing.assert_array_equal(np.isfinite(robot.position_upper), bounded)
-        upper = np.array([theirs.joint(name).range[1] for name in robot.joint_names])
-        np.testing.assert_allclose(robot.position_upper[bounded], upper[bounded], rtol=1e-12)
+        single = their.jnt_type > 1
+        at = their.jnt_dofadr[single]
+        bounded = their.jnt_limited[single].astype(bool)
+        np.testing.assert_array_equal(np.isfinite(robot.position_upper[at]), bounded)
+        np.testing.assert_allclose(robot.position_upper[at][bounded], their.jnt_range[single][bounded, 1], rtol=1e-12)
+    again = robot_models.from_text(
+        robot.text, "mjcf", name="again", armature=robot.armature, tip=robot.tip, home=robot.home, locked={}
+    )
+    assert again.text == robot.text
+    np.testing.assert_array_equal(pin.nonLinearEffects(again.pinocchio_model(), model.createData(), own, v), C)
 
 
-def _mass_column(mujoco, model, data, k):
+def _mass_column(model, data, k):
     unit, column = np.zeros(model.nv), np.zeros(model.nv)
     unit[k] = 1.0
     mujoco.mj_mulM(model, data, column, unit)
     return column
+
+
+def test_what_does_no_work_is_left_out_with_a_warning(tmp_path):
+    """One line each, that names it; a plain arm has none."""
+    said = " ".join(load(tmp_path, SAME["what does no work"]).warnings)
+    for word in ("cameras", "lights", "sensors", "exclude"):
+        assert word in said
+    assert "'target'" not in said
+    assert any("mocap bodies" in line and "target" in line for line in load(tmp_path, SAME["mocap body"]).warnings)
+    assert load(tmp_path, mjcf()).warnings == []
+    reversed_range = mjcf(joint='<joint name="shoulder" range="1 -1"/>')
+    assert any("'shoulder'" in line and "range" in line for line in load(tmp_path, reversed_range).warnings)
+    comp = mjcf(base='<body name="base" gravcomp="1">')
+    assert any("gravcomp" in line and "base" in line for line in load(tmp_path, comp).warnings)
+
+
+def test_meshes_that_are_only_drawn_need_not_be_there(tmp_path):
+    """MuJoCo opens every file; of a mesh from which no inertia follows, and of a texture, nothing is needed here."""
+    head = (
+        '<asset><mesh name="m" file="gone.stl"/><texture name="t" type="2d" file="gone.png"/>'
+        '<material name="k" texture="t"/></asset>'
+    )
+    robot = load(tmp_path, mjcf(head=head, inner='<geom type="mesh" mesh="m" material="k"/>'))
+    assert robot.joint_names == ("shoulder", "elbow")
+
+
+def test_attached_models_are_read(tmp_path):
+    """A model of its own file hangs where it is attached, with the prefix of its names."""
+    (tmp_path / "hand.xml").write_text(
+        f'<mujoco><worldbody><body name="palm"><joint name="turn"/>{MJCF_INERTIAL}</body></worldbody></mujoco>'
+    )
+    text = mjcf(
+        head='<asset><model name="hand" file="hand.xml"/></asset>',
+        inner='<body name="mount" pos="0 0 .3"><attach model="hand" body="palm" prefix="h_"/></body>',
+    )
+    robot = load(tmp_path, text)
+    assert "h_turn" in robot.joint_names
+    assert {"mount", "h_palm"} <= set(robot.frames)
+
+
+def test_nothing_is_written_beside_the_file(tmp_path, monkeypatch):
+    """MuJoCo writes what it warns of to a file in the current folder; here it is a warning of the model."""
+    monkeypatch.chdir(tmp_path)
+    robot = load(tmp_path, mjcf(head='<compiler settotalmass="9"/>'))
+    assert any("settotalmass" in line for line in robot.warnings)
+    assert [path.name for path in tmp_path.iterdir()] == ["robot.xml"]
+
+
+def test_a_model_in_which_nothing_moves_is_read(tmp_path):
+    """It has no joints; a robot of it is refused by name."""
+    from closedloop import Robot
+
+    robot = load(tmp_path, "<mujoco><worldbody><body name='a'/></worldbody></mujoco>")
+    assert (robot.n, robot.tip) == (0, None)
+    with pytest.raises(robot_models.ModelError, match="has no joint that moves"):
+        Robot(robot)
 
 
 def test_pinocchio_alone_would_lose_the_base(tmp_path):
@@ -151,7 +268,7 @@ def test_includes_are_inlined(tmp_path):
     q = np.array([0.3, 0.4])
     one, other = (pin.crba(r.pinocchio_model(), r.pinocchio_model().createData(), q) for r in (robot, copy))
     np.testing.assert_array_equal(one, other)
-    with pytest.raises(robot_models.ModelError, match="included twice"):
+    with pytest.raises(robot_models.ModelError, match="already included"):
         load(tmp_path, mjcf(inner='<include file="parts/hand.xml"/>' * 2))
     with pytest.raises(robot_models.ModelError, match="stand by itself"):
         robot_models.from_text(
@@ -191,23 +308,3 @@ def test_two_zeros_are_no_range(tmp_path):
     robot = load(tmp_path, mjcf(joint='<joint name="shoulder" range="0 0" actuatorfrcrange="0 0"/>'))
     assert robot.position_upper[0] == robot.effort_limit[0] == np.inf
     assert robot.joint_types[0] == "continuous"
-
-
-def test_the_schema_is_mujocos():
-    """Every element and attribute that MuJoCo lists, and no other."""
-    import re
-
-    mujoco = pytest.importorskip("mujoco")
-    from robot_models.mjcf_schema import _FILE, _split
-
-    listed: list[list[str]] = []
-    for line in mujoco.mj_printSchema(False, True).splitlines():
-        begins = re.match(r"^( {0,15})([a-zA-Z0-9_()]+) \((.)\)(.*)$", line)
-        if begins:
-            depth, tag = len(begins[1]) // 3, begins[2].replace("(world)", "")
-            listed.append([".." * depth + tag, begins[3], *begins[4].split()])
-        elif line.strip():
-            listed[-1] += line.split()
-    held = [line.split() for line in _FILE.read_text().splitlines()]
-    ours = [[*line[:2], *(_split(word)[0] for word in line[2:])] for line in held]
-    assert ours == [[*line[:2], *sorted(line[2:])] for line in listed]

@@ -34,7 +34,8 @@ CASES = {
         mjcf(joint='<joint name="shoulder"/>', tail='<keyframe><key qpos="1e100 1e100"/></keyframe>'), "home has 1e.100"
     ),
     "coefficients of a gear": (
-        mjcf(tail='<equality><joint joint1="shoulder" polycoef="1e100 0 0 0 0"/></equality>'), "polycoef is .*at most"
+        mjcf(tail='<equality><joint joint1="shoulder" polycoef="1e100 0 0 0 0"/></equality>'),
+        "joint 1. has the number 1e.100: .* at most"
     ),
 }  # fmt: skip
 

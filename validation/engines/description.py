@@ -41,6 +41,9 @@ def bare_mjcf(text: str) -> tuple[str, dict[str, tuple[str, Array]]]:
     for element in list(root):
         if element.tag not in ("compiler", "default", "asset", "worldbody"):
             root.remove(element)
+    for joint in root.iter("joint"):
+        for key in ("damping", "frictionloss", "stiffness"):  # no part of H and C
+            joint.attrib.pop(key, None)
     for body in root.iter("body"):
         for site in body.findall("site"):
             place = np.array([float(value) for value in site.get("pos", "0 0 0").split()])

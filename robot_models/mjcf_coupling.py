@@ -1,0 +1,222 @@
+"""What couples the joints of a compiled MJCF, and what drives them.
+
+Equalities are loop joints that hold exactly, where MuJoCo holds them by a soft force (solref, solimp): `connect` is a
+point, `weld` a weld, `joint` a gear, and `tendon`, of fixed tendons over two joints in all, a gear too. What holds is
+taken from MuJoCo's own numbers, so that it is the same at every posture.
+
+An actuator drives the joint that it acts on, or the joints of the fixed tendon that it pulls: with its force times its
+gear times the joint's coefficient. Its force is held in `forcerange`; that of a motor is its control, held in
+`ctrlrange`. Actuators of one joint add up, and `actuatorfrcrange` of the joint holds their sum.
+"""
+
+from math import comb, inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robot_models.errors import ModelError
+from robot_models.loop_joint import MOST_NUMBER, WORLD, LoopJoint
+from robot_models.mechanism import Array
+
+if TYPE_CHECKING:
+    from robot_models.mjcf import Names
+
+# MuJoCo's numbers of kinds.
+_CONNECT, _WELD, _JOINT, _TENDON = 0, 1, 2, 3
+_AT_JOINT, _IN_PARENT, _AT_TENDON = 0, 1, 3
+_SITE, _WRAPS_JOINT = 6, 1
+_FOLLOWS = (0, 2, 3)  # no activation, or one that goes to the control and never beyond
+
+
+def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, ...], list[str]]:
+    """Return the equalities of a compiled model as loop joints, and warnings of what is left out.
+
+    Raises
+    ------
+    ModelError
+        One is not simulated.
+    """
+    made: list[LoopJoint] = []
+    warnings = _idle_tendons(model, names, where)
+    for k in range(model.neq):
+        if not model.eq_active0[k]:
+            continue
+        kind = int(model.eq_type[k])
+        if kind > _TENDON:
+            raise ModelError(f"{where}: <equality>: a <flex> is not simulated: the model must do without it")
+        title = ("connect", "weld", "joint", "tendon")[kind]
+        name = names.own("eq", k) or f"{title} {k + 1}"
+        largest = float(np.abs(model.eq_data[k]).max())
+        if not largest <= MOST_NUMBER:
+            raise ModelError(
+                f"{where}: {title} {name!r} has the number {largest:g}: it must be at most {MOST_NUMBER:g}"
+            )
+        if kind in (_CONNECT, _WELD):
+            ends = _ends(model, names, k)
+            pulled = [frame for frame, body in ends if model.body_mocapid[body] >= 0]
+            if pulled:
+                warnings.append(f"{title} {name!r} to the mocap body {pulled[0]!r} is left out: a law moves the robot")
+                continue
+            made.append(_frames(model, k, kind, name, ends))
+        else:
+            coefficients = _joint_row(model, k) if kind == _JOINT else _tendon_row(model, k, name, where)
+            joints, polynomial = coefficients
+            made.append(LoopJoint(name, "gear", joints=tuple(names.joint[j] for j in joints), polynomial=polynomial))
+    return tuple(made), warnings
+
+
+def _ends(model: Any, names: "Names", k: int) -> list[tuple[str, int]]:
+    """Return the two frames of an equality, each with its body."""
+    found = []
+    for index in (int(model.eq_obj1id[k]), int(model.eq_obj2id[k])):
+        if int(model.eq_objtype[k]) == _SITE:
+            found.append((names.site[index], int(model.site_bodyid[index])))
+        else:
+            found.append((names.body[index] if index else WORLD, index))
+    return found
+
+
+def _frames(model: Any, k: int, kind: int, name: str, ends: list[tuple[str, int]]) -> LoopJoint:
+    """Return a `connect` or a `weld` as a loop joint; the world is its second side."""
+    data, type_ = np.array(model.eq_data[k]), "point" if kind == _CONNECT else "weld"
+    frames = [frame for frame, _ in ends]
+    points, turn = [np.zeros(3), np.zeros(3)], np.eye(3)
+    if int(model.eq_objtype[k]) != _SITE:  # sites coincide
+        points = [data[:3], data[3:6]] if kind == _CONNECT else [data[3:6], data[:3]]
+        turn = rotation(data[6:10]).T if kind == _WELD else turn  # of the first frame's axes, in the second frame
+    if frames[0] == WORLD:
+        frames, points, turn = frames[::-1], points[::-1], turn.T
+    return LoopJoint(name, type_, tuple(frames), _vectors(*points), turn=_vectors(*turn))
+
+
+def rotation(quaternion: Array) -> Array:
+    """Return the rotation (3, 3) of a quaternion w, x, y, z of any length."""
+    w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _vectors(*rows: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(x) for x in row) for row in rows)
+
+
+def _joint_row(model: Any, k: int) -> tuple[list[int], tuple[float, ...]]:
+    """Return the joints of q1 − r1 = P(q2 − r2), with r where the model is assembled, and Q with q1 = Q(q2)."""
+    one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+    at = [float(model.qpos0[model.jnt_qposadr[j]]) if j >= 0 else 0.0 for j in (one, other)]
+    given, expanded = [float(x) for x in model.eq_data[k][:5]], np.zeros(5)
+    if other < 0:
+        return [one], (given[0] + at[0], 0.0, 0.0, 0.0, 0.0)
+    for power, coefficient in enumerate(given):
+        for i in range(power + 1):
+            expanded[i] += coefficient * comb(power, i) * (-at[1]) ** (power - i)
+    expanded[0] += at[0]
+    return [one, other], tuple(float(x) for x in expanded)
+
+
+def _tendon_row(model: Any, k: int, name: str, where: str) -> tuple[list[int], tuple[float, ...]]:
+    """Return the joints of L1 − l1 = P(L2 − l2), with l where the model is assembled, and Q with q1 = Q(q2)."""
+    one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+    P = [float(x) for x in model.eq_data[k][:5]]
+    row, value = dict(tendon_joints(model, one)), P[0] + float(model.tendon_length0[one])
+    if other >= 0:
+        if any(P[2:]):
+            raise ModelError(f"{where}: tendon equality {name!r}: a polycoef beyond the second is not simulated")
+        value -= P[1] * float(model.tendon_length0[other])
+        for joint, coefficient in tendon_joints(model, other):
+            row[joint] = row.get(joint, 0.0) - P[1] * coefficient
+    joints = [joint for joint, coefficient in row.items() if coefficient]
+    if not 1 <= len(joints) <= 2:
+        raise ModelError(
+            f"{where}: tendon equality {name!r} binds {len(joints)} joints: one or two can be bound by a gear"
+        )
+    lead = row[joints[0]]
+    slope = -row[joints[1]] / lead if len(joints) == 2 else 0.0
+    return joints, (value / lead, slope, 0.0, 0.0, 0.0)
+
+
+def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
+    """Return the joints of a fixed tendon with their coefficients; none of a spatial one."""
+    first = int(model.tendon_adr[tendon])
+    parts = range(first, first + int(model.tendon_num[tendon]))
+    if any(model.wrap_type[i] != _WRAPS_JOINT for i in parts):
+        return []
+    return [(int(model.wrap_objid[i]), float(model.wrap_prm[i])) for i in parts]
+
+
+def _idle_tendons(model: Any, names: "Names", where: str) -> list[str]:
+    """Refuse spatial tendons that act, and return warnings of what of a tendon does not act."""
+    used = {int(model.actuator_trnid[a][0]) for a in range(model.nu) if model.actuator_trntype[a] == _AT_TENDON}
+    used |= {int(i) for k in np.flatnonzero(model.eq_type == _TENDON) for i in (model.eq_obj1id[k], model.eq_obj2id[k])}
+    warnings = []
+    for t in range(model.ntendon):
+        name = names.own("tendon", t) or str(t + 1)
+        acts = {
+            "stiffness": np.any(model.tendon_stiffness[t]),
+            "damping": np.any(model.tendon_damping[t]),
+            "frictionloss": np.any(model.tendon_frictionloss[t]),
+            "armature": np.any(model.tendon_armature[t]),
+            "range": bool(model.tendon_limited[t]),
+        }
+        acting = [key for key, there in acts.items() if there]
+        if not tendon_joints(model, t):
+            if acting or t in used:
+                raise ModelError(f"{where}: tendon {name!r} is spatial, which is not simulated: leave it out")
+            warnings.append(f"tendon {name!r} is spatial and left out: it does no work")
+        elif acting:
+            warnings.append(f"{' and '.join(acting)} of tendon {name!r} do not act")
+    return warnings
+
+
+def _actuated(model: Any) -> list[tuple[int, int, float]]:
+    """Return each actuator with each joint that it drives, and the torque there of a force of one."""
+    found = []
+    for a in range(model.nu):
+        kind, target = int(model.actuator_trntype[a]), int(model.actuator_trnid[a][0])
+        gear = float(model.actuator_gear[a][0])
+        if kind in (_AT_JOINT, _IN_PARENT):
+            found.append((a, target, gear))
+        elif kind == _AT_TENDON:
+            found += [(a, joint, gear * coefficient) for joint, coefficient in tendon_joints(model, target)]
+    return found
+
+
+def drives(model: Any, joints: list[str]) -> tuple[str, ...]:
+    """Return the joints of one coordinate that have a drive, of all named `joints`; none if that is every one."""
+    driven = {joint for _, joint, ratio in _actuated(model) if ratio and model.jnt_type[joint] > 1}
+    single = {joint for joint in range(model.njnt) if model.jnt_type[joint] > 1}
+    return tuple(joints[joint] for joint in sorted(driven)) if driven != single else ()
+
+
+def torque_limits(model: Any) -> dict[int, float]:
+    """Return the largest torque of the drives of each joint that has a limit, N m (N)."""
+    most: dict[int, float] = {}
+    for a, joint, ratio in _actuated(model):
+        force = _limit(model.actuator_forcerange[a], model.actuator_forcelimited[a])
+        plain = model.actuator_gaintype[a] == 0 and model.actuator_biastype[a] == 0
+        if plain and int(model.actuator_dyntype[a]) in _FOLLOWS:
+            gain = abs(float(model.actuator_gainprm[a][0]))
+            force = min(
+                force, gain * _limit(model.actuator_ctrlrange[a], model.actuator_ctrllimited[a]) if gain else 0.0
+            )
+        most[joint] = most.get(joint, 0.0) + (abs(ratio) * force if ratio else 0.0)
+    for joint in range(model.njnt):
+        own = _limit(model.jnt_actfrcrange[joint], model.jnt_actfrclimited[joint])
+        most[joint] = min(own, most.get(joint, inf))
+    return {joint: limit for joint, limit in most.items() if 0.0 < limit < inf}
+
+
+def _limit(given: Any, limited: Any) -> float:
+    """Return the magnitude that a range allows in both directions, infinite where it is none.
+
+    Of a range that allows one direction alone it is the larger bound.
+    """
+    low, high = float(given[0]), float(given[1])
+    if not limited:
+        return inf
+    return min(-low, high) if low < 0.0 < high else max(abs(low), abs(high))

@@ -18,7 +18,9 @@ from closedloop.record.report.control_verdict import (
     Signals,
     judge_control,
 )
+from closedloop.record.report.control_verdict import told as told_of
 from closedloop.record.report.verdict import names_of
+from closedloop.simulation.batch import worker
 
 FORCE, DURATION = 10.0, 10.0
 # Shipped scenarios whose subject is control that is bad; of all others it is good.
@@ -246,27 +248,48 @@ def test_simulated_runs(name, changes, control):
     assert {p["name"] for p in problems} - {"force_error"} == control - {"good", "force_error"}
 
 
-def test_lanes_say_what_a_summary_says():
-    """Good, a force step, a soft law off its path, a wrong sign: the column in lanes is the summary's text."""
+def test_lanes_say_what_a_summary_says(monkeypatch):
+    """Good, a soft law off its path, a wrong sign: the column in lanes is the summary's text, and lanes it is."""
+    lanes, told_in_lanes = [], worker.control_in_lanes
+
+    def counted(runs, lane, scenario):
+        lanes.append(lane)
+        return told_in_lanes(runs, lane, scenario)
+
+    monkeypatch.setattr(worker, "control_in_lanes", counted)
     changes = {
-        "law.kp": [900.0, 0.1, -5.0, 900.0],
-        "law.force": [10.0, 10.0, 10.0, 2.0],
-        "law.kd": [30.0, 1.0, 30.0, 30.0],
+        "law.kp": [900.0, 0.1, -5.0, 900.0, 900.0],
+        "law.force": [10.0, 10.0, 10.0, 2.0, 2.0],
+        "law.kd": [30.0, 0.01, 30.0, 30.0, 3.0],
     }
-    scenario = cl.load_scenario("wam_slide", {"time.duration": 3.0, "reference.stop": 2.5})
-    column = cl.simulate_batch(scenario, changes, workers=1)["control_verdict"].to_pylist()
+    base = {"time.duration": 3.0, "reference.stop": 2.5}
+    column = cl.simulate_batch(cl.load_scenario("wam_slide", base), changes, workers=1)["control_verdict"].to_pylist()
     rows = [dict(zip(changes, row, strict=True)) for row in zip(*changes.values(), strict=True)]
-    alone = [
-        cl.simulate(
-            scenario.changed(row)
-            if hasattr(scenario, "changed")
-            else cl.load_scenario("wam_slide", {"time.duration": 3.0, "reference.stop": 2.5} | row),
-            progress=False,
-        ).summary()
-        for row in rows
-    ]
-    assert column == [names_of(facts["control_verdict"]["problems"]) for facts in alone]
-    assert len(set(column)) > 1
+    alone = [cl.simulate(cl.load_scenario("wam_slide", base | row), progress=False).summary() for row in rows]
+    assert column == [told_of(facts) for facts in alone]
+    assert sorted(lanes) == [0, 1, 2, 3, 4]
+    assert len(set(column)) > 2
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+def test_a_swing_that_is_too_slow_for_the_run_is_not_good(phase):
+    """Of 3.2 periods it is not known whether they last; of six it is. Those that die away are a transient."""
+
+    def swing(periods, decay=0.0):
+        rate = 2.0 * np.pi * periods / DURATION
+        return drawn(lambda t: 0.07 * FORCE * np.exp(-decay * t) * np.sin(rate * t + phase))
+
+    problems, unknown = judge_control(swing(3.2), {})
+    assert "oscillation" not in names_of(problems)
+    (line,) = unknown
+    assert re.fullmatch(
+        r"oscillation: the force swings by ±0.\d+ N with 0.3\d* Hz, and 2 periods are too few: .*", line
+    )
+    assert "oscillation" in told(swing(6.3))
+    for periods in (3.2, 6.3):
+        problems, unknown = judge_control(swing(periods, decay=0.15), {})
+        assert "oscillation" not in names_of(problems)
+        assert not unknown
 
 
 def test_strict_ends_with_5_where_only_the_control_is_bad(tmp_path):

@@ -1,6 +1,7 @@
 """Derivatives of whole runs: closed forms, events, kinks, and what is refused."""
 
 import re
+import sys
 from dataclasses import replace
 from itertools import pairwise
 
@@ -96,6 +97,40 @@ def test_impulses_of_a_bouncing_ball(bounced):
     assert str(bounced).splitlines()[0].split() == ["of", "key", "value", "derivative", "error", "method"]
     assert "..." not in str(bounced)
     assert len(str(bounced).splitlines()) == 1 + len(bounced.table())
+
+
+def test_a_gradient_is_shown_without_pandas(bounced, monkeypatch):
+    """By repr() too, which a debugger asks for; the table alone needs it, and says so."""
+    shown = repr(bounced)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    assert repr(bounced) == shown
+    with pytest.raises(cl.ScenarioError, match="need pandas"):
+        bounced.table()
+
+
+@pytest.mark.parametrize(("key", "entry"), [("spin", (0, 1)), pytest.param("velocity", (0, 0), marks=pytest.mark.slow)])
+def test_a_body_that_is_thrown_otherwise(tmp_path, key, entry):
+    """A ball slips by u = v − ω r, and rolls after t = 2 u/(7 μ g): its way is that of the closed form.
+
+    Each number of a body makes another robot.
+    """
+    v, friction, end, radius = 1.0, 0.2, 0.3, 0.05
+    (tmp_path / "thrown.toml").write_text(
+        f'[robot]\nmodel = "none"\n[[body]]\nname = "b"\nshape = "ball"\nradius = {radius}\nmass = 1.0\n'
+        f"position = [0, 0, {radius}]\nvelocity = [{v}, 0, 0]\nspin = [0, 0, 0]\n"
+        f"[[contact]]\nlink = 'b'\nat = 'collision'\nfriction = {friction}\n[time]\nduration = {end}\n"
+    )
+
+    def way(v, spin):
+        slows = friction * 9.81
+        rolls = 2.0 * (v - spin * radius) / (7.0 * slows)
+        return v * rolls - 0.5 * slows * rolls**2 + (5.0 * v + 2.0 * spin * radius) / 7.0 * (end - rolls)
+
+    found = cl.gradient(cl.load_scenario(tmp_path / "thrown.toml"), [f"body.b.{key}"], of=["q@end"])
+    closed = complex_step(
+        (lambda x: way(v, x)) if key == "spin" else (lambda x: way(x, 0.0)), 0.0 if key == "spin" else v
+    )
+    assert found.derivative["q@end"][f"body.b.{key}"][entry] == pytest.approx(closed, rel=1e-4)
 
 
 def test_saltation_at_impacts():

@@ -93,7 +93,7 @@ def judge_control(
     unknown: list[str] = []
     if signals is not None:
         with np.errstate(all="ignore"):
-            problems += _contact(signals, unknown) + _path(signals)
+            problems += _contact(signals, unknown) + _path(signals, unknown)
             if signals.negative_gain:
                 text = f"{signals.negative_gain} is below 0: the feedback drives the arm away, however slowly"
                 problems.append(problem_of("unstable", text))
@@ -140,7 +140,8 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
         return problems
     # Of rows without a gap a view, as it is in most runs.
     part = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] + 1 == rows.size else rows
-    return problems + judge_force(s.force[part] - s.wanted[part], rms(s.wanted[part]), s.h, rows, s.sparse)
+    miss = s.force[part] - s.wanted[part]
+    return problems + judge_force(miss, rms(s.wanted[part]), s.h, rows, unknown, s.sparse)
 
 
 def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, bool]:
@@ -170,7 +171,9 @@ def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, 
     return problem_of("lost_contact", text, begin), lost
 
 
-def judge_force(miss: Array, scale: float, h: float, rows: NDArray[np.int64], sparse: bool = False) -> list[Problem]:
+def judge_force(
+    miss: Array, scale: float, h: float, rows: NDArray[np.int64], unknown: list[str], sparse: bool = False
+) -> list[Problem]:
     """Return what is wrong with the force while contact is commanded, above all in the later half of that time.
 
     Parameters
@@ -183,6 +186,8 @@ def judge_force(miss: Array, scale: float, h: float, rows: NDArray[np.int64], sp
         Time between two rows, s.
     rows : (R,) array of int
         Which rows of the run these are.
+    unknown : list of str
+        What is not known is added.
     sparse : bool
         See `Signals`.
     """
@@ -205,11 +210,11 @@ def judge_force(miss: Array, scale: float, h: float, rows: NDArray[np.int64], sp
         text = f"{error:.3g} N RMS, more than {RMS_SHARE * scale:.3g} N; most, {off:.3g} N, at {at:.4g} s"
         problems.append(problem_of("force_error", text, at))
     if not sparse:
-        problems += _swinging(lasting_swing(miss, SWING_SHARE * scale, h, rows[0] * h), "force", "N")
+        problems += _swinging(lasting_swing(miss, SWING_SHARE * scale, h, rows[0] * h), "force", "N", unknown)
     return problems
 
 
-def _path(s: Signals) -> list[Problem]:
+def _path(s: Signals, unknown: list[str]) -> list[Problem]:
     """Return what is wrong with the motion along the surface."""
     if s.off is None:
         return []
@@ -226,12 +231,18 @@ def _path(s: Signals) -> list[Problem]:
     if not s.sparse and len(square) >= LEAST_ROWS:
         part = s.off * s.led[:, None]
         along = np.linalg.eigh(np.cov(part[len(part) // 2 :], rowvar=False))[1][:, -1]  # where it varies most
-        problems += _swinging(lasting_swing(part @ along, 0.5 * bound, s.h, 0.0), "path", "m")
+        problems += _swinging(lasting_swing(part @ along, 0.5 * bound, s.h, 0.0), "path", "m", unknown)
     return problems
 
 
-def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
+def _swinging(swing: Swing | None, what: str, unit: str, unknown: list[str]) -> list[Problem]:
     if swing is None:
+        return []
+    if not swing.known:
+        unknown.append(
+            f"oscillation: the {what} swings by ±{swing.amplitude:.3g} {unit} with {1.0 / swing.period:.3g} Hz, and "
+            f"{swing.periods} periods are too few: take a longer run"
+        )
         return []
     kind = "grows" if swing.growth > GROWTH else "is a limit cycle"
     text = (

@@ -12,8 +12,9 @@ from closedloop.base.arrays import Array
 # A regular swing has so many periods, each so many rows long, and periods that vary by this share of their mean at
 # most. The times between crossings of noise vary by as much as their mean.
 PERIODS, ROWS_IN_PERIOD, IRREGULAR = 4, 4, 0.4
-# A swing that grows is no transient, wherever it began: in a slow one three periods over all the time tell.
-GROWING_PERIODS = 3
+# A swing that grows is no transient, wherever it began: in a slow one three periods over all the time tell. Two show
+# that there may be one.
+GROWING_PERIODS, LEAST_PERIODS = 3, 2
 # So many means of neighbouring rows show a swing that is too slow for the later half alone: of eight periods at most.
 SLOW_ROWS = 512
 # Swings of the last third over those of the first: beyond this they grow, below its inverse they die away.
@@ -21,23 +22,28 @@ GROWTH = 1.5
 
 
 class Swing(NamedTuple):
-    """A regular swing: median amplitude of its last third, period, s, first instant, s, and growth over the run."""
+    """A regular swing: median amplitude of its last third, period, s, first instant, s, growth, number of periods."""
 
     amplitude: float
     period: float
     at: float
     growth: float
+    periods: int
+
+    @property
+    def known(self) -> bool:
+        """Whether there are enough periods to tell it from a transient."""
+        return self.periods >= (GROWING_PERIODS if self.growth > GROWTH else PERIODS)
 
 
 def lasting_swing(x: Array, bound: float, h: float, begin: float) -> Swing | None:
-    """Return the regular swing in the later half of a signal (N,), or one that grows over all of it."""
+    """Return the regular swing in the later half of a signal (N,), or one over all of it, which may be too short."""
     half = len(x) // 2
     found = regular_swing(x[half:], bound, h, begin + half * h)
     if found is None:
         k = max(1, len(x) // SLOW_ROWS)
         slow = x[: len(x) // k * k].reshape(-1, k) @ np.full(k, 1.0 / k) if k > 1 else x
-        found = regular_swing(slow, bound, k * h, begin, GROWING_PERIODS)
-        return found if found is not None and found.growth > GROWTH else None
+        found = regular_swing(slow, bound, k * h, begin, LEAST_PERIODS)
     return found
 
 
@@ -76,7 +82,7 @@ def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int =
     growth = last / first
     if last <= bound or growth < 1.0 / GROWTH or ended:
         return None
-    return Swing(last, period * h, begin + rises[0] * h, growth)
+    return Swing(last, period * h, begin + rises[0] * h, growth, lengths.size)
 
 
 @lru_cache(maxsize=8)

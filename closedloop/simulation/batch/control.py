@@ -32,7 +32,8 @@ def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:
     if on_path and worst.least > 0.0 and worst.rise <= RELEASE and not negative_gain(scenario):
         if worst.miss <= MEAN_SHARE * scale:
             return GOOD
-        return _told((judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count)), []))
+        unknown: list[str] = []
+        return _told((judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count), unknown), unknown))
     wanted, force, along, tip = runs.signals(lane)
     # In contact from the start, only by how much the path rises off the surface counts.
     path = along, tip @ runs.normal(lane), tip

@@ -24,6 +24,7 @@ from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, INITIAL_EVENT
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.make_loop import Loop
 from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.report.measured import CONTROL, Tally, Values
 from closedloop.record.report.row_sample import joint_limits
 from closedloop.simulation.engines.at_addresses import Parts, measure_at, run_at, run_varied_at
@@ -47,19 +48,20 @@ class Prepared(NamedTuple):
     # all that the run reads or writes, in an order that is the same for every scenario with the same sections
     floats: list[Array]
     words: list[NDArray[np.int64]]  # the whole numbers of it, int64, among them addresses
+    tree: Tree  # the robot, whose constants are among the floats
 
 
 def prepared(problem: Problem) -> Prepared:
     """Return a problem with its loop's memory."""
-    loop = problem.loop()
+    loop, tree = problem.loop(), problem.robot.tree
     floats: list[Array] = []
     words: list[NDArray[np.int64]] = []
     seen: set[int] = set()
-    for array in _arrays((loop.state, loop.constants, loop.w, problem.table, problem.robot.tree.constants)):
+    for array in _arrays((loop.state, loop.constants, loop.w, problem.table, tree.constants)):
         if array.size and address_of(array) not in seen:
             seen.add(address_of(array))
             (words if array.dtype == np.int64 else floats).append(array)
-    return Prepared(problem, loop, floats, words)
+    return Prepared(problem, loop, floats, words, tree)
 
 
 def structure(base: Prepared) -> tuple[Any, ...]:
@@ -139,7 +141,7 @@ class DualRun:
             self._state, Constants(self._constants[:, 0], *loop.constants.sizes),
             Work(self._work[:, 0], *loop.w.sizes),
         )  # fmt: skip
-        table, tree = wide_of[id(problem.table)], problem.robot.tree
+        table, tree = wide_of[id(problem.table)], base.tree
         constants = wide_of[id(tree.constants)]
         tableau = np.ascontiguousarray(problem.integrator.tableau())
         self.rows = aligned(problem.steps + 1, problem.row_width)
@@ -248,8 +250,8 @@ def kernels(base: Prepared, varied: bool = False) -> list[Any]:
 def compile_for(base: Prepared, names: Collection[str]) -> None:
     """Compile those of the kernels that a run needs that have these names."""
     integers: dict[Any, tuple[Any, ...]] = {
-        run_at: (base.problem.robot.tree, 0, 0, 0), run_varied_at: (base.problem.robot.tree, 0, 0, 0),
-        measure_at: (base.problem.robot.tree, 0, 0, 0, 0), collide: (0,),
+        run_at: (base.tree, 0, 0, 0), run_varied_at: (base.tree, 0, 0, 0),
+        measure_at: (base.tree, 0, 0, 0, 0), collide: (0,),
     }  # fmt: skip
     for kernel, arguments in integers.items():
         if dual(kernel).__name__ in names:

@@ -155,8 +155,7 @@ def _largest(values: Array, sizes: Sequence[int]) -> Array:
 
 def _tree_constants(start: Prepared) -> int:
     """Return which of the prepared arrays are the constants of the robot."""
-    constants = start.problem.robot.tree.constants
-    return next(i for i, array in enumerate(start.floats) if array is constants)
+    return next(i for i, array in enumerate(start.floats) if array is start.tree.constants)
 
 
 def _have_compiled(called: Sequence[Any]) -> None:
@@ -256,7 +255,7 @@ class _Reader:
                 if name not in POSITIONS
             }
             positions = {name: of_loop[name] + change * columns[name] for name in POSITIONS}
-            moved["potential_energy"] = energies_of_rows(problem.robot.tree, positions["q"])
+            moved["potential_energy"] = energies_of_rows(self._start.tree, positions["q"])
             moved |= positions | positions_told(problem, positions)
             made = replace(run, columns={name: moved[name] for name in run.columns})
             return values_of(outputs, made)

@@ -34,6 +34,8 @@ Entry = float | Array
 
 # A derivative whose error may be more than this share of it is named.
 ROUGH = 1e-4
+# The columns of the table, and how their entries are written.
+SHOWN = {"of": "{}", "key": "{}", "value": "{:.6g}", "derivative": "{:.6g}", "error": "{:.1e}", "method": "{}"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,6 +78,9 @@ class Gradient:
         needs("pandas")
         import pandas as pd
 
+        return pd.DataFrame(self._rows(), columns=list(SHOWN))
+
+    def _rows(self) -> list[dict[str, Any]]:
         rows = []
         for of, by_key in self.derivative.items():
             value = np.asarray(self.value[of])
@@ -89,12 +94,14 @@ class Gradient:
                             "derivative": one, "error": error[at], "method": self.method[of][key],
                         }
                     )  # fmt: skip
-        return pd.DataFrame(rows)
+        return rows
 
     def __str__(self) -> str:
-        """Return the whole table and the problems, whatever pandas' display leaves out."""
-        numbers = dict.fromkeys(("value", "derivative"), "{:.6g}".format) | {"error": "{:.1e}".format}
-        return "\n".join([self.table().to_string(index=False, formatters=numbers), *self.problems])
+        """Return the whole table and the problems."""
+        cells = [list(SHOWN), *([form.format(row[name]) for name, form in SHOWN.items()] for row in self._rows())]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = ["  ".join(map(str.rjust, row, widths)) for row in cells]
+        return "\n".join([*lines, *self.problems])
 
     __repr__ = __str__
 

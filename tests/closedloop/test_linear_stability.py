@@ -107,6 +107,19 @@ def test_whole_runs_on_both_sides(scheme):
     assert below.seen < 0.0 < above.seen
 
 
+@pytest.mark.parametrize("stiffness", [1e2, 1e6])
+def test_a_tip_is_moved_into_a_surface_that_would_not_carry_it_where_it_is(stiffness):
+    """Of a contact that only pushes, a biased sensor and four decades of stiffness each has a loop, with the same f."""
+    study = Stability(
+        cl.load_scenario("wam_hybrid_friction", {
+            "compliance.kind": "kelvin_voigt", "surface.contact": "unilateral", "sensor.bias": 0.2,
+        })
+    )  # fmt: skip
+    problem, moved = study._at({"compliance.stiffness": stiffness})
+    assert Here(problem, moved)()["f"][0] == pytest.approx(study._instant.force, rel=1e-3)
+    assert (study.growth({"compliance.stiffness": stiffness}) > 0.0) == (stiffness == 1e6)
+
+
 @pytest.mark.slow
 def test_whole_runs_beside_the_boundary_of_a_shipped_scenario():
     """With friction, an observer and a moving arm: three stiffnesses, on both sides."""

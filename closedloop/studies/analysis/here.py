@@ -6,6 +6,8 @@ nothing is written twice. White noise and quantisation, which have no derivative
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,6 +39,25 @@ DEPENDENT = 1e-9
 
 class EventHere(Exception):
     """The contact changes its mode at the state that was evaluated, or the forces have no derivative there."""
+
+
+@contextmanager
+def without_event(time: float) -> Iterator[None]:
+    """Say of an event at the state of an instant, s, that there is no linear loop.
+
+    Raises
+    ------
+    SimulationError
+        In place of `EventHere`.
+    """
+    try:
+        yield
+    except EventHere:
+        raise SimulationError(
+            f"linearise: at t = {time:g} s the contact is about to change, or friction to turn: there is no linear "
+            "loop; take another instant",
+            time,
+        ) from None
 
 
 @dataclass
@@ -239,23 +260,25 @@ class Here:
         return H, np.array(w.tip.A), np.array(w.tip.frame), np.array(w.tip.S)
 
     def moved(self, depth: float) -> Instant:
-        """Return the instant with the tip moved along the normal until it is so deep, m, in a soft surface."""
-        instant = self.instant
-        H, A, _, _ = self.geometry()
-        loops = self.loop_rows(instant.values["q"])[0]
-        bound = np.vstack([A[:1], independent(loops) @ loops])
-        answer = np.linalg.solve(H, bound.T)
-        along = answer @ np.linalg.inv(bound @ answer)[:, 0]
-        q = np.zeros(self.n)
+        """Return the instant with the tip moved along the normal until it is so deep, m, in a soft surface.
+
+        Nothing but geometry is asked: where the tip was, this surface may not carry it.
+        """
+        instant, problem = self.instant, self.problem
+        q, v = instant.values["q"].copy(), instant.values["v"].copy()
         for _ in range(20):
-            gap = float(self(q=q)["gap"][0])
-            if abs(gap + depth) <= 1e-13 + 1e-12 * depth:
+            terms = problem.robot.terms(q, v)
+            touching = problem.surface.touching(terms.position, t=instant.time)
+            off = touching.gap + depth
+            if abs(off) <= 1e-13 + 1e-12 * depth:
                 break
-            q = q - along * (gap + depth)
-        deep = instant.values | {"q": instant.values["q"].copy(), "v": instant.values["v"].copy()}
-        self.move(deep["q"], q)
-        self._close(deep["q"], deep["v"])
-        return replace(instant, values=deep)
+            H, loops = np.triu(terms.mass_matrix), self.loop_rows(q)[0]
+            H = H + np.triu(H, 1).T
+            bound = np.vstack([touching.frame[:1] @ terms.jacobian, independent(loops) @ loops])
+            answer = np.linalg.solve(H, bound.T)
+            self.move(q, -answer @ np.linalg.inv(bound @ answer)[:, 0] * off)
+            self._close(q, v)
+        return replace(instant, values=instant.values | {"q": q, "v": v})
 
 
 def independent(rows: Array) -> Array:

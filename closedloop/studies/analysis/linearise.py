@@ -10,7 +10,6 @@ law to the next.
 from __future__ import annotations
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.errors import SimulationError
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
@@ -18,7 +17,7 @@ from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.assembly import assembled
-from closedloop.studies.analysis.here import EventHere
+from closedloop.studies.analysis.here import without_event
 from closedloop.studies.analysis.instant import Instant, refuse_outside, row_at, run_to
 from closedloop.studies.analysis.linear_loop import LinearLoop
 from closedloop.studies.analysis.reduced import Reduced
@@ -81,11 +80,5 @@ def loop_at(problem: Problem, instant: Instant, free: bool = False) -> LinearLoo
 
     In flight there is only a loop of motion, which is returned if `free` says that it is meant.
     """
-    try:
+    with without_event(instant.time):
         return assembled(Reduced(problem, instant, free))
-    except EventHere:
-        raise SimulationError(
-            f"linearise: at t = {instant.time:g} s the contact is about to change, or friction to turn: there is no "
-            "linear loop; take another instant",
-            instant.time,
-        ) from None

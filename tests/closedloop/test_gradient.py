@@ -16,6 +16,7 @@ from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient import differences, exact, guard
+from closedloop.studies.gradient.extrapolate import ROUNDING, Estimate, one_sided, two_sided
 from closedloop.studies.gradient.keys import SHARE, Keys
 from closedloop.studies.gradient.outputs import output
 from closedloop.studies.gradient.seeds import seeds_of
@@ -391,6 +392,57 @@ def test_an_event_that_no_longer_happens_is_named_though_another_run_has_it_past
     keys = Keys(cl.load_scenario("planar2_drop"), ["law.force"])
     found = differences.along(keys, keys.directions, made(3), lambda run: run, None, lambda *_: None)
     assert all(known.best is None and "release at 0.1 s, no longer happens" in known.why for known in found.values())
+
+
+def test_the_error_of_a_difference_is_not_below_the_scatter_of_the_runs():
+    """Of values that scatter by s the smallest difference, over h/4, scatters by 4 s/h, a one-sided by twice that."""
+    h, scatter = 1e-3, np.array([1e-9])
+    steps = h * 0.5 ** np.arange(3)[:, None]
+    at = np.array([1.0])
+    found = two_sided(h, at, at - 2.0 * steps, at + 2.0 * steps, scatter)
+    assert found.value == pytest.approx([2.0], rel=1e-9)
+    assert found.error == pytest.approx([4.0 * 1e-9 / h], rel=1e-3)
+    _, off = one_sided(-h, at, at - 2.0 * steps, scatter)
+    assert off == pytest.approx([8.0 * 1e-9 / h], rel=1e-3)
+    own = two_sided(h, at, at - 2.0 * steps, at + 2.0 * steps)  # of nothing said, by their rounding
+    assert 4.0 * ROUNDING / h <= own.error[0] < 100.0 * ROUNDING / h
+
+
+def test_a_cubic_has_its_derivative_to_rounding_and_a_kink_two():
+    """Extrapolation removes the errors in h² and h⁴; of |x| + x both sides are found, and that there is a kink."""
+    h, x = 0.1, 0.5
+    steps = h * 0.5 ** np.arange(3)[:, None]
+    found = two_sided(h, np.array([x**5]), (x - steps) ** 5, (x + steps) ** 5)
+    assert found.value == pytest.approx([5.0 * x**4], rel=1e-12)
+    assert not found.kink
+    bent = two_sided(h, np.zeros(1), 0.0 * steps, 2.0 * steps)
+    assert (bent.below, bent.above) == (pytest.approx(0.0, abs=1e-12), pytest.approx(2.0, rel=1e-12))
+    assert bent.kink
+
+
+def test_a_kink_that_shorter_steps_do_not_see_is_beside_the_point():
+    """The better of two estimates is that of the smaller error, but of a kink the one of shorter steps without it."""
+
+    def estimate(error, kink):
+        one = np.ones(1)
+        return Estimate(error * one, error * one, one, one, np.array([kink]))
+
+    for first, second, taken in (
+        ((0.1, False), (0.2, False), 0.1), ((0.2, False), (0.1, False), 0.1), ((0.1, True), (0.2, False), 0.2),
+        ((0.1, True), (0.2, True), 0.1), ((0.1, False), (0.2, True), 0.1),
+    ):  # fmt: skip
+        found = differences.better(estimate(*first), estimate(*second))
+        assert found.error == taken
+        assert found.kink == (first[1] and second[1])
+
+
+def test_one_entry_of_a_list_is_a_key():
+    """The third number of a normal, at its value, and no other; a place that there is not is refused."""
+    for place, value in enumerate((0.6, 0.0, 0.8)):
+        keys = Keys(cl.load_scenario("wam_slide", {"surface.normal": [0.6, 0.0, 0.8]}), [f"surface.normal.{place}"])
+        assert keys.values[f"surface.normal.{place}"] == value
+    with pytest.raises(cl.ScenarioError):
+        Keys(cl.load_scenario("wam_slide"), ["surface.normal.3"])
 
 
 def test_a_kink_is_named():

@@ -1,5 +1,7 @@
 """Where the force loop becomes unstable: closed forms, and whole runs on both sides."""
 
+import math
+
 import numpy as np
 import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
@@ -105,6 +107,29 @@ def test_whole_runs_on_both_sides(scheme):
         assert trial.agrees
         assert trial.seen == pytest.approx(trial.expected, rel=0.1, abs=0.05)
     assert below.seen < 0.0 < above.seen
+
+
+@pytest.mark.parametrize(
+    ("gain", "delay", "phase"), [(2.0, 0.0, 60.0), (2.0, 0.05, 60.0 - math.degrees(0.05 * math.sqrt(3.0))),
+                                 (2.0, 1.25, math.degrees(1.25 * math.sqrt(3.0)) - 60.0)],
+)  # fmt: skip
+def test_the_nearest_phase_margin_is_on_either_side(gain, delay, phase):
+    """Of L = K e^(−T s)/(1 + s) the phase at |L| = 1, ω = √3, is −60° − T ω: beyond −180° the nearest is the lead.
+
+    A lag of T may grow by the whole turn less that.
+    """
+    grid = np.linspace(0.01, 1.0, 4000)
+
+    def transfer(f):
+        s = 2j * np.pi * np.asarray(f)
+        return gain * np.exp(-delay * s) / (1.0 + s)
+
+    margins = margins_of(transfer, grid, "sensor", True)
+    rate = math.sqrt(gain * gain - 1.0)
+    ahead = (math.pi - math.atan(rate) - delay * rate) % (2.0 * math.pi)
+    assert margins.phase == pytest.approx(math.degrees(min(ahead, 2.0 * math.pi - ahead)), rel=1e-6)
+    assert margins.phase_at == pytest.approx(rate / (2.0 * math.pi), rel=1e-6)
+    assert margins.delay == pytest.approx(ahead / rate, rel=1e-6)
 
 
 @pytest.mark.parametrize("stiffness", [1e2, 1e6])

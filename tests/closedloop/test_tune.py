@@ -9,8 +9,10 @@ import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.studies.tune.evaluate import Runs
 from closedloop.studies.tune.given import limit_of, varied
-from closedloop.studies.tune.search import MEAN, WORST, Search
+from closedloop.studies.tune.search import MEAN, STEP, WORST, Search
+from tests.closedloop.linear_loops import mass_on_a_spring
 
 SHORT = {"time.duration": 1.0, "reference.stop": 1.0, "reference.start": 0.2}
 GAINS = {"law.kd[1]": (5.0, 200.0), "law.kd[3]": (5.0, 200.0)}
@@ -77,6 +79,36 @@ def test_where_there_is_no_run_the_search_turns_back():
         np.array([0.9]), 2, 0
     )
     assert found.x[0] == pytest.approx(0.4, abs=1e-5)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.3, 1.0])
+def test_slopes_are_differences_of_a_point_or_of_one_a_step_inside(at):
+    """Of a parabola, exactly, and of a constraint; at an end of the range those of a point inside; 0 without a run."""
+    search = Search(of_functions([lambda x: x[0] ** 2, lambda x: 3.0 * x[1]], [lambda x: x[0] - 2.0 * x[1]]), 2)
+    values, violations = search.slopes(np.array([at, 0.5]))
+    inside = min(max(at, STEP), 1.0 - STEP)
+    np.testing.assert_allclose(values, [[2.0 * inside, 0.0], [0.0, 3.0]], atol=1e-10)
+    np.testing.assert_allclose(violations, [[[1.0, -2.0]], [[1.0, -2.0]]], atol=1e-10)
+    lost = Search(of_functions([lambda x: np.nan if x[0] > inside else x[0]]), 1)
+    assert lost.slopes(np.array([at]))[0] == 0.0
+
+
+def test_values_of_runs_that_stop_and_margins_of_loops_that_are_unstable():
+    """A run that diverges has none, one that does not has its own; an unstable loop has a margin below zero."""
+    scenario = cl.load_scenario("wam_slide", SHORT)
+    runs = Runs(scenario, varied(scenario, {"law.kd[3]": (5.0, 5000.0)}), {"rms_force_error": 1.0}, [], {})
+    stopped, ended = runs.values(np.array([[1.0], [0.0]]))[:, 0, 0]
+    assert np.isnan(stopped)
+    run = cl.simulate(cl.load_scenario("wam_slide", SHORT | runs.changes(np.array([0.0]))), engine="compiled")
+    assert ended == pytest.approx(run.summary()["rms_force_error"], rel=1e-9)
+    spring = mass_on_a_spring()
+    names = {f"{margin}@0.05": 1.0 for margin in ("gain_margin", "phase_margin", "delay_margin", "modulus_margin")}
+    runs = Runs(spring, varied(spring, {"law.force_integral": (20.0, 40.0)}), names, [], {})
+    stable, unstable = runs.values(np.array([[0.0], [1.0]]))[:, 0]
+    assert np.all(stable > 0.0)
+    assert np.all(unstable < 0.0)
+    loop = cl.linearise(mass_on_a_spring(gain=40.0), at=0.05)
+    assert unstable[3] == pytest.approx(-loop.margins().modulus, rel=1e-6)
 
 
 def test_a_constraint_that_cannot_be_met_is_said():

@@ -1,6 +1,7 @@
 """Where the force loop becomes unstable: closed forms, and whole runs on both sides."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -223,6 +224,33 @@ def test_margins_of_an_integral_with_a_delay():
     assert found.least_gain == 0.0
     least = np.min(np.abs(1.0 + transfer(np.linspace(1.0, 8.0, 20001))))
     assert found.peak_sensitivity == pytest.approx(1.0 / least, rel=1e-6)
+
+
+def test_a_gain_that_may_only_fall_has_its_margin_in_decibels():
+    """Of L = K (1 + s)²/s³ the phase at 1 rad/s is −180°, where |L| = 2 K: K may fall by that, and rise at will."""
+
+    def transfer(f):
+        s = 2j * np.pi * np.atleast_1d(f)
+        return 2.0 * (1.0 + s) ** 2 / s**3
+
+    found = margins_of(transfer, np.geomspace(1e-3, 100.0, 3000), "sensor", True)
+    assert (found.gain, found.least_gain) == (math.inf, pytest.approx(0.25, rel=1e-9))
+    assert found.decibels == pytest.approx(20.0 * math.log10(4.0), rel=1e-9)
+    assert found.as_dict()["decibels"] == found.decibels
+    risen = replace(found, gain=2.0)
+    assert risen.decibels == pytest.approx(20.0 * math.log10(2.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("gain", [0.5, 4.0])
+def test_at_half_of_the_sampling_rate_a_sampled_loop_is_real(gain):
+    """L = K/(z − 1) reaches −K/2 there alone: K may rise by 2/K, or has to fall by it."""
+    h = 1e-3
+    grid = np.linspace(1.0, 0.5 / h * (1.0 - 1e-9), 4000)
+    found = margins_of(lambda f: gain / (np.exp(2j * np.pi * h * np.atleast_1d(f)) - 1.0), grid, "sensor", gain < 2.0)
+    assert (found.gain, found.least_gain) == (
+        (pytest.approx(4.0, rel=1e-6), 0.0) if gain < 2.0 else (math.inf, pytest.approx(0.5, rel=1e-6))
+    )
+    assert math.isnan(found.gain_at) if gain > 2.0 else found.gain_at == grid[-1]
 
 
 def test_both_gains_of_a_late_sensor_may_rise_by_the_gain_margin():

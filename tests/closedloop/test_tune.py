@@ -73,6 +73,15 @@ def test_a_constraint_binds_with_its_multiplier():
     assert found.multipliers[0, 0] == pytest.approx(2.0, rel=1e-3)
 
 
+def test_ends_of_ranges_bind_with_their_multipliers():
+    """The least of x + 2 y + 3 (1 − z) is at the ends 0, 0, 1, each worth its slope."""
+    found = Search(of_functions([lambda x: 1.0 + x[0] + 2.0 * x[1] + 3.0 * (1.0 - x[2])]), 3).run(np.full(3, 0.5), 2, 0)
+    assert found.optimal
+    np.testing.assert_allclose(found.x, [0.0, 0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(found.lower, [1.0, 2.0, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(found.upper, [0.0, 0.0, 3.0], rtol=1e-6)
+
+
 def test_where_there_is_no_run_the_search_turns_back():
     """Points without a value are left alone, and the least value beside them is found."""
     found = Search(of_functions([lambda x: np.nan if x[0] < 0.3 else (x[0] - 0.4) ** 2 + 1.0]), 1).run(

@@ -27,6 +27,7 @@ def _shown(*columns: str | ProgressColumn) -> Progress:
 
     console = Console(stderr=True)
     drawn = console.is_terminal and sys.stderr.isatty()
+    console.quiet = not drawn  # rich before 15 ends a line that it did not begin
     return Progress(*columns, console=console, transient=True, disable=not drawn)
 
 

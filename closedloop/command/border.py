@@ -24,7 +24,6 @@ from closedloop.base.interrupts import INTERRUPTED, as_exceptions, exit_status, 
 from closedloop.base.optional import not_installed
 from closedloop.command.streams import patient_output
 from closedloop.jit.numba_settings import sound_settings, why_no_settings
-from closedloop.jit.openmp_settings import readable_openmp
 
 DONE, BAD_INPUT, STOPPED, NOT_GOOD, NOT_CONTROLLED = 0, 2, 3, 4, 5
 
@@ -94,11 +93,7 @@ def run_command(
         Errors with the status 3.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
-    with (
-        patient_output() as output, _quiet_libraries(), sound_settings(), readable_openmp() as left_out, _notices(),
-    ):  # fmt: skip
-        for said in left_out:
-            print(f"{name}: {one_line(said)}", file=sys.stderr)
+    with patient_output() as output, _quiet_libraries(), sound_settings(), _notices():
         status, lines = _run(main, words, stopped)
         sys.stdout.flush()
         failure = next((raw.failure for raw in output), None)

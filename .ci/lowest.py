@@ -1,0 +1,29 @@
+"""With the lowest versions that pyproject.toml allows: all modules are imported, and what needs a library is used once."""
+
+from importlib import import_module
+from pathlib import Path
+from pkgutil import walk_packages
+
+import gymnasium
+import numpy as np
+
+import closedloop as cl
+import closedloop.gym  # noqa: F401  registers the environments
+from closedloop.__main__ import main
+
+for package in ("closedloop", "robot_models", "validation"):
+    for module in walk_packages(import_module(package).__path__, f"{package}."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+assert main(["run", "wam_slide", "--strict", "--out", "out"]) == 0  # with its figures
+run = cl.load_run(Path("out/run.nc"))
+assert len(run.to_pandas()) == len(run) == 8001
+for kind in ("csv", "mcap"):
+    assert main(["export", "out/run.nc", "--to", kind, "--out", f"out/run.{kind}"]) == 0
+assert main(["analyse", "wam_slide", "--law.force_feedback", "0.5"]) == 0
+assert main(["completion", "bash"]) == 0
+cl.load_scenario("wam_slide", {"robot.model": "panda", "start.q": None}).to_toml()
+env = gymnasium.make("closedloop/Press-v0")
+env.reset(seed=0)
+assert np.isfinite(env.step(env.action_space.sample())[1])
+print("the lowest versions do")

@@ -1,4 +1,4 @@
-"""With the lowest versions that pyproject.toml allows: all modules are imported, and what needs a library is used once."""
+"""With the lowest versions that pyproject.toml allows: all modules are imported, and each library is used once."""
 
 from importlib import import_module
 from pathlib import Path
@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 import closedloop as cl
-import closedloop.gym  # noqa: F401  registers the environments
+import closedloop.gym
 from closedloop.__main__ import main
 
 for package in ("closedloop", "robot_models", "validation"):

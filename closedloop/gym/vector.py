@@ -157,7 +157,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any], Shown):
             return infos
         last = self._observations()
         for i in ended:
-            final = {name: part[i].copy() for name, part in last.items()} if self._privileged else last[i].copy()
+            final = {name: part[i] for name, part in last.items()} if self._privileged else last[i]
             told = info_of(self.core, int(i)) | ended_of(self.core, int(i), True)
             infos = self._add_info(infos, {"final_obs": final, "final_info": told}, int(i))
         self._begin(ended, [None] * self.num_envs, None)

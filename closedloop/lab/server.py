@@ -143,7 +143,7 @@ class Server:
         self._server = serve(
             self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, close_timeout=1.0,
             ping_interval=PING, logger=_quiet(), server_header=None, open_timeout=PATIENCE,
-            create_connection=self._connection,
+            create_connection=self._connection,  # type: ignore[arg-type]  # it is called, and nothing more
         )  # fmt: skip
         threading.Thread(target=self._server.serve_forever, name="closedloop-server", daemon=True).start()
 

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from closedloop.base.errors import ScenarioError
 from closedloop.gym import rewards
 from closedloop.gym.actions import Actions
 from closedloop.gym.env import ContactEnv
 from closedloop.gym.now import Now
 from closedloop.gym.observations import PARTS, TRUTH, Observations
-from closedloop.gym.ranges import Range, drawn
+from closedloop.gym.ranges import Range, as_ranges, drawn
 from closedloop.gym.vector import ContactVectorEnv
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
@@ -62,6 +63,17 @@ ENDINGS = [
 def test_an_ending_is_told_from_either_side(ending, given, value):
     """At the limit itself, just below it and just above."""
     assert "".join(str(int(x)) for x in ending(now_of(len(value), **given))) == value
+
+
+def test_contacts_stand_before_the_states_of_a_law():
+    """In a row the forces and the gaps of contacts come first; states of a law are at its end."""
+    rows = np.arange(float(Row.count(N) + ContactRow.count(CONTACTS) + STATES))[None, :]
+    now = Now(
+        rows, np.zeros((1, 2 * N + 10)), np.zeros((1, len(Between.__annotations__))), N, K, 0.02, CONTACTS, STATES
+    )
+    places = [ContactRow.place(name, CONTACTS) for name in ("link_forces", "link_gaps")]
+    of_contacts = rows[0, Row.count(N) : -STATES]
+    assert [now.link_forces[0].tolist(), now.link_gaps[0].tolist()] == [of_contacts[at].tolist() for at in places]
 
 
 def test_a_tip_is_held_if_it_is_slow_touches_and_is_away():
@@ -212,3 +224,9 @@ def test_what_is_drawn_follows_its_law():
     assert abs(one["start.q"][0] - 1.0) <= 0.1
     assert one["start.q"][1] == 2.0
     assert set(one) == {"start.q", "a", "sensor.seed"}
+    turned = ranges["start.q"].draw(np.random.default_rng(1), 2)
+    np.testing.assert_array_equal(one["start.q"], home + turned)
+    assert as_ranges({"a": (1, 2), "b": log}) == {"a": Range(1.0, 2.0), "b": log}
+    for ends in ((0.0, np.inf), (-np.inf, 0.0), (2.0, 1.0)):
+        with pytest.raises(ScenarioError, match="must be two numbers, the smaller first"):
+            Range(*ends)

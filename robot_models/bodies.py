@@ -15,6 +15,7 @@ from robot_models.coordinates import PARTS, PLACES
 from robot_models.errors import ModelError
 from robot_models.load import from_text
 from robot_models.model import RobotModel
+from robot_models.physics import check_tensor
 
 Vector = NDArray[np.float64]
 
@@ -101,6 +102,8 @@ def with_bodies(model: RobotModel, bodies: Sequence[FreeBody]) -> RobotModel:
         if body.name in taken:
             raise ModelError(f"body {body.name!r}: {model.name} has a link or a joint of that name: give it another")
         taken.add(body.name)
+        if odd := check_tensor(body.tensor(), body.mass, f"body {body.name!r}: its inertia"):
+            raise ModelError(f"body {body.name!r}: its inertia {odd}")
     root = ET.fromstring(model.text)
     for body in bodies:
         (_add_to_urdf if model.format == "urdf" else _add_to_mjcf)(root, body)

@@ -58,12 +58,12 @@ def find(name: "str | PathLike[str]") -> Description:
             hint = f"robots of other makers, as panda and ur5, need {example_robots.NEEDS}"
         raise ModelError(f"no robot is named {name!r}: {hint} (or give the path of a .urdf or MJCF .xml)")
     example = example_robots.find(name)
-    text = urdf.read(example.text, name)
-    sidecar = example.sidecar
+    own = _of_urdf(urdf.read(example.text, name), name, name)
+    sidecar = replace(example.sidecar, closed_loop=own.sidecar.closed_loop, drives=own.sidecar.drives)
     if example.rotors is not None:
-        rotors = example_robots.rotor_inertia(example.rotors, list(urdf.joint_types(text)))
+        rotors = example_robots.rotor_inertia(example.rotors, list(urdf.joint_types(own.text)))
         sidecar = replace(sidecar, drive_inertia=rotors)
-    return Description(name, text, "urdf", name, sidecar)
+    return replace(own, sidecar=sidecar)
 
 
 def names_a_file(name: "str | PathLike[str]") -> bool:
@@ -100,12 +100,20 @@ def canonical(text: str, format: Format, name: str, where: str, path: Path | Non
         The text is at fault.
     """
     if format == "urdf":
-        return Description(name, urdf.read(text, where), format, where, Sidecar())
+        return _of_urdf(urdf.read(text, where), name, where)
     from robot_models import mjcf  # here: it imports MuJoCo
 
     said = mjcf.read(text, where, path)
     sidecar = Sidecar(home=said.home, drives=said.drives, closed_loop=said.loops)
     return Description(name, said.text, format, where, sidecar, said.warnings)
+
+
+def _of_urdf(text: str, name: str, where: str) -> Description:
+    """Return the description of a plain URDF: a joint that mimics another is bound to it and has no drive."""
+    loops, warnings = urdf.mimics(text, where)
+    bound = {loop.joints[0] for loop in loops}
+    drives = tuple(name for name in joint_names(text, "urdf") if name not in bound) if loops else ()
+    return Description(name, text, "urdf", where, Sidecar(closed_loop=loops, drives=drives), warnings)
 
 
 def joint_names(text: str, format: Format) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from robot_models.coordinates import (
     in_pinocchios_order,
     normalised,
 )
+from robot_models.default_tip import default_tip
 from robot_models.described import Description, Format, canonical, find, joint_names, names_a_file
 from robot_models.errors import ModelError
 from robot_models.loop_coordinate import with_coordinates
@@ -74,22 +75,24 @@ def _load_packaged(name: str, drive_inertia: bool) -> RobotModel:
 def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> RobotModel:
     """See `load`."""
     found = _with_coordinates(find(name))
-    defaults = found.sidecar
     locked = _locked(found, lock)
-    if found.format == "urdf" and not inspected.has_passed(found.text, locked):
-        urdf.inspect(found.text, found.where, locked)
-    built = build.build(found.text, found.format, locked, found.where)
-    model, joints = built.model, built.joint_names
-    if not drive_inertia:
-        model.armature = np.zeros(model.nv)
-    elif defaults.drive_inertia:
-        model.armature = np.array([defaults.drive_inertia.get(joint, 0.0) for joint in joints])
-    home = _home(found, built)
+    built = _built(found, locked, drive_inertia)
+    if idle := physics.massless(built.model):
+        posture = (
+            dict(zip(built.joint_names, _home(found, built), strict=False)) if not balls(built.joint_types) else {}
+        )
+        locked |= {joint: float(posture.get(joint, 0.0)) for joint in idle}
+        said = [f"joint {joint!r} moves no mass: it is held at {locked[joint]:g}" for joint in idle]
+        found = replace(found, warnings=[*found.warnings, *said])
+        built = _built(found, locked, drive_inertia)
+    found = _held(found, locked)
+    defaults, model, joints = found.sidecar, built.model, built.joint_names
+    home = _geared(_home(found, built), built, defaults.closed_loop)
     if defaults.closed_loop:
         _refuse_loops(built, defaults.closed_loop, found.where)
         new = [name not in defaults.home for name in coordinate_names(joints, built.joint_types)]
         home = _placed(built, defaults.closed_loop, home, new)
-    tip = _default_tip(model, defaults.closed_loop) if defaults.tip is None else defaults.tip
+    tip = defaults.tip or default_tip(model, _frames(model), stands_for(defaults.closed_loop))
     return _finish(built, home, found, locked, tip, None)
 
 
@@ -134,8 +137,7 @@ def from_text(
     if format not in ("urdf", "mjcf"):
         raise ModelError(f"{name}: format is {format!r}: it must be 'urdf' or 'mjcf'")
     own = canonical(text, format, name, name, None)
-    if format == "urdf" and not inspected.has_passed(own.text, locked):
-        urdf.inspect(own.text, name, locked)
+    own = _held(own, locked)
     closed = tuple(loop_joint(table, name) for table in loops) or own.sidecar.closed_loop
     acting = tuple(drives) or own.sidecar.drives
     sidecar = Sidecar(description=description, source=source, closed_loop=closed, drives=acting)
@@ -181,6 +183,50 @@ def _locked(found: Description, lock: Lock) -> dict[str, float]:
     names = coordinate_names(whole.joint_names, whole.joint_types)
     posture = dict(zip(names, _home(found, whole).tolist(), strict=True))
     return {joint: posture.get(joint, 0.0) for joint in lock}  # build() refuses an unknown one by name
+
+
+def _built(found: Description, locked: Mapping[str, float], drive_inertia: bool) -> build.Built:
+    """Return what is built of a description, with the armature that it gives."""
+    built = build.build(found.text, found.format, locked, found.where)
+    given = found.sidecar.drive_inertia
+    if not drive_inertia:
+        built.model.armature = np.zeros(built.model.nv)
+    elif given:
+        built.model.armature = np.array([given.get(joint, 0.0) for joint in built.joint_names])
+    return built
+
+
+def _held(found: Description, locked: Mapping[str, float]) -> Description:
+    """Inspect a URDF, and return a description whose couplings and drives are those that are left by a lock.
+
+    The lock of a joint takes the place of the gear that binds it; a gear to a locked joint holds its other one.
+    """
+    warnings = list(found.warnings)
+    if found.format == "urdf" and not inspected.has_passed(found.text, locked):
+        warnings += urdf.inspect(found.text, found.where, locked)
+    sidecar, loops = found.sidecar, []
+    for loop in sidecar.closed_loop:
+        if locked.keys() & loop.joints[:1]:
+            continue
+        for other in locked.keys() & loop.joints[1:]:
+            value = sum(c * locked[other] ** k for k, c in enumerate(loop.polynomial))
+            loop = replace(loop, joints=loop.joints[:1], polynomial=(value, 0.0, 0.0, 0.0, 0.0))
+        loops.append(loop)
+    drives = tuple(name for name in sidecar.drives if name not in locked)
+    if locked and {*drives, *locked} >= set(joint_names(found.text, found.format)):
+        drives = ()  # every one that is left
+    return replace(found, warnings=warnings, sidecar=replace(sidecar, closed_loop=tuple(loops), drives=drives))
+
+
+def _geared(posture: NDArray[np.float64], built: build.Built, loops: Sequence[LoopJoint]) -> NDArray[np.float64]:
+    """Return a posture (nq,) in which the first joint of each gear is where the gear has it."""
+    names, q = coordinate_names(built.joint_names, built.joint_types), posture.copy()
+    gears = [loop for loop in loops if loop.type == "gear" and {*loop.joints} <= {*names}]
+    for _ in gears:  # a gear may drive another
+        for loop in gears:
+            x = q[names.index(loop.joints[1])] if len(loop.joints) > 1 else 0.0
+            q[names.index(loop.joints[0])] = sum(c * x**k for k, c in enumerate(loop.polynomial))
+    return q
 
 
 def _refuse_loops(built: build.Built, loops: Sequence[LoopJoint], where: str) -> None:
@@ -246,24 +292,6 @@ def _frames(model: "pin.Model") -> tuple[str, ...]:
     usable = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
     named = (frame.name for frame in model.frames if frame.type in usable)
     return tuple(name for name in named if times[name] == 1)
-
-
-def _default_tip(model: "pin.Model", loops: Sequence[LoopJoint]) -> str | None:
-    """Return the last link that moves and carries no other, or None; not one that stands for a loop joint."""
-    import pinocchio as pin
-
-    # A joint's frame hangs on its parent link, a link's frame on its joint: a leaf has nothing hanging on it.
-    made = stands_for(loops)
-    bearers = {
-        frame.parentFrame for frame in model.frames if frame.type != pin.FrameType.OP_FRAME and frame.name not in made
-    }
-    usable = [name for name in _frames(model) if name not in made]
-    leaves = [
-        frame.name
-        for index, frame in enumerate(model.frames)
-        if frame.type == pin.FrameType.BODY and frame.parentJoint > 0 and index not in bearers
-    ]
-    return next((name for name in reversed(leaves) if name in usable), None)
 
 
 def _drives(sidecar: Sidecar, joints: tuple[str, ...]) -> tuple[str, ...]:

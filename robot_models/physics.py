@@ -35,8 +35,8 @@ SINGULAR = 1e-10
 LEAST_INERTIA = 1e-15
 
 
-def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: float = ROUNDING) -> None:
-    """Refuse a rotational inertia that no mass distribution can have.
+def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: float = ROUNDING) -> str:
+    """Refuse a rotational inertia with a negative moment, and say of one that no mass distribution can have why not.
 
     A tensor about the centre of mass belongs to a body if and only if its principal moments are not
     negative and each is at most the sum of the other two (Wensing, Kim, Slotine, "Linear matrix
@@ -58,8 +58,8 @@ def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: 
     Raises
     ------
     ModelError
-        A number is so large that the moments cannot be found, a principal moment is negative, or the triangle
-        inequality fails, by more than rounding of printed digits.
+        A number is so large that the moments cannot be found, or a principal moment is negative, by more than rounding
+        of printed digits.
     """
     try:
         low, mid, high = np.linalg.eigvalsh(tensor)
@@ -72,7 +72,8 @@ def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: 
     if not low >= -slack:
         raise ModelError(f"{what} is not positive definite ({moments}): check the signs of its entries")
     if not low + mid >= high - slack:
-        raise ModelError(f"{what} breaks the triangle inequality ({moments}): none may exceed the sum of the other two")
+        return f"breaks the triangle inequality ({moments}): none may exceed the sum of the other two"
+    return ""
 
 
 #: The largest numbers of a robot, and why there are no larger ones: products and squares of these stay far inside the
@@ -128,6 +129,17 @@ def check_sizes(links: "Sequence[Link]", where: str) -> None:
         check_size("inertia tensor", link.weight.tensor, at)
         check_size("origin", [link.placement[:3, 3], link.offset[:3, 3]], at)
         check_size("armature", link.armature, f"{where}: joint {link.joint!r}")
+
+
+def massless(model: "pin.Model") -> list[str]:
+    """Return the hinges and sliders that move no mass and have no armature, unless a free joint does or all do."""
+    names, found = list(model.names), []
+    for j in range(1, model.njoints):
+        if not sum(model.inertias[k].mass for k in model.subtrees[j]) > 0.0:
+            if model.nvs[j] > 1 or any(names[j].removesuffix(end) in names for end in PLACES if names[j].endswith(end)):
+                return []
+            found += [names[j]] if not model.armature[model.idx_vs[j]] > 0.0 else []
+    return found if len(found) < model.njoints - 1 else []
 
 
 def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -> None:

@@ -1,8 +1,8 @@
 """URDF: inspected before Pinocchio sees it, and made to mean one thing to every reader.
 
 urdfdom, under Pinocchio, drops an `<inertial>` that it cannot parse (the link becomes massless) with no
-more than a line on standard error, gives a joint with a zero axis no motion, and treats a mimicking joint
-as a free one. So the inspection names such things and refuses them.
+more than a line on standard error, and gives a joint with a zero axis no motion. So the inspection names such things
+and refuses them. A mimicking joint, which both treat as a free one, is bound by a gear.
 
 `<dynamics damping friction>` stays in the file and is not simulated: Pinocchio stores it on the model and
 leaves it out of its bias and of its forward dynamics, and here friction belongs to the scenario.
@@ -12,10 +12,11 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Collection
-from math import hypot
+from math import hypot, inf
 from typing import TYPE_CHECKING
 
 from robot_models.errors import ModelError
+from robot_models.loop_joint import LoopJoint
 from robot_models.mechanism import check_size
 from robot_models.physics import check_tensor
 from robot_models.xml_text import angles, numbers, parse, tidy
@@ -184,21 +185,15 @@ def _check_origin(element: ET.Element, at: str) -> None:
 
 def _check_limit(joint: ET.Element, kind: str, at: str) -> None:
     limit = joint.find("limit")
-    if limit is None:
-        if kind == "continuous":
-            return
-        raise ModelError(f"{at} has no <limit>: a {kind} joint needs lower, upper, effort and velocity")
     # A continuous joint has no bounds: what its <limit> says of them is ignored, as every reader does.
-    required = ("effort", "velocity") if kind == "continuous" else ("lower", "upper", "effort", "velocity")
-    values = {}
-    for key in required:
-        if key not in limit.attrib:
-            cure = "give both bounds, or make it continuous" if key in ("lower", "upper") else "give it"
-            raise ModelError(f"{at}: its <limit> lacks {key!r}: {cure}")
-        (values[key],) = numbers(limit.attrib[key], 1, f"{at}: limit {key}")
+    known = ("effort", "velocity") if kind == "continuous" else ("lower", "upper", "effort", "velocity")
+    given = [key for key in known if limit is not None and key in limit.attrib]
+    values = {"lower": -inf, "upper": inf}  # what is missing is no limit
+    for key in given:
+        (values[key],) = numbers(limit.attrib[key], 1, f"{at}: limit {key}")  # type: ignore[union-attr]
         if key in ("effort", "velocity") and values[key] < 0.0:
             raise ModelError(f"{at}: limit {key} is {values[key]:g}: it must not be negative")
-    if kind != "continuous" and values["lower"] > values["upper"]:
+    if values["lower"] > values["upper"]:
         raise ModelError(f"{at}: lower limit {values['lower']:g} is above its upper limit {values['upper']:g}")
 
 
@@ -223,13 +218,45 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
 
 
-def inspect(text: str, where: str, locked: Collection[str]) -> None:
-    """Refuse a URDF whose moving links cannot exist.
+def mimics(text: str, where: str) -> tuple[tuple[LoopJoint, ...], list[str]]:
+    """Return the gears of a URDF that `read` returned, each joint that mimics another, and warnings.
+
+    Of one that mimics a joint which does not move the gear is the value at which it is held. One that mimics a joint
+    which is not in the file moves as it is.
+
+    Raises
+    ------
+    ModelError
+        It mimics itself, or a joint that turns freely, or a number is none.
+    """
+    found, warnings, joints = [], [], ET.fromstring(text).findall("joint")
+    kinds = {joint.get("name", ""): joint.get("type", "") for joint in joints}
+    for joint in joints:
+        mimic, name = joint.find("mimic"), joint.get("name", "")
+        if mimic is None or kinds[name] not in MOVING:
+            continue
+        at, other = f"{where}: joint {name!r}", mimic.get("joint", "")
+        factor, offset = (
+            numbers(mimic.get(key, default), 1, f"{at}: mimic {key}")[0]
+            for key, default in (("multiplier", "1"), ("offset", "0"))
+        )
+        if other not in kinds:
+            warnings.append(f"joint {name!r} mimics {other!r}, which is not in the file: it is bound to nothing")
+            continue
+        if kinds[other] in MANY or other == name:
+            raise ModelError(f"{at} mimics {other!r}, which is no other joint with one coordinate")
+        bound = (name,) if kinds[other] == "fixed" else (name, other)
+        polynomial = (offset, factor * (len(bound) == 2), 0.0, 0.0, 0.0)
+        found.append(LoopJoint(f"{name} mimics {other}", "gear", joints=bound, polynomial=polynomial))
+    return tuple(found), warnings
+
+
+def inspect(text: str, where: str, locked: Collection[str]) -> list[str]:
+    """Refuse a URDF whose moving links cannot exist, and return what of them should be otherwise, a line each.
 
     Links that stay with the base never move, so their inertia has no effect and only its numbers are checked.
-    A massless link is accepted where it is a mere frame (welded to another) or where it declares no
-    `<inertial>` and something beyond it has mass (the intermediate links of a spherical joint);
-    `check_mechanism` refuses what is left over.
+    A link without mass that moves, or with an inertia that no body has, is named: where the mass matrix is positive
+    definite all the same it moves. `check_mechanism` refuses what is left over.
 
     Parameters
     ----------
@@ -243,23 +270,17 @@ def inspect(text: str, where: str, locked: Collection[str]) -> None:
     Raises
     ------
     ModelError
-        A joint that would move mimics another; a mass is negative, or zero where a link moves by itself; a
-        tensor is not positive definite or breaks the triangle inequality; or yourdfpy cannot read the file.
+        A mass is negative, a tensor is not positive definite, or yourdfpy cannot read the file.
     """
     robot = _typed(text, where)
     children: dict[str, list[yourdfpy.Joint]] = {joint.parent: [] for joint in robot.joints}
     for joint in robot.joints:
         children[joint.parent].append(joint)
     moved = {j.child for j in robot.joints if j.type in MOVING and j.name not in locked}
-    for joint in robot.joints:
-        if joint.mimic is not None and joint.child in moved:
-            raise ModelError(
-                f"{where}: joint {joint.name!r} mimics {joint.mimic.joint!r}, which is not simulated: "
-                f"lock it, as in lock=[{joint.name!r}]"
-            )
     beyond = list(moved)  # everything carried by a moving joint
     for link in beyond:
         beyond += [joint.child for joint in children.get(link, []) if joint.child not in moved]
+    warnings = []
     for link in robot.links:
         if link.inertial is None:
             continue
@@ -268,11 +289,13 @@ def inspect(text: str, where: str, locked: Collection[str]) -> None:
         if mass < 0.0:
             raise ModelError(f"{at} has a mass of {mass:g} kg: it must be positive")
         if mass == 0.0 and link.name in moved:
-            raise ModelError(f"{at} moves and has a mass of 0 kg: it must be positive")
+            warnings.append(f"link {link.name!r} moves and has a mass of 0 kg")
         if link.name in beyond:
             if mass == 0.0 and tensor.any():
-                raise ModelError(f"{at} has a rotational inertia and a mass of 0 kg: give it a mass, or neither")
-            check_tensor(tensor, mass, f"{at}: its inertia tensor")
+                warnings.append(f"link {link.name!r} has a rotational inertia and a mass of 0 kg")
+            if odd := check_tensor(tensor, mass, f"{at}: its inertia tensor"):
+                warnings.append(f"link {link.name!r}: its inertia tensor {odd}")
+    return warnings
 
 
 def _typed(text: str, where: str) -> "yourdfpy.Robot":

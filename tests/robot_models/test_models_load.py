@@ -230,10 +230,71 @@ def test_locked_by_name_is_locked_at_home(write):
     assert dict(robot_models.load(path, lock=["elbow"]).locked) == {"elbow": 0.4}
 
 
-def test_mimicking_joint_may_be_locked(write):
-    """What mimics is refused only while it would move."""
-    path = write(arm(elbow=joint("elbow", "upper", "fore", extra='<mimic joint="shoulder"/>')))
-    assert robot_models.load(path, lock=["elbow"]).joint_names == ("shoulder",)
+MIMIC = '<mimic joint="shoulder" multiplier="-0.5" offset="0.2"/>'
+
+
+def test_mimicking_joint_is_bound_by_a_gear(write):
+    """It has no drive, and starts where the gear has it; a lock takes the gear's place, or holds its other side."""
+    path = write(arm(elbow=joint("elbow", "upper", "fore", extra=MIMIC)))
+    write("[home]\nshoulder = 0.4\n", "robot.toml")
+    robot = robot_models.load(path)
+    (gear,) = robot.loops
+    assert (gear.type, gear.joints, gear.polynomial) == ("gear", ("elbow", "shoulder"), (0.2, -0.5, 0.0, 0.0, 0.0))
+    assert (robot.joint_names, robot.drives) == (("shoulder", "elbow"), ("shoulder",))
+    np.testing.assert_array_equal(robot.home, [0.4, 0.0])
+    assert robot_models.load(path, lock=["elbow"]).loops == ()
+    (held,) = robot_models.load(path, lock={"shoulder": 0.4}).loops
+    assert (held.joints, held.polynomial[0]) == (("elbow",), 0.0)
+    again = robot_models.from_text(
+        robot.text, "urdf", name="again", armature=[0, 0], tip="tip", home=robot.home, locked={},
+        loops=[gear.as_table()], drives=robot.drives,
+    )  # fmt: skip
+    assert (again.loops, again.drives) == (robot.loops, robot.drives)
+
+
+@pytest.mark.parametrize("missing", ["lower", "upper", "effort", "velocity", "limit"])
+def test_a_missing_limit_is_none(write, missing):
+    """urdfdom reads a missing bound as zero, which no maker means."""
+    limit = "" if missing == "limit" else re.sub(f'{missing}="[^"]*"', "", LIMIT)
+    robot = robot_models.load(write(arm(elbow=joint("elbow", "upper", "fore", limit=limit))))
+    found = {
+        "lower": -robot.position_lower[1], "upper": robot.position_upper[1], "effort": robot.effort_limit[1],
+        "velocity": robot.velocity_limit[1],
+    }  # fmt: skip
+    for key, value in found.items():
+        assert (value == np.inf) == (missing in (key, "limit"))
+
+
+def test_odd_inertias_are_named_and_move(write):
+    """A link that breaks the triangle inequality, one without mass between joints, and a joint that moves no mass."""
+    odd = '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="3" ixy="0" ixz="0" iyz="0"/></inertial>'
+    robot = robot_models.load(write(arm(fore=link("fore", odd))))
+    assert any("'fore': its inertia tensor breaks the triangle inequality" in line for line in robot.warnings)
+    empty = '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
+    between = robot_models.load(write(arm(upper=link("upper", empty))))
+    assert between.n == 2
+    assert any("'upper' moves and has a mass of 0 kg" in line for line in between.warnings)
+    idle = robot_models.load(write(arm(fore=link("fore", ""))))
+    assert (idle.joint_names, dict(idle.locked)) == (("shoulder",), {"elbow": 0.0})
+    assert any("'elbow' moves no mass: it is held at 0" in line for line in idle.warnings)
+
+
+TIPS = {
+    "the last link": ("", "tip"),
+    "a tool": (joint("t", "fore", "my_tcp", kind="fixed", limit="") + link("my_tcp", ""), "my_tcp"),
+    "not a sensor": (joint("t", "tip", "imu_link", kind="fixed", limit="") + link("imu_link", ""), "tip"),
+    "not a finger": (
+        joint("finger_1", "tip", "f1", origin="0 0 1") + link("f1") + joint("finger_2", "f1", "f2") + link("f2"), "tip"
+    ),
+    "not a shorter chain": (joint("z", "base", "z_arm") + link("z_arm"), "tip"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TIPS)
+def test_the_default_tip(write, case):
+    """The frame of a tool, or the end of the longest chain without its fingers and sensors."""
+    more, tip = TIPS[case]
+    assert robot_models.load(write(arm(plus=more))).tip == tip
 
 
 def test_sidecar_speaks_for_a_users_robot(write):

@@ -25,8 +25,6 @@ def elbow(**options):
 URDF = {
     "negative mass": (arm(fore=link("fore", weighing("-1"))), ["'fore'", "-1 kg", "positive"]),
     "negative mass on the base": (arm(base=link("base", weighing("-1"))), ["'base'", "-1 kg"]),
-    "zero mass on a link that moves": (arm(fore=link("fore", weighing("0"))), ["'fore'", "0 kg", "positive"]),
-    "nothing moves with the last joint": (arm(fore=link("fore", "")), ["'elbow'", "moves no mass"]),
     "a free body without inertia": (
         arm(
             fore=link("fore", ""),
@@ -37,10 +35,6 @@ URDF = {
     "point mass on the axis": (
         arm(fore=link("fore", tensor(0, 0, 0))),
         ["'elbow'", "no inertia along its own axis"],
-    ),
-    "inertia without mass at the tip": (
-        arm(tip=link("tip", weighing("0"))),
-        ["'tip'", "rotational inertia", "0 kg"],
     ),
     "mass is nan": (arm(fore=link("fore", weighing("nan"))), ["'fore'", "mass", "'nan'", "finite"]),
     "mass with a comma": (arm(fore=link("fore", weighing("1,5"))), ["'fore'", "mass", "'1,5'"]),
@@ -59,10 +53,6 @@ URDF = {
     "two inertials": (arm(fore=link("fore", INERTIAL * 2)), ["'fore'", "2 <inertial>"]),
     "indefinite tensor": (arm(fore=link("fore", tensor(1, 1, 1, 2))), ["'fore'", "not positive definite"]),
     "negative tensor": (arm(fore=link("fore", tensor(-1, -1, -1))), ["'fore'", "not positive definite"]),
-    "triangle inequality": (
-        arm(fore=link("fore", tensor(1, 1, 3))),
-        ["'fore'", "triangle inequality", "3 kg m²"],
-    ),
     "zero axis": (elbow(axis="0 0 0"), ["'elbow'", "axis", "direction"]),
     "axis of no length": (elbow(axis="0 0 1e200"), ["'elbow'", "axis"]),
     "two masses": (arm(fore=link("fore", INERTIAL.replace("<mass", '<mass value="3"/><mass'))), ["'fore'", "2 <mass>"]),
@@ -85,9 +75,6 @@ URDF = {
         elbow(limit=LIMIT.replace('lower="-1"', 'lower="2"')),
         ["'elbow'", "lower limit 2", "upper limit 1"],
     ),
-    "no limit": (elbow(limit=""), ["'elbow'", "no <limit>"]),
-    "no lower limit": (elbow(limit=LIMIT.replace('lower="-1"', "")), ["'elbow'", "'lower'", "continuous"]),
-    "no effort": (elbow(limit=LIMIT.replace('effort="5"', "")), ["'elbow'", "'effort'"]),
     "negative velocity limit": (
         elbow(limit=LIMIT.replace('velocity="2"', 'velocity="-2"')),
         ["'elbow'", "velocity", "-2"],
@@ -98,7 +85,8 @@ URDF = {
     ),
     "planar joint": (elbow(kind="planar"), ["'elbow'", "'planar'", "not simulated"]),
     "unknown joint": (elbow(kind="hinge"), ["'elbow'", "'hinge'", "not simulated"]),
-    "mimic": (elbow(extra='<mimic joint="shoulder"/>'), ["'elbow'", "mimics 'shoulder'", "lock=['elbow']"]),
+    "joint that mimics itself": (elbow(extra='<mimic joint="elbow"/>'), ["'elbow'", "no other joint"]),
+    "mimic by no number": (elbow(extra='<mimic joint="shoulder" offset="x"/>'), ["'elbow'", "mimic offset", "'x'"]),
     "missing child": (arm(without="fore"), ["'elbow'", "child link 'fore'"]),
     "missing parent": (elbow().replace('parent link="upper"', 'parent link="uper"'), ["'elbow'", "'uper'"]),
     "no parent element": (elbow().replace('<parent link="upper"/>', ""), ["'elbow'", "parent link None"]),
@@ -242,8 +230,4 @@ def test_triangle_inequality_from_both_sides(tmp_path, moments, accepted):
     """Rods and plates lie on the bound; rounding of the fourth digit is forgiven, and no more."""
     path = tmp_path / "a.urdf"
     path.write_text(arm(fore=link("fore", tensor(*moments))))
-    if accepted:
-        robot_models.load(path)
-    else:
-        with pytest.raises(ModelError, match="triangle"):
-            robot_models.load(path)
+    assert any("triangle" in line for line in robot_models.load(path).warnings) != accepted

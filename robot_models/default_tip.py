@@ -1,0 +1,60 @@
+"""Which frame of a robot touches a surface if nobody says: the frame of a tool, or the end of the longest chain."""
+
+import re
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+# Names of tool frames as makers have them, the most telling first; each a whole word of the frame's name.
+_TOOLS = ("tcp", "tool", "tool0", "ee", "eef", "end_effector", "grip", "grasp", "flange", "attachment")
+# Joints of fingers, and frames that touch nothing, by a word of their names.
+_FINGER = re.compile(
+    r"finger|thumb|knuckle|gripper|jaw|claw|pinky|phalan|(^|_)(index|middle|ring|little)(_|\d|$)", re.I
+)
+_IDLE = re.compile(r"imu|camera|sensor|optical|lidar|laser|velodyne|visual|collision|inerti|antenna|marker", re.I)
+
+
+def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[str]) -> str | None:
+    """Return the frame of a tool, else the last link of the longest chain of joints; fingers and sensors come last.
+
+    Parameters
+    ----------
+    model
+        The built model.
+    usable
+        Names of frames that can be a tip.
+    made
+        Names of joints and links that stand for loop joints.
+
+    Returns
+    -------
+    str, optional
+        None if nothing moves.
+    """
+    import pinocchio as pin
+
+    chains = [[model.names[j] for j in list(model.supports[frame.parentJoint])[1:]] for frame in model.frames]
+    fingers = [any(map(_FINGER.search, chain)) for chain in chains]
+    bearers: set[int] = set()
+    for index, frame in enumerate(model.frames):
+        if frame.type == pin.FrameType.BODY and frame.name in usable and frame.name not in made:
+            while not (fingers[index] or _IDLE.search(frame.name)) and index != frame.parentFrame:
+                index, frame = frame.parentFrame, model.frames[frame.parentFrame]
+                bearers.add(index)
+    best: tuple[tuple[bool, int, bool, int, int], str] | None = None
+    for index, frame in enumerate(model.frames):
+        kind = frame.type
+        if frame.name not in usable or frame.name in made or frame.parentJoint == 0:
+            continue
+        words = re.split(r"[^a-z0-9]+", re.sub(r"end.?effector", "end_effector", frame.name.lower()).replace("_", " "))
+        words += ["end_effector"] * ("end effector" in " ".join(words))
+        tool = min((i for i, word in enumerate(_TOOLS) if word in words), default=len(_TOOLS))
+        is_tool = tool < len(_TOOLS)
+        if not is_tool and (kind != pin.FrameType.BODY or index in bearers):
+            continue
+        reach = 0 if fingers[index] else len(chains[index])
+        rank = (is_tool and reach > 0, reach, not _IDLE.search(frame.name), -tool, index)
+        best = max(best, (rank, frame.name)) if best else (rank, frame.name)
+    return best[1] if best else None

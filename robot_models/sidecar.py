@@ -22,7 +22,7 @@
     frames = ["coupler_end", "rocker_end"]
     axis = [0, 1, 0]
 
-Every key is optional and no other is known.
+Every key is optional and no other is known. A scenario of that name, which has [robot] or [law], is no sidecar.
 """
 
 from collections.abc import Collection, Mapping
@@ -38,6 +38,8 @@ from robot_models.xml_text import read_text
 _TEXTS = ("description", "source", "tip")
 _TABLES = ("home", "lock", "drive_inertia")
 _LISTS = ("drives", "closed_loop")
+# What no scenario has.
+_OWN = {"source", "tip", *_TABLES, *_LISTS}
 
 # No joint turns or reaches farther, and no drive is heavier: products of larger numbers might not be numbers.
 MOST_POSITION, MOST_INERTIA = 1e6, 1e9
@@ -84,6 +86,8 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
         raise
     except ValueError as error:
         raise ModelError(f"{path} is not valid TOML: {str(error).splitlines()[0]}") from None
+    if {"law", "robot"} & set(table) and not _OWN & set(table):
+        return Sidecar()  # it is a scenario, of the same name
     given = table.get("closed_loop", ())
     loops = tuple(loop_joint(each, str(path)) for each in given) if isinstance(given, list) else ()
     joints = (*joints, *(name for loop in loops for name in loop.free if name not in joints))

@@ -83,6 +83,11 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
     )
 
 
+def has_limits(robot: Robot) -> bool:
+    """Whether a joint has a limit."""
+    return bool(np.isfinite([robot.model.position_lower, robot.model.position_upper]).any())
+
+
 def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
     """Return the postures that will do, and note why others do not."""
     model, rng = robot.model, np.random.default_rng(SEED)
@@ -91,7 +96,8 @@ def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
     high = np.minimum(model.position_upper, model.home + widest)
     moves = robot.support > 0.0
     room = LEAST_MARGIN * (high - low)
-    aside = np.clip(model.home, low + room, high - room)  # where the joints stay that do not move the tip
+    # where the joints stay that do not move the tip; couplings have them at home
+    aside = model.home if model.loops else np.clip(model.home, low + room, high - room)
     for i in range(POSTURES // max(1, robot.n // 10)):  # a step of the search costs as the cube of n
         q: Array = np.where(moves, rng.uniform(low, high) if i else model.home, aside).round(4)
         posture = _judged(robot, q, force, first=i == 0)
@@ -172,8 +178,8 @@ def _with_gains(
     while True:
         kp, kd = ([_rounded(x) for x in gain * inertia] for gain in (frequency**2, 2.0 * frequency))
         data: dict[str, Any] = {
-            "robot": {"model": name, "tip": robot.tip},
-            "start": {"q": q.tolist()},
+            "robot": {"model": name, "tip": robot.tip, "stops": has_limits(robot)},
+            "start": {"q": q.tolist()} | ({"assemble": True} if robot.model.loops else {}),
             "surface": {"kind": "plane"},
             "reference": {
                 "kind": "line", "direction": list(direction), "speed": speed, "start": BEGIN, "stop": END,

@@ -34,10 +34,16 @@ def main(words: list[str]) -> int:
     parse_scenario(text, file.stem, str(file))  # refuses a name that is none
     write_whole(file, text.encode(), replace=False)
     print(printable(f"{what_was_written(file)}: {_what(scenario, robot)}"))
+    others = [name for name in robot.model.frames if name != robot.tip]
+    why = "as asked" if options.tip else "the frame of a tool or the end of the longest chain"
+    print(printable(f"the tip is {robot.tip}, {why}; others, see --tip: {', '.join(others[-MOST_TIPS:])}"))
+    if scenario.robot.stops:
+        print("joints strike hard stops at the limits of the robot's file: robot.stops")
     print(printable(f"run it with: closedloop run {file}"))
     return DONE
 
 
+MOST_TIPS = 12  # that are listed
 MOST_FORCE = 1e4  # N; what is beyond no arm of the lists bears
 
 
@@ -62,6 +68,9 @@ def scenario_text(scenario: Scenario, robot: Robot, model: str) -> str:
     start = scenario.start.q
     assert isinstance(start, tuple)
     width = max(len(f"{q!r},") for q in start)
+    assembled = (
+        "assemble = true  # close the loops and couplings of the robot from there\n" if robot.model.loops else ""
+    )
     posture = "\n".join(
         f"    {f'{q!r},':{width}}  # {one_line(name)}" for q, name in zip(start, robot.joint_names, strict=True)
     )
@@ -74,6 +83,7 @@ description = {_quoted(_what(scenario, robot))}
 [robot]
 model = {_quoted(model)}  # `closedloop robots {one_line(model)}` shows its joints and frames
 tip = {_quoted(robot.tip)}  # the frame that touches the surface
+stops = {"true" if scenario.robot.stops else "false"}  # joints strike hard stops at their limits
 
 [surface]
 normal = [0, 0, 1]  # out of the surface, base frame: it is level
@@ -84,7 +94,7 @@ contact = "bilateral"  # the tip is held to it; with "unilateral" it may leave
 q = [  # rad, m for a sliding joint: away from singular poses and from the limits
 {posture}
 ]
-
+{assembled}
 [reference]
 kind = "line"
 direction = {list(reference["direction"])}  # along the surface, base frame

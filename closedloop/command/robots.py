@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from robot_models import RobotModel
+    from robot_models.loop_joint import LoopJoint
 
 
 @as_command()
@@ -22,6 +23,7 @@ def main(words: list[str]) -> int:
         description="List what can be named as robot.model, or show one robot: joints, limits and frames.",
     )
     parser.add_argument("robot", nargs="?", help="a name of the list, or the path of a URDF or MJCF file")
+    parser.add_argument("--check", action="store_true", help="compare H and C with MuJoCo's and Pinocchio's")
     options = parser.parse_args(words)
     from rich.console import Console
 
@@ -31,7 +33,10 @@ def main(words: list[str]) -> int:
     else:
         import robot_models
 
-        _print_one(robot_models.load(options.robot), console)
+        model = robot_models.load(options.robot)
+        _print_one(model, console)
+        if options.check:
+            return _print_checks(model, options.robot, console)
     return DONE
 
 
@@ -98,9 +103,70 @@ def _print_one(model: RobotModel, console: Console) -> None:
     console.print("rad, rad/s, N m and kg m2; of a prismatic joint m, m/s, N and kg; - where there is no limit")
     if model.balls:
         console.print("of a ball joint the rotation vector, rad, and the angular velocity in its link's axes, rad/s")
+    masses = [inertia.mass for inertia in model.pinocchio_model().inertias]
+    console.print(f"total mass: {sum(masses):.6g} kg, of which {sum(masses[1:]):.6g} kg move")
+    stops = any(map(math.isfinite, (*model.position_lower, *model.position_upper)))
+    if stops:
+        console.print("the limits are stops with robot.stops = true, and not without", markup=False)
+    passive = [name for name, driven in zip(model.joint_names, model.driven, strict=True) if not driven]
+    if passive:
+        console.print(f"joints without a drive: {', '.join(passive)}", markup=False)
+    for loop in model.loops:
+        console.print(f"{'coupling' if loop.type == 'gear' else 'loop'}: {_loop(loop)}", markup=False)
+    _print_shapes(model, console)
     for joint, value in model.locked.items():
         console.print(f"held rigid: {joint} at {value:.4g}", markup=False)
     console.print(f"tip: {model.tip or 'none: name one with --robot.tip'}", markup=False)
     console.print(f"frames that can be a tip: {', '.join(model.frames)}", markup=False)
     for note in model.notes:
         console.print(f"note: {note}", markup=False)
+    for warning in model.warnings:
+        console.print(f"warning: {warning}", markup=False)
+
+
+def _loop(loop: LoopJoint) -> str:
+    """Return what a loop joint binds, in a line."""
+    if loop.type != "gear":
+        return f"{loop.name}: a {loop.type} between {' and '.join(loop.frames)}"
+    one, *other = loop.joints
+    powers = ("", f" {other[0]}" if other else "", *(f" {other[0]}^{k}" for k in (2, 3, 4) if other))
+    terms = [f"{c:.6g}{power}" for c, power in zip(loop.polynomial, powers, strict=False) if c]
+    return f"{loop.name}: {one} = {' + '.join(terms) or '0'}"
+
+
+def _print_shapes(model: RobotModel, console: Console) -> None:
+    """Print how many collision shapes there are of each kind."""
+    from collections import Counter
+
+    from robot_models import ModelError
+    from robot_models.collision import collision_shapes
+
+    kinds: Counter[str] = Counter()
+    for frame in model.frames:
+        try:
+            kinds.update(shape.kind for shape in collision_shapes(model, frame))
+        except ModelError as error:
+            console.print(f"shapes: {error}", markup=False)
+    listed = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+    console.print(f"collision shapes: {listed or 'none'}", markup=False)
+
+
+def _print_checks(model: RobotModel, file: str, console: Console) -> int:
+    """Print whether H and C are those of other programs; return 1 if they are not."""
+    from closedloop.command.robot_check import STATES, checks
+
+    if not model.n:
+        console.print("nothing moves: there is nothing to check")
+        return DONE
+    wrong = False
+    for check in checks(model, file):
+        if check.worst is None:
+            console.print(f"{check.program}: not compared: {check.why}", markup=False)
+            continue
+        equal = check.worst <= check.most
+        wrong |= not equal
+        console.print(
+            f"{check.program}: H and C {'are equal' if equal else 'DIFFER'} at {STATES} random states, "
+            f"by {check.worst:.1e} of their largest entry (rounding: {check.most:g})"
+        )
+    return 1 if wrong else DONE

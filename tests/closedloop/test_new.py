@@ -7,6 +7,7 @@ import re
 import pytest
 
 import closedloop as cl
+import robot_models
 from closedloop.__main__ import main
 from robot_models.shipped import path_of
 
@@ -80,6 +81,17 @@ def test_a_robot_in_a_file_is_named_from_the_scenario(new, tmp_path):
     assert new("deep/slide", "--robot", "mine.urdf", "--tip", "tip")[0] == 0
     assert re.search(r'^model = "../mine.urdf"', (tmp_path / "deep" / "slide.toml").read_text(), re.MULTILINE)
     cl.prepare(cl.load_scenario("deep/slide.toml"))
+
+
+def test_a_scenario_of_the_robots_own_name_is_no_sidecar(new, tmp_path):
+    """`closedloop new mine --robot mine.urdf` writes mine.toml beside it, which runs, with the file's stops."""
+    (tmp_path / "mine.urdf").write_bytes(path_of("planar2").read_bytes())
+    status, out, err = new("mine", "--robot", "mine.urdf")
+    assert (status, err) == (0, "")
+    assert "the tip is tip, the frame of a tool or the end of the longest chain; others, see --tip: base, link1" in out
+    scenario = cl.load_scenario("mine.toml")
+    assert scenario.robot.stops == bool(robot_models.load("mine.urdf").position_upper.max() < 10.0)
+    cl.prepare(scenario)
 
 
 def test_a_full_disk_leaves_no_file(new, tmp_path, monkeypatch):

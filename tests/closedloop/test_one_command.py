@@ -141,6 +141,36 @@ def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
     assert {"wam4", "ur5", "panda", "talos_arm"} <= set(names())
 
 
+TENDON_HAND = """<mujoco model="hand"><worldbody><body name="palm"><geom size=".05" mass="1"/>
+<body name="left" pos="0 .1 0"><joint name="l" type="slide" range="0 .1"/><geom type="box" size=".01 .02 .03"/></body>
+<body name="right"><joint name="r" type="slide" axis="0 0 1"/><geom type="box" size=".01 .02 .03"/>
+<body name="end" pos="0 0 .1"><joint name="e" axis="1 0 0"/><geom size=".02"/></body></body></body></worldbody>
+<equality><joint name="both" joint1="r" joint2="l" polycoef="0 -1 0.5 0 0"/></equality>
+<tendon><fixed name="t"><joint joint="l" coef=".5"/><joint joint="r" coef="-.5"/></fixed></tendon>
+<actuator><motor tendon="t" ctrlrange="-5 5"/></actuator><sensor><jointpos joint="l"/></sensor></mujoco>"""
+
+
+def test_robots_prints_and_checks_what_was_read(closedloop, tmp_path, monkeypatch):
+    """Drives, couplings, shapes, masses and warnings; H and C are those of Pinocchio and of MuJoCo, or it says so."""
+    monkeypatch.setenv("COLUMNS", "200")
+    (tmp_path / "hand.xml").write_text(TENDON_HAND)
+    status, out, err = closedloop("robots", str(tmp_path / "hand.xml"), "--check")
+    assert (status, err) == (0, "")
+    for words in (
+        "total mass: ", "joints without a drive: e", "coupling: both: r = -1 l + 0.5 l^2", "2 box, 2 sphere",
+        "warning: sensors of the file are left out", "the limits are stops with robot.stops = true",
+        "Pinocchio: H and C are equal", "MuJoCo: H and C are equal at 20 random states",
+    ):  # fmt: skip
+        assert words in out, words
+    assert "MuJoCo: H and C are equal" in closedloop("robots", "panda", "--check")[1]
+    tree_terms = "closedloop.mechanics.robot.tree.tree_terms"
+    monkeypatch.setattr(tree_terms, lambda tree, q, v, work, H, C, of_tip: C.fill(1.0))  # a planted fault
+    status, out, _ = closedloop("robots", str(tmp_path / "hand.xml"), "--check")
+    assert status == 1
+    assert "Pinocchio: H and C DIFFER" in out
+    assert "MuJoCo: H and C DIFFER" in out
+
+
 def test_completion_knows_commands_options_and_keys(closedloop):
     """The words come from the table, the parsers and the schema; bash gives those that begin as what is typed."""
     pytest.importorskip("shtab", reason="shtab is not installed")

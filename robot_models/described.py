@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Format = Literal["urdf", "mjcf"]
 
 _ROOTS: dict[str, Format] = {"robot": "urdf", "mujoco": "mjcf"}
-_SUFFIXES = (".urdf", ".xml", ".mjcf")
+_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,8 @@ def _from_file(name: str, path: Path, owner: str) -> Description:
     if root not in _ROOTS:
         raise ModelError(f"{where} is neither URDF nor MJCF: its root is <{root}>, not <robot> or <mujoco>")
     format = _ROOTS[root]
+    if path.suffix.lower() == ".xacro":
+        text = urdf.expanded(path, where)
     found = canonical(text, format, name, where, path)
     own, sidecar = found.sidecar, read_sidecar(path.with_suffix(".toml"), joint_names(found.text, format))
     sidecar = replace(

@@ -1,5 +1,6 @@
-"""Where the meshes that a URDF names lie: in example-robot-data, or below the parent of the URDF's folder."""
+"""Where the meshes that a URDF names lie: beside it, in its ROS package, or in example-robot-data."""
 
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,23 +11,27 @@ FORMATS = (".dae", ".stl", ".obj", ".ply")
 def source_folder(source: str) -> Path | None:
     """Return the folder of the file that a robot was read from, None if it came with a package."""
     path = Path(source)
-    return path.parent.resolve() if path.suffix == ".urdf" and path.is_file() else None
+    return path.parent.resolve() if path.suffix in (".urdf", ".xacro") and path.is_file() else None
 
 
 def mesh_file(name: str, folder: Path | None) -> Path | None:
-    """Return the file of a mesh if it is there, of a robot whose URDF lies in `folder`."""
+    """Return the file of a mesh if it is there, of a robot whose URDF lies in `folder`.
+
+    A package is a folder of its name that the URDF lies in, or that lies beside one that it lies in.
+    """
+    places: list[tuple[Path, Path]] = []  # a folder, and the path from it
     if name.startswith("package://"):
-        share = _share()
-        path, root = (None, None) if share is None else (share / name.removeprefix("package://"), share)
-    else:
-        path, root = (None, None) if folder is None else (folder / name.removeprefix("file://"), folder.parent)
-    if path is None or root is None or path.suffix.lower() not in FORMATS:
-        return None
-    try:
-        path = path.resolve()
-        return path if path.is_relative_to(root.resolve()) and path.is_file() else None
-    except (OSError, RuntimeError, ValueError):  # links that lead in a circle, a name that no file can have
-        return None
+        whole = Path(name.removeprefix("package://"))
+        above = [] if folder is None else [folder, *folder.parents]
+        places = [(each, whole) for each in (*above, _share()) if each is not None]
+    elif folder is not None:
+        places = [(folder.parent, Path(folder.name) / name.removeprefix("file://"))]
+    for root, relative in places:
+        with suppress(OSError, RuntimeError, ValueError):  # links in a circle, a name that no file can have
+            path = (root / relative).resolve()
+            if path.suffix.lower() in FORMATS and path.is_relative_to(root.resolve()) and path.is_file():
+                return path
+    return None
 
 
 @lru_cache(maxsize=1)

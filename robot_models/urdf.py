@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Collection
 from math import hypot, inf
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_models.errors import ModelError
@@ -74,7 +75,7 @@ def read(text: str, where: str) -> str:
     if not root.get("name"):
         raise ModelError(f"{where}: <robot> has no name")
     if any("xacro" in key for element in root.iter() for key in (element.tag, *element.attrib)):
-        raise ModelError(f"{where} is a xacro template: expand it to a URDF first")
+        raise ModelError(f"{where} is a xacro template: load its file, or expand it to a URDF first")
     for element in root.iter():
         if element.tag.startswith("{") and element.tag.split("}")[1] in _OWN:
             raise ModelError(f"{where}: <{element.tag.split('}')[1]}> stands in an XML namespace: drop its xmlns")
@@ -101,6 +102,25 @@ def read(text: str, where: str) -> str:
             axis.set("xyz", " ".join(repr(x / length) for x in xyz))
             changed = True
     return ET.tostring(root, encoding="unicode") if changed else text
+
+
+def expanded(path: Path, where: str) -> str:
+    """Return the URDF of a xacro template.
+
+    Raises
+    ------
+    ModelError
+        xacrodoc is not installed, or cannot expand it.
+    """
+    try:
+        from xacrodoc import XacroDoc
+    except ModuleNotFoundError:
+        raise ModelError(f"{where} is a xacro template, which xacrodoc expands: pip install xacrodoc") from None
+    try:
+        return str(XacroDoc.from_file(str(path)).to_urdf_string())
+    except Exception as error:  # whatever a template and its expressions raise
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ModelError(f"{where}: xacrodoc cannot expand it: {reason}") from None
 
 
 def joint_types(text: str) -> dict[str, str]:

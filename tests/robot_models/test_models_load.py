@@ -16,6 +16,7 @@ from model_texts import INERTIAL, LIMIT, arm, joint, link, mjcf, urdf
 
 import robot_models
 from robot_models import inspected, shipped
+from robot_models.collision import collision_shapes
 from robot_models.digest import digest_of
 
 ARRAYS = ("armature", "position_lower", "position_upper", "velocity_limit", "effort_limit", "home", "gravity")
@@ -277,6 +278,48 @@ def test_odd_inertias_are_named_and_move(write):
     idle = robot_models.load(write(arm(fore=link("fore", ""))))
     assert (idle.joint_names, dict(idle.locked)) == (("shoulder",), {"elbow": 0.0})
     assert any("'elbow' moves no mass: it is held at 0" in line for line in idle.warnings)
+
+
+def test_a_xacro_template_is_expanded(tmp_path):
+    """By xacrodoc: properties, macros and arguments; what it cannot expand is refused in one line."""
+    pytest.importorskip("xacrodoc")
+    text = arm().replace(
+        '<robot name="sample">',
+        """<robot name="sample" xmlns:xacro="http://ros.org/wiki/xacro">
+    <xacro:property name="long" value="${0.25 * 2}"/>
+    <xacro:macro name="hand" params="name"><link name="${name}"/></xacro:macro>""",
+    )
+    text = text.replace('<link name="tip"></link>', '<xacro:hand name="tip"/>').replace("0 0 0.5", "0 0 ${long}")
+    (tmp_path / "robot.urdf.xacro").write_text(text)
+    (tmp_path / "plain.urdf").write_text(arm())
+    found, plain = (robot_models.load(tmp_path / name) for name in ("robot.urdf.xacro", "plain.urdf"))
+    assert "xacro:" in text
+    assert (found.joint_names, found.frames, found.tip) == (plain.joint_names, plain.frames, "tip")
+    q = np.array([0.3, 0.4])
+    terms = [pin.crba(each.pinocchio_model(), each.pinocchio_model().createData(), q) for each in (found, plain)]
+    np.testing.assert_array_equal(*terms)
+    (tmp_path / "wrong.xacro").write_text(text.replace("0.25 * 2", "nothing"))
+    with pytest.raises(robot_models.ModelError, match=r"wrong\.xacro: xacrodoc cannot expand it: .*nothing") as told:
+        robot_models.load(tmp_path / "wrong.xacro")
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("name", ["package://my_arm/meshes/a.stl", "../meshes/a.stl", "file://../meshes/a.stl"])
+def test_meshes_are_found_in_the_package_and_beside(tmp_path, name):
+    """A package is a folder of its name above the URDF; no file from elsewhere is opened."""
+    import trimesh
+
+    (tmp_path / "my_arm" / "meshes").mkdir(parents=True)
+    (tmp_path / "my_arm" / "urdf").mkdir()
+    trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "my_arm" / "meshes" / "a.stl")
+    shape = f'<collision><geometry><mesh filename="{name}"/></geometry></collision>'
+    path = tmp_path / "my_arm" / "urdf" / "robot.urdf"
+    path.write_text(arm(tip=link("tip", shape)))
+    (mesh,) = collision_shapes(robot_models.load(path), "tip")
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [1.0, 2.0, 3.0])
+    path.write_text(arm(tip=link("tip", shape.replace("my_arm", "other").replace("../", "../../"))))
+    with pytest.raises(robot_models.ModelError, match="is not there"):
+        collision_shapes(robot_models.load(path), "tip")
 
 
 TIPS = {

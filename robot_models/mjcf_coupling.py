@@ -62,6 +62,11 @@ def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, 
             coefficients = _joint_row(model, k) if kind == _JOINT else _tendon_row(model, k, name, where)
             joints, polynomial = coefficients
             made.append(LoopJoint(name, "gear", joints=tuple(names.joint[j] for j in joints), polynomial=polynomial))
+    for a in range(model.nu):
+        pulled = [names.joint[joint] for actuator, joint, ratio in _actuated(model) if actuator == a and ratio]
+        if len(pulled) > 1:
+            name = names.own("actuator", a) or str(a + 1)
+            warnings.append(f"actuator {name!r} pulls {', '.join(pulled)} with one force: here each has its own drive")
     return tuple(made), warnings
 
 

@@ -48,7 +48,7 @@ class RobotSection(Section):
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
     friction: Flag = Field(
         False,
-        description="let the damping and friction of the URDF's <dynamics> act in the joints, as viscous coefficients "
+        description="let the damping and friction of the robot's file act in the joints, as viscous coefficients "
         "and Coulomb torques: the law coulomb_viscous of joint_friction, which must be left out then",
     )
     stops: Flag = Field(

@@ -253,6 +253,18 @@ def test_slip_in_a_sidecar_is_named_in_one_line(tmp_path, line, said):
     assert str(told.value).startswith(str(tmp_path / "own.toml")), "the file at fault"
 
 
+def test_a_closed_posture_at_a_limit_may_be_beyond_it_by_rounding():
+    """As far as a start may be open: a file prints its limits and lengths with some digits."""
+    model = four_bar()
+    for beyond, refused in ((2e-6, False), (2e-3, True)):
+        at_limit = dataclasses.replace(model, position_upper=np.array(model.home) - beyond)
+        if refused:
+            with pytest.raises(cl.ScenarioError, match="is outside its limits"):
+                closed_start(Robot(at_limit), np.array(model.home), np.zeros(model.n), True)
+        else:
+            closed_start(Robot(at_limit), np.array(model.home), np.zeros(model.n), True)
+
+
 def test_a_free_body_in_the_file_of_a_mechanism_is_beside_it(tmp_path):
     """The loop moves as without it; the order of the file's bodies does not matter; a loop of the body is refused."""
     ball = '<body name="ball" pos="3 3 3"><freejoint/><geom type="sphere" size="0.05" mass="2"/></body>'

@@ -105,3 +105,4 @@ def test_joints_without_an_actuator_have_no_drive(tmp_path):
     both = load(tmp_path, mjcf(tail=f'{tendon}<actuator><motor tendon="t" ctrlrange="-3 3" gear="4"/></actuator>'))
     assert both.driven.all()
     np.testing.assert_allclose(both.effort_limit, [24.0, 6.0])
+    assert any("pulls shoulder, elbow with one force" in line for line in both.warnings)

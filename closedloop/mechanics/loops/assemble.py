@@ -65,7 +65,7 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
             f"{[float(f'{x:.9g}') for x in near]} ({names[j]} turned by {turned[j]:.3g}): start there, or with "
             "start.assemble = true"
         )
-    if out := [names[j] for j in range(robot.n) if not low[j] <= near[j] <= high[j]]:
+    if out := [names[j] for j in range(robot.n) if not low[j] - START_OPEN <= near[j] <= high[j] + START_OPEN]:
         raise ScenarioError(
             f"start.q: in the nearest closed posture joint {out[0]} is outside its limits: start elsewhere"
         )

@@ -115,7 +115,9 @@ def expanded(path: Path, where: str) -> str:
     try:
         from xacrodoc import XacroDoc
     except ModuleNotFoundError:
-        raise ModelError(f"{where} is a xacro template, which xacrodoc expands: pip install \"closedloop[xacro]\"") from None
+        raise ModelError(
+            f'{where} is a xacro template, which xacrodoc expands: pip install "closedloop[xacro]"'
+        ) from None
     try:
         return str(XacroDoc.from_file(str(path)).to_urdf_string())
     except Exception as error:  # whatever a template and its expressions raise

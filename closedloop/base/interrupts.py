@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -39,7 +40,8 @@ _came: list[int] = []
 
 def _raise(number: int, frame: FrameType | None) -> None:
     _came.append(number)
-    signal.default_int_handler(number, frame)
+    if not _comes_again(number, frame):
+        signal.default_int_handler(number, frame)
 
 
 @contextmanager
@@ -83,7 +85,29 @@ def terminable() -> Iterator[None]:
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated
+    if not _comes_again(number, frame):
+        raise Terminated
+
+
+# How long a signal waits for a place where it can be answered, s, and how often it is tried: an import takes no longer,
+# but for a user's module that works while it is imported.
+PATIENCE, RETRY = 3.0, 0.05
+_since: dict[int, float] = {}
+
+
+def _comes_again(number: int, frame: FrameType | None) -> bool:
+    """Whether a signal is sent again a little later, as what its handler raises now may be lost.
+
+    Callbacks of Python's imports, and libraries that are being imported, drop what is raised in them.
+    """
+    now = time.monotonic()
+    if not _cannot_raise(frame, "importlib") or now - _since.setdefault(number, now) > PATIENCE:
+        _since.pop(number, None)
+        return False
+    again = threading.Timer(RETRY, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()
+    return True
 
 
 @contextmanager
@@ -165,11 +189,14 @@ def answered_where_it_can_be() -> Iterator[None]:
         usual[which](which, frame)
 
 
-def _cannot_raise(frame: FrameType | None) -> bool:
-    """Whether no handler sees an exception raised in a frame, as a C library or the garbage collector called it."""
+def _cannot_raise(frame: FrameType | None, *others: str) -> bool:
+    """Whether no handler sees an exception raised in a frame, as a C library or the garbage collector called it.
+
+    `others` are packages in whose calls it may be lost, beside those that do so always.
+    """
     while frame is not None:
         module = str(frame.f_globals.get("__name__", "")).partition(".")[0]
-        if module in ("llvmlite", "weakref") or frame.f_code.co_name == "__del__":
+        if module in ("llvmlite", "weakref", *others) or frame.f_code.co_name == "__del__":
             return True
         frame = frame.f_back
     return False

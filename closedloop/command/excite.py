@@ -11,8 +11,10 @@ def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
     options = _parser().parse_args(words)
     from closedloop.base.files import made_folder, what_was_written, write_whole
+    from closedloop.base.optional import needs
     from closedloop.studies.identify.excite import excite
 
+    needs("pandas")  # which writes the motion, once it has been found
     folder = made_folder(options.out)
     found = excite(
         options.robot, [name.strip() for name in options.target.split(",") if name.strip()],

@@ -1,13 +1,18 @@
 """Logs of ROS 2: a run written as MCAP, and the same messages in a bag of rosbag2, are read as they were."""
 
+import os
+import signal
 import sqlite3
+import time
 
 import numpy as np
 import pytest
 
 import closedloop as cl
 from closedloop.figures.export.mcap_file import write_mcap
+from closedloop.simulation.batch.threads import Done
 from closedloop.studies.comparison.recording import read_recording
+from closedloop.studies.identify import bag as bag_module
 from closedloop.studies.identify.log import LogError
 from closedloop.studies.identify.read import read_log
 
@@ -71,3 +76,61 @@ def test_what_is_no_bag_is_refused(tmp_path, run):
     bag.close()
     with pytest.raises(LogError, match="has no sensor_msgs"):
         read_log(tmp_path / "other.db3", run.model)
+    os.mkfifo(tmp_path / "pipe.csv")
+    os.mkfifo(tmp_path / "pipe.nc")
+    (tmp_path / "of_pipes").mkdir()
+    os.mkfifo(tmp_path / "of_pipes" / "pipe.mcap")
+    for name, says in (("pipe.csv", "is a pipe: a log is a file"), ("pipe.nc", "is a pipe"), ("of_pipes", "no folder")):
+        with pytest.raises(LogError, match=says):  # opened, it would be waited for without an end
+            read_log(tmp_path / name, run.model)
+
+
+ENDLESS = (
+    "WITH RECURSIVE t(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM t) "
+    "SELECT id, '/joint_states' AS name, '{}' AS type FROM t"
+)
+
+
+@pytest.mark.parametrize(
+    "topics",
+    [
+        f"CREATE VIEW topics AS {ENDLESS.format('sensor_msgs/msg/JointState')}",
+        f"CREATE VIEW topics AS {ENDLESS.format('x')}",
+        "CREATE TABLE topics(id INTEGER, name TEXT, type TEXT AS (hex(zeroblob(9e8))))",
+    ],
+)
+def test_a_query_without_an_end_is_not_begun(topics, tmp_path, run):
+    """What rosbag2 keeps in tables is read from tables: a view may be endless, a computed column of any size."""
+    with sqlite3.connect(tmp_path / "endless.db3") as bag:
+        bag.execute(topics)
+        bag.execute("CREATE TABLE messages(topic_id INTEGER, timestamp INTEGER, data BLOB)")
+    bag.close()
+    with pytest.raises(LogError, match="has no table topics as rosbag2 writes it"):
+        read_log(tmp_path / "endless.db3", run.model)
+
+
+def test_a_signal_ends_a_long_query(tmp_path, run, monkeypatch):
+    """SQLite asks every so often whether it is to go on; the signal is what is raised."""
+    write_mcap(run, tmp_path / "run.mcap")
+    database(tmp_path / "run.mcap", tmp_path / "bag.db3")
+    check = Done.check
+
+    def endless(done):
+        os.kill(os.getpid(), signal.SIGINT)
+        while True:
+            check(done)
+            time.sleep(0.01)
+
+    monkeypatch.setattr(Done, "check", endless)
+    monkeypatch.setattr(bag_module, "CHECKED", 1)
+    with pytest.raises(KeyboardInterrupt):
+        read_log(tmp_path / "bag.db3", run.model)
+
+
+def test_a_name_is_no_part_of_an_address(tmp_path, run, monkeypatch):
+    """A bag's name may have any character: it is opened for reading, and nothing is made."""
+    monkeypatch.chdir(tmp_path)
+    write_mcap(run, tmp_path / "run.mcap")
+    database(tmp_path / "run.mcap", tmp_path / "q?mode=rwc&x=#.db3")
+    assert len(read_log("q?mode=rwc&x=#.db3", run.model).time) == len(run)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["q?mode=rwc&x=#.db3", "run.mcap"]

@@ -83,6 +83,51 @@ def test_units_and_gains_are_put_right(log, tmp_path):
     np.testing.assert_allclose(read.torque, log.torque * [2.0, 3.0], rtol=1e-14)
 
 
+@pytest.mark.parametrize("ending", ["csv", "parquet", "nc"])
+@pytest.mark.parametrize("zone", [None, "UTC", "text"])
+def test_instants_are_seconds_from_the_first(log, ending, zone, tmp_path):
+    """Time stamps of ISO 8601, and those of Parquet and NetCDF, in whatever unit they are kept."""
+    path, table = tmp_path / f"log.{ending}", frame(log)
+    stamps = pd.Timestamp("2026-01-01") + pd.to_timedelta(table.pop("time"), unit="s").dt.round("us")
+    table.insert(0, "timestamp", stamps if zone != "UTC" or ending == "nc" else stamps.dt.tz_localize("UTC"))
+    if ending == "csv":
+        table.to_csv(path, index=False, date_format="%Y-%m-%dT%H:%M:%S.%f" + "+02:00" * (zone == "text"))
+    elif ending == "parquet":
+        (table.assign(timestamp=stamps.astype(str) + "Z") if zone == "text" else table).to_parquet(path)
+    else:
+        table.to_xarray().to_netcdf(path, engine="h5netcdf")
+    np.testing.assert_allclose(read_log(path, robot_models.load("planar2")).time, log.time, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "given"),
+    [
+        (lambda t: t.assign(time=1e3 * t.time), {"time": "time [ms]"}),
+        (lambda t: t.assign(time=1e3 * t.time).rename(columns={"time": "time_ms"}), {}),
+        (lambda t: t.assign(time=1e9 * t.time).rename(columns={"time": "Timestamp (ns)"}), {}),
+        (
+            lambda t: t.rename(columns={"q J1 [rad]": "q J1 [deg]"}).assign(
+                **{"q J1 [deg]": lambda x: np.rad2deg(x.iloc[:, 1])}
+            ),
+            {},
+        ),
+        (lambda t: t.assign(effort_J1=1e3 * t.effort_J1, effort_J2=1e3 * t.effort_J2), {"torque": "effort_{} [N mm]"}),
+        (
+            lambda t: t.rename(columns={"effort_J2": "effort_J2 [mN·m]"}).assign(
+                **{"effort_J2 [mN·m]": 1e3 * t.effort_J2}
+            ),
+            {},
+        ),
+    ],
+)
+def test_a_unit_behind_a_name_counts(log, change, given, tmp_path):
+    """Behind that of the column, or behind the one that is given for it."""
+    change(frame(log)).to_csv(tmp_path / "log.csv", index=False)
+    read = read_log(tmp_path / "log.csv", robot_models.load("planar2"), columns=given)
+    for name in ("time", "q", "torque"):
+        np.testing.assert_allclose(getattr(read, name), getattr(log, name), rtol=1e-12)
+
+
 def test_a_run_of_the_simulator_is_a_log():
     """Torques of a run in contact, with the force on its tip added, are the inverse dynamics of its motion."""
     import pinocchio as pin
@@ -120,7 +165,28 @@ def test_bodies_that_can_be_keep_the_torque(log):
         (lambda t: t, ["--gain", "1,2,3"], "3 numbers: one, or 2"),
         (lambda t: t, ["--cutoff", "1e4"], "must be above 0 and below half the rate"),
         (lambda t: t, ["--coupled", "J1,J7"], "has no joint 'J7'"),
+        (lambda t: t, ["--coupled", "J1,J1"], "coupled J1, J1: must be two different joints"),
+        (lambda t: t, ["--coupled", "J1,J2", "--coupled", "J2,J1"], "coupled J2, J1: the pair is there twice"),
+        (lambda t: t, ["--gain", "0"], "gain is [0.0]: must be finite and not 0"),
+        (lambda t: t, ["--gain", "nan"], "must be finite and not 0"),
+        (lambda t: t, ["--slow", "-5"], "slow is -5.0: it must be from 0 to below 1"),
+        (lambda t: t, ["--columns", "q=effort_J1,effort_J1"], "column 'effort_J1' is named for two of"),
         (lambda t: t.drop(index=range(1000, 1100)), [], "time jumps by 0.202 s after row 999"),
+        (lambda t: t.rename(columns={"q J2 [rad]": "q J1 [rad]"}), [], "has several columns 'q J1 [rad]'"),
+        (lambda t: t.assign(**{"Q_j1": 0.0, "q_J1 ": 0.0}), ["--columns", "q=q_j1,x"], "which is it?"),
+        (lambda t: t.rename(columns=dict(zip(t, "12345", strict=True))), [], "its first line has numbers"),
+        (lambda t: t.rename(columns=dict.fromkeys(t, " ")), [], "no column time or t or timestamp for the time"),
+        (
+            lambda t: t.assign(time=1e3 * t.time),
+            [],
+            "is its time in s? Give its unit, as in --columns time='NAME [ms]'",
+        ),
+        (lambda t: t.assign(time=1e6 * t.time), [], "--columns time='NAME [us]'"),
+        (lambda t: t.assign(time=t.time / 60.0), [], "give the units, as in --columns q='NAME_{} [deg]'"),
+        (lambda t: t.assign(effort_J1=1e301), [], "torques reach 1e+301 N m: give their unit"),
+        (lambda t: t, ["--gain", "1e-300"], "e-299 N m: give their unit"),
+        (lambda t: t, ["--gain", "1e3"], "where the robot's weight needs"),
+        (lambda t: t, ["--gain", "1e-3"], "where the robot's weight needs"),
     ],
 )
 def test_bad_input_is_one_line(log, change, words, says, tmp_path, capsys):

@@ -1,8 +1,10 @@
 """A run that a law or a signal ends early: everything until then is there, to the bit, and the reason in one line."""
 
+import importlib
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -238,6 +240,21 @@ def test_sigterm_is_an_interruption_with_a_name():
     assert isinstance(caught.value.__cause__, Terminated)
     assert len(caught.value.run) == 21
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_signal_that_an_import_swallows_comes_again(tmp_path, monkeypatch):
+    """A library that is being imported may drop what a handler raises; a moment later it is raised for all that."""
+    (tmp_path / "swallows_signals.py").write_text(
+        "import signal\ntry:\n    signal.raise_signal(signal.SIGTERM)\nexcept BaseException:\n    pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def use():
+        importlib.import_module("swallows_signals")
+        time.sleep(5.0)
+
+    with terminable(), pytest.raises(Terminated):
+        use()
 
 
 @pytest.mark.parametrize("where", ["prepare", "begun", "driver"])

@@ -11,17 +11,8 @@ import numpy as np
 
 from closedloop.base.arguments import fields_checked
 from closedloop.base.arrays import Array
-from closedloop.studies.identify.log import LogError, check_positions, check_time, check_velocities
-from closedloop.studies.identify.read import (
-    column_named,
-    in_radians,
-    joints_of,
-    listed,
-    plain_name,
-    run_of,
-    table_of,
-    time_of,
-)
+from closedloop.studies.identify.log import LogError, check_motion, check_positions, check_time, check_torques
+from closedloop.studies.identify.read import columns_named, factors_of, joints_of, listed, run_of, table_of, time_of
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
@@ -102,7 +93,7 @@ def read_recording(
     LogError
         If the file cannot be read, a column is missing, a value is not finite, or time jumps.
     """
-    path, given = Path(path), dict(columns or {})
+    path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
     if unknown := set(given) - {"time", "q", "torque", "force"}:
         raise LogError(f"--columns {sorted(unknown)[0]}: is none of time, q, torque, force")
     if path.suffix.lower() == ".nc" and not given:
@@ -117,49 +108,29 @@ def read_recording(
     table = table_of(path)
     force_names = given.pop("force", None)
     time = time_of(table, given.get("time"), path)
-    q = joints_of(table, "q", given, robot, path)
+    q, torque, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "torque", "v"))
     if q is None:
         raise LogError(
             f"{path}: no columns for q of the joints {', '.join(robot.joint_names)}: name them, as in "
             f"--columns q='q_{{}}'; it has {listed(table)}"
         )
-    torque, v = (joints_of(table, what, given, robot, path) for what in ("torque", "v"))
-    if not degrees:
-        check_positions(q, robot, str(path))
-    turns = in_radians(robot, degrees)
+    check_positions(q, robot, str(path))
     force = _force(table, force_names, path)
-    return checked(
-        Recording(
-            time,
-            q * turns,
-            None if torque is None else torque * np.asarray(gain, dtype=np.float64),
-            force,
-            str(path),
-            None if v is None else v * turns,
-        ),
-        robot,
-    )
+    return checked(Recording(time, q, None if torque is None else torque * factors, force, str(path), v), robot)
 
 
 def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:
-    """Return the columns of the force, (N,) or (N, 3), or None if there are none."""
-    plain = {plain_name(name): name for name in table}
+    """Return the columns of the force, N, (N,) or (N, 3), or None if there are none."""
+    usual = [[name] for name in FORCE] + [[form.format(axis) for axis in axes] for form, axes in FORCES]
+    named = [name.strip() for name in asked.split(",")] if asked else []
+    for names in [named] if asked else usual:
+        found = columns_named(table, names, "force", path) if len(names) in (1, 3) else None
+        if found is not None:
+            return found[0] if len(found) == 1 else np.stack(found, axis=1)
     if asked:
-        names = [name.strip() for name in asked.split(",")]
-        found = column_named(table, names)
-        if len(names) not in (1, 3) or None in found:
-            missing = next((name for name, at in zip(names, found, strict=True) if at is None), None)
-            reason = f"no column {missing!r}" if missing else f"{len(names)} names: one, or three"
-            raise LogError(f"{path}: --columns force={asked}: {reason}; it has {listed(table)}")
-        read = [table[name] for name in found if name is not None]
-        return read[0] if len(read) == 1 else np.stack(read, axis=1)
-    for name in FORCE:
-        if name in plain:
-            return table[plain[name]]
-    for form, axes in FORCES:
-        names = [form.format(axis) for axis in axes]
-        if all(name in plain for name in names):
-            return np.stack([table[plain[name]] for name in names], axis=1)
+        missing = next((name for name in named if columns_named(table, [name], "force", path) is None), None)
+        reason = f"no column {missing!r}" if missing else f"{len(named)} names: one, or three"
+        raise LogError(f"{path}: --columns force={asked}: {reason}; it has {listed(table)}")
     return None
 
 
@@ -188,7 +159,7 @@ def checked(recording: Recording, robot: RobotModel) -> Recording:
             raise LogError(f"{where}: {name} has shape {np.shape(x)}: must be {' or '.join(map(str, shapes))}")
         if not np.isfinite(x).all():
             raise LogError(f"{where}: {name} in row {int(np.argwhere(~np.isfinite(x))[0][0])} is not finite")
-    usual = check_time(time, where)
-    if recording.v is not None:
-        check_velocities(np.asarray(recording.q), np.asarray(recording.v), usual, robot, where)
+    check_motion(recording.q, recording.v, check_time(time, where), robot, where)
+    if recording.torque is not None:
+        check_torques(recording.q, recording.torque, robot, where)
     return recording

@@ -7,9 +7,11 @@ at the same times, between its messages by a line.
 
 from __future__ import annotations
 
+import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +20,12 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.optional import missing_line
 from closedloop.figures.export.messages import DEFINITIONS
+from closedloop.simulation.batch.threads import Done, uninterrupted
 from closedloop.studies.identify.log import LogError
 
 JOINTS, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
+# Steps of SQLite after which it is asked whether a query is still wanted: some ten milliseconds.
+CHECKED = 100_000
 NEEDS = missing_line("reading MCAP and rosbag2 needs", "mcap-ros2-support", "mcap")
 
 
@@ -68,7 +73,8 @@ def _times(messages: list[Any]) -> Array:
 
 def _messages(path: Path) -> Iterator[tuple[str, str, Any]]:
     """Yield topic, kind and message of joints and wrenches, in the order of the bag."""
-    files = [path] if path.is_file() else sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
+    inside = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
+    files = [path] if path.is_file() else [file for file in inside if file.is_file()]  # a pipe would be waited for
     if not files:
         raise LogError(f"{path}: is no file, and no folder with .mcap or .db3")
     for file in files:
@@ -97,17 +103,35 @@ def _of_database(file: Path) -> Iterator[tuple[str, str, Any]]:
     from mcap.records import Schema
     from mcap_ros2.decoder import DecoderFactory
 
-    factory, decoders = DecoderFactory(), {}
+    factory = DecoderFactory()
+    decoders: dict[str, Any] = {}
     for number, kind in enumerate((JOINTS, WRENCH), 1):
         schema = Schema(id=number, name=kind, encoding="ros2msg", data=DEFINITIONS[kind].encode())
         decoders[kind] = factory.decoder_for("cdr", schema)
-    connection = sqlite3.connect(f"file:{file.resolve().as_posix()}?mode=ro", uri=True)
+    for name, kind, data in uninterrupted(lambda done: _rows(file, tuple(decoders), done)):
+        yield name, kind, decoders[kind](data)
+
+
+def _rows(file: Path, kinds: Sequence[str], done: Done) -> list[tuple[str, str, bytes]]:
+    """Return topic, type and data of the messages of these types in a database, in the order of their times.
+
+    Only tables are asked, in the form that rosbag2 has: a query of a view, or of a column that is computed, may have no
+    end.
+    """
+    connection = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)
+    connection.set_progress_handler(done.check, CHECKED)  # what it raises ends the query
     try:
-        topics = {row[0]: row[1:] for row in connection.execute("SELECT id, name, type FROM topics")}
-        for number, data in connection.execute("SELECT topic_id, data FROM messages ORDER BY timestamp"):
-            name, kind = topics[number]
-            decode = decoders.get(kind)
-            if decode is not None:
-                yield name, kind, decode(data)
+        tables = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'"))
+        for name in ("topics", "messages"):
+            if not re.match(r"CREATE TABLE\b(?!.*\bAS\s*\()", tables.get(name) or "", re.IGNORECASE | re.DOTALL):
+                raise LogError(f"{file}: has no table {name} as rosbag2 writes it")
+        marks = ", ".join("?" * len(kinds))
+        found = connection.execute(f"SELECT id, name, type FROM topics WHERE type IN ({marks})", kinds)
+        topics = {number: (name, kind) for number, name, kind in found}
+        rows = []
+        for number, (name, kind) in topics.items():
+            asked = "SELECT timestamp, data FROM messages WHERE topic_id = ?"
+            rows += [(stamp, name, kind, data) for stamp, data in connection.execute(asked, (number,))]
     finally:
         connection.close()
+    return [row[1:] for row in sorted(rows, key=itemgetter(0))]

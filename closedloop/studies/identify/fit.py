@@ -3,16 +3,20 @@
     χ = (Zᵀ Ω W)⁻¹ Zᵀ Ω τ,   Ω = 1/σ_j² of each joint, Z = W for least squares
 
 Instruments Z are the regressor of a motion whose noise is independent of that of W, so that noise of the positions does
-not bias χ. The covariance is that of Newey and West: the residuals of a real robot are no white noise, and those of its
-joints at one instant belong together,
+not bias χ. The residuals of a real robot are no white noise: those of each joint are taken for an autoregression,
 
-    cov χ = A⁻¹ S A⁻ᵀ,   A = Zᵀ Ω W,   S = Σ_l (1 − |l|/(L + 1)) Σ_t s_t s_{t−l}ᵀ,   s_t = Z_tᵀ Ω u_t
+    u_t = φ_j u_{t−1} + e_t,   var e = s_j²,   cov χ = A⁻¹ Zᵀ Ω Γ Ω Z A⁻ᵀ,   A = Zᵀ Ω W,   Γ = cov u
 
-with L from the correlation of neighbouring residuals. Of a short log S is a little too small, as few windows tell it:
-where it gives a smaller deviation than white residuals would, theirs is taken. Sources: W. Newey, K. West,
-Econometrica 55 (1987) 703-708; D. Andrews, Econometrica 59 (1991) 817-858, (6.2) and (6.4); A. Janot,
-P.-O. Vandanjon, M. Gautier, A generic instrumental variable approach for industrial robot identification, IEEE Trans.
-Control Systems Technology 22 (2014) 132-145.
+where φ_j and s_j maximise the restricted likelihood, that of the part of τ that no χ explains: the residuals themselves
+are less correlated than the noise, as χ follows whatever in it is slow. The e of the joints at one instant may be
+correlated. As φ and s are known only so well, intervals are those of Student's t, with the degrees of freedom that the
+variance of a variance has (Satterthwaite): `deviation` is made so wide that 1.96 of it are 95 %. σ_j² is the sum of
+squares over the windows less the parameters that they tell (Horn), and not below the noise of the torque itself.
+Sources: D. Harville, J. American Statistical Association 72 (1977) 320-338; D. Andrews, J. Monahan, Econometrica 60
+(1992) 953-966, who whiten by autoregressions; F. Satterthwaite, Biometrics Bulletin 2 (1946) 110-114; S. Horn, R. Horn,
+D. Duncan, J. American Statistical Association 70 (1975) 380-385; A. Janot, P.-O. Vandanjon, M. Gautier, A generic
+instrumental variable approach for industrial robot identification, IEEE Trans. Control Systems Technology 22 (2014)
+132-145.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg, optimize, signal, stats
 
 from closedloop.base.arrays import Array, Mask
 
@@ -30,6 +34,14 @@ ROUNDS = 20
 UNIQUE = 2e-3
 # So many products, and the threads of the linear algebra library are worth their start.
 LARGE = 100_000_000
+# A correlation of neighbouring residuals outside these is not looked for: the log is too short to tell it.
+CORRELATED = -0.9, 0.995
+# Of log (s/σ)², either way.
+SPREAD = 20.0
+# Steps of differences of φ and log s², and the least information on them that is believed.
+STEP, LEAST_TOLD = 1e-4, 0.1
+# Degrees of freedom of an interval, at least.
+FEWEST = 3.0
 # Lags of the portmanteau test of whiteness.
 WHITENESS_LAGS = 10
 # No division by zero, nor by its square.
@@ -51,12 +63,15 @@ class Fit:
     # zero
     alike: tuple[tuple[int, ...], ...]
     residual: Array  # (R, n): torque less W χ, N m, in all windows, used or not
-    sigma: Array  # (n,): their standard deviation in the windows used
+    sigma: Array  # (n,): standard deviation of the noise in the windows used
     condition: float  # of the weighted W, columns of length one
-    lags: int  # L
+    correlation: Array  # (n,): φ of the noise of each joint, from one window to the next
 
 
-def fit(W: Array, torque: Array, used: Mask, Z: Array | None = None, told: Mask | None = None) -> Fit:
+def fit(
+    W: Array, torque: Array, used: Mask, Z: Array | None = None, told: Mask | None = None, least: Array | float = 0.0,
+    seen: Array | None = None,
+) -> Fit:  # fmt: skip
     """Fit the parameters of W (R, n, b) to torques (R, n), by least squares or with instruments Z (R, n, b).
 
     Parameters
@@ -65,43 +80,125 @@ def fit(W: Array, torque: Array, used: Mask, Z: Array | None = None, told: Mask 
         Which torques count.
     told : (b,) bool, optional
         Parameters to be found; the others are 0. What the rows tell apart, if not given.
+    least : (n,), optional
+        Standard deviation that the noise of the torques has at least, N m.
+    seen : (R, n, b), optional
+        In place of W, what tells parameters apart.
     """
     n, b = W.shape[1:]
     Z = W if Z is None else Z
-    weights = used / np.maximum(_deviation(torque, used), TINY)
+    count = used.sum(axis=0)
+    size = np.where(count > 0, np.sqrt((torque**2 * used).sum(axis=0) / np.maximum(count, 1)), 1.0)
     products = [_product(Z[used[:, j], j], W[used[:, j], j]) for j in range(n)]  # Zᵀ W of each joint, (b, b)
     sides = [_product(Z[used[:, j], j], torque[used[:, j], j, None])[:, 0] for j in range(n)]
     alike: list[tuple[int, ...]] = [()] * b
     if told is None:
-        weighted = [W[:, j] * weights[:, j, None] for j in range(n)]
+        seen = W if seen is None else seen
+        weighted = [seen[:, j] * (used[:, j] / np.maximum(size[j], TINY))[:, None] for j in range(n)]
         told, alike = told_apart(np.sum([_product(x, x) for x in weighted], axis=0))
     X, S, at, value = W[:, :, told], Z[:, :, told], np.ix_(told, told), np.zeros(b)
-    sigma, residual = np.maximum(_deviation(torque, used), TINY), torque
-    scale = np.sqrt(np.einsum("tji,tj->i", X**2, weights**2))  # columns of about one length
+    floor = np.maximum(least, 1e-12 * np.abs(torque).max()) + TINY
+    sigma, residual = np.maximum(size, floor), torque
+    scale = np.sqrt(np.einsum("tji,tj->i", X**2, used / sigma**2))  # columns of about one length
     for _ in range(ROUNDS):
-        A = np.sum([x[at] / s**2 for x, s in zip(products, sigma, strict=True)], axis=0) / scale / scale[:, None]
+        parts = np.array([x[at] / s**2 for x, s in zip(products, sigma, strict=True)]) / scale / scale[:, None]
+        inverse = linalg.inv(parts.sum(axis=0))
         side = np.sum([x[told] / s**2 for x, s in zip(sides, sigma, strict=True)], axis=0) / scale
-        value[told] = linalg.solve(A, side) / scale
+        value[told] = inverse @ side / scale
         residual = torque - X @ value[told]
-        last, sigma = sigma, np.maximum(_deviation(residual, used), 1e-12 * np.abs(torque).max() + TINY)
+        squares, free = (residual**2 * used).sum(axis=0), count - np.einsum("ab,jba->j", inverse, parts)
+        last, sigma = sigma, np.maximum(np.sqrt(squares / np.maximum(free, 1.0)), floor)
         if np.all(np.abs(sigma - last) < 1e-6 * sigma):
             break
-    scores = np.einsum("tji,tj->ti", S, residual * used / sigma**2) / scale
-    lags, count = _lags(residual, used), int(used.sum())
-    # Bartlett's weights are those of sums over L + 1 windows, one beside the other.
-    padded = np.cumsum(np.vstack([np.zeros((1, len(scale))), scores, np.zeros((lags, len(scale)))]), axis=0)
-    sums = padded - np.vstack([np.zeros((lags + 1, len(scale))), padded[: -lags - 1]])
-    back = linalg.inv(A) / scale[:, None]
-    white = _squares(S, used, sigma) / scale / scale[:, None]
-    correlated, plain = back @ (_product(sums, sums) / (lags + 1)) @ back.T, back @ white @ back.T
-    wider = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(correlated), TINY), 1.0))
+    phi, step, unsure = _autoregression(X / scale, torque, used, sigma)
+    innovation = np.where(used[1:] & used[:-1], residual[1:] - phi * residual[:-1], 0.0)
+    gram = innovation.T @ innovation
+    length = np.maximum(np.sqrt(np.diag(gram)), TINY)
+    together = np.where(np.eye(n) > 0.0, 1.0, gram / length / length[:, None])  # correlation of e, (n, n)
+    # χ̂ − χ = Σ_t rows_tᵀ u_t
+    rows = np.einsum("kl,tjl->tjk", inverse / scale[:, None], S / scale * (used / sigma**2)[:, :, None], optimize=True)
+
+    def covariances(phi: Array, step: Array, product: str) -> Array:
+        reach = [_back(rows[:, j], phi[j]) for j in range(n)]  # what an innovation adds, by all windows after it
+        return np.sum([
+            together[i, j] * step[i] * step[j]
+            * (np.einsum(product, reach[i], reach[j]) + np.einsum(product, *(  # the noise was there before the log
+                reach[k][:1] for k in (i, j))) * phi[i] * phi[j] / (1.0 - phi[i] * phi[j]))
+            for i in range(n) for j in range(n)
+        ], axis=0)  # fmt: skip
+
+    found = covariances(phi, step, "ta,tb->ab")
+    known, slopes = np.diag(found), []
+    for j in range(n):  # how the variances depend on φ and log s² of each joint
+        moved = phi + STEP * (np.arange(n) == j) * np.where(phi > 0.0, -1.0, 1.0)
+        slopes.append((covariances(moved, step, "ta,ta->a") - known) / (moved[j] - phi[j]))
+    for j in range(n):
+        slopes.append((covariances(phi, step * np.exp(0.5 * STEP * (np.arange(n) == j)), "ta,ta->a") - known) / STEP)
+    spread = np.einsum("ia,ij,ja->a", slopes, unsure, slopes)
+    freedom = np.maximum(2.0 * known**2 / np.maximum(spread, TINY), FEWEST)
+    wider = stats.t.ppf(0.975, freedom) / stats.norm.ppf(0.975)
     covariance = np.zeros((b, b))
-    covariance[at] = correlated * wider * wider[:, None] * count / max(1, count - int(told.sum()))
+    covariance[at] = found * wider * wider[:, None]
     deviation = np.where(told, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf)
-    square = _squares(X, used, sigma)
-    length = np.sqrt(np.diag(square))
-    condition = float(np.sqrt(np.linalg.cond(square / length / length[:, None])))
-    return Fit(value, deviation, covariance, told, tuple(alike), residual, sigma, condition, lags)
+    square = np.sum([_product(x, x) for x in (X[used[:, j], j] / sigma[j] for j in range(n))], axis=0)
+    size = np.sqrt(np.diag(square))
+    condition = float(np.sqrt(np.linalg.cond(square / size / size[:, None]))) if told.any() else 1.0
+    return Fit(value, deviation, covariance, told, tuple(alike), residual, sigma, condition, phi)
+
+
+def _back(rows: Array, phi: float) -> Array:
+    """Return Σ_k φᵏ rows_{t+k} of each window t, (R, b)."""
+    return np.asarray(signal.lfilter([1.0], [1.0, -phi], rows[::-1], axis=0)[::-1])
+
+
+def _autoregression(X: Array, torque: Array, used: Mask, sigma: Array) -> tuple[Array, Array, Array]:
+    """Return φ and s (n,) of the noise of each joint, which maximise the restricted likelihood of torques (R, n), and
+    the covariance (2n, 2n) of φ and log s².
+
+    Parameters
+    ----------
+    X : (R, n, b)
+        Columns that are told apart; of about one length, each row over `sigma`.
+    sigma : (n,)
+        Standard deviation of the noise, where the search begins.
+    """
+    n, b = X.shape[1:]
+    both = used[1:] & used[:-1]
+    first = used.copy()  # windows without a used one before: of them the noise has the variance s²/(1 − φ²)
+    first[1:] &= ~both
+    count, firsts = used.sum(axis=0), first.sum(axis=0)
+    if count.sum() <= b:
+        return np.zeros(n), sigma, np.eye(2 * n) / LEAST_TOLD
+    moments = np.zeros(
+        (n, 4, b + 1, b + 1)
+    )  # of [X τ]/σ: of windows with themselves, those before, of those, of firsts
+    for j in range(n):
+        rows = np.column_stack([X[:, j], torque[:, j]]) / sigma[j]
+        now, before, alone = rows[1:][both[:, j]], rows[:-1][both[:, j]], rows[first[:, j]]
+        cross, of_first = _product(now, before), _product(alone, alone)
+        moments[j] = _product(now, now) + of_first, cross + cross.T, _product(before, before), of_first
+
+    def unlikely(z: Array) -> tuple[float, Array]:
+        """Return −2 log of the likelihood of φ and log (s/σ)², and its derivative."""
+        phi, log = z[:n], z[n:]
+        weights, square = np.exp(-log), phi * phi
+        powers = np.stack([np.ones(n), -phi, square, -square], axis=1)
+        A = np.einsum("j,jk,jkab->ab", weights, powers, moments)
+        C = linalg.inv(A[:b, :b])
+        left = np.append(-C @ A[:b, b], 1.0)
+        squares = np.einsum("a,jkab,b->jk", left, moments, left) + np.einsum("ab,jkab->jk", C, moments[:, :, :b, :b])
+        slope = 2.0 * phi * (squares[:, 2] - squares[:, 3]) - squares[:, 1]
+        rise = np.concatenate([
+            weights * slope + 2.0 * firsts * phi / (1.0 - square), count - weights * (powers * squares).sum(axis=1)
+        ])  # fmt: skip
+        value = count @ log - firsts @ np.log(1.0 - square) + np.linalg.slogdet(A[:b, :b])[1] + left @ A @ left
+        return float(value), rise
+
+    bounds = [CORRELATED] * n + [(-SPREAD, SPREAD)] * n
+    best = optimize.minimize(unlikely, np.zeros(2 * n), jac=True, method="L-BFGS-B", bounds=bounds).x
+    bend = np.array([(unlikely(best + e)[1] - unlikely(best - e)[1]) / (2.0 * STEP) for e in STEP * np.eye(2 * n)])
+    values, vectors = linalg.eigh(0.25 * (bend + bend.T))  # of the information
+    return best[:n], sigma * np.exp(0.5 * best[n:]), (vectors / np.maximum(values, LEAST_TOLD)) @ vectors.T
 
 
 def told_apart(square: Array) -> tuple[Mask, list[tuple[int, ...]]]:
@@ -142,17 +239,6 @@ def _product(x: Array, y: Array) -> Array:
     return np.einsum("ti,tk->ik", x, y)
 
 
-def _squares(x: Array, used: Mask, sigma: Array) -> Array:
-    """Return Σ_j x_jᵀ x_j/σ_j² of the rows used of x (R, n, b), (b, b)."""
-    rows = [x[used[:, j], j] / sigma[j] for j in range(x.shape[1])]
-    return np.asarray(np.sum([_product(one, one) for one in rows], axis=0))
-
-
-def _deviation(x: Array, used: Mask) -> Array:
-    found: Array = np.sqrt((x**2 * used).sum(axis=0) / np.maximum(used.sum(axis=0), 1))
-    return np.where(used.any(axis=0), found, 1.0)
-
-
 def correlation(residual: Array, used: Mask, lag: int = 1) -> Array:
     """Return the correlation of the residuals of each joint with those `lag` windows before, (n,)."""
     both = used[lag:] & used[:-lag]
@@ -170,9 +256,3 @@ def whiteness(residual: Array, used: Mask) -> Array:
         statistic = sum(count * r * r for (count, _), r in zip(pairs, rho, strict=True))
         found[j] = stats.chi2.sf(statistic, WHITENESS_LAGS)
     return found
-
-
-def _lags(residual: Array, used: Mask) -> int:
-    rho = np.clip(correlation(residual, used), -0.97, 0.97)
-    alpha = float(np.median(4.0 * rho**2 / (1.0 - rho**2) ** 2))
-    return int(np.clip(np.ceil(1.1447 * (alpha * len(residual)) ** (1.0 / 3.0)), 1, len(residual) // 10))

@@ -18,7 +18,7 @@ from closedloop.studies.identify.base_parameters import BaseParameters, base_par
 from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.log import Log, checked
 from closedloop.studies.identify.motion import Motion, joined, motion, usual_cutoff
-from closedloop.studies.identify.regressor import FRICTION, Columns, Regressor, Terms
+from closedloop.studies.identify.regressor import BOUNDED, FRICTION, REST, Columns, Regressor, Terms
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -29,8 +29,10 @@ if TYPE_CHECKING:
 WHITENESS_LEVEL = 1e-3
 # Of a Stribeck term that is to be fitted, rad/s (m/s).
 STRIBECK_SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
-# A joint that turns less than this, rad (m), rests.
-REST = 1e-3
+# Windows in which a joint has to move for its torques to count at all: fewer tell its noise no more than its friction.
+FEWEST = 20
+# Parameters of a joint that act on its own torque alone.
+OWN = ("viscous", "dry", "offset", "stribeck", "drive_inertia")
 # The Stribeck term of a log, per unit of its coefficient, is below this at most: it was not excited.
 LEAST_STRIBECK = 0.1
 # Pieces of a log, a share of each of which is held out.
@@ -145,6 +147,12 @@ class Identification:
         return tuple(entry for entry in self.estimates if entry.why)
 
     @property
+    def not_physical(self) -> tuple[Estimate, ...]:
+        """What dissipates or stores energy, and is surely below zero: the whole interval of it is."""
+        bounded = (e for e in self.estimates if e.name.startswith(BOUNDED) and e.name == e.grouping)
+        return tuple(e for e in bounded if e.high < 0.0)
+
+    @property
     def relative_error(self) -> Array:
         """RMS of the residual over RMS of the torque, (n,), where torques count."""
         return _relative(self.solution.residual, self.measured, self.used)
@@ -181,8 +189,9 @@ class Identification:
         return plain({
             "robot": self.robot.name, "method": self.method, "confidence": self.confidence,
             "cutoff_hz": self.motion.cutoff, "windows": len(self.time), "condition": self.solution.condition,
-            "correlated_windows": self.solution.lags, "joints": joints,
+            "correlation": self.solution.correlation, "joints": joints,
             "parameters": {e.name: e.as_dict() for e in self.estimates}, "model_misses_something": self.misses,
+            "not_physical": [e.name for e in self.not_physical],
         })  # fmt: skip
 
 
@@ -249,12 +258,11 @@ def identify(
     from robot_models import RobotModel
 
     model = robot if isinstance(robot, RobotModel) else robot_models.load(robot)
-    _check(model, method, held_out, confidence)
+    _check(model, method, held_out, confidence, slow)
     logs = [checked(one, model) for one in ([log] if isinstance(log, Log) else log)]
     if not logs:
         raise ModelError("log = []: there is no log, give one or more")
     cutoff = max(usual_cutoff(one) for one in logs) if cutoff is None else cutoff
-    turns = np.max([np.ptp(one.q, axis=0) for one in logs], axis=0)
     x = joined([motion(one, cutoff) for one in logs])
     speeds = (
         None if stribeck_speed is None or isinstance(stribeck_speed, str) else np.asarray(stribeck_speed, dtype=float)
@@ -264,30 +272,30 @@ def identify(
         terms = replace(terms, stribeck_speed=_fitted_speeds(model, terms, x))
     regressor = Regressor(model, terms)
     base = base_parameters(regressor)
-    W = regressor.averaged(x)[:, :, base.kept]
-    used = regressor.certain(x)
-    _still(W, regressor, base, turns)
-    found = fit(W, x.torque, used)
+    used = _counted(regressor, x)
+    W, seen = _columns(regressor, base, x, used)
+    found = fit(W, x.torque, used, least=x.torque_noise, seen=seen)
     bias = np.full(len(base.kept), np.nan)
     if method == "iv":
         halves = [joined([motion(one, cutoff, slice(k, None, 2)) for one in logs]) for k in (0, 1)]
         even, odd = (regressor.averaged(half)[:, :, base.kept] for half in halves)
-        _still(even, regressor, base, turns)
-        better = fit(even, x.torque, used, odd, found.told)
+        better = fit(even, x.torque, used, odd, found.told, x.torque_noise)
         bias = found.value - better.value
         found = replace(better, alike=found.alike)
     z = float(stats.norm.ppf(0.5 + 0.5 * confidence))
     if test is None:
         tested = _pieces(len(x.time), held_out)
-        part = fit(W[~tested], x.torque[~tested], used[~tested]) if tested.any() else found
+        kept = ~tested
+        fitted = (W[kept], x.torque[kept], used[kept])
+        part = fit(*fitted, least=x.torque_noise, seen=seen[kept]) if tested.any() else found
         judged, V, sure = x.torque[tested], W[tested], used[tested]
     else:
         y = motion(checked(test, model), cutoff)
         tested, part = np.zeros(len(x.time), dtype=bool), found
-        judged, V, sure = y.torque, regressor.averaged(y)[:, :, base.kept], regressor.certain(y)
+        judged, V, sure = y.torque, regressor.averaged(y)[:, :, base.kept], _counted(regressor, y)
     return Identification(
         model, regressor, base, found, x, used, tested,
-        tuple(_estimate(k, found, base, regressor, turns, z) for k in range(len(base.kept))),
+        tuple(_estimate(k, found, base, regressor, used, z) for k in range(len(base.kept))),
         _relative(judged - V @ part.value, judged, sure), bias, method, confidence,
     )  # fmt: skip
 
@@ -299,14 +307,14 @@ def _fitted_speeds(robot: RobotModel, terms: Terms, x: Motion) -> Array:
     for speed in STRIBECK_SPEEDS:
         regressor = Regressor(robot, replace(terms, stribeck_speed=np.full(robot.n, speed)))
         base = base_parameters(regressor)
-        W = regressor.averaged(x)[:, :, base.kept]
-        _still(W, regressor, base, np.ptp(x.q, axis=0))
-        sigma = fit(W, x.torque, regressor.certain(x)).sigma
+        used = _counted(regressor, x)
+        W, seen = _columns(regressor, base, x, used)
+        sigma = fit(W, x.torque, used, least=x.torque_noise, seen=seen).sigma
         left.append(np.where(speed < 0.25 * highest, sigma, np.inf))  # more of the curve is the viscous term's
     return np.asarray(np.array(STRIBECK_SPEEDS)[np.argmin(left, axis=0)])
 
 
-def _check(robot: RobotModel, method: str, held_out: float, confidence: float) -> None:
+def _check(robot: RobotModel, method: str, held_out: float, confidence: float, slow: float) -> None:
     if robot.loops:
         raise ModelError(f"{robot.name} has closed loops: only a tree can be identified")
     if method not in ("ls", "iv"):
@@ -315,15 +323,37 @@ def _check(robot: RobotModel, method: str, held_out: float, confidence: float) -
         raise ModelError(f"held_out is {held_out!r}: it must be a share of the log from 0 to 0.5")
     if not 0.5 <= confidence < 1.0:
         raise ModelError(f"confidence is {confidence!r}: it must be from 0.5 to below 1")
+    if not 0.0 <= slow < 1.0:
+        raise ModelError(f"slow is {slow!r}: it must be from 0 to below 1")
 
 
-def _still(W: Array, regressor: Regressor, base: BaseParameters, turns: Array) -> None:
-    """Set to zero what was not excited: columns of joints that rest, where noise moves, small Stribeck terms."""
-    for kind in ("viscous", "dry", "stribeck", "drive_inertia"):
+def _counted(regressor: Regressor, x: Motion) -> NDArray[np.bool_]:
+    """Return (R, n) which torques count: those of a joint that moves for long, where its friction has one sure sign."""
+    used = regressor.certain(x)
+    return np.asarray(used & (used.sum(axis=0) >= FEWEST))
+
+
+def _columns(regressor: Regressor, base: BaseParameters, x: Motion, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return W (R, n, b), and what of it was excited: where joints rest, noise moves them.
+
+    The second is W of a motion in which they do not move at all, without columns of their own, small Stribeck terms,
+    and those that are no larger than what the least stroke of such a joint makes of them.
+    """
+    W = regressor.averaged(x)[:, :, base.kept]
+    rests, seen = np.asarray(~used.any(axis=0)), W.copy()
+    if rests.any():
+        still = replace(x, v=np.where(rests, 0.0, x.v), a=np.where(rests, 0.0, x.a))
+        places = (np.where(rests, x.q.mean(axis=0) + side, x.q) for side in (0.0, REST))
+        seen, beside = (regressor.averaged(replace(still, q=q))[:, :, base.kept] for q in places)
+        size, change = (np.einsum("tjk,tjk,tj->k", y, y, used) for y in (seen, seen - beside))
+        seen[:, :, change > size] = 0.0
+    for kind in OWN:
         for j, joint in enumerate(regressor.robot.joint_names):
             at = np.flatnonzero([regressor.names[k] == f"{kind}_{joint}" for k in base.kept])
-            if turns[j] < REST or (kind == "stribeck" and np.abs(W[:, j, at]).max(initial=0.0) < LEAST_STRIBECK):
-                W[:, :, at] = 0.0
+            small = kind == "stribeck" and np.abs(seen[:, j, at]).max(initial=0.0) < LEAST_STRIBECK
+            if small or rests[j]:
+                seen[:, :, at] = 0.0
+    return W, seen
 
 
 def _pieces(R: int, share: float) -> NDArray[np.bool_]:
@@ -337,22 +367,25 @@ def _relative(error: Array, torque: Array, used: NDArray[np.bool_]) -> Array:
     return np.asarray(np.sqrt((error**2 * used).sum(axis=0) / np.where(size > 0.0, size, np.nan)))
 
 
-def _estimate(k: int, found: Fit, base: BaseParameters, regressor: Regressor, turns: Array, z: float) -> Estimate:
+def _estimate(
+    k: int, found: Fit, base: BaseParameters, regressor: Regressor, used: NDArray[np.bool_], z: float
+) -> Estimate:
     name = regressor.names[base.kept[k]]
     unit, grouping = regressor.unit(name), base.names[k]
     if not found.told[k]:
-        return Estimate(name, np.nan, -np.inf, np.inf, unit, grouping, _reason(k, found, base, regressor, turns))
+        return Estimate(name, np.nan, -np.inf, np.inf, unit, grouping, _reason(k, found, base, regressor, used))
     value, half = float(found.value[k]), z * float(found.deviation[k])
     return Estimate(name, value, value - half, value + half, unit, grouping, "")
 
 
-def _reason(k: int, found: Fit, base: BaseParameters, regressor: Regressor, turns: Array) -> str:
+def _reason(k: int, found: Fit, base: BaseParameters, regressor: Regressor, used: NDArray[np.bool_]) -> str:
     name = regressor.names[base.kept[k]]
-    kind, _, joint = name.rpartition("_")
-    others = [regressor.names[base.kept[other]] for other in found.alike[k]]
     joints = regressor.robot.joint_names
-    if joint in joints and turns[joints.index(joint)] < REST:
-        return f"{joint} rests in this log: move it, both ways and at several speeds"
+    joint = max((each for each in joints if name.endswith(f"_{each}")), key=len, default="")
+    kind = name.removesuffix(f"_{joint}")
+    others = [regressor.names[base.kept[other]] for other in found.alike[k]]
+    if joint and not used[:, joints.index(joint)].any():
+        return f"{joint} rests in this log, or moves too little or too slowly: move it, both ways and at several speeds"
     if kind == "stribeck" and not others:
         return f"{joint} never moves as slowly as the Stribeck speed in this log: move it slowly as well as fast"
     if not others:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +18,24 @@ if TYPE_CHECKING:
 LARGEST_TURN = 30.0
 # So far beyond the limit of its file no joint turns, rad: the angle is another joint's, or has another unit or zero.
 BEYOND = 1.0
+# Beyond its limit by more than this, m, and by its whole range, no joint slides.
+BEYOND_SLIDE = 0.2
 # Steps of the time that differ by more than this share of their median are a jump.
 UNEVEN = 0.5
+# Rows over which a speed is measured: noise of single rows is no motion.
+SPAN = 10
+# A usual top speed of a joint, rad/s (m/s). Joints all slower than this share of it, and of their limits, in rows
+# further apart than this, s, have their time in a smaller unit than s; one so many times faster has it in a larger one.
+USUAL_SPEED, SLOWEST, FAR_APART, FASTEST = 5.0, 2e-3, 0.05, 20.0
+# A joint has to move so far before its speeds are judged, rad (m).
+MOVES = 1e-2
+# Torques beyond so many times what the weight of the robot needs, and its drives can, have another unit; so have those
+# below this share of its weight.
+STRONGEST, WEAKEST = 20.0, 3e-3
+# Postures of a log in which its weight is evaluated.
+POSTURES = 100
+# Torques outside this, N m (N), are of no robot.
+LEAST_TORQUE, MOST_TORQUE = 1e-9, 1e9
 
 
 class LogError(ModelError):
@@ -73,7 +89,7 @@ def checked(log: Log, robot: RobotModel) -> Log:
     ------
     LogError
         A number of rows or joints is wrong, a value is not finite, time jumps or runs backwards, the joints are others,
-        angles are in degrees, velocities are not the rates of the positions, or no joint moves.
+        units cannot be those of SI, velocities are not the rates of the positions, or no joint moves.
     """
     where, n = log.source, robot.n
     time, q, torque = (np.ascontiguousarray(x, dtype=np.float64) for x in (log.time, log.q, log.torque))
@@ -99,14 +115,14 @@ def checked(log: Log, robot: RobotModel) -> Log:
             )
         order = [log.joint_names.index(name) for name in robot.joint_names]
         q, torque, v = q[:, order], torque[:, order], None if v is None else v[:, order]
-    check_time(time, where)
+    step = check_time(time, where)
     check_positions(q, robot, where)
     if np.ptp(q, axis=0).max() < 1e-3:
         raise LogError(
             f"{where}: the robot rests: no joint moves by more than {np.ptp(q, axis=0).max():.2g}, nothing can be found"
         )
-    if v is not None:
-        check_velocities(q, v, (time[-1] - time[0]) / (N - 1), robot, where)
+    check_motion(q, v, step, robot, where)
+    check_torques(q, torque, robot, where)
     return Log(time, q, torque, robot.joint_names, v, where)
 
 
@@ -145,33 +161,103 @@ def check_positions(q: Array, robot: RobotModel, where: str) -> None:
             f"{where}: joint {robot.joint_names[joint]} reaches {largest[joint]:.4g} rad, {beyond[joint]:.3g} beyond "
             "its limit: angles in degrees, joints in another order, or a zero elsewhere?"
         )
+    span = robot.position_upper - robot.position_lower
+    for joint in map(int, np.flatnonzero(~turns & (beyond > np.maximum(span, BEYOND_SLIDE)))):
+        raise LogError(
+            f"{where}: joint {robot.joint_names[joint]} reaches {largest[joint]:.4g} m, {beyond[joint]:.3g} beyond its "
+            f"limit: give its unit, as in {_unit('q', 'mm')}"
+        )
+
+
+def _unit(what: str, unit: str) -> str:
+    """Return the words that give the columns of a quantity a unit."""
+    return f"--columns {what}='NAME{'' if what == 'time' else '_{}'} [{unit}]'"
+
+
+def check_motion(q: Array, v: Array | None, step: float, robot: RobotModel, where: str) -> None:
+    """Raise LogError if positions (N, n), rad (m), at rows `step` s apart are no motion of the robot, or v (N, n),
+    rad/s (m/s), is not its rate."""
+    turns = np.ptp(q, axis=0) if len(q) else np.zeros(q.shape[1])
+    span = min(SPAN, len(q) // 4)
+    if span == 0 or turns.max(initial=0.0) < MOVES:
+        return
+    if v is not None:
+        check_velocities(q, v, step, robot, where)
+    speed = np.percentile(np.abs(q[span:] - q[:-span]), 99.0, axis=0) / (span * step)
+    limit = np.where(robot.velocity_limit > 0.0, robot.velocity_limit, USUAL_SPEED)
+    slow, fast = speed / np.minimum(limit, USUAL_SPEED), speed / np.maximum(limit, USUAL_SPEED)
+    if slow.max() < SLOWEST and step > FAR_APART:
+        unit = next((u for u, k in (("ms", 1e-3), ("us", 1e-6)) if step * k < 10.0 * FAR_APART), "ns")
+        raise LogError(
+            f"{where}: rows are {step:.4g} s apart, and no joint is faster than {speed.max():.2g} rad/s: is its time "
+            f"in s? Give its unit, as in {_unit('time', unit)}"
+        )
+    if fast.max() > FASTEST:
+        joint = int(fast.argmax())
+        raise LogError(
+            f"{where}: joint {robot.joint_names[joint]} is as fast as {speed[joint]:.3g} rad/s in rows {step:.4g} s "
+            f"apart: give the units, as in {_unit('q', 'deg')} or {_unit('time', 'minutes')}"
+        )
+
+
+def check_torques(q: Array, torque: Array, robot: RobotModel, where: str) -> None:
+    """Raise LogError if torques (N, n) at positions q (N, n) are far too large or too small for the robot."""
+    largest = np.abs(torque).max(initial=0.0)
+    if largest and not LEAST_TORQUE < largest < MOST_TORQUE:
+        raise LogError(f"{where}: torques reach {largest:.3g} N m: give their unit, as in {_unit('torque', 'mN m')}")
+    if robot.loops or not largest:
+        return
+    import pinocchio as pin
+
+    model: Any = robot.pinocchio_model()
+    data = model.createData()
+    rows = q[:: max(1, len(q) // POSTURES)]
+    weight = np.sqrt(np.mean([np.sum(pin.computeGeneralizedGravity(model, data, row) ** 2) for row in rows]))
+    limits = np.where(np.isfinite(robot.effort_limit), robot.effort_limit, 0.0)
+    size, most = float(np.sqrt((torque**2).sum(axis=1).mean())), max(weight, float(np.linalg.norm(limits)))
+    if 0.0 < STRONGEST * most < size or size < WEAKEST * weight:
+        raise LogError(
+            f"{where}: torques are {size:.3g} N m (RMS of all joints), where the robot's weight needs {weight:.3g}: "
+            f"give their unit, as in {_unit('torque', 'mN m')}, or a gain"
+        )
 
 
 def check_velocities(q: Array, v: Array, step: float, robot: RobotModel, where: str) -> None:
     """Raise LogError if velocities (N, n) are not the rates of the positions, or of another joint's."""
-    rate = np.gradient(q, step, axis=0)
+    span = min(SPAN, len(q) // 4)
+    rate = (q[span:] - q[:-span]) / (span * step)
+    sums = np.cumsum(v, axis=0)
+    mean = (sums[span:] - sums[:-span] + 0.5 * (v[:-span] - v[span:])) / span  # by the trapezoidal rule
     for joint, name in enumerate(robot.joint_names):
         size = float(rate[:, joint] @ rate[:, joint])
-        if np.ptp(q[:, joint]) < 1e-2 or size == 0.0:
+        if np.ptp(q[:, joint]) < MOVES or size == 0.0:
             continue
-        share = np.array([float(rate[:, joint] @ v[:, other]) for other in range(q.shape[1])]) / size
-        alike = np.array([_alike(rate[:, joint], v[:, other]) for other in range(q.shape[1])])
+        share = np.array([float(rate[:, joint] @ mean[:, other]) for other in range(q.shape[1])]) / size
+        alike = np.array([_alike(rate[:, joint], mean[:, other]) for other in range(q.shape[1])])
         best = int(alike.argmax())
         if alike[joint] < 0.9 and best != joint and alike[best] > 0.95:
             raise LogError(
                 f"{where}: the velocity of {name} is the rate of no position of it, but that of "
                 f"{robot.joint_names[best]} is: are the joints in another order?"
             )
-        if alike[joint] > 0.9 and 40.0 < share[joint] < 70.0:
-            raise LogError(
-                f"{where}: velocities of {name} are {share[joint]:.3g} times the rate of its positions: they look like "
-                "degrees, and must be in rad/s"
-            )
         if alike[joint] > 0.9 and not 0.5 < share[joint] < 2.0:
             raise LogError(
-                f"{where}: velocities of {name} are {share[joint]:.3g} times the rate of its positions: one of "
-                "them, or time, has another unit"
+                f"{where}: velocities of {name} are {share[joint]:.3g} times the rate of its positions: "
+                f"{_why_times(share[joint])}"
             )
+
+
+def _why_times(share: float) -> str:
+    """Return which unit velocities may have that are so many times the rate of the positions."""
+    reasons = {
+        180.0 / np.pi: f"they look like degrees, and must be in rad/s: {_unit('v', 'deg/s')}",
+        np.pi / 180.0: f"positions look like degrees, and must be in rad: {_unit('q', 'deg')}",
+        1e3: f"one of them, or time, has another unit, such as {_unit('time', 'ms')}",
+        1e6: f"one of them, or time, has another unit, such as {_unit('time', 'us')}",
+        1e9: f"one of them, or time, has another unit, such as {_unit('time', 'ns')}",
+    }
+    near = next((text for k, text in reasons.items() if 0.75 < share / k < 1.33), None)
+    return near or "one of them, or time, has another unit"
 
 
 def _alike(x: Array, y: Array) -> float:

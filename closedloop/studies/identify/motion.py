@@ -26,8 +26,12 @@ EVALUATIONS = 240_000
 WINDOWS = 24_000
 # The cutoff over the frequency below which the motion has 99 % of its velocity.
 ABOVE_MOTION = 10.0
+# Joints slower than this share of the fastest (RMS) do not count for the cutoff.
+MOVES = 0.02
 # The probability with which noise alone has so much power at a frequency that it counts as motion.
 NOISE_ONLY = 1e-6
+# A change of a position below this share of it is rounding, and no count of an encoder.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +45,7 @@ class Motion:
     time: Array  # (R,): middle of each window, s
     torque: Array  # (R, n): mean over the window, N m
     size: int  # D
-    noise: Array  # (n,): standard deviation of the noise of `v`, rad/s, from that of the positions
+    noise: Array  # (n,): standard deviation of the noise of `v`, rad/s, from that of the positions, or their counts
     torque_noise: Array  # (n,): standard deviation of the noise of `torque`, N m, if it is white
     cutoff: float  # of the low-pass, Hz
 
@@ -67,6 +71,15 @@ def white_noise(x: Array) -> Array:
     return np.median(np.abs(np.diff(x, 4, axis=0)), axis=0) / (0.6745 * np.sqrt(70.0))
 
 
+def count_of(x: Array) -> Array:
+    """Return the size of a count in each column, (n,), the least change of it; 0 where no row repeats another."""
+    steps = np.abs(np.diff(x, axis=0))
+    repeated = (steps == 0.0).any(axis=0)
+    steps[steps <= ROUNDING * np.abs(x).max(axis=0)] = np.inf
+    least = steps.min(axis=0)
+    return np.where(repeated & np.isfinite(least), least, 0.0)
+
+
 def usual_cutoff(log: Log) -> float:
     """Return a cutoff, Hz: ten times the frequency below which 99 % of the joints' squared velocity lies."""
     step = log.step
@@ -75,11 +88,13 @@ def usual_cutoff(log: Log) -> float:
     f, power = signal.welch(rate, 1.0 / step, nperseg=segment, axis=0)
     # Of noise of the positions the power of the velocity grows with f²: it is taken off, and what noise may be is not
     # counted, as little of it at high frequencies would be more than the motion.
-    noise = 2.0 * step * white_noise(log.q) ** 2 * (2.0 * np.pi * f[:, None]) ** 2
+    counted = np.maximum(white_noise(log.q), count_of(log.q) / np.sqrt(12.0))
+    noise = 2.0 * step * counted**2 * (2.0 * np.pi * f[:, None]) ** 2
     degrees = 2.0 * max(1.0, 2.0 * len(rate) / segment - 1.0)
     power = np.where(power > stats.chi2.isf(NOISE_ONLY, degrees) / degrees * noise, power - noise, 0.0)
-    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
-    moves = rate.std(axis=0) > 0.02 * rate.std(axis=0).max()
+    whole = power.sum(axis=0)
+    share = np.cumsum(power, axis=0) / np.maximum(whole, 1e-300)
+    moves = whole > MOVES**2 * whole.max()
     at = [min(int(np.searchsorted(share[:, j], 0.99)), len(f) - 1) for j in np.flatnonzero(moves)]
     highest = float(f[max(at, default=0)])
     return float(min(ABOVE_MOTION * max(highest, f[1]), 0.2 / step))
@@ -124,6 +139,7 @@ def motion(log: Log, cutoff: float, rows: slice | None = None) -> Motion:
     used = slice(edge, edge + count * size * stride)
     averaged = (count, size * stride)
     noise = 2.0 * np.pi * white_noise(log.q) * np.sqrt(2.0 * step * cutoff**3 / 3.0)
+    noise = np.maximum(noise, count_of(log.q) * cutoff)  # a count passes the filter as a pulse of about this speed
     return Motion(
         filtered[at], v[at], a[at],
         log.time[used].reshape(averaged).mean(axis=1),

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from closedloop.base.arrays import Array
+from closedloop.studies.identify.regressor import BOUNDED
 
 if TYPE_CHECKING:
     from closedloop.studies.identify.identify import Identification
@@ -31,7 +32,6 @@ PULL = 0.01
 LEAST = 1e-7
 # Steps of the solver (each asks for a derivative by every number).
 ROUNDS = 60
-NOT_NEGATIVE = ("viscous", "dry", "drive_inertia")
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def physical(found: Identification) -> Physical:
     floor = np.full(len(rest), -np.inf)
     for k, name in enumerate(names[links:]):
         rest[k] = known.get(name, armature.get(name, 0.0))
-        if name.startswith(NOT_NEGATIVE):
+        if name.startswith(BOUNDED):
             floor[k], rest[k] = 0.0, max(rest[k], 0.0)
     size = np.maximum(np.abs(rest), 1e-3)
     held = np.isfinite(floor)  # what cannot be negative is a square

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+import stat
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.base.files import reason_of
+from closedloop.base.files import kind_of, reason_of
 from closedloop.base.optional import needs
 from closedloop.studies.identify.log import Log, LogError
 
@@ -27,8 +30,26 @@ NAMES = {
 }
 # How a quantity and a joint make the name of a column; a unit in brackets behind it, and case, do not count.
 FORMS = ("{} {}", "{}_{}", "{}{}", "{}[{}]", "{}.{}", "{}-{}")
+# The units that may stand behind the name of a column, and what its values are multiplied by.
+SECONDS = {
+    "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "µs": 1e-6,
+    "microseconds": 1e-6, "ns": 1e-9, "nanoseconds": 1e-9, "minutes": 60.0, "hours": 3600.0, "days": 86400.0,
+}  # fmt: skip
+ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0}
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
+UNITS = {
+    "time": SECONDS,
+    "q": ANGLES | LENGTHS,
+    "v": {f"{unit}{per}": k for unit, k in (ANGLES | LENGTHS).items() for per in ("", "/s", " s^-1", " s-1")},
+    "torque": {"a": 1.0, "ma": 1e-3} | FORCES | {
+        f"{force}{times}{length}": k * arm
+        for force, k in FORCES.items() for length, arm in LENGTHS.items() for times in ("", " ", "*", "·", ".")
+    },
+    "force": FORCES,
+}  # fmt: skip
 MOST_LISTED = 12
-_UNIT = re.compile(r"\s*(?:\[(?:rad|deg|N|m|s|A)[^\]]*\]|\((?:rad|deg|N|m|s|A)[^)]*\))$")
+_UNIT = re.compile(r"\s*[\[(]([^\[\]()]*)[\])]$")
 
 
 def read_log(
@@ -60,7 +81,7 @@ def read_log(
     LogError
         If the file cannot be read, or columns are missing.
     """
-    path, given = Path(path), dict(columns or {})
+    path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
     if unknown := set(given) - set(NAMES):
         raise LogError(f"columns: {sorted(unknown)[0]!r} is none of {', '.join(NAMES)}")
     if path.suffix.lower() == ".nc" and not given:
@@ -69,9 +90,7 @@ def read_log(
             return log_of_run(run, str(path))
     table = table_of(path)
     time = time_of(table, given.get("time"), path)
-    q = joints_of(table, "q", given, robot, path)
-    torque = joints_of(table, "torque", given, robot, path)
-    v = joints_of(table, "v", given, robot, path)
+    q, torque, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "torque", "v"))
     for name, x in (("q", q), ("torque", torque)):
         if x is None:
             raise LogError(
@@ -80,16 +99,15 @@ def read_log(
             )
     assert q is not None
     assert torque is not None
-    turns = in_radians(robot, degrees)
-    return Log(
-        time, q * turns, torque * np.asarray(gain, dtype=np.float64), robot.joint_names,
-        None if v is None else v * turns, str(path),
-    )  # fmt: skip
+    return Log(time, q, torque * factors, robot.joint_names, v, str(path))
 
 
-def in_radians(robot: RobotModel, degrees: bool) -> Array | float:
-    """Return what positions (N, n) of a file, which may be in degrees, are multiplied by."""
-    return np.where(np.array(robot.joint_types) == "prismatic", 1.0, np.pi / 180.0) if degrees else 1.0
+def factors_of(gain: float | Sequence[float]) -> Array:
+    """Return what torques are multiplied by, () or (n,); raise LogError if nothing would be left of them."""
+    factors = np.asarray(gain, dtype=np.float64)
+    if not np.isfinite(factors).all() or not factors.all():
+        raise LogError(f"gain is {gain!r}: must be finite and not 0")
+    return factors
 
 
 def log_of_run(run: Run, source: str = "the run") -> Log:
@@ -121,16 +139,28 @@ def run_of(path: Path) -> Run | None:
     from closedloop.base.errors import ClosedLoopError
     from closedloop.record.load import load_run
 
+    _must_be_a_file(path)
     try:
         return load_run(path)
     except ClosedLoopError:
         return None
 
 
+def _must_be_a_file(path: Path) -> None:
+    """Refuse what is neither a file nor a folder: a pipe would be waited for, and libraries wait uninterruptibly."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:
+        raise LogError(f"{path}: cannot be read: {reason_of(error)}") from None
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise LogError(f"{path}: is {kind_of(mode)}: a log is a file, or a folder of rosbag2")
+
+
 def table_of(path: Path) -> dict[str, Array]:
-    """Return the columns of a file that are numbers."""
+    """Return the columns of a file that are numbers, or instants, which become seconds from the first."""
     kind = path.suffix.lower()
     needs(*{".csv": ["pyarrow"], ".txt": ["pyarrow"], ".parquet": ["pyarrow"], ".nc": ["xarray"]}.get(kind, []))
+    _must_be_a_file(path)
     try:
         if kind in (".csv", ".txt"):
             from pyarrow import csv
@@ -155,13 +185,49 @@ def table_of(path: Path) -> dict[str, Array]:
     except Exception as error:  # whatever pyarrow and HDF5 raise
         hint = "; commas separate columns, and a decimal has a point" if kind in (".csv", ".txt") else ""
         raise LogError(f"{path}: cannot be read: {(str(error) or 'damaged').splitlines()[0]}{hint}") from None
-    found = {}
-    for name in read.column_names:
+    names = [name for name in read.column_names if name.strip()]  # a comma at the end of each line makes one without
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise LogError(f"{path}: has several columns {twice[0]!r}: each must have a name of its own")
+    if names and all(map(_is_number, names)):
+        raise LogError(f"{path}: its first line has numbers: it must have the names of the columns")
+    columns = ((name, _numbers(read[name])) for name in names)
+    return {name: values for name, values in columns if values is not None}
+
+
+def _is_number(name: str) -> bool:
+    try:
+        float(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(column: Any) -> Array | None:
+    """Return a column of pyarrow as numbers, or None if it is text; instants in seconds from the first."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
         try:
-            found[name] = read[name].to_numpy().astype(np.float64)
-        except (ValueError, TypeError):
-            continue  # a text
-    return found
+            column = column.cast(pa.timestamp("ns", "UTC" if _has_zone(column) else None))
+        except pa.ArrowInvalid:
+            return None
+    kind = column.type
+    if pa.types.is_temporal(kind):
+        unit = {"day": "days"}.get(str(kind), getattr(kind, "unit", "days" if pa.types.is_date32(kind) else "ms"))
+        ticks = column.cast(pa.int32() if kind.bit_width == 32 else pa.int64()).cast(pa.int64())
+        since = compute.subtract(ticks, compute.min(ticks))
+        return np.asarray(since.to_numpy().astype(np.float64) * SECONDS[unit])
+    try:
+        return np.asarray(column.to_numpy().astype(np.float64))
+    except (ValueError, TypeError):
+        return None
+
+
+def _has_zone(texts: Any) -> bool:
+    """Whether the first text of a column ends as an instant with a time zone does."""
+    first = next((str(text) for text in texts if text.is_valid), "")
+    return re.search(r"(Z|[+-]\d\d:?\d\d)$", first) is not None
 
 
 def _netcdf(path: Path) -> dict[str, Array]:
@@ -172,40 +238,87 @@ def _netcdf(path: Path) -> dict[str, Array]:
         for name, x in data.variables.items():
             if x.dtype.kind not in "fiu" or x.ndim not in (1, 2):
                 continue
-            values = np.asarray(x.values, dtype=np.float64)
+            unit, _, since = str(x.attrs.get("units", "")).partition(" since ")
+            behind = f" [{unit}]" if unit else ""
+            values = x.values if not since else x.values - np.min(x.values)
+            values = np.asarray(values, dtype=np.float64)
             if x.ndim == 1:
-                found[str(name)] = values
+                found[f"{name}{behind}"] = values
                 continue
             labels = data[x.dims[1]].values if x.dims[1] in data.variables else range(1, x.shape[1] + 1)
-            found |= {f"{name}_{label}": values[:, k] for k, label in enumerate(labels)}
+            found |= {f"{name}_{label}{behind}": values[:, k] for k, label in enumerate(labels)}
     return found
 
 
-def plain_name(name: str) -> str:
-    """Return a name without the unit behind it, in lower case."""
-    return _UNIT.sub("", name).strip().lower()
+@cache
+def unit_behind(name: str, what: str) -> tuple[str, float | None]:
+    """Return the name of a column without the unit behind it, in lower case, and what the unit multiplies values by.
+
+    A unit that a quantity, a key of `UNITS`, does not have is part of the name, and the factor is then None.
+    """
+    units, found = UNITS[what], _UNIT.search(name)
+    if found and found[1].strip().lower() in units:
+        return name[: found.start()].strip().lower(), units[found[1].strip().lower()]
+    stem, _, end = name.strip().lower().rpartition("_")
+    if what == "time" and stem in NAMES["time"] and end in units:  # time_ms
+        return stem, units[end]
+    return name.strip().lower(), None
 
 
 def time_of(table: dict[str, Array], given: str | None, path: Path) -> Array:
-    """Return the column of the time."""
-    for name in column_named(table, (given,) if given else NAMES["time"]):
-        if name is not None:
-            return table[name]
+    """Return the column of the time, s."""
+    for name in (given,) if given else NAMES["time"]:
+        found = columns_named(table, [name], "time", path)
+        if found is not None:
+            return found[0]
     wanted = given or " or ".join(NAMES["time"][:3])
     raise LogError(
         f"{path}: no column {wanted} for the time: name it, as in --columns time=NAME; it has {listed(table)}"
     )
 
 
-def column_named(table: dict[str, Array], names: Sequence[str]) -> list[str | None]:
-    """Return which columns have these names, be it in another case or with a unit behind; None for one that has not."""
-    plain = {plain_name(name): name for name in table}
-    return [name if name in table else plain.get(name.lower()) for name in names]
+def columns_named(
+    table: dict[str, Array], names: Sequence[str], what: str, path: Path, said: Sequence[float | None] = ()
+) -> list[Array] | None:
+    """Return the columns of a quantity with these names in SI units, or None if one of them is not there.
+
+    They may have another case, and a unit behind. Values are multiplied by what the unit behind a name of `names` says,
+    or else by `said`, or else by what the unit behind the column's own name says.
+    """
+    found = []
+    for name in names:
+        column = _column(table, name, what, path)
+        if column is None:
+            return None
+        found.append(column)
+    if twice := [name for name, count in Counter(found).items() if count > 1]:
+        raise LogError(f"{path}: column {twice[0]!r} is named for two of {', '.join(names)}: each has one of its own")
+    columns = []
+    for name, asked, factor in zip(found, names, said or [None] * len(names), strict=True):
+        factors = unit_behind(asked, what)[1], factor, unit_behind(name, what)[1]
+        columns.append(table[name] * next((k for k in factors if k is not None), 1.0))
+    return columns
 
 
-def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: RobotModel, path: Path) -> Array | None:
-    """Return the columns of a quantity, (N, n) in the robot's order, or None if it is not there."""
-    n = robot.n
+def _column(table: dict[str, Array], name: str, what: str, path: Path) -> str | None:
+    if name in table:
+        return name
+    plain = unit_behind(name, what)[0]
+    alike = [each for each in table if unit_behind(each, what)[0] == plain]
+    if len(alike) > 1:
+        raise LogError(f"{path}: columns {alike[0]!r} and {alike[1]!r}: which is it? Name one: --columns {what}=...")
+    return alike[0] if alike else None
+
+
+def joints_of(
+    table: dict[str, Array], what: str, given: dict[str, str], robot: RobotModel, path: Path, degrees: bool = False
+) -> Array | None:
+    """Return the columns of a quantity, (N, n) in the robot's order and SI units, or None if it is not there.
+
+    Angles are in degrees if `degrees`, whatever unit is behind the names of their columns.
+    """
+    n, angles = robot.n, degrees and what in ("q", "v")
+    said = [ANGLES["deg"] if angles and kind != "prismatic" else None for kind in robot.joint_types]
     labels = [list(robot.joint_names), [str(k + 1) for k in range(n)], [str(k) for k in range(n)]]
     asked = given.get(what)
     patterns: list[str] = []
@@ -215,15 +328,15 @@ def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: 
         patterns = [asked] if asked else [form.format(name, "{}") for name in NAMES[what] for form in FORMS]
         tried = [[pattern.format(label) for label in row] for row in labels for pattern in patterns]
     for names in tried:
-        found = column_named(table, names)
-        if len(found) == n and None not in found:
-            return np.stack([table[name] for name in found if name is not None], axis=1)
+        found = columns_named(table, names, what, path, said) if len(names) == n else None
+        if found is not None:
+            return np.stack(found, axis=1)
     if asked:
-        missing = _lacking(table, tried[0])[:1]
+        missing = _lacking(table, tried[0], what, path)[:1]
         reason = f"no column {missing[0]!r}" if missing else f"{len(tried[0])} columns for {n} joints"
         raise LogError(f"{path}: --columns {what}={asked}: {reason}; it has {listed(table)}")
     for names in tried[: len(patterns)] if what != "v" else ():  # by the joints' names
-        lacking = _lacking(table, names)
+        lacking = _lacking(table, names, what, path)
         if 0 < len(lacking) < n:
             raise LogError(
                 f"{path}: has {what} of {n - len(lacking)} of {n} joints: no column of numbers {lacking[0]!r}; it has "
@@ -232,8 +345,8 @@ def joints_of(table: dict[str, Array], what: str, given: dict[str, str], robot: 
     return None
 
 
-def _lacking(table: dict[str, Array], names: Sequence[str]) -> list[str]:
-    return [name for name, found in zip(names, column_named(table, names), strict=True) if found is None]
+def _lacking(table: dict[str, Array], names: Sequence[str], what: str, path: Path) -> list[str]:
+    return [name for name in names if _column(table, name, what, path) is None]
 
 
 def listed(table: dict[str, Array]) -> str:

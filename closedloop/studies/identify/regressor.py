@@ -47,8 +47,12 @@ UNITS = {
     "stribeck": ("N m", "N"),
     "coupled_inertia": ("kg m²", "kg"), "coupled_viscous": ("N m s/rad", "N s/m"), "coupled_dry": ("N m", "N"),
 }  # fmt: skip
+# What begins so dissipates or stores energy, and is not below zero.
+BOUNDED = ("viscous_", "dry_", "drive_inertia_", "coupled_inertia_", "coupled_viscous_", "coupled_dry_")
 # Below so many standard deviations of its noise the sign of a velocity is not relied on.
 NOISY = 5.0
+# A joint that moves by less than this, rad (m), before it turns round, does not slide: its parts give, as bristles do.
+REST = 1e-3
 # Windows that are put together at a time: what is not yet averaged stays small.
 BLOCK = 2000
 
@@ -96,6 +100,11 @@ class Regressor:
                 raise ModelError(f"friction is {name!r}: it must be of {', '.join(FRICTION)}")
         for name in {name for pair in terms.coupled for name in pair} - set(robot.joint_names):
             raise ModelError(f"coupled: {robot.name} has no joint {name!r}: it has {', '.join(robot.joint_names)}")
+        for k, pair in enumerate(terms.coupled):
+            if pair[0] == pair[1]:
+                raise ModelError(f"coupled {', '.join(pair)}: must be two different joints")
+            if set(pair) in map(set, terms.coupled[:k]):
+                raise ModelError(f"coupled {', '.join(pair)}: the pair is there twice")
         self.robot, self.terms, self.n = robot, terms, robot.n
         self._model: Any = robot.pinocchio_model()
         self._model.armature = np.zeros(self.n)  # the drives have columns of their own
@@ -173,15 +182,28 @@ class Regressor:
         good = np.ones((R, self.n), dtype=bool)
         if "dry" not in self.terms.friction:
             return good
-        speeds: list[tuple[Array, float, tuple[int, ...]]] = [(x.v[:, j], x.noise[j], (j,)) for j in range(self.n)]
-        speeds += [(x.v[:, i] + x.v[:, j], np.hypot(x.noise[i], x.noise[j]), (i, j)) for i, j in self._pairs]
-        for speed, noise, joints in speeds:
+        channels: list[tuple[Array, Array, float, tuple[int, ...]]]
+        channels = [(x.q[:, j], x.v[:, j], x.noise[j], (j,)) for j in range(self.n)]
+        for i, j in self._pairs:
+            channels.append(
+                (x.q[:, i] + x.q[:, j], x.v[:, i] + x.v[:, j], float(np.hypot(x.noise[i], x.noise[j])), (i, j))
+            )
+        for place, speed, noise, joints in channels:
             least = max(self.terms.slow * np.abs(speed).max(), NOISY * noise)
             windows = speed.reshape(R, D)
             one_way = (windows.min(axis=1) > least) | (windows.max(axis=1) < -least)
+            one_way &= (_strokes(place, speed) > REST).reshape(R, D).all(axis=1)
             near = one_way.copy()  # the filter smears what happens in a window into those beside it
             near[1:] &= one_way[:-1]
             near[:-1] &= one_way[1:]
             for joint in joints:
                 good[:, joint] &= near
         return good
+
+
+def _strokes(place: Array, speed: Array) -> Array:
+    """Return how far a joint moves between the two changes of its direction about each row, (N,)."""
+    stroke = np.concatenate([[0], np.cumsum(np.diff(np.sign(speed)) != 0.0)])
+    ends = np.flatnonzero(np.diff(stroke, append=stroke[-1] + 1))
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    return np.asarray(np.abs(place[ends] - place[starts])[stroke])

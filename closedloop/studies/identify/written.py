@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from closedloop.studies.identify.identify import Identification
 
 
+# So many standard deviations (RMS) from the nearest bodies that can be, values are those of no robot.
+FAR = 2.0
+# What a friction and an inertia below zero would do.
+_WRONG = ("it would drive the joint", "it would accelerate by itself")
+
+
 def report(found: Identification) -> list[str]:
     """Return what was found, as lines for a reader."""
     names = found.robot.joint_names
@@ -41,6 +47,11 @@ def report(found: Identification) -> list[str]:
     if found.misses:
         lines.append(
             f"  the model misses something in {', '.join(found.misses)}: the intervals allow for it, the values may not"
+        )
+    for e in found.not_physical:
+        lines.append(
+            f"  NOT PHYSICAL: {e.name} is {e.value:.4g} {e.unit}, and surely below 0: {_WRONG['inertia' in e.name]}; "
+            "the log has an effect that the model lacks, or torques of another gain or instant"
         )
     lines += ["", f"  {'parameter':30}{'value':>12}  {100 * found.confidence:.0f} % interval"]
     for e in found.estimates:
@@ -169,6 +180,8 @@ def write(found: Identification, folder: Path, source: str) -> list[Path]:
             f"robot.urdf has bodies that can be, {body.distance:.2f} standard deviations (RMS) from the values above; "
             f"their torque errs by {errors} %",
         ]
+        if body.distance > FAR:
+            lines.append("so far from them the values above are those of no robot: do not use them for a model")
     texts |= {
         "report.txt": "\n".join(lines) + "\n",
         "identified.json": json.dumps(found.summary(), indent=2, allow_nan=False) + "\n",

@@ -221,7 +221,7 @@ def test_a_can_that_settles_on_its_end_never_gains_energy(tilt, friction, time):
     """Its lowest point jumps to the other side as the tilt passes zero: it lands on its end, and stands on its feet."""
     run = stood(tilt, friction=friction, **time)
     E = energy(run)
-    assert np.max(E - np.minimum.accumulate(E)) < 1e-7
+    assert np.max(E - np.minimum.accumulate(E)) < 1e-6 * E[0]
     np.testing.assert_allclose(E[-1], 0.05 * G, atol=1e-9)
     np.testing.assert_allclose(run.link_forces[-1], [0, 0, *[G / 3] * 3, 0, 0, 0], atol=1e-6)
     assert run.summary()["verdict"]["good"]

@@ -152,7 +152,8 @@ def written_out(row, wanted, limits, V):
         around = np.abs(miss[far[-1] : far[-1] + 2])
         bound = SETTLED * np.max(np.abs(wanted.force))
         settled = H * (far[-1] + (around[0] - bound) / (around[0] - around[1]))
-    left = r.kinetic_energy + V - r.kinetic_energy[0] - V[0] - r.energy_supplied + r.energy_supplied[0]
+    risen = r.kinetic_energy + V - r.kinetic_energy[0] - V[0]
+    left = risen - r.energy_supplied + r.energy_supplied[0]
     friction = np.sum(r.friction_force * r.slip_velocity, axis=1) + np.sum(r.joint_friction * r.v, axis=1)
     near, way = least <= NEAR_SINGULAR, (least > NEAR_SINGULAR) & (least <= ON_THE_WAY)
     grown = np.max(np.abs(f[near]), initial=0.0) > MOST_GROWTH * np.max(np.abs(f[way]), initial=0.0)
@@ -180,6 +181,8 @@ def written_out(row, wanted, limits, V):
         "min_normal_mobility": np.min(least),
         "singular_pose_passed": float(failed.any() and not failed[0] and not near[-1] and not grown),
         "max_energy_residual": np.max(np.abs(left)),
+        "energy_gained": max(risen[i] - min(risen[: i + 1]) for i in range(count)),
+        "energy_above_start": max(risen),
         "energy_exchanged": trapezoids(np.abs(np.sum(r.torque * r.v, axis=1))),
         "deepest_penetration": max(0.0, np.max(-e)),
         "time_in_contact": H * np.sum(touching[:-1]),

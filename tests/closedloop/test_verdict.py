@@ -247,3 +247,29 @@ def test_strict_sweep_ends_with_status_4_if_any_run_is_bad(capsys, tmp_path):
     good = [word.replace("10,-5,12", "10,12").replace("t.parquet", "good.parquet") for word in sweep]
     assert run_sweeps([*good, "--strict"]) == 0
     assert "2 runs: 2 done; 2 in " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("gained", "expected"), [(0.99e-3, "good"), (1.01e-3, "gain")])
+def test_what_nothing_drives_gains_no_energy(gained, expected):
+    """A thousandth of what it could lose, not of the motion that it has gained; or, if soft, of the start."""
+    body = {"name": "b", "shape": "ball", "radius": 0.1, "mass": 1.0, "position": [0, 0, 1.0]}
+    contact = {"link": "b", "at": "collision"}
+    passive = {"robot": {"model": "none"}, "body": [body], "contact": [contact]}
+    held = {"max_kinetic_energy": 1.0 + gained, "energy_gained": gained, "energy_above_start": 0.0}
+    for more, driven, said in (
+        ({}, False, expected),
+        ({}, True, "good"),
+        ({"motion": {"kind": "conveyor", "velocity": [1.0, 0.0, 0.0]}}, False, "good"),
+        ({"compliance": {"kind": "kelvin_voigt", "stiffness": 1e3}}, False, "good"),
+    ):
+        scenario = cl.Scenario.model_validate(passive | {"contact": [contact | more]})
+        given = facts(**held)._replace(scenario=scenario, passive=scenario.is_passive and not driven)
+        assert told(given) == said
+
+
+def test_a_body_that_spins_under_explicit_euler_is_not_good():
+    """Its energy grows by a hundredth and more, which the balance does not see."""
+    body = {"name": "b", "shape": "box", "edges": [0.1, 0.2, 0.3], "mass": 1.0, "spin": [6.0, 5.0, 4.0]}
+    time = {"duration": 0.5, "step": 2e-3, "integrator": "explicit_euler"}
+    run = cl.simulate(cl.Scenario.model_validate({"robot": {"model": "none"}, "body": [body], "time": time}))
+    assert "gain" in [problem["name"] for problem in run.summary()["verdict"]["problems"]]

@@ -128,7 +128,7 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
 @kernel
 def resolution(constants: Constants, state: State) -> float:
     """Return the length of a step, s, that discs which lie nearly flat are resolved by."""
-    return min(constants.h, OWN_STEP) if state.settings.adaptive != 0 else constants.h
+    return OWN_STEP if state.settings.adaptive != 0 else constants.h
 
 
 @kernel

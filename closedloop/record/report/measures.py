@@ -65,7 +65,7 @@ def absent_measures(scenario: Scenario, own_law: bool = False) -> tuple[str, ...
 
     What is driven, or touches something that moves by itself, may gain energy.
     """
-    without_law = ("rms_path_error",) if not (scenario.has_law or own_law) else ()
+    without_law: tuple[str, ...] = ("rms_path_error",) if not (scenario.has_law or own_law) else ()
     if own_law or not scenario.is_passive:
         without_law += ("energy_gained", "energy_above_start")
     return without_law if scenario.has_surface else (*_OF_THE_TIP, *without_law)

@@ -63,7 +63,7 @@ def report_rows(run: Record) -> list[Row]:
             "energy unaccounted for",
             _shown(facts["max_energy_residual"], ".2g"),
             "J",
-            f"of {energy_at_stake(facts):.2g} J exchanged",
+            f"of {energy_at_stake(facts, facts['energy_gained'] is not None):.2g} J exchanged",
         ),
         (
             "order of the integrator",

@@ -118,7 +118,7 @@ def _facts(run: Record, values: dict[str, Any], joints: dict[str, Array], held: 
     columns = {name: column.tolist() for name, column in joints.items()}
     return Facts(
         run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns, _unresolved(run),
-        run.halved,
+        run.halved, run.scenario.is_passive and run.law == "scenario",
     )  # fmt: skip
 
 

@@ -18,7 +18,13 @@ _AT = {name: at for at, name in enumerate(MEASURES)}
 
 
 def verdict_of(
-    scenario: Scenario, robot: Robot, values: Array, steps: int, stopped: str | None = None, swings: Sequence[str] = ()
+    scenario: Scenario,
+    robot: Robot,
+    values: Array,
+    steps: int,
+    stopped: str | None = None,
+    swings: Sequence[str] = (),
+    own_law: bool = False,
 ) -> str:
     """Return "good", or the names of what is wrong with a run, as `closedloop.record.report.verdict` judges its values.
 
@@ -36,7 +42,7 @@ def verdict_of(
         scenario, robot.model, stopped, steps, measures,
         0 if steps < 0 else int(sum(numbers[EVENTS_AT:FAILED_AT])), failed,
         {name: numbers[WIDTH + n * m : WIDTH + n * (m + 1)] for m, name in enumerate(JOINT_MEASURES)},
-        swings,
+        swings, passive=scenario.is_passive and not own_law,
     )  # fmt: skip
     return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 

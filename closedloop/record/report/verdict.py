@@ -109,6 +109,7 @@ class Facts(NamedTuple):
     # see `closedloop.scenario.modes.unresolved` and `unresolved_feedback`
     unresolved: Sequence[str] = ()
     halved: Mapping[str, Any] | None = None  # see `closedloop.record.report.halved`, if the step's error was measured
+    passive: bool = False  # whether nothing drives what moves
 
 
 def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:
@@ -194,18 +195,18 @@ def energy_bound(facts: Facts) -> float:
     order = 1 if scheme is None else min(2, scheme.order)
     if facts.events or facts.scenario.law.sample_period or facts.scenario.reads_encoders:
         order = 1
-    return max(LEAST_ENERGY, ENERGY_SHARE[order] * energy_at_stake(m))
+    return max(LEAST_ENERGY, ENERGY_SHARE[order] * energy_at_stake(m, facts.passive))
 
 
-def energy_at_stake(measures: Mapping[str, float | None]) -> float:
+def energy_at_stake(measures: Mapping[str, float | None], passive: bool = False) -> float:
     """Return what the torques exchanged, friction took and the motion had at most, J; what is not known counts zero.
 
     The motion of a body that falls has what gravity gave it; if nothing drives it, no more than it had at the start.
     """
     exchanged, held = measures["energy_exchanged"] or 0.0, measures["max_kinetic_energy"] or 0.0
-    lost, gained = abs(measures["energy_lost_to_friction"] or 0.0), measures.get("energy_gained")
-    if gained is not None:
-        held = max(0.0, held - gained)
+    lost = abs(measures["energy_lost_to_friction"] or 0.0)
+    if passive:
+        held = max(0.0, held - (measures["energy_gained"] or 0.0))
         return held + min(lost, held)
     return exchanged + lost + held
 
@@ -222,10 +223,11 @@ def _energy(facts: Facts) -> dict[str, Any] | None:
 
 def _gain(facts: Facts) -> dict[str, Any] | None:
     """Return the problem of energy that grows though nothing drives what moves; what is stored comes back."""
-    stored = facts.scenario.stores_energy
-    gained = facts.measures.get("energy_above_start" if stored else "energy_gained")
-    bound = max(LEAST_ENERGY, GAINED_SHARE * energy_at_stake(facts.measures))
-    if gained is None or gained <= bound:
+    if not facts.passive:
+        return None
+    gained = _number(facts.measures["energy_above_start" if facts.scenario.stores_energy else "energy_gained"])
+    bound = max(LEAST_ENERGY, GAINED_SHARE * energy_at_stake(facts.measures, passive=True))
+    if gained <= bound:
         return None
     text = f"the energy grows by {gained:.3g} J, more than {bound:.2g} J, though nothing drives it: try a shorter step"
     other = " or time.integrator = 'rk4'" if facts.scenario.time.integrator not in ("rk4", *ADAPTIVE) else ""

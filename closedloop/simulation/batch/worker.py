@@ -244,7 +244,9 @@ class Worker:
         swings = _unresolved(problem, rows, self.law is not None)
         if self.law is None and len(rows):
             swings += self._unresolved_feedback(problem.scenario, problem.robot)
-        verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason, swings)
+        verdict = verdict_of(
+            problem.scenario, problem.robot, values, len(rows) - 1, reason, swings, self.law is not None
+        )
         control = control_of_rows(problem, signals, events, values, reason)
         status = RAN if failure is None else STOPPED
         return Outcome(status, reason, len(rows), values, end, columns, verdict, control)

@@ -171,7 +171,7 @@ def write_spins(contacts: Contacts, shapes: Shapes, robot: Robot, bound: Bound) 
         carries = bool(np.any(parents == j) or np.any(others == j))
         for i in np.flatnonzero(own == j) + 1:
             M, place = square_of(shapes.shape[i]), bound.at_a[3 * i - 3]
-            size = ON_EDGE * max(np.linalg.norm(place), ON_EDGE)
+            size = ON_EDGE * max(float(np.linalg.norm(place)), ON_EDGE)
             alike = np.max(np.abs(M - QUARTER @ M @ QUARTER.T)) <= ON_EDGE * np.max(np.abs(M))
             on_axis = np.hypot(place[0], place[1]) <= size and not np.any(shapes.edge[i])
             even = even and (shapes.rim.foot_of[i] > 0 or (alike and on_axis))

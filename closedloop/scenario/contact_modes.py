@@ -86,5 +86,6 @@ def _moves(frame: str, robot: Robot, q: Array, point: Array) -> Array:
     """Return the Jacobian (3, n) of a point, base axes, that a frame carries."""
     if frame == WORLD:
         return np.zeros((3, robot.n))
-    jacobian, lever = Robot(robot.model, frame).frame_jacobian(q), point - robot.frame_at(frame, q)[2]
+    carrier = Robot(robot.model, frame)
+    jacobian, lever = carrier.frame_jacobian(q), point - carrier.terms(q, np.zeros(robot.n)).position
     return jacobian[:3] - np.cross(lever, jacobian[3:], axis=0)

@@ -6,6 +6,7 @@ import pytest
 from rounding import within
 
 import closedloop as cl
+from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.arm import robot_of
 
 TOOL = {"tool.offset": [0.02, -0.01, 0.12], "tool.mass": 0.8, "tool.centre": [0.01, 0.0, 0.05],
@@ -58,6 +59,35 @@ def test_a_controller_that_knows_its_tool_holds_the_force(engine):
     assert np.allclose(run.contact_force, 10.0, rtol=0, atol=1e-9)
     assert run.model.tools == ()
     assert np.array_equal(cl.simulate(run.scenario, model=run.model, engine=engine).contact_force, run.contact_force)
+
+
+@pytest.mark.parametrize("side", ["link", "against"])
+def test_a_tool_does_not_move_the_frame_that_a_contact_names(side):
+    """The point, or the plane, is in the frame of the robot's file, whatever is fixed to it; and so is its force."""
+    other = {"link": "against", "against": "link"}[side]
+    contact = {"name": "c", side: "tip", other: "world", "at": [0.01, 0.02, 0.03], "normal": [0, 0.6, 0.8]}
+    contact["through"] = [0.0, 0.0, -2.0]
+    plain, tooled = (
+        cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.001, "contact": [contact]} | tool))
+        for tool in ({}, {"tool.offset": TOOL["tool.offset"]})
+    )
+    assert plain.link_gaps[0, 0] != 0.0
+    assert tooled.link_gaps[0, 0] == pytest.approx(plain.link_gaps[0, 0], abs=1e-14)
+
+
+def test_the_torque_of_a_contact_on_a_link_with_a_tool():
+    """The torques that follow from the columns are those with which H q̈ + C = Q + Jᵀ F."""
+    contact = {"name": "c", "link": "tip", "normal": [0, 0, 1], "compliance": {"kind": "kelvin_voigt"}}
+    contact["through"] = (cl.prepare(cl.load_scenario("wam_slide")).surface.origin + np.array([0, 0, 1e-3])).tolist()
+    changes = {"time.duration": 0.002, "robot.stops": True, "contact": [contact], "surface.kind": "none"}
+    run = cl.simulate(cl.load_scenario("wam_slide", changes | TOOL | {"reference.kind": "hold", "law.force": 0.0}))
+    assert run.link_forces.min() > 5.0
+    robot = robot_of(run.scenario, run.model)
+    torque = robot.needed_torque(run.q, run.v, run.acceleration, np.zeros((len(run), 3))) - run.torque
+    found = contact_torques(
+        run.scenario, run.model.pinocchio_model(), run.time, run.q, run.link_forces, run.link_frictions
+    )
+    np.testing.assert_allclose(found, torque, atol=1e-9)
 
 
 @pytest.mark.parametrize("engine", ["pinocchio", "compiled"])

@@ -294,7 +294,8 @@ class Robot:
     def frame_at(self, name: str, q: Array) -> tuple[int, Array, Array]:
         """Return the number of the velocity that moves a frame, and the frame's axes, as columns, and origin, m, at q.
 
-        For the base the number is −1; for a joint with several velocities it is that of the last.
+        The frame is that of the robot's file: a tool on it does not move it. For the base the number is −1; for a joint
+        with several velocities it is that of the last.
         """
         number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
         pin.framesForwardKinematics(self._pin, self._data, self.pinocchios(q))
@@ -302,25 +303,26 @@ class Robot:
         return (
             last_velocity(self._pin, self._pin.frames[number].parentJoint),
             np.array(place.rotation),
-            np.array(place.translation),
+            place.act(-carried_by(self.model.tools, name)[1]),
         )
 
     def frame_poses(self, name: str, q: Array) -> tuple[Array, Array]:
-        """Return the axes of a frame, as columns, and its origin, m, base frame, at each row of q (N, n).
+        """Return the axes of a frame of the robot's file, as columns, and its origin, m, base frame, at each row of q.
 
-        (N, 3, 3) and (N, 3); "world" is the base.
+        q is (N, n), they are (N, 3, 3) and (N, 3); "world" is the base.
         """
         return self.poses_of([name], q)[name]
 
     def poses_of(self, names: Iterable[str], q: Array) -> dict[str, tuple[Array, Array]]:
-        """Return the poses of several frames by their names, each as `frame_poses` returns it."""
+        """Return the poses of several frames of the robot's file by their names, each as `frame_poses` returns it."""
         numbers = {name: 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name)) for name in names}
+        tips = {name: carried_by(self.model.tools, name)[1] for name in numbers}
         found = {name: (np.empty((len(q), 3, 3)), np.empty((len(q), 3))) for name in numbers}
         for k, row in enumerate(self._rows(q)):
             pin.forwardKinematics(self._pin, self._data, row)
             for name, number in numbers.items():
                 place = pin.updateFramePlacement(self._pin, self._data, number)
-                found[name][0][k], found[name][1][k] = place.rotation, place.translation
+                found[name][0][k], found[name][1][k] = place.rotation, place.act(-tips[name])
         return found
 
     def link_below(self, joint: str) -> tuple[str, Array]:

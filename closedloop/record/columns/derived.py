@@ -70,7 +70,7 @@ def _of_contacts(run: Record, robot: Robot) -> Array:
             of_tip[k] = robot.frame_jacobian(run.q[k])[3:].T @ moment
     if not run.scenario.contact:
         return of_tip
-    model = robot.model.pinocchio_model()
+    model = without_tools(robot.model).pinocchio_model()
     q = robot.pinocchios(run.q)
     resists = any(section.resists for section in run.scenario.contact)
     moments = (run.link_rolling_moments, run.link_pivoting_moments) if resists else ()

@@ -11,6 +11,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.recording import Recording
 from closedloop.studies.identify.log import Log
 from closedloop.studies.identify.motion import EVALUATIONS, Motion, motion, usual_cutoff, white_noise
+from robot_models.tool import carried_by
 
 # A force above this share of its range is surely of a contact; it counts as one above the other, or this many noises.
 SURELY, LEAST, NOISES = 0.5, 0.02, 5.0
@@ -62,7 +63,8 @@ def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
     if stride > 1:
         time, q = _averaged(time, stride), _averaged(q, stride)
         force = None if force is None else _averaged(force, stride)
-    axes, position = robot.frame_poses(robot.tip, q)
+    axes, wrist = robot.frame_poses(robot.tip, q)
+    position = wrist + axes @ carried_by(robot.model.tools, robot.tip)[1]
     none = np.zeros(len(time), dtype=bool)
     forces = None if force is None else force.reshape(len(time), -1)
     touch = Touch(time, position, forces, axes, normal, none, none, recording.source)

@@ -3,14 +3,17 @@
 import numpy as np
 import pytest
 import tomli_w
+from free_bodies import matrices
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.contact_rows import locate_points
 from closedloop.mechanics.contacts.least_norm import least_norm
 from closedloop.mechanics.contacts.memory import CONE, OFF, make_contact_memory
+from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.load import parse_scenario
 from closedloop.simulation.prepare import prepare
+from robot_models.coordinates import with_rotation_vectors
 
 FAR = {"kind": "plane", "offset": "start", "gap": 50.0, "contact": "unilateral"}
 G, R, MASS = 9.81, 0.1, 1.0
@@ -54,14 +57,14 @@ def test_rows_are_the_rates_of_the_turning(kind, radius):
         assert np.all(u[[1, 2, 4]] != 0.0)
 
 
-def thrown(shape, contact, duration, integrator="rk4", step=0.001, **body):
+def thrown(shape, contact, duration, integrator="rk4", step=0.001, engine="pinocchio", **body):
     """Return the run of one body on a floor."""
     body = {"name": "body", "shape": shape, "mass": MASS, "position": [0.0, 0.0, R]} | body
     contact = {"name": "floor", "link": "body", "at": "collision", "friction": 0.5} | contact
     gravity = body.pop("gravity", [0.0, 0.0, -G])
     sections = {"robot": {"model": "none", "gravity": gravity}, "body": [body], "contact": [contact]}
     sections["time"] = {"duration": duration, "step": step, "integrator": integrator}
-    return cl.simulate(parse_scenario(tomli_w.dumps(sections)), progress=False)
+    return cl.simulate(parse_scenario(tomli_w.dumps(sections)), engine=engine, progress=False)
 
 
 def ball(contact, duration, integrator="rk4", **body):
@@ -85,6 +88,29 @@ def test_a_ball_that_rolls_slows_down_and_rests(integrator):
     np.testing.assert_allclose(run.link_rolling_moments[1:10, 1], -ROLLING * MASS * G, rtol=1e-9)
     assert np.max(np.diff(energy(run))) < 1e-12
     assert run.summary()["verdict"]["good"], run.summary()["verdict"]
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_the_columns_of_a_turntable_are_in_axes_that_do_not_turn(engine):
+    """Slip, friction and rolling moment of a ball on it, in the world's x and y, by its motion in them."""
+    table = {"motion": {"kind": "turntable", "speed": 3.0}, "friction": 0.02, "rolling": ROLLING, "pivoting": PIVOTING}
+    run = ball(table, 0.6, engine=engine, velocity=[0.5, 0.2, 0.0], spin=[1.0, 2.0, 3.0])
+    up, turn = np.array([0.0, 0.0, 1.0]), matrices(run.q[:, 3:])
+    spin = np.einsum("kij,kj->ki", turn, run.v[:, 3:])
+    slip = run.v[:, :3] + np.cross(spin, -R * up) - np.cross(3.0 * up, run.q[:, :3])
+    np.testing.assert_allclose(run.link_slips, slip[:, :2], atol=1e-12)
+    np.testing.assert_allclose(run.link_frictions, MASS * run.acceleration[:, :2], atol=1e-12)
+    assert set(run.link_modes[:, 0]) == {1}
+    rolls = spin - 3.0 * up
+    rolls = rolls[:, :2] / np.linalg.norm(rolls[:, :2], axis=1)[:, None]
+    np.testing.assert_allclose(run.link_rolling_moments, -ROLLING * MASS * G * rolls, atol=1e-5)
+    robot = prepare(run.scenario).robot
+    found = contact_torques(
+        run.scenario, run.model.pinocchio_model(), run.time, robot.pinocchios(run.q), run.link_forces,
+        run.link_frictions, run.link_rolling_moments, run.link_pivoting_moments,
+    )  # fmt: skip
+    needed = robot.needed_torque(with_rotation_vectors(run.q, run.model.joint_types), run.v, run.acceleration, 0 * slip)
+    np.testing.assert_allclose(found, needed, atol=1e-9)
 
 
 @pytest.mark.parametrize("share", [0.99, 1.01])

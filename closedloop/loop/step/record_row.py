@@ -16,6 +16,7 @@ from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at, row_of
 from closedloop.jit.simd8 import every, select
 from closedloop.loop.step.closed_loops import REACTION, missing_torque
+from closedloop.loop.step.contact_rows import asked
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_loops, loop_at
 from closedloop.loop.step.records import K, N
@@ -32,6 +33,8 @@ from closedloop.mechanics.contacts.friction import remember_speed
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.resistance import resistance_of
 from closedloop.mechanics.contacts.soft_friction import rests
+from closedloop.mechanics.surface.contact import ask_at
+from closedloop.mechanics.surface.geometry import turned_back
 
 
 class Row(Block, sizes=("n",)):
@@ -76,7 +79,10 @@ class ArmRow(Block, sizes=("n",)):
 
 
 class ContactRow(Block, sizes=("k",)):
-    """What stands behind these where links have k contacts besides the tip; along their tangents first and second."""
+    """What stands behind these where links have k contacts besides the tip; along their tangents first and second.
+
+    The tangents of a surface that moves are those that it would have if it did not turn: see `turned_back`.
+    """
 
     link_modes: Annotated[Array, K]
     link_gaps: Annotated[Array, K]
@@ -293,9 +299,22 @@ def record_contacts(w: Work, state: State, part: Array) -> None:
         at, to = 3 * i, i - 1
         row.link_modes[to] = STUCK if rests(c, i) else c.mode[i]
         row.link_gaps[to], row.link_forces[to] = c.located[at], c.F[at]
-        row.link_frictions[2 * to], row.link_frictions[2 * to + 1] = c.F[at + 1], c.F[at + 2]
-        row.link_slips[2 * to], row.link_slips[2 * to + 1] = c.u[at + 1], c.u[at + 2]
         rolling, pivoting, arm = resistance_of(c, i, 0), resistance_of(c, i, 1), c.friction.resistance.arm
         for a in range(2):
+            row.link_frictions[2 * to + a], row.link_slips[2 * to + a] = c.F[at + 1 + a], c.u[at + 1 + a]
             row.link_rolling_moments[2 * to + a] = arm[rolling] * c.F[3 * rolling + 1 + a] if rolling >= 0 else 0.0
         row.link_pivoting_moments[to] = arm[pivoting] * c.F[3 * pivoting + 1] if pivoting >= 0 else 0.0
+        if asked(links, i):
+            surface, ask = ask_at(integers_at(links.surfaces, 2 * links.k)[2 * i + 1])
+            if surface.motion != 0:
+                along, across = turned_back(ask.axes, ask.frame)
+                turn_pair(row.link_frictions, 2 * to, along, across)
+                turn_pair(row.link_slips, 2 * to, along, across)
+                turn_pair(row.link_rolling_moments, 2 * to, along, across)
+
+
+@kernel
+def turn_pair(x: Array, j: int, c: float, s: float) -> None:
+    """Turn the two numbers of x from place j on, along axes, to those along axes of which c and s say the angle."""
+    a, b = x[j], x[j + 1]
+    x[j], x[j + 1] = c * a + s * b, c * b - s * a

@@ -107,6 +107,29 @@ def frame_and_turning(v: Array, touch: Touch) -> bool:
 
 
 @kernel
+def turned_back(axes: Array, frame: Array) -> tuple[float, float]:
+    """Return cos and sin of the angle about n by which the tangents of a surface that moves have turned with it.
+
+    Without that they would be x and y of the surface as it was, turned by the least rotation that takes its z to n. A
+    vector with parts a and b along the tangents of `frame` has the parts c a + s b and c b − s a along these.
+
+    Parameters
+    ----------
+    axes, frame : (3, 3) arrays
+        Rows x, y, z of the surface as it was at t = 0, and n, t1, t2 as it is.
+    """
+    x, z, n = axes[0], axes[2], frame[0]
+    across, over = n[0] * x[0] + n[1] * x[1] + n[2] * x[2], 1.0 + n[0] * z[0] + n[1] * z[1] + n[2] * z[2]
+    if over <= ANTIPODE:
+        return 1.0, 0.0
+    c, s = 0.0 * over, 0.0 * over
+    for i in range(3):
+        along = x[i] - across / over * (n[i] + z[i])
+        c, s = c + along * frame[1, i], s + along * frame[2, i]
+    return c, s
+
+
+@kernel
 def normal_rate(v: Array, touch: Touch, rate: Array) -> None:
     """Write ṅ (3,), 1/s, of a point that moves with v (3,), m/s, relative to the surface, in the surface's axes."""
     n, B, share = touch.local[0], touch.hessian, 1.0 / touch.size

@@ -30,7 +30,7 @@ from closedloop.mechanics.surface.contact import (
     put_on_surface,
     surface_entry,
 )
-from closedloop.mechanics.surface.geometry import Pose, Touch
+from closedloop.mechanics.surface.geometry import Pose, Touch, turned_back
 from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.motion import SurfaceMotion
@@ -168,6 +168,14 @@ class PlacedSurface:
         gap = float(touch.level / touch.size)
         inside = edge_distance(touch.at, ask.bounds, ask.solid)
         return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
+
+    def frame_at_rest(self, r: Array, t: float) -> Array:
+        """Return the contact frame (3, 3) at r (3,), m, at t, s, with tangents that do not turn with the surface."""
+        frame = self.touching(r, t=t).frame
+        if not self.moves:
+            return frame
+        c, s = interpreted(turned_back)(self.frame[[1, 2, 0]], frame)
+        return np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]) @ frame
 
     def pose(self, t: float) -> Pose:
         """Return where a surface that moves is at t, s, and how it moves: until it is asked again."""

@@ -77,9 +77,13 @@ CONTACT_COLUMNS: dict[str, Column] = {
     "link_gaps": Column(("time", "contact"), "m", "gap of each, positive off its plane"),
     "link_forces": Column(("time", "contact"), "N", "force of each along its normal, on the link that has the point"),
     "link_frictions": Column(
-        ("time", "contact_tangent"), "N", "force of each along the two tangents, in the axes of the plane's link"
+        ("time", "contact_tangent"),
+        "N",
+        "force of each along the two tangents, which are fixed in the link that has the surface",
     ),
-    "link_slips": Column(("time", "contact_tangent"), "m s-1", "velocity of each along the two tangents"),
+    "link_slips": Column(
+        ("time", "contact_tangent"), "m s-1", "velocity of each relative to its surface, along the two tangents"
+    ),
     "link_rolling_moments": Column(
         ("time", "contact_tangent"), "N m", "resistance of each to rolling, about the two tangents"
     ),

@@ -64,7 +64,7 @@ class Touching(NamedTuple):
             return self._of_edges(place, float(normal), friction, axes, origins)
         if self.surface is not None:
             within = self.axes @ (turn.T @ (place - origins[self.plane_frame]) - self.origin)
-            frame = self.surface.touching(within, t=t).frame @ self.axes
+            frame = self.surface.frame_at_rest(within, t) @ self.axes
         along = np.concatenate([np.asarray(normal)[..., None], friction], axis=-1) @ frame
         force = (turn @ along[..., None])[..., 0]
         if np.any(self.shape):

@@ -7,6 +7,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipj
 
 import closedloop as cl
+from closedloop.simulation.engines.adaptive.memory import Memory
 from robot_models import load
 
 G = 9.81
@@ -397,3 +398,42 @@ def test_model_given_and_events_between_rows():
         assert run.closure_error[run.time <= event.time].min() > -1e-12
     assert np.all(run.mode[run.time > run.event_time[-1]] == 1)
     assert np.all(np.diff(run.event_time) > 0.0)
+
+
+def test_a_ball_that_just_slips_takes_few_evaluations(tmp_path, monkeypatch):
+    """Just above 7/2 μ its slip is slow, and its direction stiff; a = g (sin θ − μ cos θ) all the same."""
+    calls, rate = [], Memory.rate
+    monkeypatch.setattr(Memory, "rate", lambda self, *given: calls.append(1) or rate(self, *given))
+    mu, radius, theta = 0.3, 0.07, np.arctan(1.001 * 3.5 * 0.3)
+    n = np.array([np.sin(theta), 0.0, np.cos(theta)])
+    body = f'name = "b"\nshape = "ball"\nradius = {radius}\nmass = 1.3\nposition = {(radius * n).tolist()}'
+    contact = f'name = "c"\nlink = "b"\nat = "collision"\nnormal = {n.tolist()}\nfriction = {mu}'
+    (tmp_path / "s.toml").write_text(
+        f'robot.model = "none"\n[[body]]\n{body}\n[[contact]]\n{contact}\n'
+        '[time]\nduration = 0.1\nstep = 1e-2\nintegrator = "dop853"\n'
+    )
+    run = cl.simulate(cl.load_scenario(str(tmp_path / "s.toml")), progress=False)
+    a = 9.81 * (np.sin(theta) - mu * np.cos(theta))
+    np.testing.assert_allclose(run.v[:, :3], np.outer(a * run.time, [n[2], 0.0, -n[0]]), atol=1e-9)
+    assert len(calls) < 3000
+
+
+def test_friction_of_a_rigid_slide_is_against_it_beside_a_soft_contact(tmp_path):
+    """A ball slides and turns its slip while another lies on a soft floor."""
+    (tmp_path / "s.toml").write_text(
+        'robot.model = "none"\n'
+        '[[body]]\nname = "a"\nshape = "ball"\nradius = 0.1\nmass = 1.0\nposition = [0, 0, 0.1]\n'
+        "velocity = [0.3, 0, 0]\nspin = [4, 0, 0]\n"
+        '[[body]]\nname = "b"\nshape = "ball"\nradius = 0.1\nmass = 1.0\nposition = [1, 0, 0.1]\n'
+        "velocity = [0.2, 0, 0]\n"
+        '[[contact]]\nname = "rigid"\nlink = "a"\nat = "collision"\nfriction = 0.2\n'
+        'motion = { kind = "turntable", speed = 3.0 }\n'
+        '[[contact]]\nname = "soft"\nlink = "b"\nat = "collision"\nfriction = 0.2\n'
+        'compliance = { kind = "kelvin_voigt", stiffness = 1e4, damping = 50.0 }\n'
+        '[time]\nduration = 0.03\nstep = 5e-3\nintegrator = "dop853"\n'
+    )
+    run = cl.simulate(cl.load_scenario(str(tmp_path / "s.toml")), progress=False)
+    rub, slip = run.link_frictions[:, :2], run.link_slips[:, :2]
+    across = rub[:, 0] * slip[:, 1] - rub[:, 1] * slip[:, 0]
+    assert np.all(run.link_modes[:, 0] == 1)
+    assert np.max(np.abs(across)) < 1e-9

@@ -236,7 +236,8 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
         begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
         points = fixed and links.shapes == 0
         if status == OK and (fixed or some_share(c, k)):
-            status = turn_and_solve(c, k, c.step.span if state.begins != 0 else c.step.within, begins, points)
+            h = c.step.span if state.begins != 0 else c.step.within
+            status = turn_and_solve(c, k, h if fixed else c.step.settling, begins and fixed, points)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if joints_rub(links):

@@ -23,8 +23,10 @@ from closedloop.simulation.engines.adaptive.slow import (
     FIXED_DIRECTION,
     IMPLICIT,
     SETTLED,
+    Slip,
     choose_scheme,
     jacobian,
+    slips,
     tolerance_for,
 )
 from closedloop.simulation.engines.adaptive.smooth import Interval, interval_from, jumps
@@ -67,7 +69,7 @@ class AdaptiveRun:
         self.row, self.time, self.y = 0, 0.0, self.memory.get()
         self.tolerance = cast(float, problem.tolerance)
         self.next_step, self.steps_since_row, self.checked_at = FIRST * problem.h, 0, 0.0
-        self.scheme = EXPLICIT
+        self.scheme, self.sliding = EXPLICIT, list[Slip]()
         others = [problem.pd_start + 1e-9 * problem.h]
         at_rows = law is not None or problem.scenario.law.force_feedback != 0.0
         if problem.sensor.sampled or (at_rows and not self.memory.hold):
@@ -97,8 +99,8 @@ class AdaptiveRun:
 
     @property
     def has_dry_friction(self) -> bool:
-        """Whether the tip rubs, and is not one of several contacts."""
-        return self.may_rub and self.memory.state.together == 0
+        """Whether the tip rubs, or contacts of links do."""
+        return self.may_rub or self.memory.state.together != 0
 
     def interval(self) -> Interval:
         """Return the interval that begins at the present time."""
@@ -126,7 +128,8 @@ class AdaptiveRun:
         memory, before = self.memory, self.scheme
         memory.evaluate(self.time, self.y, interval, BEGIN_STEP)
         if self.has_dry_friction:
-            self.scheme = choose_scheme(memory.w, memory.state, before)
+            self.sliding = slips(memory.w, memory.state)
+            self.scheme = choose_scheme(self.sliding, before)
             if (self.scheme == FIXED_DIRECTION) != (before == FIXED_DIRECTION):
                 memory.w.friction.straight_speed = math.inf if self.scheme == FIXED_DIRECTION else 0.0
                 memory.evaluate(self.time, self.y, interval, BEGIN_STEP)
@@ -170,7 +173,9 @@ class AdaptiveRun:
 
         scheme: Any = Radau if self.scheme == IMPLICIT else DOP853
         options = (
-            {"jac": lambda t, y: jacobian(rate, t, y, self.memory.w), "rtol": STIFF_RTOL} if scheme is Radau else {}
+            {"jac": lambda t, y: jacobian(rate, t, y, self.memory.w, self.memory.state), "rtol": STIFF_RTOL}
+            if scheme is Radau
+            else {}
         )
         solver = scheme(
             rate, self.time, self.y, interval.end, max_step=LONGEST,
@@ -182,7 +187,7 @@ class AdaptiveRun:
     def set_tolerance(self, solver: Any) -> None:
         """Set the tolerances of the solver."""
         # Set here, because scipy would take no relative tolerance below 2e-14.
-        solver.rtol = tolerance_for(self.memory.w, self.scheme, self.tolerance)
+        solver.rtol = tolerance_for(self.sliding, self.scheme, self.tolerance)
         solver.atol = np.full(self.y.size, ABSOLUTE * solver.rtol)
         solver.atol[-1] = np.inf  # the energy supplied does not choose the steps
 

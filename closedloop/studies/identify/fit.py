@@ -21,7 +21,9 @@ instrumental variable approach for industrial robot identification, IEEE Trans. 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, optimize, signal, stats
@@ -52,12 +54,7 @@ TINY = 1e-100
 class Fit:
     """Parameters, and the residual of the torques."""
 
-    # value, deviation (b,): the parameters and their standard deviations; 0 and ∞ for those that cannot be
-    # distinguished from others
-    value: Array
-    deviation: Array
-    # (b, b): covariance of the parameters that can be distinguished; the rows and columns of others are 0
-    covariance: Array
+    value: Array  # (b,): the parameters; 0 for those that cannot be distinguished from others
     told: Mask  # (b,) bool: which parameters the rows distinguish
     # for each parameter that cannot be distinguished, the others with which it is confused; empty where its column is
     # zero
@@ -65,7 +62,26 @@ class Fit:
     residual: Array  # (R, n): torque less W χ, N m, in all windows, used or not
     sigma: Array  # (n,): standard deviation of the noise in the windows used
     condition: float  # of the weighted W, columns of length one
-    correlation: Array  # (n,): φ of the noise of each joint, from one window to the next
+    noise: Callable[[], tuple[Array, Array]]  # what `covariance` and `correlation` are computed by when they are asked
+
+    @cached_property
+    def _noise(self) -> tuple[Array, Array]:
+        return self.noise()
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (b, b) of the parameters that are distinguished; the rows and columns of others are 0."""
+        return self._noise[0]
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation φ (n,) of the noise of each joint from one window to the next."""
+        return self._noise[1]
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviation (b,) of the parameters; ∞ for those that are not distinguished."""
+        return np.where(self.told, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf)
 
 
 def fit(
@@ -110,40 +126,62 @@ def fit(
         last, sigma = sigma, np.maximum(np.sqrt(squares / np.maximum(free, 1.0)), floor)
         if np.all(np.abs(sigma - last) < 1e-6 * sigma):
             break
-    phi, step, unsure = _autoregression(X / scale, torque, used, sigma)
-    innovation = np.where(used[1:] & used[:-1], residual[1:] - phi * residual[:-1], 0.0)
-    gram = innovation.T @ innovation
-    length = np.maximum(np.sqrt(np.diag(gram)), TINY)
-    together = np.where(np.eye(n) > 0.0, 1.0, gram / length / length[:, None])  # correlation of e, (n, n)
     # χ̂ − χ = Σ_t rows_tᵀ u_t
-    rows = np.einsum("kl,tjl->tjk", inverse / scale[:, None], S / scale * (used / sigma**2)[:, :, None], optimize=True)
+    back = inverse / scale[:, None] / scale
 
-    def covariances(phi: Array, step: Array, product: str) -> Array:
-        reach = [_back(rows[:, j], phi[j]) for j in range(n)]  # what an innovation adds, by all windows after it
-        return np.sum([
-            together[i, j] * step[i] * step[j]
-            * (np.einsum(product, reach[i], reach[j]) + np.einsum(product, *(  # the noise was there before the log
-                reach[k][:1] for k in (i, j))) * phi[i] * phi[j] / (1.0 - phi[i] * phi[j]))
-            for i in range(n) for j in range(n)
-        ], axis=0)  # fmt: skip
+    def noise() -> tuple[Array, Array]:
+        rows = np.einsum("kl,tjl->tjk", back, S * (used / last**2)[:, :, None], optimize=True)
+        found, phi = _covariance(rows, X / scale, torque, residual, used, sigma)
+        covariance = np.zeros((b, b))
+        covariance[at] = found
+        return covariance, phi
 
-    found = covariances(phi, step, "ta,tb->ab")
-    known, slopes = np.diag(found), []
-    for j in range(n):  # how the variances depend on φ and log s² of each joint
-        moved = phi + STEP * (np.arange(n) == j) * np.where(phi > 0.0, -1.0, 1.0)
-        slopes.append((covariances(moved, step, "ta,ta->a") - known) / (moved[j] - phi[j]))
-    for j in range(n):
-        slopes.append((covariances(phi, step * np.exp(0.5 * STEP * (np.arange(n) == j)), "ta,ta->a") - known) / STEP)
-    spread = np.einsum("ia,ij,ja->a", slopes, unsure, slopes)
-    freedom = np.maximum(2.0 * known**2 / np.maximum(spread, TINY), FEWEST)
-    wider = stats.t.ppf(0.975, freedom) / stats.norm.ppf(0.975)
-    covariance = np.zeros((b, b))
-    covariance[at] = found * wider * wider[:, None]
-    deviation = np.where(told, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf)
     square = np.sum([_product(x, x) for x in (X[used[:, j], j] / sigma[j] for j in range(n))], axis=0)
     size = np.sqrt(np.diag(square))
     condition = float(np.sqrt(np.linalg.cond(square / size / size[:, None]))) if told.any() else 1.0
-    return Fit(value, deviation, covariance, told, tuple(alike), residual, sigma, condition, phi)
+    return Fit(value, told, tuple(alike), residual, sigma, condition, noise)
+
+
+def _covariance(rows: Array, X: Array, torque: Array, residual: Array, used: Mask, sigma: Array) -> tuple[Array, Array]:
+    """Return the covariance (b, b) of Σ_t rows_tᵀ u_t, as wide as Student's intervals are, and φ (n,) of the noise u.
+
+    `rows` are (R, n, b); of the others see `_autoregression`.
+    """
+    n = len(sigma)
+    phi, step, unsure = _autoregression(X, torque, used, sigma)
+    innovation = np.where(used[1:] & used[:-1], residual[1:] - phi * residual[:-1], 0.0)
+    gram = innovation.T @ innovation
+    length = np.maximum(np.sqrt(np.diag(gram)), TINY)
+    together = np.where(np.eye(n) > 0.0, 1.0, gram / length / length[:, None]) * step * step[:, None]  # cov e
+
+    def reach(phi: Array) -> list[Array]:
+        """Return what an innovation adds, by all windows after it."""
+        return [_back(rows[:, j], phi[j]) for j in range(n)]
+
+    def variances(phi: Array) -> Array:
+        """Return the parts (n, n, b) of the variances, by pairs of joints."""
+        g = np.stack(reach(phi), axis=1)
+        before = phi * phi[:, None] / (1.0 - phi * phi[:, None])  # the noise was there before the log
+        inside = np.einsum("tia,tja->ija", g, g) + before[:, :, None] * g[0][:, None] * g[0]
+        return np.asarray(together[:, :, None] * inside)
+
+    parts = variances(phi)
+    known = parts.sum(axis=(0, 1))
+    slopes = []  # of the variances by φ and by log s² of each joint
+    for j in range(n):
+        moved = phi + STEP * (np.arange(n) == j) * np.where(phi > 0.0, -1.0, 1.0)
+        slopes.append((variances(moved).sum(axis=(0, 1)) - known) / (moved[j] - phi[j]))
+    slopes += list(parts.sum(axis=0))
+    spread = np.einsum("ia,ij,ja->a", slopes, unsure, slopes)
+    freedom = np.maximum(2.0 * known**2 / np.maximum(spread, TINY), FEWEST)
+    wider = stats.t.ppf(0.975, freedom) / stats.norm.ppf(0.975)
+    found = np.zeros((rows.shape[2],) * 2)
+    g = reach(phi)
+    for i in range(n):
+        for j in range(n):
+            before = phi[i] * phi[j] / (1.0 - phi[i] * phi[j])
+            found += together[i, j] * (_product(g[i], g[j]) + before * np.outer(g[i][0], g[j][0]))
+    return found * wider * wider[:, None], phi
 
 
 def _back(rows: Array, phi: float) -> Array:

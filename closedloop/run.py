@@ -238,11 +238,7 @@ def _parser() -> Parser:
     add("--overwrite", action="store_true", help="replace results of another run in that folder")
     add("--no-figures", action="store_true", help="write run.nc and summary.json only")
     add("--json", action="store_true", help="print the summary as JSON instead of tables")
-    add(
-        "--halve",
-        action=BooleanOptionalAction,
-        help="print the whole comparison with the run at half the step; or no such run",
-    )
+    add("--halve", action=BooleanOptionalAction, help="print the comparison at half the step, or omit it")
     add("--strict", action="store_true", help="exit with status 4 or 5 if a verdict is bad")
     engines = ("pinocchio", "compiled")
     add("--engine", choices=engines, metavar="ENGINE", help="source of H, C, r, J: pinocchio (default), compiled")

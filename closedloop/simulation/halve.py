@@ -91,7 +91,7 @@ def beside_half(
             half_step(run.scenario), law=fresh(law), model=model, progress=progress, engine=engine or _fastest(run, law)
         )  # fmt: skip
     except InterruptedRunError as error:
-        raise InterruptedRunError(f"in the run at half the step: {error}", error.time, run) from error
+        raise InterruptedRunError(f"in the run at half the step: {error}", error.time, run) from error.__cause__
     except SimulationError as error:
         if not isinstance(error.run, Run):
             raise

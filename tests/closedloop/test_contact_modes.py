@@ -277,29 +277,29 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
         (1.0, 0.0, -CLOSED_GAP), (1.0, -5e-10, -5e-10 - CLOSED_GAP),
     ):  # fmt: skip
         c.cleared[1], c.floor[1] = risen, floor
-        assert margin(c, 2, slow, 0.0) == pytest.approx(1e-9 - touches_at, rel=1e-14)
+        assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(1e-9 - touches_at, rel=1e-14)
     c.mode[1], c.rigid[3:], c.mu[1] = STUCK, [5.0, 0.9, 1.2], 0.5
-    assert margin(c, 2, slow, 0.0) == pytest.approx(1.0 + 1e-9, rel=1e-14)
+    assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(1.0 + 1e-9, rel=1e-14)
     c.rigid[3:] = [5.0, 0.0, 0.0]
-    assert margin(c, 2, slow, 0.0) == pytest.approx(2.5 + 1e-9, rel=1e-14)
+    assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(2.5 + 1e-9, rel=1e-14)
     c.mode[1], c.u[3:], c.rigid[3:] = PRESSED, [9.0, 0.3, 0.4], [5.0, 9.0, 9.0]
     for start, rest, added in (
         (1e-3, 0.0, 0.0), (1e-10, 0.0, slow), (1e-8, 0.0, -5e-9), (1e-3, 2e-7, -2e-7), (1.5e-7, 2e-7, -7.5e-8)
     ):  # fmt: skip
         c.friction.start_slip[1] = start
-        assert margin(c, 2, slow, rest) == pytest.approx(0.5 + added, rel=1e-14)
+        assert margin(memory.links, c, 2, slow, rest, 1e-3) == pytest.approx(0.5 + added, rel=1e-14)
     c.mu[1] = 0.0
-    assert margin(c, 2, slow, 0.0) == pytest.approx(5.0 + 1e-9, rel=1e-14)
+    assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(5.0 + 1e-9, rel=1e-14)
     c.friction.pulls[1] = 1.0
-    assert margin(c, 2, slow, 0.0) == pytest.approx(100.0, rel=1e-6)
+    assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(100.0, rel=1e-6)
     c.mode[1], c.mu[1], c.rigid[3:] = STUCK, 0.5, [-5.0, 0.9, 1.2]
-    assert margin(c, 2, slow, 0.0) == pytest.approx(1.0 + 1e-9, rel=1e-14)
+    assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(1.0 + 1e-9, rel=1e-14)
     c.inside[1] = 0.25
-    assert margin(c, 2, slow, 0.0) == 0.25
+    assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == 0.25
     c.mode[1], c.friction.pulls[1], c.past_edge[1] = FREE, 0.0, 1.0  # beyond its edge, until it is inside again
     for gap, inside, left in ((0.0, -0.25, 0.25 + ONTO), (-DEEPEST, 0.25, ONTO - 0.25), (-1.1 * DEEPEST, 0.25, 100.0)):
         c.located[3], c.inside[1] = gap, inside
-        assert margin(c, 2, slow, 0.0) == pytest.approx(left, rel=1e-6)
+        assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(left, rel=1e-6)
 
 
 def test_what_a_substep_begins_with_is_kept(memory):

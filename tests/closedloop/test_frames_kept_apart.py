@@ -42,9 +42,9 @@ def test_the_force_of_a_contact_on_a_turned_link_with_turned_axes():
 
     def touching(r, t):
         asked.append(r)
-        return SimpleNamespace(frame=frame)
+        return frame
 
-    contact = Touching("c", 1, at, 2, axes, origin, SimpleNamespace(touching=touching), np.zeros(7))
+    contact = Touching("c", 1, at, 2, axes, origin, SimpleNamespace(frame_at_rest=touching), np.zeros(7))
     place, force = contact.force(3.0, np.array([0.5, -0.7]), np.array([np.eye(3), point, plane]), origins)
     np.testing.assert_allclose(place, origins[1] + point @ at, atol=1e-14)
     np.testing.assert_allclose(origins[2] + plane @ (origin + axes.T @ asked[0]), place, atol=1e-14)

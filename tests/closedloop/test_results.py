@@ -259,7 +259,7 @@ def test_what_a_killed_writer_left_is_removed_by_the_next_run(command_line, tmp_
 
 def sizes():
     """Yield the sizes that a file may have at most, every 10 kB up to where all fits."""
-    return range(0, 80_000, 10_000)
+    return range(0, 100_000, 10_000)
 
 
 @pytest.fixture

@@ -70,7 +70,8 @@ def test_rows_meet_eq_24(run, arm, on):
     stabiliser, (normals, _, turning) = run.scenario.stabiliser, on
     s_v, s_p = 0.0, 0.0
     if stabiliser.kind == "baumgarte":
-        s_v, s_p = 2 * stabiliser.damping_ratio / stabiliser.time_constant, stabiliser.time_constant**-2
+        T = stabiliser.time_constant or run.scenario.time.step
+        s_v, s_p = 2 * stabiliser.damping_ratio / T, T**-2
     for k in some(run):
         terms = arm.terms(run.q[k], run.v[k])
         normal = normals[k]

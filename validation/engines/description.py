@@ -41,6 +41,8 @@ def bare_mjcf(text: str) -> tuple[str, dict[str, tuple[str, Array]]]:
     for element in list(root):
         if element.tag not in ("compiler", "default", "asset", "worldbody"):
             root.remove(element)
+    for compiler in root.iter("compiler"):  # Drake asks for an inertia of each body; MuJoCo and we know frames
+        compiler.attrib.pop("inertiafromgeom", None)
     for joint in root.iter("joint"):
         for key in ("damping", "frictionloss", "stiffness"):  # no part of H and C
             joint.attrib.pop(key, None)

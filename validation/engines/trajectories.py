@@ -70,8 +70,7 @@ def slide_oracle(of: Problem) -> Trajectory:
         raise ValueError("the oracle's loop does not project")
     pair = None
     if stabiliser.kind != "none":
-        constant = stabiliser.time_constant
-        pair = (stabiliser.damping_ratio, float(of.stabiliser[1] ** -0.5) if constant == "auto" else constant)
+        pair = stabiliser.damping_ratio, float(of.stabiliser[1] ** -0.5)
     began = clock.perf_counter()
     run = simulate_slide(
         Oracle.from_model(of.robot.model, of.robot.tip),

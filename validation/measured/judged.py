@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from closedloop.studies.identify.identify import Estimate, Identification
-from closedloop.studies.identify.physical import NOT_NEGATIVE
+from closedloop.studies.identify.regressor import BOUNDED
 
 # The relative RMS error of the torque, in the part that was not fitted, that a model may have.
 HELD_OUT = 0.10
@@ -42,7 +42,7 @@ class Judged:
 
 def possible(e: Estimate) -> Estimate:
     """Return an estimate, or one that says why it is not given if it is negative beyond its interval and cannot be."""
-    if e.why or e.high >= 0.0 or not e.name.startswith(NOT_NEGATIVE):
+    if e.why or e.high >= 0.0 or not e.name.startswith(BOUNDED):
         return e
     why = f"it comes out as {with_half(e)}, which cannot be: the model lacks something that looks like it"
     return e._replace(value=np.nan, low=-np.inf, high=np.inf, why=why)

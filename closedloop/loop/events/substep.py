@@ -59,6 +59,7 @@ from closedloop.loop.step.singular import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at
+from closedloop.mechanics.contacts.shapes import shapes_at
 from closedloop.mechanics.contacts.standing import some_stand
 
 
@@ -110,9 +111,9 @@ def divide_step(w: Work, constants: Constants, state: State) -> None:
         (FAST, LARGEST_TURN) if state.together == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
     )
     links, c = contacts_at(state.contacts.at)
-    stands = links.shapes != 0 and some_stand(links, c)
+    wheels = links.shapes != 0 and not some_stand(links, c)  # nothing turns with a wheel, unless its feet stand
     for j in range(w.q.shape[0]):
-        if c.spins[j] == 0.0 or stands:  # nothing turns with a wheel, unless its feet stand
+        if not wheels or shapes_at(links.shapes).spins[j] == 0.0:
             fastest, change = max(fastest, abs(w.v[j])), max(change, abs(w.qdd[j]))
     state.divided = 1 if left < state.row * constants.h - w.time - INSTANT else 0
     if state.settings.adaptive != 0:

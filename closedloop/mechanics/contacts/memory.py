@@ -246,7 +246,6 @@ class Contacts(Block, sizes=("n", "k", "past")):
     load: Annotated[Array, N]  # L⁻¹(Q − C), of the tree
     viscous: Annotated[Array, 3 * K]  # the part of the friction that does not depend on f, N
     before: Annotated[Array, 3 * K]
-    spins: Annotated[Array, N]  # 1 of a joint that turns what is symmetric about its axis, a wheel
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)
     margin: float  # of the event function
     friction: ContactFriction

@@ -74,6 +74,7 @@ class Shapes(Block, sizes=("n", "k")):
     chosen: Annotated[Array, K]  # and which of the others it crosses
     crossing: Annotated[Array, 4]  # gap, m, how far inside, m, s1, m, and |e1 × e2| of the crossing asked about last
     reach: Annotated[Array, K, 3]  # r, from the centre to the contact, m
+    spins: Annotated[Array, N]  # 1 of a joint that turns what is symmetric about its axis, a wheel
     rim: Rims  # what of the shapes is flat, see `closedloop.mechanics.contacts.standing`
     turns: Annotated[Array, 3, N]  # rows of ω relative to the frame that carries the surface: ω = turns q̇
     spin: Annotated[Array, 3]  # ω, rad/s

@@ -133,7 +133,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
         more = ((0, k - points), (0, 0))
         shapes = make_shape_memory(robot.n, np.pad(placed.shapes, more), np.pad(placed.edges, more))
         write_feet(shapes.shapes, placed.bound)
-        write_spins(contacts, shapes.shapes, robot, placed.bound)
+        write_spins(shapes.shapes, robot, placed.bound)
         links.shapes = shapes.address
         links.keep_alive(shapes=shapes)
     if surfaces := surfaces_of(sections, names):
@@ -158,7 +158,7 @@ def write_feet(shapes: Shapes, bound: Bound) -> None:
                 rim.foot_of[j] = i
 
 
-def write_spins(contacts: Contacts, shapes: Shapes, robot: Robot, bound: Bound) -> None:
+def write_spins(shapes: Shapes, robot: Robot, bound: Bound) -> None:
     """Write which joints turn a wheel: a link whose mass and whose contacts are symmetric about its axis.
 
     It carries no other link, nor the tip, and no surface that others touch. Feet of a disc count as its edge.
@@ -175,7 +175,7 @@ def write_spins(contacts: Contacts, shapes: Shapes, robot: Robot, bound: Bound) 
             alike = np.max(np.abs(M - QUARTER @ M @ QUARTER.T)) <= ON_EDGE * np.max(np.abs(M))
             on_axis = np.hypot(place[0], place[1]) <= size and not np.any(shapes.edge[i])
             even = even and (shapes.rim.foot_of[i] > 0 or (alike and on_axis))
-        contacts.spins[j] = float(even and not carries)
+        shapes.spins[j] = float(even and not carries)
 
 
 def write_joints(

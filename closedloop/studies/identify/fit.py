@@ -23,12 +23,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg, optimize, signal, stats
 
 from closedloop.base.arrays import Array, Mask
+from robot_models.cached import cached_property
 
 # Rounds of weighting: the weights follow from the residuals, and the residuals from the weights.
 ROUNDS = 20

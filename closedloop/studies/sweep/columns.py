@@ -59,7 +59,7 @@ def write_columns(
             if "time.step" in store.identity["axes"]:
                 steps[first:stop] = table["time.step"].to_numpy()
             for name, data in store.read_columns(part).items():
-                if name in widths:
+                if name in widths and data.shape[1]:
                     out.variables[name][first:stop, : data.shape[1]] = data
             first = stop
 

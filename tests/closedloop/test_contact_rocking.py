@@ -67,4 +67,4 @@ def test_what_rest_takes_is_what_the_block_would_have_rocked_on_with(tmp_path):
     ratio = 1.0 - 1.5 * half[0] ** 2 / (half[0] ** 2 + half[2] ** 2)
     assert rested / lost == pytest.approx(ratio**2, rel=1e-6)
     assert run.summary()["energy_taken_at_rest"] == pytest.approx(rested, rel=1e-12)
-    assert np.max(np.abs(run.v[-1])) < 1e-12
+    assert np.max(np.abs(run.v[-1])) < 1e-9  # the stabiliser still takes back what the impact left of the gap

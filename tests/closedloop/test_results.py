@@ -258,8 +258,8 @@ def test_what_a_killed_writer_left_is_removed_by_the_next_run(command_line, tmp_
 
 
 def sizes():
-    """Yield the sizes that a file may have at most, every 10 kB up to where all fits."""
-    return range(0, 100_000, 10_000)
+    """Yield the sizes that a file may have at most, every 50 kB up to where all fits."""
+    return range(0, 800_000, 50_000)
 
 
 @pytest.fixture
@@ -270,7 +270,7 @@ def limit():
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_at_every_10_kb(command_line, tmp_path, limit):
+def test_a_full_disk_at_every_50_kb(command_line, tmp_path, limit):
     """Whatever fits: the older run stays or the new one is whole, one line says so, and no other file is there."""
     older = ("planar2_slide", *SHORT)
     assert command_line(*older).status == 0

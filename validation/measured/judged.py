@@ -79,7 +79,7 @@ def add_torques(judged: Judged, found: Identification, tested: str) -> None:
         "used_share": [float(x) for x in found.used.mean(axis=0)],
         "held_out": tested,
     }
-    for key in ("condition", "cutoff_hz", "windows", "correlated_windows", "model_misses_something"):
+    for key in ("condition", "cutoff_hz", "windows", "correlation", "model_misses_something"):
         judged.numbers[key] = summary[key]
     judged.lines += ["", f"torque, RMS of the error over that of the torque (condition {found.solution.condition:.1f})"]
     judged.lines += [f"  {'':22}" + "".join(f"{name[:14]:>15}" for name in names)]

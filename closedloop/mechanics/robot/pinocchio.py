@@ -73,7 +73,7 @@ class Robot:
     def __init__(self, model: RobotModel, tip: str | None = None) -> None:
         self.model = model
         if not model.n:
-            raise ModelError(f"{model.name} has no joint that moves: name a robot that has one")
+            raise ModelError(f"{model.source or model.name}: has no joint that moves: name a robot that has one")
         name = tip if tip is not None else model.tip
         if name is None:
             raise ModelError(f"{model.name} has no default tip: name one of its frames, {', '.join(model.frames)}")

@@ -14,7 +14,7 @@ from validation.measured.data_file import DATA
 
 
 def test_friction_of_a_tx40_is_the_published_one(tmp_path, capsys):
-    """Each of the twelve coefficients within 10 %, or in three times its interval; eleven are certain to 35 %: residuals are correlated."""
+    """Each of the twelve coefficients within 10 %, or in three times its interval; eleven certain to 35 %."""
     assert main(["tx40", "--json", str(tmp_path / "out.json")]) == 0
     assert "every value that has a bound is within it" in capsys.readouterr().out
     found = json.loads((tmp_path / "out.json").read_text())

@@ -102,6 +102,8 @@ link = "stone"
 at = [0, 0, 0.01]
 half_axes = [[0.2, 0, 0], [0, 0.03, 0], [0, 0, 0.02]]
 friction = 2.0
+[stabiliser]
+time_constant = 0.001
 """,
         6.0,
         0.0005,

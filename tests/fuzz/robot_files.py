@@ -152,12 +152,16 @@ def _tree_cases(origin: str, text: str, suffix: str) -> Iterator[Case]:
         for key in keys:
             value = element.attrib[key]
             words = value.split()
+            if suffix == ".xml" and "material" in (key, element.tag):
+                continue  # how a body looks is left out, whatever it says
             for blank in _BLANKS:
                 for where, padded in (("before", blank + value), ("after", value + blank), ("in", blank.join(words))):
                     if where == "in" and (len(words) < 2 or not _is_numbers(words)):
                         continue
                     element.set(key, padded)
-                    yield case(f"{at}: blank {blank!r} {where} {key}", root, True)
+                    # MuJoCo takes blanks of ASCII between numbers; in a name they count.
+                    same = suffix == ".urdf" or (blank.isascii() and _is_numbers(words))
+                    yield case(f"{at}: blank {blank!r} {where} {key}", root, same)
             swaps = [(f"is {word[:20]!r}", word) for word in _WORDS]
             swaps += [("has one more", value + " 0"), ("has one less", " ".join(words[:-1]))]
             swaps += [

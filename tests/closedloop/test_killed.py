@@ -25,7 +25,7 @@ def slow(t, q, v, terms):
     time.sleep(1e-3)
     return terms.bias - 5.0 * terms.jacobian[2]
 """
-COMMAND = ["wam_slide", "--law=slow_law:slow", "--time.duration", "0.1", "--no-figures", "--no-halve", "--json", "--out"]
+COMMAND = ["wam_slide", "--law=slow_law:slow", "--time.duration=0.1", "--no-figures", "--no-halve", "--json", "--out"]
 # How long a command may take to end after a signal, s.
 PATIENCE = 60.0
 

@@ -33,11 +33,11 @@ COPIED = ("closedloop", "robot_models", "validation", "tests", "docs", "pyprojec
 HEAVY = ("numpy", "scipy.linalg", "numba", "pinocchio", "hypothesis", "pytest", "pydantic", "xarray", "yourdfpy")
 OURS = ("closedloop", "robot_models", "validation", "tests", "conftest")
 
-IN = "tests/closedloop/"
+WHERE = {file.name: str(file.relative_to(ROOT)) for file in (ROOT / "tests").rglob("test_*.py")}
 
 # The quick tests that hold each module.
 TESTS: dict[str, tuple[str, ...]] = {
-    module: tuple(f"{IN}{name}" for name in names)
+    module: tuple(WHERE[name.split("::")[0]] + name[name.find("::") :] * ("::" in name) for name in names)
     for module, names in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items()
 }
 

@@ -7,7 +7,8 @@ The condition number of K, the matrix of Eq. 24, in the 1-norm, ‖K‖₁‖K�
 That is nearly as much arithmetic as the step itself, on small triangular matrices that do not vectorise, and the step
 does not need it. So each row stores the matrices in one lane of `batch`, and once all lanes are full each operation is
 done for all rows together. Measured, for n joints, one row at a time and so, µs a row: n = 4: 0.26,
-0.07; 7: 0.48, 0.21; 16: 1.9, 2.4; 32: 8.0, 21. Hence two forms, which `tests/closedloop/test_solve.py` holds equal.
+0.07; 7: 0.48, 0.21; 16: 1.9, 2.4; 32: 8.0, 21. Hence two forms, which
+`tests/closedloop/mechanics/test_solve.py` holds equal.
 Computing H anew from the record's q after the run would take 0.36 µs a row of four joints, half of a whole step.
 """
 

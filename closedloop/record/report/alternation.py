@@ -4,7 +4,7 @@ What alternates is the part x_i = ... + (−1)^i a: its second differences are 4
 so a quarter of the smaller of two neighbours is taken wherever they differ in sign.
 
 Both forms are needed: a batch has one row at a time, of one run or of eight; a `Run` has columns, and interpreted the
-loop would take a thousand times as long. `tests/closedloop/test_measured.py` holds them equal.
+loop would take a thousand times as long. `tests/closedloop/record/test_measured.py` holds them equal.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 What a row has to say is `closedloop.record.report.row_sample`, interpreted on columns. The largest, the sum, the first
 of it over the rows is numpy's here; `closedloop.record.report.measured` has it row by row.
-`tests/closedloop/test_measured.py` holds the two equal. Interpreted, the latter would take 3 s for the 8000 rows of
-wam_slide, and compiling it 10 s.
+`tests/closedloop/record/test_measured.py` holds the two equal. Interpreted, the latter would take 3 s for the 8000
+rows of wam_slide, and compiling it 10 s.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def test_elements_are_those_of_python_and_of_numba():
 
 
 PLUG_INS = {"laws", "compensation", "surface", "integrators", "paths", "impact", "friction"}
-OURS = [Path(__file__).parents[2] / name for name in ("closedloop", "validation")]
+OURS = [Path(__file__).parents[3] / name for name in ("closedloop", "validation")]
 
 
 def _compiled_functions(path):

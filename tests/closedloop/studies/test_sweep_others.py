@@ -6,7 +6,7 @@ import os
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
-from sweeps import SMALL, refusal, sweep
+from sweep_runs import SMALL, refusal, sweep
 from test_sweep import small
 
 import closedloop as cl

@@ -8,7 +8,7 @@ from budget import budget, seeds
 
 import closedloop as cl
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "fuzz"))
 import motions
 from boxes import no_torque
 from drops import examine

@@ -12,7 +12,7 @@ from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.record.report.tables import restitution_cut
 from closedloop.scenario.load import parse_scenario
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 ENGINES = ("pinocchio", "compiled")
 MASS = 2.0  # kg, of pointmass3
 OWN = '''

@@ -6,7 +6,7 @@ import h5netcdf
 import numpy as np
 import pytest
 from pyarrow import parquet
-from sweeps import Forked, sweep
+from sweep_runs import Forked, sweep
 
 import closedloop as cl
 from closedloop.base.errors import OutputError

@@ -14,7 +14,7 @@ from closedloop.loop.step.record_row import Row
 from closedloop.simulation.engines.dual_loop import DualRun, prepared, structure
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient.exact import DUALS
-from tests.closedloop.test_gradient import FORCE, MASS, complex_step, point
+from tests.closedloop.studies.test_gradient import FORCE, MASS, complex_step, point
 from validation.oracle.engine import Oracle
 from validation.oracle.slide import Closure, Law, simulate_slide
 

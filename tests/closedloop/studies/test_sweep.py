@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
-from sweeps import SMALL, refusal, sweep
+from sweep_runs import SMALL, refusal, sweep
 from test_sweep_axes import values_of
 
 import closedloop as cl
@@ -297,7 +297,7 @@ def test_identity_is_all_that_the_table_depends_on(tmp_path):
 def test_the_commands_of_the_page_run(capsys, tmp_path, monkeypatch):
     """With fewer and shorter runs, as they stand there."""
     monkeypatch.chdir(tmp_path)
-    page = (Path(__file__).parents[2] / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "sweeps.md").read_text(encoding="utf-8")
     commands = re.findall(r"^    closedloop sweep (.*)$", page, re.MULTILINE)
     assert len(commands) == 3
     for command in commands:

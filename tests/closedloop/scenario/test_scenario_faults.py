@@ -11,7 +11,7 @@ from closedloop.scenario.load import parse_scenario, scenario_of
 from closedloop.scenario.messages import MOST_FAULTS
 from robot_models.shipped import path_of
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenarios.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "scenarios.md"
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"
 FAULTY = """
 [law]

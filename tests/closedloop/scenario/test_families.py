@@ -26,7 +26,7 @@ from closedloop.studies.sweep.axes import parse_axis
 from closedloop.studies.sweep.design import Design
 from closedloop.studies.sweep.sweep import Sweep
 
-ROOT = File(__file__).resolve().parents[2]
+ROOT = File(__file__).resolve().parents[3]
 RALSTON = '''
 
 from closedloop.mechanics.integrators import Integrator

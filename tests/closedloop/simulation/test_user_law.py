@@ -13,7 +13,7 @@ from closedloop.control.law import commanded_force
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.simulation.engines.law_source import fresh
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "controllers.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "controllers.md"
 SHORT = {"time.duration": 0.3, "reference.start": 0.05, "reference.stop": 0.25}
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from budget import budget
 
-SPEC = importlib.util.spec_from_file_location("fuzz_sweeps", Path(__file__).parents[1] / "fuzz" / "sweeps.py")
+SPEC = importlib.util.spec_from_file_location("fuzz_sweeps", Path(__file__).parents[2] / "fuzz" / "sweeps.py")
 assert SPEC is not None
 assert SPEC.loader is not None
 fuzz = importlib.util.module_from_spec(SPEC)

@@ -12,7 +12,7 @@ import pytest
 from closedloop.base.errors import OutputError
 from closedloop.base.files import remove_unfinished, write_whole
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture

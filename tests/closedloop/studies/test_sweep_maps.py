@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.compute
 import pytest
 from pyarrow import parquet
-from sweeps import SMALL, refusal, sweep
+from sweep_runs import SMALL, refusal, sweep
 
 import closedloop as cl
 from closedloop.command.sweep import main

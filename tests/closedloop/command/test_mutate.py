@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-SPEC = importlib.util.spec_from_file_location("mutate", Path(__file__).parents[1] / "mutate.py")
+SPEC = importlib.util.spec_from_file_location("mutate", Path(__file__).parents[2] / "mutate.py")
 assert SPEC is not None
 assert SPEC.loader is not None
 mutate = importlib.util.module_from_spec(SPEC)

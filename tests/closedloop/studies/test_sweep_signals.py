@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from budget import budget
 from pyarrow import parquet
-from sweeps import Forked, here, process, sweep
+from sweep_runs import Forked, here, process, sweep
 
 from closedloop.simulation.batch import threads
 from closedloop.simulation.batch.threads import Done, Ended, side_by_side, uninterrupted

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pytest
 from budget import budget
 from pyarrow import parquet
-from sweeps import Forked, here, process, refusal, sweep
+from sweep_runs import Forked, here, process, refusal, sweep
 
 import closedloop as cl
 

@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from closedloop.base.errors import SimulationError as SimulationError
     from closedloop.base.errors import SingularClosureError as SingularClosureError
     from closedloop.control.law import ControlLaw as ControlLaw
-    from closedloop.control.law_input import LawInput as LawInput
+    from closedloop.control.law import LawInput as LawInput
     from closedloop.lab.start import lab as lab
     from closedloop.mechanics.closure.solve import solve_closure as solve_closure
     from closedloop.mechanics.robot.pinocchio import Robot as Robot
@@ -81,11 +81,11 @@ if TYPE_CHECKING:
     from closedloop.mechanics.surface.motion import SurfaceMotion as SurfaceMotion
     from closedloop.mechanics.surface.plane import Plane as Plane
     from closedloop.mechanics.surface.surface import Surface as Surface
-    from closedloop.record.columns.events import Event as Event
+    from closedloop.record.columns.record import Event as Event
     from closedloop.record.load import load_run as load_run
     from closedloop.record.run import Run as Run
-    from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
     from closedloop.scenario.load import load_scenario as load_scenario
+    from closedloop.scenario.load import shipped_scenarios as shipped_scenarios
     from closedloop.scenario.scenario import Scenario as Scenario
     from closedloop.simulation.batch.simulate_batch import simulate_batch as simulate_batch
     from closedloop.simulation.engines.problem import Problem as Problem
@@ -95,7 +95,7 @@ if TYPE_CHECKING:
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
-    from closedloop.studies.analysis.linearise import linearise as linearise
+    from closedloop.studies.analysis.assembly import linearise as linearise
     from closedloop.studies.comparison.compare import compare as compare
     from closedloop.studies.comparison.recording import Recording as Recording
     from closedloop.studies.comparison.with_log import compare_log as compare_log

@@ -45,7 +45,7 @@ def _start(command: Command, words: list[str]) -> int:
 
 
 def _is_scenario(word: str) -> bool:
-    from closedloop.scenario.file import shipped_scenarios
+    from closedloop.scenario.load import shipped_scenarios
 
     return word.endswith((".toml", ".nc")) or word in shipped_scenarios()
 
@@ -66,7 +66,7 @@ def _refuse(words: list[str], line: str = "") -> int:
 
     from closedloop.base.errors import ScenarioError
     from closedloop.command.border import run_command
-    from closedloop.scenario.file import shipped_scenarios
+    from closedloop.scenario.load import shipped_scenarios
 
     if not words:
         line = "name a command, such as `closedloop run wam_slide`; closedloop --help lists them"

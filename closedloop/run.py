@@ -34,10 +34,9 @@ from closedloop.command.job import (
 )
 from closedloop.command.lists import list_of_scenarios, versions
 from closedloop.scenario.load import load_scenario, parse_scenario
-from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import import_function, import_law
+from closedloop.scenario.user_module import import_function, import_law, member_digests
 
 if TYPE_CHECKING:
     from closedloop.command.results import Results

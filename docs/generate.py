@@ -21,7 +21,7 @@ from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.film_picture import Picture
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.derived import DERIVED
-from closedloop.record.columns.recorded import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
+from closedloop.record.columns.record import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
 from closedloop.record.report.verdict import names_of
 from closedloop.scenario import describe
 from closedloop.scenario.tables import table_type

@@ -15,8 +15,7 @@ from closedloop.base.plain import plain
 from closedloop.command.border import DONE, Parser, as_command
 
 if TYPE_CHECKING:
-    from closedloop.studies.analysis.ranges import Range
-    from closedloop.studies.analysis.stability import Stability
+    from closedloop.studies.analysis.stability import Range, Stability
 
 # Values of a range that does not say how many, and where whole runs are tried beside a boundary.
 POINTS, TRIED = 60, (0.25, 0.5, 0.75)
@@ -52,7 +51,7 @@ def main(words: list[str]) -> int:
     ranges = [_range(text) for text in options.vary]
     folder = made_folder(options.out) if options.out else None
 
-    from closedloop.studies.analysis.instant import refuse_outside
+    from closedloop.studies.analysis.here import refuse_outside
     from closedloop.studies.analysis.page import page_of
     from closedloop.studies.analysis.stability import Stability
 
@@ -82,8 +81,8 @@ def main(words: list[str]) -> int:
 
 def _range(text: str) -> tuple[Range, int]:
     """Read KEY=RANGE, and how many values it has."""
-    from closedloop.studies.analysis.ranges import Range
-    from closedloop.studies.sweep.axes import parse_range
+    from closedloop.studies.analysis.stability import Range
+    from closedloop.studies.sweep.design import parse_range
 
     axis = parse_range(text, "log:1e2:1e7 or 0:80")
     return Range(axis.key, axis.low, axis.high, axis.log), axis.count or POINTS

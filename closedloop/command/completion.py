@@ -40,7 +40,7 @@ def all_commands() -> ArgumentParser:
 
     from closedloop.command.robots import names
     from closedloop.scenario.describe import all_keys, choices, sections
-    from closedloop.scenario.file import shipped_scenarios
+    from closedloop.scenario.load import shipped_scenarios
     from closedloop.scenario.tables import table_type
 
     keys, robots = all_keys(), list(names())

@@ -7,8 +7,7 @@ from closedloop.command.border import DONE, Parser, as_command
 
 def list_of_scenarios() -> str:
     """Return the names of the shipped scenarios and what each is, a line each."""
-    from closedloop.scenario.file import shipped_scenarios
-    from closedloop.scenario.load import load_scenario
+    from closedloop.scenario.load import load_scenario, shipped_scenarios
 
     names = shipped_scenarios()
     width = max(map(len, names))
@@ -17,7 +16,7 @@ def list_of_scenarios() -> str:
 
 def versions() -> str:
     """Return the versions of Python and of the packages whose arithmetic a run depends on, on one line."""
-    from closedloop.record.versions import package_versions
+    from closedloop.record.save import package_versions
 
     return ", ".join(f"{name} {version}" for name, version in package_versions().items())
 

@@ -99,7 +99,7 @@ def _together() -> None:
 def _loops(kernel: str) -> None:
     """Compile one of the kernels of mechanisms with loops."""
     import robot_models
-    from closedloop.figures.scene.joined import compile_rows
+    from closedloop.figures.scene.solids import compile_rows
     from closedloop.mechanics.loops.bind import loop_memory
     from closedloop.mechanics.loops.close import closed_to
     from closedloop.mechanics.robot.pinocchio import Robot

@@ -23,9 +23,9 @@ from closedloop.base.files import (
     write_whole,
 )
 from closedloop.base.interrupts import held_back
-from closedloop.record.difference import difference
+from closedloop.record.frame import difference
+from closedloop.record.netcdf_file import read_sealed
 from closedloop.record.run import Run
-from closedloop.record.sealed import read_sealed
 
 RUN, SUMMARY = "run.nc", "summary.json"
 # Metadata near the beginning of a figure's file.

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from closedloop.command.border import Parser
     from closedloop.scenario.scenario import Scenario
-    from closedloop.studies.sweep.axes import Axis
+    from closedloop.studies.sweep.design import Axis
     from closedloop.studies.sweep.join import Joined
     from closedloop.studies.sweep.sweep import Sweep
 
@@ -104,8 +104,8 @@ def _sweep(arguments: list[str]) -> int:
     from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, STOPPED
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.user_module import name_members
-    from closedloop.studies.sweep.run import run_sweep
     from closedloop.studies.sweep.store import why_no_place
+    from closedloop.studies.sweep.sweep import run_sweep
 
     overrides, rest = split_overrides(arguments)
     name_members(overrides.items())
@@ -159,8 +159,7 @@ def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
     """Return the sweep that the command line asks for."""
     from closedloop.scenario.overrides import refuse_lost
     from closedloop.scenario.user_module import name_members
-    from closedloop.studies.sweep.axes import parse_axis
-    from closedloop.studies.sweep.design import GRID, LATIN, RANDOM, Design
+    from closedloop.studies.sweep.design import GRID, LATIN, RANDOM, Design, parse_axis
     from closedloop.studies.sweep.sweep import Sweep
 
     kind = RANDOM if options.random is not None else LATIN if options.latin is not None else GRID

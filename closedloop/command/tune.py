@@ -19,7 +19,7 @@ def main(words: list[str]) -> int:
     from closedloop.scenario.load import load_scenario
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.user_module import name_members
-    from closedloop.studies.sweep.axes import parse_range
+    from closedloop.studies.sweep.design import parse_range
 
     overrides, rest = split_overrides(words)
     name_members(overrides.items())
@@ -90,7 +90,7 @@ def _parser() -> Parser:
 
 def _variation(text: str) -> tuple[str, list[Any]]:
     """Read KEY=VALUES."""
-    from closedloop.studies.sweep.axes import parse_axis
+    from closedloop.studies.sweep.design import parse_axis
 
     axis = parse_axis(text)
     return axis.key, [axis.at(i) for i in range(len(axis))]

@@ -1,4 +1,10 @@
-"""Base classes of control laws and compensations: a section of the scenario, its states, and up to four functions.
+"""The base classes of laws and compensations, and the input of a law at one instant.
+
+The input of a control law at one instant.
+
+What a law sees where that is not the state itself: measured, and through a model of its own.
+
+Base classes of control laws and compensations: a section of the scenario, its states, and up to four functions.
 
 A user's law is a class derived from `ControlLaw`, with its parameters as typed fields. Those that ship are in
 `closedloop.control.laws`, one file each, written the same way.
@@ -17,7 +23,7 @@ the arrays that they are given.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field
 
@@ -25,8 +31,114 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters
 from closedloop.base.sections import FORCE, PERIOD, RATE, NotNegative, Number, gain_in
-from closedloop.control.law_input import LawInput
+from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel
+
+
+class LawInput(NamedTuple):
+    """The state of the arm, its terms, the reference, and the reading of the force sensor.
+
+    Contact frame: axes n (out of the surface), t1, t2; the three numbers of every (3,) array are in that order, unless
+    it is said to be in base axes.
+
+    With `[encoder]` the state is computed from the encoders' readings. With `[model_error]` the terms are those of the
+    controller's own model. With `[transmission]` H includes the motors. See docs/real_arm.md.
+
+    Attributes
+    ----------
+    t : float
+        Time, s.
+    q, v : (n,) arrays
+        Joint positions, rad (m), and velocities.
+    H : (n, n) array
+        Mass matrix.
+    C : (n,) array
+        Bias torque (Coriolis, centrifugal, gravity), N m.
+    L : (n, n) array
+        Lower Cholesky factor of H whose diagonal holds reciprocals, see `closedloop.mechanics.closure.solve.cholesky`.
+    A : (3, n) array
+        Tip Jacobian, contact frame: u = A q̇. Its first row is nᵀJᵣ.
+    X : (3, n) array
+        L⁻¹Aᵀ, transposed.
+    S : (3, 3) array
+        A H⁻¹Aᵀ, the tip's mobility, 1/kg; positive semi-definite.
+    drift : (3,) array
+        Ȧ q̇, m/s².
+    p, u : (3,) arrays
+        Tip position, m, and velocity, m/s.
+    r : (3,) array
+        Tip position, m, base axes.
+    J : (3, n) array
+        Tip Jacobian Jᵣ, base axes.
+    Jdot_v : (3,) array
+        J̇ᵣq̇, m/s², base axes.
+    frame : (3, 3) array
+        The contact frame: rows n, t1, t2, base axes; p = frame r.
+    q_des, v_des : (n,) arrays
+        Desired joint motion.
+    qdd_des : (n,) array
+        Desired joint acceleration, rad/s² (m/s²), where `reference.orientation` holds the tool; else zero.
+    p_des, u_des, a_des : (3,) arrays
+        Desired motion of the tip, m, m/s, m/s².
+    f_des : float
+        Desired contact force, N, of the surface on the tip along +n.
+    f_measured : float
+        Latest reading of the force sensor, N, as modelled by [sensor]; it belongs to an earlier instant.
+    pressed : float
+        1 while the tip is in contact, else 0.
+    scratch : array
+        Scratch, (n² + 3 n + 224,); it is not kept from call to call.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    H: Array
+    C: Array
+    L: Array
+    A: Array
+    X: Array
+    S: Array
+    drift: Array
+    p: Array
+    u: Array
+    r: Array
+    J: Array
+    Jdot_v: Array
+    frame: Array
+    q_des: Array
+    v_des: Array
+    qdd_des: Array
+    p_des: Array
+    u_des: Array
+    a_des: Array
+    f_des: float
+    f_measured: float
+    pressed: float
+    scratch: Array
+
+
+N = Count.of("n")
+
+
+class Seen(Block, sizes=("n",)):
+    """The parts of a `closedloop.control.law.LawInput` of n joints that depend on the state, but H and C."""
+
+    r: Annotated[Array, 3]
+    drift: Annotated[Array, 3]  # base axes
+    frame: Annotated[Array, 3, 3]
+    p: Annotated[Array, 3]  # contact frame, as the next four
+    u: Annotated[Array, 3]
+    drift_c: Annotated[Array, 3]
+    carried: Annotated[Array, 3]
+    turning: Annotated[Array, 3]
+    S: Annotated[Array, 3, 3]
+    q: Annotated[Array, N]
+    v: Annotated[Array, N]
+    J: Annotated[Array, 3, N]
+    A: Annotated[Array, 3, N]
+    X: Annotated[Array, 3, N]
+    L: Annotated[Array, N, N]
 
 
 @kernel

@@ -18,8 +18,7 @@ from closedloop.base.sections import (
     Section,
     gains_not_negative,
 )
-from closedloop.control.law import ControlLaw
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import ControlLaw, LawInput
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.dual8 import has_derivatives, settled, sought
 from closedloop.jit.kernel import kernel

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.figures.dress import dress, explain_contact
-from closedloop.figures.style import MANY, MOST_CURVES, length_unit, new_figure, widen
+from closedloop.figures.style import MANY, MOST_CURVES, dress, explain_contact, length_unit, new_figure, widen
 from closedloop.record.run import Run
 from robot_models.coordinates import PLACES
 

@@ -11,14 +11,13 @@ from closedloop.base.files import write_whole
 from closedloop.base.second_process import Beside
 from closedloop.figures.bodies import bodies, has_bodies, rests
 from closedloop.figures.closure import closure_error
-from closedloop.figures.dress import tip_is_idle
 from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force, has_friction
 from closedloop.figures.impacts import has_impacts, impacts
 from closedloop.figures.joints import has_joints, joints
 from closedloop.figures.link_contacts import link_contacts
 from closedloop.figures.overview import force_control, shows_bodies
-from closedloop.figures.style import styled
+from closedloop.figures.style import styled, tip_is_idle
 from closedloop.figures.tip import tip_position
 from closedloop.figures.tool import has_tool, tool
 from closedloop.record.run import Run

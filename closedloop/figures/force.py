@@ -7,10 +7,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.figures.dress import dress, explain_contact, legend_beside_title
 from closedloop.figures.impacts import hits
-from closedloop.figures.instants import FORCE_STEPS, marks
-from closedloop.figures.style import COLOURS, new_figure
+from closedloop.figures.style import (
+    COLOURS,
+    FORCE_STEPS,
+    dress,
+    explain_contact,
+    legend_beside_title,
+    marks,
+    new_figure,
+)
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
 

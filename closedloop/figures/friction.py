@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from closedloop.figures.dress import dress, explain_contact, legend_beside_title
-from closedloop.figures.errors import directions, sideways
-from closedloop.figures.style import COLOURS, new_figure
+from closedloop.figures.closure import directions, sideways
+from closedloop.figures.style import COLOURS, dress, explain_contact, legend_beside_title, new_figure
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.friction.contact import surface_contact
 from closedloop.mechanics.friction.law import FrictionLaw
@@ -40,7 +39,7 @@ def friction_levels(law: Any) -> list[tuple[float, str, str]]:
 def friction_force(run: Run) -> Figure:
     """Draw friction along the path inside the friction cone, ±μf, and the velocity of slip along the path.
 
-    Both are signed along the direction of the path, see `closedloop.figures.errors.directions`: friction that resists
+    Both are signed along the direction of the path, see `closedloop.figures.closure.directions`: friction that resists
     slip along the path is negative. Its part across the path is drawn beside it, where there is any.
     """
     along, force = directions(run), run.friction_force

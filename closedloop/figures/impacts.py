@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.dress import legend_beside_title
-from closedloop.figures.style import COLOURS, new_figure
+from closedloop.figures.style import COLOURS, legend_beside_title, new_figure
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.record.run import Run
 

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.figures.dress import dress, explain_contact
-from closedloop.figures.style import MANY, MOST_CURVES, OTHERS, new_figure
+from closedloop.figures.style import MANY, MOST_CURVES, OTHERS, dress, explain_contact, new_figure
 from closedloop.record.run import Run, units_by_kind
-from closedloop.scenario.units import typeset
+from closedloop.scenario.messages import typeset
 from robot_models import RobotModel
 
 if TYPE_CHECKING:

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.dress import dress, explain_contact
-from closedloop.figures.style import COLOURS, MANY, MOST_CURVES, new_figure, widen
+from closedloop.figures.style import COLOURS, MANY, MOST_CURVES, dress, explain_contact, new_figure, widen
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.record.run import Run
-from closedloop.scenario.contact_names import names_of, patches_of
+from closedloop.scenario.tables import names_of, patches_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,18 +8,22 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.figures.bodies import AT_REST, bodies, has_bodies, rests
-from closedloop.figures.dress import (
+from closedloop.figures.closure import directions, force_error, frame_of, tip_errors
+from closedloop.figures.force import FLAT, draw_measured
+from closedloop.figures.link_contacts import draw_forces, link_contacts
+from closedloop.figures.style import (
+    COLOURS,
     dress,
     explain_contact,
     legend_beside_title,
+    length_text,
+    length_unit,
     mark_rounding,
+    new_figure,
     position_rounding,
+    styled,
     tip_is_idle,
 )
-from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
-from closedloop.figures.force import FLAT, draw_measured
-from closedloop.figures.link_contacts import draw_forces, link_contacts
-from closedloop.figures.style import COLOURS, length_text, length_unit, new_figure, styled
 from closedloop.figures.tip import ROUNDING
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run

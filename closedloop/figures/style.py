@@ -1,14 +1,50 @@
-"""The style of all figures."""
+"""The style of all figures, the elements of all panels over time, and the instants that they mark.
+
+The style of all figures.
+
+The instants marked in figures: changes of the law or the reference, and of the contact mode.
+
+Elements of all panels over time: titles, the marks of law and reference, contact modes and events.
+
+Modes are bands behind the curves and events are marks on the time axis. Bands differ in lightness and hatching and
+marks in shape, so that neither needs colour.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.families import Absent
+from closedloop.control.reference.force import StepForceSection
+from closedloop.control.reference.path import path_normal, tip_path
+from closedloop.loop.events.table import (
+    EDGE,
+    IMPACT,
+    KINDS,
+    LIFTOFF,
+    RELEASE,
+    REVERSAL,
+    SLIP_AGAIN,
+    STICK,
+    STOP,
+    TANGENTIAL_IMPACT,
+    TIME_STEP,
+    TOUCHDOWN,
+)
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
 
 # Blue, orange, green of Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
 COLOURS = ("#0072B2", "#D55E00", "#009E73")
@@ -80,3 +116,273 @@ def length_text(size: float) -> str:
     """Return a length, m, in two digits with its unit."""
     factor, unit = length_unit(size)
     return f"{factor * size:.2g} {unit}" if factor * size < 99.5 else f"{factor * size:.0f} {unit}"
+
+
+# The text of the one mark that is not of the motion.
+FORCE_STEPS = "force steps"
+# Parts of the time shown in which one of the marks of a kind is drawn.
+CELLS = 250
+
+
+class Mark(NamedTuple):
+    """An instant, s, and what happens there."""
+
+    time: float
+    text: str
+
+
+class Interval(NamedTuple):
+    """A time, from `begin` to `end`, s, in which the tip does one thing: a value of the column `mode`."""
+
+    mode: int
+    begin: float
+    end: float
+
+
+def motion(scenario: Scenario) -> tuple[float, float] | None:
+    """Return the instants, s, at which the reference starts and stops to move.
+
+    None if it never moves, or is a user's path in a run file, not named in this process.
+    """
+    if isinstance(scenario.reference, Absent):
+        return None
+    segments = tip_path(scenario.reference, np.zeros(3), path_normal(scenario.reference, scenario.surface)).segments
+    return (segments[0].start, segments[-1].stop) if segments else None
+
+
+def marks(run: Run) -> list[Mark]:
+    """Return the instants at which the scenario's law or reference changes, in order; none under a user's law."""
+    if run.law != "scenario":
+        return []
+    scenario = run.scenario
+    found = []
+    moves = motion(scenario)
+    if moves is not None:
+        found += [Mark(moves[0], "motion starts"), Mark(moves[1], "motion stops")]
+    if scenario.law.kind == "paper":
+        begins = getattr(scenario.law, "pd_start", None)
+        if moves is not None and begins in (None, moves[0]):
+            found[0] = Mark(moves[0], "PD and motion start")
+        elif begins is not None:
+            found.append(Mark(begins, "PD starts"))
+    if isinstance(scenario.force_profile, StepForceSection):
+        found.append(Mark(scenario.force_profile.at, FORCE_STEPS))
+    return sorted(found)
+
+
+def intervals(run: Run) -> list[Interval]:
+    """Return the intervals of each contact mode; their bounds are the events' instants, between two rows."""
+    changes = np.flatnonzero(np.diff(run.mode)) + 1
+    bounds = [float(run.time[0]), *(_instant(run, int(k)) for k in changes), float(run.time[-1])]
+    modes = run.mode[[0, *changes]].tolist()
+    return [Interval(*each) for each in zip(modes, bounds, bounds[1:], strict=False)]
+
+
+def _instant(run: Run, row: int) -> float:
+    """Return when the mode of this row began: the last event since the row before that changes modes, if there is."""
+    events = run.event_time[(run.event_kind != IMPACT) & (run.event_kind != REVERSAL)]
+    latest = int(np.searchsorted(events, run.time[row], side="right")) - 1
+    if latest >= 0 and events[latest] > run.time[row - 1]:
+        return float(events[latest])
+    return float(run.time[row])
+
+
+def thinned(times: NDArray[np.float64], begin: float, end: float) -> NDArray[np.float64]:
+    """Return the times from `begin` to `end`, one for each of `CELLS` parts of that span: more could not be seen."""
+    inside = times[(times >= begin) & (times <= end)]
+    cell = np.floor(CELLS * (inside - begin) / max(end - begin, np.finfo(float).tiny))
+    return inside[np.unique(cell, return_index=True)[1]]
+
+
+BANDS: dict[int, tuple[str, dict[str, Any]]] = {
+    FREE: ("free", {"facecolor": "#DCE9F3", "edgecolor": "none"}),
+    PRESSED: ("pressed", {"facecolor": "white", "edgecolor": "0.6"}),
+    STUCK: ("stuck", {"facecolor": "#F5E9D0", "edgecolor": "#DDC795", "hatch": "////"}),
+}
+# The first to be drawn is the lowest: one touchdown is not hidden by a hundred impacts.
+SHAPES: dict[int, dict[str, Any]] = {
+    IMPACT: {"marker": "|", "markersize": 7, "markeredgewidth": 0.9},
+    REVERSAL: {"marker": "d", "markersize": 4},
+    SLIP_AGAIN: {"marker": ">", "markersize": 5},
+    STICK: {"marker": "s", "markersize": 4},
+    TOUCHDOWN: {"marker": "v", "markersize": 6},
+    LIFTOFF: {"marker": "^", "markersize": 6},
+    EDGE: {"marker": "X", "markersize": 6},
+    STOP: {"marker": "P", "markersize": 5},
+    RELEASE: {"marker": "<", "markersize": 5},
+    TIME_STEP: {"marker": "*", "markersize": 6},
+    TANGENTIAL_IMPACT: {"marker": "p", "markersize": 5},
+}
+INK = "0.15"
+# Up to so many times its rounding a value is drawn beside it.
+NEAR_ROUNDING = 30.0
+# How much of a panel a label of a mark takes: as shares of its width and height, of a low panel so many points.
+LABEL_WIDTH, LABEL_HEIGHT, LABEL_POINTS = 0.2, 0.11, 14.0
+
+
+def dress(
+    axes: Axes,
+    run: Run,
+    title: str,
+    label: str,
+    *,
+    label_marks: bool = True,
+    show_events: bool = True,
+    rows: slice = slice(None),
+) -> None:
+    """Give a panel over the time of these rows its title, axes, marks, bands and events.
+
+    Parameters
+    ----------
+    title : str
+        The robot's name is added where marks are labelled.
+    label : str
+        Of the vertical axis, with its unit.
+    label_marks, show_events : bool
+        Off for all but one of several panels over the same time.
+    """
+    axes.set(title=f"{title} ({run.model.name})" if label_marks else title, xlabel="time [s]", ylabel=label)
+    begin = float(run.time[rows][0])
+    end = max(float(run.time[rows][-1]), begin + run.scenario.time.step)
+    axes.set_xlim(begin, end)
+    _draw_bands(axes, run, begin, end)
+    _draw_marks(axes, run, begin, end, label_marks)
+    if show_events:
+        _draw_events(axes, run, begin, end)
+
+
+def explain_contact(figure: Figure, run: Run) -> None:
+    """Add to a figure the one legend of its bands and events; nothing to a run whose contact never changes."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Artist] = []
+    if contact_changes(run):
+        present = set(np.unique(run.mode).tolist())
+        handles += [Patch(label=name, **style) for mode, (name, style) in BANDS.items() if mode in present]
+    happened = set(np.unique(run.event_kind).tolist())
+    handles += [
+        Line2D([], [], color=INK, linestyle="none", label=KINDS[kind].replace("_", " "), **shape)
+        for kind, shape in sorted(SHAPES.items())
+        if kind in happened
+    ]
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, columnspacing=1.5)
+
+
+def legend_beside_title(axes: Axes) -> None:
+    """Put the legend of a panel beside its title, where no curve can be hidden by it."""
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=10, fontsize=8, borderaxespad=0.0, columnspacing=1.2
+    )
+
+
+def position_rounding(run: Run) -> float:
+    """Return the size, m, down to which a distance computed from the tip's position is rounding.
+
+    e = n·r − d is a sum of a few products as large as the tip's distance from the base: 4 ε of it.
+    """
+    return 4.0 * float(np.finfo(float).eps) * float(np.max(np.abs(run.position), initial=0.1))
+
+
+def mark_rounding(axes: Axes, size: float, level: float, factor: float) -> None:
+    """Draw the level of rounding, where what is drawn is no larger than some of it.
+
+    Parameters
+    ----------
+    size : float
+        Largest absolute value drawn, m.
+    level, factor : float
+        Rounding, m, and the factor of the unit drawn.
+    """
+    if size > NEAR_ROUNDING * level:
+        return
+    for sign in (-1.0, 1.0):
+        axes.axhline(sign * factor * level, color="0.4", linestyle="-.", linewidth=0.8)
+    axes.annotate(
+        "rounding of the position", (1.0, factor * level), xycoords=("axes fraction", "data"), xytext=(-2, 4),
+        textcoords="offset points", ha="right", fontsize=8, color="0.35",
+    )  # fmt: skip
+    most = 1.6 * factor * max(size, level)
+    axes.set_ylim(-most, most)
+
+
+def contact_changes(run: Run) -> bool:
+    """Tell whether the tip ever does anything but slide or rest on the surface, or is never there."""
+    return bool(np.any(run.mode != PRESSED)) and not tip_is_idle(run)
+
+
+def tip_is_idle(run: Run) -> bool:
+    """Tell whether there is no surface for the tip, or links are in contact instead of it, which never is."""
+    scenario = run.scenario
+    return not scenario.has_surface or (bool(scenario.contact) and bool(np.all(run.mode == FREE)))
+
+
+def _draw_bands(axes: Axes, run: Run, begin: float, end: float) -> None:
+    from matplotlib.collections import PolyCollection
+
+    if not contact_changes(run):
+        return
+    for mode in (FREE, STUCK):  # pressed is the paper itself
+        spans = [(max(i.begin, begin), min(i.end, end)) for i in intervals(run) if i.mode == mode]
+        corners = [[(a, 0.0), (a, 1.0), (b, 1.0), (b, 0.0)] for a, b in spans if b > a]
+        if corners:
+            bands = PolyCollection(
+                corners, transform=axes.get_xaxis_transform(), linewidth=0, zorder=0.1, **BANDS[mode][1]
+            )
+            axes.add_collection(bands, autolim=False)
+
+
+def _draw_marks(axes: Axes, run: Run, begin: float, end: float, label: bool) -> None:
+    """Draw the marks; a label too near to the one before is set lower, and one near the end to the left of its mark."""
+    level, last, crowded = 0, -np.inf, False
+    panel = axes.get_position().height * axes.get_figure(root=True).get_figheight() * 72.0  # type: ignore[union-attr]
+    height = max(LABEL_HEIGHT, LABEL_POINTS / panel)
+    for t, text in marks(run):
+        if not begin < t < end:
+            continue
+        axes.axvline(t, color="0.35", linestyle="--", linewidth=0.8)
+        if not label:
+            continue
+        level = level + 1 if t - last < LABEL_WIDTH * (end - begin) else 0
+        last = t
+        late = t > begin + 0.86 * (end - begin)
+        axes.annotate(
+            text, (t, 1.0), xycoords=("data", "axes fraction"), xytext=(-4 if late else 4, -11 - 11 * level),
+            textcoords="offset points", ha="right" if late else "left", fontsize=8, color="0.25",
+        )  # fmt: skip
+        left = t - LABEL_WIDTH * (end - begin) if late else t
+        right = left + LABEL_WIDTH * (end - begin)
+        crowded = crowded or _reaches_up(axes, left, right, 1.0 - height * (1 + level))
+    if crowded:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 2 * height * (high - low))
+
+
+def _reaches_up(axes: Axes, begin: float, end: float, share: float) -> bool:
+    """Tell whether a curve comes up to this share of the panel's height between two times, right at these aside."""
+    low, high = axes.get_ylim()
+    aside = 0.06 * (end - begin)
+    for line in axes.lines:
+        x, y = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
+        if x.size == 2 and np.all(x == [0.0, 1.0]):  # a level, from one side of the panel to the other
+            x = np.array([begin, end])
+        if line.get_transform().contains_branch(axes.transData) and x.size > 1:
+            inside = (x > begin + aside) & (x < end - aside)
+            if np.any(y[inside] > low + share * (high - low)):
+                return True
+    return False
+
+
+def _draw_events(axes: Axes, run: Run, begin: float, end: float) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.transforms import offset_copy
+
+    above = offset_copy(axes.get_xaxis_transform(), fig=axes.get_figure(root=True), y=4, units="points")
+    for kind, shape in SHAPES.items():
+        times = thinned(run.event_time[run.event_kind == kind], begin, end)
+        if times.size:
+            # add_artist, not add_line: marks on the axis say nothing about the range of the data.
+            axes.add_artist(
+                Line2D(times, np.zeros_like(times), color=INK, linestyle="none", transform=above, zorder=4, **shape)
+            )

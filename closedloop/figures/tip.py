@@ -6,8 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from closedloop.figures.dress import contact_changes, dress, explain_contact, legend_beside_title
-from closedloop.figures.style import COLOURS, STROKES, length_unit, new_figure
+from closedloop.figures.style import (
+    COLOURS,
+    STROKES,
+    contact_changes,
+    dress,
+    explain_contact,
+    legend_beside_title,
+    length_unit,
+    new_figure,
+)
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from closedloop.figures.dress import dress, explain_contact, legend_beside_title
-from closedloop.figures.style import MANY, new_figure
+from closedloop.figures.style import MANY, dress, explain_contact, legend_beside_title, new_figure
 from closedloop.record.columns.derived import WRENCH
 from closedloop.record.run import Run
 

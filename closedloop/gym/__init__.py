@@ -16,9 +16,8 @@ try:
 except ImportError:  # the extra is not installed
     raise ImportError('closedloop.gym needs Gymnasium: pip install "closedloop[gym]"') from None
 
-from closedloop.gym.now import Now
-from closedloop.gym.ranges import Range
 from closedloop.gym.task import TASKS, Task
+from closedloop.gym.terms import Now, Range
 
 __all__ = ["TASKS", "Now", "Range", "Task"]
 

@@ -13,11 +13,8 @@ from gymnasium.utils.seeding import np_random
 from closedloop.base.arrays import Array, IntArray, Mask
 from closedloop.base.errors import ScenarioError
 from closedloop.gym.actions import Actions
-from closedloop.gym.now import Now
-from closedloop.gym.observations import PARTS, TRUTH, Observations
-from closedloop.gym.ranges import POSTURE, as_ranges, drawn
-from closedloop.gym.rewards import as_terms
 from closedloop.gym.task import Task
+from closedloop.gym.terms import PARTS, POSTURE, TRUTH, Now, Observations, as_ranges, as_terms, drawn
 from closedloop.scenario.arm import start_positions
 from closedloop.scenario.overrides import Variants
 from closedloop.simulation.cache import Cache

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import LawInput
 from closedloop.gym.core import Core
 
 # The parts, the words for them in a law, and scales: a force error of 10 N, a sum of 1 N s.
@@ -102,7 +102,7 @@ def law_text(module: str, base: str, weights: Sequence[float], core: Core) -> st
     return f'''"""A learned policy as a control law: each {core.period:g} s it commands the force of {base}."""
 
 from closedloop.control.law import force_error_rate
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import LawInput
 from {module} import {base}
 from closedloop.jit.kernel import kernel_of
 

@@ -9,8 +9,7 @@ from typing import Any
 
 from closedloop.base.arguments import fields_checked
 from closedloop.base.errors import ScenarioError
-from closedloop.gym.ranges import Range
-from closedloop.gym.rewards import Ending, contact_lost, excessive_force, jammed, lowered
+from closedloop.gym.terms import Ending, Range, contact_lost, excessive_force, jammed, lowered
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 
@@ -32,9 +31,9 @@ class Task:
     actions : mapping
         See `closedloop.gym.actions.Actions`.
     observations : tuple of str
-        See `closedloop.gym.observations.PARTS`.
+        See `closedloop.gym.terms.PARTS`.
     rewards : mapping
-        See `closedloop.gym.rewards.as_terms`; the reward is their weighted sum.
+        See `closedloop.gym.terms.as_terms`; the reward is their weighted sum.
     endings : mapping of str to callable
         For each reason for which an episode ends as failed a function of `closedloop.gym.Now`, (N,) truths.
     ranges : mapping

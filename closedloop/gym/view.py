@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import Array
 from closedloop.figures.scene.ground import grid_triangles
 from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, joint_frames, mechanism_of, quaternions, round_down
-from closedloop.figures.scene.shapes import Shape, robot_shapes
-from closedloop.figures.scene.solids import BEYOND, solids_mesh
+from closedloop.figures.scene.solids import BEYOND, Shape, robot_shapes, solids_mesh
 from closedloop.gym.core import Core
 from closedloop.simulation.engines.problem import Problem
 from robot_models.cached import cached_property

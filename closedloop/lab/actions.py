@@ -10,12 +10,11 @@ from typing import Any
 
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.base.files import what_was_written
-from closedloop.lab.keeping import save, save_page
+from closedloop.lab.history import MOST_PINS, save, save_page
 from closedloop.lab.messages import pack
-from closedloop.lab.pins import MOST_PINS
 from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Client
-from closedloop.scenario.file import shipped_scenarios
+from closedloop.scenario.load import shipped_scenarios
 
 logger = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError, one_line
 from closedloop.base.interrupts import held_back
-from closedloop.figures.scene.joined import compile_rows
+from closedloop.figures.scene.solids import compile_rows
 from closedloop.jit.background import compiling_notice
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.history import Changes, History

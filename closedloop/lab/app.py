@@ -18,24 +18,20 @@ from pathlib import Path
 from typing import Any
 
 from closedloop.base.errors import ClosedLoopError
-from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.scene import scene_of
+from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.actions import act
 from closedloop.lab.answers import Answer, Answers
-from closedloop.lab.controls import Control
+from closedloop.lab.controls import Control, begin_values
 from closedloop.lab.curves import panels
 from closedloop.lab.details import Details
 from closedloop.lab.drawn import Message, curves, frames, run_message
 from closedloop.lab.gallery import cards, pictures
 from closedloop.lab.groups import all_controls, rows_in_groups
-from closedloop.lab.history import IN_A_FILE, Changes, History
-from closedloop.lab.kinds import begin_values
+from closedloop.lab.history import IN_A_FILE, Changes, History, Pins
 from closedloop.lab.mapping_work import MapWork
 from closedloop.lab.messages import pack
-from closedloop.lab.newest import Newest
-from closedloop.lab.page import in_notebook
-from closedloop.lab.pins import Pins
-from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, new_token
+from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, Server, in_notebook, new_token
 from closedloop.lab.share import hello, page
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario

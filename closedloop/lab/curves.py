@@ -1,4 +1,14 @@
-"""The curves of a run against time, as data: panels of traces, with as few points as a screen can show.
+"""What the lab draws over time: curves, spans and strips.
+
+How far a slider of the lab reaches, and in which steps: from the value that it starts with, the bounds of the key's
+field, and its unit.
+
+The values that answer whether a run is good: both verdicts, errors of the force, margins, energy, limits.
+
+A tile has a name, a value in words, and whether it is good where a verdict or a bound says so. Beside it stands how it
+differs from the run that it is compared with, and whether that is better.
+
+The curves of a run against time, as data: panels of traces, with as few points as a screen can show.
 
 A panel's curves share their times. A reduced panel keeps, of each trace, the least and the greatest value in each part
 of the time shown, so that an overshoot of one row stays visible.
@@ -6,24 +16,235 @@ of the time shown, so that an overshoot of one row stays visible.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated, Any, get_args
 
+import annotated_types
 import numpy as np
+from pydantic.fields import FieldInfo
 
 from closedloop.base.arrays import Array
-from closedloop.figures.dress import position_rounding
-from closedloop.figures.errors import tip_errors
+from closedloop.base.sections import field_units, sizes
+from closedloop.figures.closure import tip_errors
 from closedloop.figures.friction import friction_levels
 from closedloop.figures.link_contacts import contacts_drawn
 from closedloop.figures.scene.ground import Ground
-from closedloop.figures.scene.joined import errors_in
-from closedloop.figures.style import length_unit
+from closedloop.figures.scene.solids import errors_in
+from closedloop.figures.style import length_unit, position_rounding
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.wrench import parts_of
 from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.record.clearance import passing_note
+from closedloop.record.report.control_verdict import told
 from closedloop.record.report.measures import SETTLED
+from closedloop.record.report.verdict import names_of
 from closedloop.record.run import Run, units_by_kind
-from closedloop.scenario.units import with_unit
+from closedloop.scenario.messages import with_unit
+from closedloop.scenario.scenario import Scenario
+from robot_models import RobotModel
+
+# How far a slider reaches from zero where the scenario has zero, by unit.
+USUAL = {
+    "N": 10.0, "s": 0.02, "1/s": 200.0, "N/m": 2000.0, "N s/m": 200.0, "N m/rad": 1000.0, "N m s/rad": 100.0, "m": 0.05,
+    "m/s": 0.05, "rad": 3.2, "rad/s": 1.0, "N m": 10.0, "kg": 10.0,
+}  # fmt: skip
+LOG_SPAN = 30.0  # a logarithmic slider reaches so many times up and down
+POSITIONS = 400  # of a slider
+
+
+def span(
+    key: str, field: FieldInfo, value: float, unit: str, scenario: Scenario, index: int | None = None,
+    model: RobotModel | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Return form, low, high and step of a slider that starts at a value."""
+    least, most = _bounds(field)
+    if key.startswith("start.q") and unit == "1":  # of a quaternion
+        return _linear(-1.0, 1.0)
+    if key.startswith("start.q") and model is not None and not model.balls and index is not None and index < model.n:
+        low, high = float(model.position_lower[index]), float(model.position_upper[index])
+        least, most = (
+            (low if math.isfinite(low) else value - math.pi),
+            (high if math.isfinite(high) else value + math.pi),
+        )
+        return _linear(min(least, value), max(most, value))
+    if least >= 0.0 and value > 0.0 and unit not in ("", "N") and not _is_instant(key, unit):
+        low, high = math.log10(max(value / LOG_SPAN, _smallest(field))), math.log10(min(value * LOG_SPAN, most))
+        return {"form": "log", "low": low, "high": high, "step": (high - low) / POSITIONS}
+    if math.isfinite(least) and most <= 1.0:
+        return _linear(least, most)
+    if unit == "" and -1.0 <= value <= 1.0 and isinstance(index, int):
+        return _linear(-1.0, 1.0)  # a direction
+    if _is_instant(key, unit):
+        return _linear(0.0, max(2.0 * value, scenario.time.duration), 0.05)
+    if key == "law.force" and scenario.surface.contact == "unilateral" and value >= 0.0:
+        least = max(least, 0.0)  # with less the tip only leaves the surface
+    reach = 3.0 * abs(value) or USUAL.get(unit, 1.0)
+    return _linear(max(-reach, least), min(reach, most))
+
+
+def _is_instant(key: str, unit: str) -> bool:
+    """Whether a key is an instant or a duration of the run, not a time constant."""
+    return unit == "s" and key.rpartition(".")[2] in ("start", "stop", "at", "pd_start", "duration", "times")
+
+
+def _linear(low: float, high: float, step: float | None = None) -> dict[str, Any]:
+    if high <= low:
+        high = low + 1.0
+    fine = 10.0 ** math.floor(math.log10((high - low) / POSITIONS)) if step is None else step
+    fine = next((k * fine for k in (1, 2, 5, 10) if (high - low) / (k * fine) <= POSITIONS), 10 * fine)
+    return {"form": "linear", "low": low, "high": high, "step": fine}
+
+
+def _bounds(field: FieldInfo) -> tuple[float, float]:
+    """Return the least and the greatest number that a field takes."""
+    least, most = -math.inf, math.inf
+    for part in (*field.metadata, *_inner(field.annotation)):
+        if isinstance(part, annotated_types.Gt | annotated_types.Ge):
+            least = max(least, float(getattr(part, "gt", getattr(part, "ge", -math.inf))))
+        elif isinstance(part, annotated_types.Lt | annotated_types.Le):
+            most = min(most, float(getattr(part, "lt", getattr(part, "le", math.inf))))
+    for size in sizes(Annotated[field.annotation, *field.metadata, None]):
+        least, most = max(least, -size.most), min(most, size.most)
+    # Times, rates and gains have no bound below in their type where it takes a word or a list beside a number.
+    if _is_gain(field) or field_units(field) & {"s", "1/s", "1/s²"}:
+        least = max(least, 0.0)
+    return least, most
+
+
+def _is_gain(field: FieldInfo) -> bool:
+    return any(size.why == "no drive is so stiff" for size in sizes(Annotated[field.annotation, *field.metadata, None]))
+
+
+def _smallest(field: FieldInfo) -> float:
+    return max((size.least for size in sizes(Annotated[field.annotation, *field.metadata, None])), default=0.0) or 1e-12
+
+
+def _inner(annotation: Any) -> list[Any]:
+    """Return the annotations of a key that may be left out, or of one that takes a number or a word."""
+    found: list[Any] = []
+    for part in get_args(annotation):
+        found += [*getattr(part, "__metadata__", ()), *_inner(part)]
+        found += [more for each in getattr(part, "__metadata__", ()) for more in getattr(each, "metadata", ())]
+    return found
+
+
+def nearest_round(x: float) -> float:
+    """Return the 1, 2 or 5 times a power of ten that is nearest to x > 0 on a logarithmic scale."""
+    power = math.floor(math.log10(x))
+    steps = [step * 10.0**p for p in (power, power + 1) for step in (1.0, 2.0, 5.0)]
+    best = steps[int(np.argmin([abs(math.log(step / x)) for step in steps]))]
+    return float(f"{best:.3g}")
+
+
+Tile = dict[str, Any]
+
+# Values that differ by no more than this share are equal: no digit that is shown differs.
+ALIKE = 5e-4
+# By name: the value of the summary, its unit, what it is, whether less is better, and the factor to its unit.
+NUMBERS: dict[str, tuple[str, str, str, bool, float]] = {
+    "force RMS": ("rms_force_error", "N", "RMS error of the contact force over the rows in contact", True, 1.0),
+    "force peak": ("peak_force_error", "N", "largest error of the contact force in contact", True, 1.0),
+    "settled": ("force_settled_at", "s", "instant from which f stays within 2 % of what is desired", True, 1.0),
+    "path RMS": ("rms_path_error", "mm", "RMS distance of the tip from its path, along the surface", True, 1e3),
+    "in contact": ("time_in_contact", "s", "time in contact", False, 1.0),
+    "torque": ("torque_share", "%", "largest torque as a share of that joint's own limit", True, 100.0),
+    "energy error": ("max_energy_residual", "J", "largest energy unaccounted for", True, 1.0),
+    "friction loss": ("energy_lost_to_friction", "J", "energy lost to friction, of the tip and the joints", True, 1.0),
+    "step error": ("step_error", "N", "by how much f differs in a run at half the step", True, 1.0),
+}  # fmt: skip
+MARGINS: dict[str, tuple[str, str, str]] = {
+    "gain margin": ("gain", "x", "the factor by which the loop's gain may rise until it is unstable"),
+    "phase margin": ("phase", "deg", "by which the phase may lag where the loop's gain is 1"),
+    "delay margin": ("delay", "ms", "the delay that the loop may have in addition"),
+}
+
+
+def values(run: Run, summary: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return the numbers of the strip: of the summary, and the largest error of f and share of a torque's limit."""
+    found = {key: summary.get(key) for key, *_ in NUMBERS.values()} | {"step_error": summary["step_error"]["force"]}
+    touching = run.mode != FREE
+    off = np.abs(run.contact_force - run.reference_force)[touching]
+    found["peak_force_error"] = float(np.max(off)) if off.size and run.scenario.has_surface else None
+    limits = run.model.effort_limit
+    limited = np.flatnonzero(np.isfinite(limits) & (limits > 0.0) & run.model.driven)
+    shares = [
+        summary["joints"][run.model.joint_names[j]]["max_joint_torque"] / limits[j]
+        for j in limited
+        if summary["joints"][run.model.joint_names[j]]["max_joint_torque"] is not None
+    ]
+    found["torque_share"] = max(shares, default=None)
+    return found
+
+
+def tiles(
+    run: Run, summary: Mapping[str, Any], before: Mapping[str, float | None] | None = None, name: str = ""
+) -> list[Tile]:
+    """Return the tiles of a run; `before` are the `values` of another, which is called `name`."""
+    numbers, control = values(run, summary), summary["control_verdict"]
+    found = [
+        _verdict("numbers", summary["verdict"]["problems"], names_of(summary["verdict"]["problems"]),
+                 "whether the numbers of this run can be trusted"),
+    ]  # fmt: skip
+    if run.scenario.has_law or control["problems"]:  # without a law nothing is commanded
+        why = "whether the arm did what was commanded"
+        found.append(_verdict("control", control["problems"], told(summary), why))
+    for label, (key, unit, hint, less, factor) in NUMBERS.items():
+        number = numbers[key]
+        needless = {"energy_lost_to_friction": 0.0, "time_in_contact": run.time[-1] - run.time[0]}.get(key)
+        if number is None or (needless is not None and abs(number - needless) < run.scenario.time.step):
+            continue
+        tile = _tile(label, factor * number, unit, hint)
+        if key == "torque_share" and number > 1.0:
+            tile["good"] = False
+        found.append(tile | _change(number, None if before is None else before.get(key), less, factor, name))
+    if passing := passing_note(summary["clearance"]):
+        near = summary["clearance"]
+        found.append(
+            {"name": "clearance", "text": f"{1e3 * near['distance']:.3g}", "unit": "mm", "hint": passing,
+             "good": False, "at": near["time"]}
+        )  # fmt: skip
+    return found
+
+
+def margin_tiles(margins: Mapping[str, Any], stable: bool, before: Mapping[str, Any] | None, name: str) -> list[Tile]:
+    """Return the tiles of a loop's margins, as `Margins.as_dict` gives them, beside those of another."""
+    if not stable:
+        return [{"name": "loop", "text": "unstable", "unit": "", "hint": "a pole of the loop grows", "good": False}]
+    found = []
+    for label, (key, unit, hint) in MARGINS.items():
+        factor = 1e3 if key == "delay" else 1.0
+        number, other = margins.get(key), None if before is None else before.get(key)
+        if number is None:
+            found.append({"name": label, "text": "any", "unit": "", "hint": f"{hint}: at no value", "good": None})
+        else:
+            found.append(_tile(label, factor * number, unit, hint) | _change(number, other, False, factor, name))
+    return found
+
+
+def _tile(label: str, number: float, unit: str, hint: str) -> Tile:
+    return {"name": label, "text": f"{number:.3g}", "unit": unit, "hint": hint, "good": None}
+
+
+def _verdict(label: str, problems: Sequence[Mapping[str, Any]], text: str, hint: str) -> Tile:
+    why = "; ".join(problem["text"] for problem in problems)
+    at = next((problem["at"] for problem in problems if problem.get("at") is not None), None)
+    return {
+        "name": label, "text": text.replace("_", " "), "unit": "", "hint": f"{hint}: {why}" if why else hint,
+        "good": not problems, "at": at, "why": why,
+    }  # fmt: skip
+
+
+def _change(number: float, before: float | None, less: bool, factor: float, name: str) -> Tile:
+    """Return how a value differs from that of another run, and whether it is better."""
+    if before is None:
+        return {}
+    change = number - before
+    if abs(change) <= ALIKE * max(abs(number), abs(before)):
+        return {}
+    return {"change": f"{factor * change:+.2g}", "better": (change < 0.0) == less, "against": name}
+
 
 # Okabe and Ito's palette: told apart by colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8A8A8A", "#B8A500")

@@ -12,19 +12,17 @@ import numpy as np
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.figures.scene.scene import Scene, scene_of
 from closedloop.lab.answers import Answer
-from closedloop.lab.curves import panels, reduced
+from closedloop.lab.curves import margin_tiles, panels, reduced, tiles, values
 from closedloop.lab.drawn import Message, robot_message, space_message, spread
-from closedloop.lab.history import Changes
-from closedloop.lab.newest import Newest
-from closedloop.lab.pins import Pin, compared
+from closedloop.lab.history import Changes, Pin, compared
 from closedloop.lab.protocol import Lab
-from closedloop.lab.strip import margin_tiles, tiles, values
+from closedloop.lab.server import Newest
 from closedloop.record.run import Run
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.halve import beside_half
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.analysis.linearise import instant_of, loop_at
-from closedloop.studies.analysis.overview import Overview, overview
+from closedloop.studies.analysis.assembly import instant_of, loop_at
+from closedloop.studies.analysis.page import Overview, overview
 
 # The strip follows when no other run has come for so long, s, and while a slider moves so often; then the rest.
 REST, OFTEN = 0.2, 0.7

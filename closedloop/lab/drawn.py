@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.figures.bodies import AT_REST
-from closedloop.figures.scene.ghost import COLOUR, OPACITY
 from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
-from closedloop.figures.scene.shapes import Shape
+from closedloop.figures.scene.solids import COLOUR, OPACITY, Shape
 from closedloop.lab.curves import CELLS, Panel, column_names, column_panel, panels, reduced
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.clearance import passing_note

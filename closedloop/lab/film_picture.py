@@ -17,9 +17,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.scene.ghost import COLOUR, OPACITY
 from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, Scene
-from closedloop.figures.scene.shapes import Shape
+from closedloop.figures.scene.solids import COLOUR, OPACITY, Shape
 from closedloop.figures.style import widen
 from closedloop.lab.curves import Panel
 

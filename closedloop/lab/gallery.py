@@ -9,8 +9,7 @@ from closedloop.base.errors import ClosedLoopError
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.drawn import Message, robot_message, space_message
 from closedloop.lab.messages import pack
-from closedloop.scenario.file import shipped_scenarios
-from closedloop.scenario.load import load_scenario
+from closedloop.scenario.load import load_scenario, shipped_scenarios
 from closedloop.simulation.simulate import simulate
 
 # Steps of the run of which a picture is.

@@ -1,29 +1,79 @@
-"""What was changed in the lab, step by step: the keys of a scenario that differ from where it began.
+"""The runs of the lab: the one that is shown, those before, and what is pinned.
+
+Writing what the lab shows into a folder of its own: scenario.toml, run.nc and page.html.
+
+What was changed in the lab, step by step: the keys of a scenario that differ from where it began.
 
 history = History(scenario, "wam_slide")
 history.change("law.force", 12.0)
 history.command()                   # closedloop wam_slide --law.force 12.0
+
+Runs that are kept beside the one that changes: up to four, and a table of their values side by side.
 """
 
 from __future__ import annotations
 
 import shlex
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import OutputError, ScenarioError, printable
+from closedloop.base.files import reason_of, write_whole
+from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.controls import toml_text
+from closedloop.lab.share import share
+from closedloop.record.report.control_verdict import told
+from closedloop.record.report.measures import MEASURES
+from closedloop.record.report.verdict import names_of
+from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
-from closedloop.scenario.messages import variant_keys
+from closedloop.scenario.messages import variant_keys, with_unit
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.scenario.tables import ALL
 
+MOST_FOLDERS = 10_000
+
+
+def new_folder(name: str, parent: Path | None = None) -> Path:
+    """Make and return the first folder out/NAME-lab/1, 2, 3 ... that is not there yet."""
+    parent = (Path("out") if parent is None else parent) / f"{name}-lab"
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        for number in range(1, MOST_FOLDERS):
+            folder = parent / str(number)
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            return folder
+    except OSError as error:
+        raise OutputError(f"{parent}: cannot be made: {reason_of(error)}") from None
+    raise OutputError(f"{parent}: holds {MOST_FOLDERS} folders already; move some of them away")
+
+
+def save(run: Run, command: str, parent: Path | None = None) -> list[Path]:
+    """Write a run and its scenario into a new folder, and return the files.
+
+    `command`, which repeats the run, stands in the scenario's first line.
+    """
+    folder = new_folder(run.scenario.name, parent)
+    text = f"# {printable(command)}\n{run.scenario.to_toml()}"
+    return [write_whole(folder / "scenario.toml", text.encode()), run.save(folder / "run.nc")]
+
+
+def save_page(run: Run, command: str, parent: Path | None = None, ghosts: Sequence[Ghost] = ()) -> Path:
+    """Write the page of a run into a new folder, and return it; see `closedloop.lab.share`."""
+    return share(run, new_folder(run.scenario.name, parent) / "page.html", command, ghosts)
+
+
 Changes = dict[str, Any]  # dotted key to value, as `load_scenario` takes them
 # Changes of one key that follow each other so fast, s, are one step of undo: a slider that is dragged.
 TOGETHER = 1.0
-# The file that `closedloop.lab.keeping.save` writes.
+# The file that `closedloop.lab.history.save` writes.
 IN_A_FILE = "scenario.toml"
 # Steps that can be undone.
 MOST_STEPS = 500
@@ -162,3 +212,79 @@ def with_change(changes: Changes, key: str, value: Any) -> Changes:
     if key in families() or name == "kind":
         return {key: value} | merged
     return merged | {key: value}
+
+
+MOST_PINS = 4
+# Reddish purple, sky blue and orange of Okabe and Ito's palette, which the run itself does not have, and violet.
+COLOURS = ("#CC79A7", "#56B4E9", "#E69F00", "#7B61C4")
+ROUNDING = 1e-9  # values that differ by no more than this share are equal
+# What the table compares: values of `Run.summary`.
+VALUES = (
+    "rms_force_error", "peak_contact_force", "min_contact_force", "force_settled_at", "rms_path_error",
+    "max_abs_closure_error", "max_tip_speed", "energy_lost_to_friction", "time_in_contact",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Pin:
+    """A run that is kept: its name, its colour, the changes that made it, and the run."""
+
+    name: str
+    colour: str
+    changes: Changes
+    run: Run
+
+
+@dataclass
+class Pins:
+    """The runs that are kept, in the order in which they were."""
+
+    held: list[Pin] = field(default_factory=list)
+    _count: int = 0
+
+    def add(self, run: Run, changes: Changes) -> Pin | None:
+        """Keep a run; return it, or None if as many are kept as can be."""
+        if len(self.held) >= MOST_PINS:
+            return None
+        self._count += 1
+        taken = {pin.colour for pin in self.held}
+        colour = next(colour for colour in COLOURS if colour not in taken)
+        pin = Pin(f"pin {self._count}", colour, dict(changes), run)
+        self.held.append(pin)
+        return pin
+
+    def remove_last(self) -> None:
+        """Keep the latest no longer."""
+        if self.held:
+            self.held.pop()
+
+
+def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str, list[str]]]:
+    """Return the rows of the table: a key that differs or a value, and what it is in each pin and now.
+
+    A value that is a number has its difference from the present run beside it.
+    """
+    every = [*((pin.run, pin.changes) for pin in pins), (run, changes)]
+    keys = dict.fromkeys(key for _, made in every for key in made)
+    rows = [(key, [toml_text(_value_of(each.scenario, key)) for each, _ in every]) for key in keys]
+    summaries = [each.summary() for each, _ in every]
+    for name in VALUES:
+        numbers = [summary.get(name) for summary in summaries]
+        cells = [_with_difference(number, numbers[-1], k < len(pins)) for k, number in enumerate(numbers)]
+        rows.append((with_unit(name, MEASURES[name].units), cells))
+    rows.append(("verdict", [names_of(summary["verdict"]["problems"]) for summary in summaries]))
+    return [*rows, ("control_verdict", [told(summary) for summary in summaries])]
+
+
+def _value_of(scenario: Any, key: str) -> Any:
+    section, _, name = key.partition(".")
+    return getattr(getattr(scenario, section), name, None)
+
+
+def _with_difference(number: float | None, now: float | None, differs: bool) -> str:
+    if number is None:
+        return "-"
+    text = f"{number + 0.0:.4g}"  # no "-0"
+    if not differs or now is None or abs(number - now) <= ROUNDING * max(abs(number), abs(now)):
+        return text
+    return f"{text} ({number - now:+.2g})"

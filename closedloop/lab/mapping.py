@@ -16,8 +16,8 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, one_line
 from closedloop.lab.controls import Control
 from closedloop.record.report.verdict import GOOD
+from closedloop.scenario.messages import with_unit
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.units import with_unit
 from closedloop.simulation.batch.simulate_batch import simulate_batch
 from robot_models import RobotModel
 

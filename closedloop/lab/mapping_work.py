@@ -17,16 +17,15 @@ from closedloop.lab.controls import Control
 from closedloop.lab.drawn import Message
 from closedloop.lab.groups import DAMPING, STIFFNESS, group_of
 from closedloop.lab.mapping import BATCH, CELLS, Axis, Map
-from closedloop.lab.newest import Newest
 from closedloop.lab.protocol import Lab
+from closedloop.lab.server import Newest
 from closedloop.record.report.measures import MEASURES
+from closedloop.scenario.messages import typeset
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
-from closedloop.scenario.units import typeset
 from closedloop.simulation.engines.lane_loop import run_in_lanes
 from closedloop.simulation.engines.lanes import can_use_lanes
-from closedloop.studies.analysis.ranges import Range
-from closedloop.studies.analysis.stability import Stability
+from closedloop.studies.analysis.stability import Range, Stability
 
 USUAL, WITHOUT_LAW = "rms_force_error", "energy_lost_to_friction"
 # Keys that come last: they hold motions of the arm that leave the tip where it is, and change little of its force.

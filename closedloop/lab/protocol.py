@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Protocol
 
-from closedloop.figures.scene.ghost import Ghost
+from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.controls import Control
 from closedloop.lab.drawn import Message
-from closedloop.lab.history import History
-from closedloop.lab.pins import Pins
+from closedloop.lab.history import History, Pins
 from closedloop.lab.server import Client
 
 

@@ -15,7 +15,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
 from closedloop.base.optional import missing_line
 from closedloop.control.law import ControlLaw
-from closedloop.figures.scene.ghost import Ghost
+from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.history import History, in_words
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
@@ -67,7 +67,7 @@ def lab(
         Whether to show the page at all.
     ghosts : sequence of Ghost
         Bodies with motions of their own, as measured ones, that are shown beside those of each run until another
-        scenario is chosen; see `closedloop.figures.scene.ghost`.
+        scenario is chosen; see `closedloop.figures.scene.solids`.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _in_words(changes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _show(lab: Lab) -> None:
-    from closedloop.lab.page import in_notebook
+    from closedloop.lab.server import in_notebook
 
     if in_notebook():
         from IPython.display import IFrame, display

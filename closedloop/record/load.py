@@ -22,8 +22,8 @@ from closedloop.loop.events.phases import INSTANT
 from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.surface.plane import unit
-from closedloop.record.columns.added import from_text
-from closedloop.record.columns.recorded import (
+from closedloop.record.columns.derived import from_text
+from closedloop.record.columns.record import (
     ALL_COLUMNS,
     CONTACT_COLUMNS,
     RESISTANCE_COLUMNS,
@@ -31,6 +31,7 @@ from closedloop.record.columns.recorded import (
     Column,
     columns_there,
 )
+from closedloop.record.netcdf_file import read_sealed
 from closedloop.record.report.halved import checked_comparison
 from closedloop.record.run import Run
 from closedloop.record.save import (
@@ -46,7 +47,6 @@ from closedloop.record.save import (
     checksum,
     not_finite,
 )
-from closedloop.record.sealed import read_sealed
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel

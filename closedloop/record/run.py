@@ -22,15 +22,13 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import needs
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.plane import unit
-from closedloop.record.columns.by_contact import columns_by_contact
-from closedloop.record.columns.derived import DERIVED, DerivedColumn, reactions_of
-from closedloop.record.columns.events import Event, events_of
-from closedloop.record.columns.recorded import COLUMNS, SURFACE_COLUMNS, Column, columns_there
+from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
+from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, Column, Event, columns_there, events_of
 from closedloop.record.report.summary import summarise
 from closedloop.record.save import attributes, save_run
 from closedloop.scenario.arm import robot_of
-from closedloop.scenario.contact_names import labels_of, tangents_of
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import labels_of, tangents_of
 from robot_models import RobotModel
 from robot_models.cached import cached_property
 from robot_models.errors import shown

@@ -1,6 +1,10 @@
-"""Writing a run as a file: NetCDF-4, which is HDF5, with everything that is needed to repeat it as attributes.
+"""Writing a run as a file, with the versions that it depends on.
 
-xarray, h5py and MATLAB open it. Two digests tell damage: the file's seal (`closedloop.record.sealed`), of all its
+The versions that a run depends on.
+
+Writing a run as a file: NetCDF-4, which is HDF5, with everything that is needed to repeat it as attributes.
+
+xarray, h5py and MATLAB open it. Two digests tell damage: the file's seal (`closedloop.record.netcdf_file`), of all its
 bytes, and the attribute `checksum`, of what a run is made of, which still holds when another program has added to the
 file. `closedloop.record.load` reads it.
 """
@@ -9,22 +13,37 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Mapping
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.record.columns.added import as_text
-from closedloop.record.columns.by_contact import columns_by_contact
-from closedloop.record.columns.record import Record
-from closedloop.record.columns.recorded import in_order
-from closedloop.record.netcdf_file import Variable, write_netcdf
-from closedloop.record.sealed import seal_file
-from closedloop.scenario.contact_names import labels_of, tangents_of
+from closedloop.record.columns.derived import as_text, columns_by_contact
+from closedloop.record.columns.record import Record, in_order
+from closedloop.record.netcdf_file import Variable, seal_file, write_netcdf
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import labels_of, tangents_of
 from robot_models import RobotModel
+
+
+def package_versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages whose arithmetic a run depends on."""
+    names = ("closedloop", "pin", "numpy", "numba", "llvmlite")
+    return {"python": sys.version.split()[0]} | {name: _version(name) for name in names}
+
+
+@cache
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
 
 FORMAT, FORMAT_VERSION = "closedloop run", 2
 CHECKSUM = "checksum"
@@ -33,7 +52,7 @@ TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
 LATER_TEXTS = ("engine", "law_digest", "not_finite")
 # An attribute of a run with users' classes only: JSON of their names and the SHA-256 of their texts.
 MEMBERS = "members"
-# An attribute of a run that has columns beyond those of all runs: what they are, see `closedloop.record.columns.added`.
+# An attribute of a run that has columns beyond those of all runs: see `closedloop.record.columns.derived`.
 ADDED = "added"
 # An attribute of a run that was compared with one at half its step: JSON, see `closedloop.record.report.halved`.
 HALVED = "halved"
@@ -48,7 +67,7 @@ def question(
 ) -> dict[str, str]:
     """Return what determines a run to the last bit, on one machine, as the texts that its file has as attributes.
 
-    `members` are the digests of the users' classes, see `closedloop.scenario.members.member_digests`.
+    `members` are the digests of the users' classes, see `closedloop.scenario.user_module.member_digests`.
     """
     robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
     robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}

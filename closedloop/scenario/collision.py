@@ -24,8 +24,8 @@ from closedloop.mechanics.surface.kinds.box import Box
 from closedloop.mechanics.surface.kinds.capsule import Capsule
 from closedloop.mechanics.surface.kinds.sphere import Sphere
 from closedloop.mechanics.surface.surface import Surface
-from closedloop.scenario.contact_names import names_of
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import names_of
 from robot_models import RobotModel
 from robot_models.collision import CollisionShape, collision_shapes
 from robot_models.loop_joint import WORLD

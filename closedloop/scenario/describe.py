@@ -14,9 +14,17 @@ from pydantic.fields import FieldInfo
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import OneOf
 from closedloop.base.sections import field_units, sizes
-from closedloop.scenario.messages import COUNTS, OWN, elsewhere, is_section, usual_kind, variants
+from closedloop.scenario.messages import (
+    COUNTS,
+    OWN,
+    elsewhere,
+    is_section,
+    key_meant,
+    section_meant,
+    usual_kind,
+    variants,
+)
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.scenario.synonyms import key_meant, section_meant
 from closedloop.scenario.tables import described_key, table_type
 from robot_models.errors import shown
 

@@ -25,8 +25,7 @@ from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import SURFACES, Surface
 from closedloop.scenario.robot_sections import BodySection, ModelErrorSection, RobotSection, ToolSection
-from closedloop.scenario.stabiliser_sections import BaumgarteSection, Stabiliser
-from closedloop.scenario.time_sections import StartSection, TimeSection
+from closedloop.scenario.time_sections import BaumgarteSection, Stabiliser, StartSection, TimeSection
 
 
 def _name(value: Any) -> Any:

@@ -1,4 +1,6 @@
-"""Sections that are lists of tables, as [[contact]], and the keys of one table, by its name or its number.
+"""Sections that are lists of tables, and what the contacts in them are called.
+
+Sections that are lists of tables, as [[contact]], and the keys of one table, by its name or its number.
 
 contact.floor left.friction     of the one with that name
 contact.0.friction              of the first
@@ -6,10 +8,13 @@ contact.*.friction              of all
 
 A table whose key `at` is a list of points is a table for each of them, "floor 1", "floor 2" ... of one with the name
 "floor", which is still the name of all of them.
+
+What the contacts of the links are called, in messages and in columns.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import cache
 from itertools import groupby
@@ -18,6 +23,7 @@ from typing import Any, get_args
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, OneOf
 from closedloop.base.sections import Section
+from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.scenario.scenario import Scenario, families
 from robot_models.errors import shown
 
@@ -173,3 +179,34 @@ def described_key(key: str) -> str:
     if family is None:
         return ".".join([section, *parts])
     return next(k.removesuffix("kind") + parts[1] for k, each in families().items() if each is family)
+
+
+def names_of(sections: tuple[ContactSection, ...]) -> tuple[str, ...]:
+    """Return the names of the contacts, in the order of their sections."""
+    return names_in("contact", sections)
+
+
+def patches_of(sections: tuple[ContactSection, ...]) -> dict[str, list[int]]:
+    """Return the numbers of contacts, from 0, by the name that points share: "foot 1" and "foot 2" are of "foot"."""
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(names_of(sections)):
+        found.setdefault(re.sub(r" \d+$", "", name), []).append(k)
+    return found
+
+
+def labels_of(sections: tuple[ContactSection, ...]) -> tuple[str, ...]:
+    """Return what columns call the contacts: each its own, of letters of ASCII, digits and underscores.
+
+    "floor left" is floor_left. Where several would have one label, its number stands behind each, the first section 1:
+    of two called "foot" and one called "toe", foot_1, foot_2 and toe.
+    """
+    plain = [re.sub(r"[^0-9A-Za-z]+", "_", name).strip("_")[:30] for name in names_of(sections)]
+    labels = [name if plain.count(name) == 1 and name else f"{name}_{i}".lstrip("_") for i, name in enumerate(plain, 1)]
+    while len(set(labels)) < len(labels):  # foot, foot and foot_2
+        labels = [f"{name}_{i}" if labels.count(name) > 1 else name for i, name in enumerate(labels, 1)]
+    return tuple(labels)
+
+
+def tangents_of(labels: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what the two tangents of each contact are called, as columns along them are ordered."""
+    return tuple(f"{label}_{tangent}" for label in labels for tangent in ("t1", "t2"))

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.interim import at_hand
 from closedloop.jit.kernel import plain
 from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
-from closedloop.record.columns.added import state_columns
-from closedloop.record.columns.recorded import POSITIONS, RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
+from closedloop.record.columns.derived import state_columns
+from closedloop.record.columns.record import POSITIONS, RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.record.run import Run
-from closedloop.record.versions import package_versions
+from closedloop.record.save import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
-from closedloop.scenario.members import member_digests
+from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.engines.needs import arm_columns
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law

@@ -17,9 +17,8 @@ from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps, encoder_draws
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.control.reference.desired import Desired, desired
+from closedloop.control.reference.desired import Desired, DrawnRow, Reference, TableRow, desired
 from closedloop.control.reference.force import force_at
-from closedloop.control.reference.table import DrawnRow, Reference, TableRow
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
 from closedloop.control.transmission import transmission_constants
@@ -35,9 +34,9 @@ from closedloop.mechanics.surface.rates import check_rates
 from closedloop.scenario.arm import beside_bodies, free_bodies, has_stops, joint_friction_of, robot_of
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
-from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.user_module import refuse_absent
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.bind_contacts import placed_contacts

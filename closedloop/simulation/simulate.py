@@ -21,9 +21,8 @@ from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.mechanics.robot.tree import Tree
-from closedloop.record.columns.added import RESERVED, Recorded, check_names, own_columns
-from closedloop.record.columns.derived import DERIVED
-from closedloop.record.columns.recorded import ALL_COLUMNS
+from closedloop.record.columns.derived import DERIVED, RESERVED, Recorded, check_names, own_columns
+from closedloop.record.columns.record import ALL_COLUMNS
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import as_run, law_name

@@ -8,9 +8,9 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.reference.edge import edge_key
 from closedloop.control.reference.force import force_at
-from closedloop.control.reference.tool_fit import refuse_narrow
+from closedloop.control.reference.on_surface import edge_key
+from closedloop.control.reference.orientation import refuse_narrow
 from closedloop.jit.parameters import lists_per_joint
 from closedloop.jit.user_code import of_users
 from closedloop.loop.events.phases import RESTING, TOUCHING

@@ -9,7 +9,7 @@ from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import ArmRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.surface.kinds.none import NoSurface
-from closedloop.record.columns.events import Event, events_of
+from closedloop.record.columns.record import Event, events_of
 from robot_models.coordinates import with_quaternions
 
 MODE_NAMES = {FREE: "free", PRESSED: "pressed", STUCK: "stuck"}

@@ -16,9 +16,9 @@ from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliance import largest_mobility
 from closedloop.mechanics.surface.placed import Touching
-from closedloop.record.columns.added import recorded_states
+from closedloop.record.columns.derived import recorded_states
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.stabiliser_sections import BaumgarteGains
+from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.simulation.engines.needs import arm_columns
 
 # A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.

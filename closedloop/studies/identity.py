@@ -8,10 +8,10 @@ from typing import Any
 import robot_models
 from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.user_code import source_digest
-from closedloop.record.versions import package_versions
-from closedloop.scenario.members import members_of_users
+from closedloop.record.save import package_versions
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.user_module import members_of_users
 from robot_models.digest import digest_of
 
 # What is kept depends on it, in words.

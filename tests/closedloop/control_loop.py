@@ -12,8 +12,7 @@ import numpy as np
 import closedloop as cl
 import robot_models
 from closedloop.control.compensation.none import NoCompensation
-from closedloop.control.law import Compensation
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import Compensation, LawInput
 from closedloop.control.sensor import SensorSection, pack_sensor
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted

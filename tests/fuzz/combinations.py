@@ -13,10 +13,9 @@ from shipped_cases import MECHANISMS, SCENARIOS, shipped_tables
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import OneOf
 from closedloop.base.sections import field_units
-from closedloop.lab.spans import USUAL
+from closedloop.lab.curves import USUAL
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.scenario.file import shipped_scenarios
-from closedloop.scenario.load import scenario_of
+from closedloop.scenario.load import scenario_of, shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.robot_sections import BodySection
 from closedloop.scenario.scenario import Scenario

@@ -24,7 +24,7 @@ import numpy as np
 
 import closedloop as cl
 import closedloop.studies.gradient.gradient as whole
-from closedloop.scenario.file import shipped_scenarios
+from closedloop.scenario.load import shipped_scenarios
 from closedloop.studies.gradient.differences import along
 from closedloop.studies.gradient.exact import exact
 from closedloop.studies.gradient.guard import rounded

@@ -18,7 +18,7 @@ from typing import Any
 from scenario_cases import SEED, Case, wrong_values
 
 import robot_models
-from closedloop.scenario.file import shipped_scenarios
+from closedloop.scenario.load import shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import ContactSection, Scenario
 from robot_models.shipped import path_of

@@ -15,8 +15,7 @@ from shipped_cases import shipped_cases, shipped_tables
 
 from closedloop.base.errors import ScenarioError
 from closedloop.record.report import verdict
-from closedloop.scenario.file import shipped_scenarios
-from closedloop.scenario.load import scenario_of
+from closedloop.scenario.load import scenario_of, shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
 

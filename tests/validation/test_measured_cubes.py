@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from closedloop.base.errors import ModelError
-from closedloop.figures.scene.ghost import OPACITY
 from closedloop.figures.scene.scene import scene_of
+from closedloop.figures.scene.solids import OPACITY
 from closedloop.lab.drawn import robot_message
 from validation.measured.__main__ import main
 from validation.measured.cubes import film

@@ -15,10 +15,19 @@ Python has *named* it (`Family.named`): as that text, as the class, or by an ins
 data and can make no code run, so a name that stands in a file alone is refused (`not_named`), and nothing is imported.
 """
 
-from closedloop.base.families.family import Family
-from closedloop.base.families.member import Absent, Member, Parameters, is_users, users_named
-from closedloop.base.families.one_of import OneOf
-from closedloop.base.families.refusal import KEEP_ABSENT, NOT_NAMED, how_to_name, not_named
+from closedloop.base.families.family import (
+    KEEP_ABSENT,
+    NOT_NAMED,
+    Absent,
+    Family,
+    Member,
+    OneOf,
+    Parameters,
+    how_to_name,
+    is_users,
+    not_named,
+    users_named,
+)
 
 __all__ = [
     "KEEP_ABSENT",

@@ -1,22 +1,173 @@
-"""A family: its members by name, and the validation of a section by its `kind`."""
+"""The families: base classes of members, and the validation of a section by its `kind`.
+
+The base classes of members, and the users' classes that were named in this process.
+
+The refusal of a user's class that only a file names.
+
+The functions of a user's class against those of the class that it is derived from: their arguments.
+
+A family: its members by name, and the validation of a section by its `kind`.
+
+A key whose value is the name of a member, without parameters.
+"""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator, Mapping
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
-from pydantic import GetCoreSchemaHandler, ValidationInfo
-from pydantic_core import CoreSchema, PydanticKnownError, core_schema
+from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationInfo, model_validator
+from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
 
 from closedloop.base.errors import ScenarioError
-from closedloop.base.families.member import Absent, Member, users
-from closedloop.base.families.refusal import KEEP_ABSENT, not_named
-from closedloop.base.families.signatures import signature_faults
 from closedloop.base.sections import Section
 from robot_models.cached import cached_property
 from robot_models.errors import shown
+
+users: dict[str, type[Member]] = {}  # name -> class of every user's member that was named in this process
+
+
+class Member:
+    """Base of all members of families.
+
+    Attributes
+    ----------
+    folder : str
+        Of a family's base class: the package whose modules are the members that ship.
+    """
+
+    folder: ClassVar[str] = ""
+
+    @classmethod
+    def member_name(cls) -> str:
+        """Return the kind that picks this class: the name of its file, or of a user's class MODULE:CLASS."""
+        package, _, file = cls.__module__.rpartition(".")
+        return file if package == cls.folder else f"{cls.__module__}:{cls.__qualname__}"
+
+
+class Parameters(Member, Section):
+    """A member with parameters: a section of the scenario, typed, frozen, with units and bounds."""
+
+    kind: str = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_this_kind(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        name = cls.member_name()
+        if data.get("kind", name) != name:
+            raise ValueError(f"kind = {shown(data['kind'])}: this is {name!r}")
+        return {"kind": name} | data
+
+
+class Absent(Section):
+    """A section of a run file whose `kind` is a user's class not named in this process: kept, and never run."""
+
+    model_config = ConfigDict(extra="allow")
+    kind: str
+
+
+def users_named() -> tuple[str, ...]:
+    """Return the names of all users' classes that were named in this process."""
+    return tuple(users)
+
+
+def is_users(member: Member | type[Member]) -> bool:
+    """Whether a member is a user's class."""
+    return ":" in member.member_name()
+
+
+# Context of a validation: keep the section of a class that has not been named in this process, as `Absent`, unrun.
+KEEP_ABSENT = "keep absent members"
+NOT_NAMED = "not_named"
+
+
+def not_named(name: str) -> PydanticCustomError:
+    """Return the refusal of a user's class that only a file names; see `how_to_name`."""
+    return PydanticCustomError(NOT_NAMED, "names a class", {"name": name})
+
+
+def how_to_name(key: str, name: str) -> str:
+    """Return, in words, why a file's `key` = `name` is refused, and what would be right."""
+    return (
+        "names a class of a user's own, and a file can make no code run: name it yourself, with "
+        f'--{key} {name} on the command line or {{"{key}": "{name}"}} in Python'
+    )
+
+
+_POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+_HOW = {staticmethod: "@staticmethod ", classmethod: "@classmethod "}
+
+
+def signature_faults(member: type[Any], base: type[Any]) -> list[str]:
+    """Return what is wrong with the functions of a class that have the name of one of its base: a line for each.
+
+    A function must be static, of the class or of the instance as the base's is, and take as many arguments by place.
+
+    Parameters
+    ----------
+    member, base : type
+        A user's class, and the family's base class.
+    """
+    return [fault for name in _functions(base) if (fault := _fault(name, member, base))]
+
+
+def _functions(base: type[Any]) -> Iterator[str]:
+    """Return the names of the functions that a class of the package defines, itself or in a base of the package."""
+    for name in dict.fromkeys(name for each in base.__mro__ if _is_ours(each) for name in vars(each)):
+        made = inspect.getattr_static(base, name)
+        if not name.startswith("_") and (isinstance(made, (staticmethod, classmethod)) or inspect.isfunction(made)):
+            yield name
+
+
+def _is_ours(each: type[Any]) -> bool:
+    return each.__module__.partition(".")[0] == __name__.partition(".")[0]
+
+
+def _fault(name: str, member: type[Any], base: type[Any]) -> str:
+    """Return what is wrong with one function, "" if nothing is."""
+    owner = next((each for each in member.__mro__ if name in vars(each)), base)
+    if _is_ours(owner):
+        return ""
+    given, wanted = inspect.getattr_static(member, name), inspect.getattr_static(base, name)
+    right = f"{_HOW.get(type(wanted), '')}def {name}({', '.join(_names(wanted))})"
+    if not isinstance(given, (staticmethod, classmethod)) and not callable(given):
+        return f"{name} is not a function: must be {right}"
+    here = _place(given)
+    try:
+        inspect.signature(_plain(given)).bind(*_names(wanted))
+    except TypeError:
+        return f"{here}{name}({', '.join(_names(given))}): must be {right}"
+    except ValueError:  # a function of C, which does not say
+        return ""
+    static = isinstance(wanted, staticmethod)
+    if static and not isinstance(given, staticmethod) and inspect.isfunction(given):
+        return f"{here}{name}: must be {right}"
+    return ""
+
+
+def _plain(function: Any) -> Any:
+    """Return the Python function of a method, or of what numba has made of one."""
+    function = getattr(function, "__func__", function)
+    return getattr(function, "py_func", function)
+
+
+def _names(function: Any) -> list[str]:
+    """Return the names of the arguments that are given by place."""
+    parameters = inspect.signature(_plain(function)).parameters.values()
+    return [each.name for each in parameters if each.kind in _POSITIONAL and each.default is each.empty]
+
+
+def _place(function: Any) -> str:
+    """Return "file:line: " of a function, "" if it has no file."""
+    code = getattr(_plain(function), "__code__", None)
+    return "" if code is None else f"{Path(code.co_filename).name}:{code.co_firstlineno}: "
+
 
 M = TypeVar("M", bound=Member)
 
@@ -178,3 +329,46 @@ class Family(Mapping[str, type[M]], Generic[M]):
             tag = {"discriminator": "'kind'", "tag": str(kind), "expected_tags": expected}
             raise PydanticKnownError("union_tag_invalid", tag)
         return member.model_validate(value, context=info.context)
+
+
+class OneOf:
+    """The annotation of a key whose value is the name of a member without parameters, such as time.integrator.
+
+    Parameters
+    ----------
+    families : Family
+        Whose names it takes.
+    words : tuple of str
+        What else it may say.
+    """
+
+    def __init__(self, *families: Family[Any], words: tuple[str, ...] = ()) -> None:
+        self.families, self.words = families, words
+
+    def names(self) -> list[str]:
+        """Return all that the key may say, without the users' classes that happen to be known in this process."""
+        return [*self.words, *(name for family in self.families for name in family.names())]
+
+    def named(self, value: Any, key: str) -> Any:
+        """See `Family.named`; a user's class is of the first family."""
+        return self.families[0].named(value, key)
+
+    def get(self, name: str) -> type[Member] | None:
+        """Return the member with this name, None if there is none."""
+        return next((family[name] for family in self.families if name in family), None)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate a name."""
+        return core_schema.with_info_plain_validator_function(self._validate)
+
+    def _validate(self, value: Any, info: ValidationInfo) -> str:
+        if isinstance(value, type):
+            value = self.named(value, "value")  # built in Python
+        if isinstance(value, str) and (value in self.words or any(value in family for family in self.families)):
+            return value
+        if isinstance(value, str) and ":" in value:
+            if (info.context or {}).get(KEEP_ABSENT):
+                return value
+            raise not_named(value)
+        *most, last = map(repr, self.names())
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(most)} or {last}"})

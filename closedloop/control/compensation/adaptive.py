@@ -26,8 +26,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import RATE, SPEED_SCALE, Positive, gain_in
 from closedloop.control.compensation.model import desired_direction
-from closedloop.control.law import Compensation, ControlLaw
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import Compensation, ControlLaw, LawInput
 from closedloop.control.tip_space import TipMotion, surface_mobility
 
 

@@ -27,8 +27,7 @@ from closedloop.base.sections import (
     Positive,
     viscous_in,
 )
-from closedloop.control.law import Compensation
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import Compensation, LawInput
 from closedloop.control.tip_space import GainNotNegative
 from closedloop.jit.kernel import kernel
 

@@ -20,8 +20,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import RATE, Positive
-from closedloop.control.law import Compensation
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import Compensation, LawInput
 from closedloop.control.tip_space import add_mass_times
 from closedloop.mechanics.closure.solve import back_substitute, forward_substitute
 

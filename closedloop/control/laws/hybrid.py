@@ -25,8 +25,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import RATE, Positive, gain_in
-from closedloop.control.law import commanded_force
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import LawInput, commanded_force
 from closedloop.control.tip_space import (
     Approach,
     GainNotNegative,

@@ -24,8 +24,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import NotNegative, gain_in
-from closedloop.control.law import ControlLaw, commanded_force
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import ControlLaw, LawInput, commanded_force
 from closedloop.control.tip_space import Posture, TipScratch, move_tip, surface_mobility
 
 

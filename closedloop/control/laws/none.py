@@ -8,8 +8,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import Nothing
-from closedloop.control.law import ControlLaw
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import ControlLaw, LawInput
 
 
 class NoLaw(ControlLaw):

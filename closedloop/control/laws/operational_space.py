@@ -18,8 +18,7 @@ from __future__ import annotations
 from typing import Any
 
 from closedloop.base.arrays import Array
-from closedloop.control.law import commanded_force
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import LawInput, commanded_force
 from closedloop.control.tip_space import Approach, TipMotion, TipScratch, move_tip, wanted_acceleration
 
 

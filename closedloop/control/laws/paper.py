@@ -19,8 +19,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import Gain, Instant, gain_in
-from closedloop.control.law import ControlLaw, commanded_force
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import ControlLaw, LawInput, commanded_force
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
 

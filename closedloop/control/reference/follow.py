@@ -28,15 +28,15 @@ from closedloop.control.reference.inverse_kinematics import (
     OUTCOMES,
     PATH_TOLERANCE,
     POSITION,
+    RANK_TOLERANCE,
     REACHED,
     Way,
     scratch_size,
     walk,
 )
 from closedloop.control.reference.joint_path import JointPath
-from closedloop.control.reference.least_norm import RANK_TOLERANCE
+from closedloop.control.reference.on_surface import seams
 from closedloop.control.reference.orientation import ASKEW, FREE_ORIENTATION, Orientation
-from closedloop.control.reference.seams import seams
 from closedloop.control.reference.tip_path import Segment, TipPath
 from closedloop.jit.interim import call_once
 from closedloop.mechanics.loops.along_path import along_path

@@ -23,8 +23,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.reference.curves import Curve
-from closedloop.control.reference.tip_path import Segment
+from closedloop.control.reference.tip_path import Curve, Segment
 from closedloop.mechanics.surface.along import carry, shape_at
 from closedloop.mechanics.surface.placed import PlacedSurface
 
@@ -41,7 +40,7 @@ PUT_BACK = 3
 
 @dataclass(frozen=True)
 class Rolled:
-    """A curve on a surface, as `closedloop.control.reference.curves.Curve`."""
+    """A curve on a surface, as `closedloop.control.reference.tip_path.Curve`."""
 
     polynomials: tuple[Any, Any, Any]  # r, m, r' and r'' as functions of the parameter
     first: Array  # (3,): r at the start

@@ -1,14 +1,106 @@
-"""A path of the tip: consecutive segments of smooth motion, at rest before and after."""
+"""The path of the tip: consecutive segments of smooth motion, their timing, the curves along them.
+
+Time scaling of a motion: at constant speed, or from rest to rest with minimum jerk.
+
+A timing maps the time t after the start of a motion of T seconds to the path parameter s and its derivatives ṡ and s̈;
+s, in seconds, is the time at which a motion at constant speed would be at the same point. So s runs from 0 to T, and ṡ
+is the speed as a multiple of the mean speed.
+
+Curves of the tip, as displacements from its start.
+
+A curve is any smooth function that begins at the origin. Its parameter s, in seconds, is that of
+`closedloop.control.reference.tip_path`: the time of a motion at constant speed.
+
+A path of the tip: consecutive segments of smooth motion, at rest before and after.
+
+Straight segments through points, used by several paths.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.curves import Curve
-from closedloop.control.reference.timing import Timing
+
+Timing = Callable[[Array, float], tuple[Array, Array, Array]]
+
+
+def constant(t: Array, duration: float) -> tuple[Array, Array, Array]:
+    """Return s, s, ṡ and s̈, 1/s, each (N,), of constant speed at times t (N,), s, after the start: s = t."""
+    return t, np.ones_like(t), np.zeros_like(t)
+
+
+def minimum_jerk(t: Array, duration: float) -> tuple[Array, Array, Array]:
+    """Return s, s, ṡ and s̈, 1/s, each (N,), of least jerk at times t (N,), s, after the start.
+
+    With τ = t/T: s = T (10 τ³ − 15 τ⁴ + 6 τ⁵). Speed and acceleration are zero at both ends, and among all motions
+    that begin and end so, the integral of the squared jerk is the smallest (Flash and Hogan, J. Neuroscience 5, 1985).
+    Outside the motion it is at rest.
+    """
+    x = np.clip(t / duration, 0.0, 1.0)
+    rest = 1.0 - x
+    place = x**3 * (10.0 + x * (6.0 * x - 15.0))
+    return duration * place, 30.0 * (x * rest) ** 2, 60.0 * x * rest * (rest - x) / duration
+
+
+# s (N,), s, to the displacement, m, and its derivatives by s, m/s and m/s², each (N, 3), base frame.
+Curve = Callable[[Array], Sequence[Array]]
+
+
+@dataclass(frozen=True)
+class Straight:
+    """A straight line: x = ṙ s."""
+
+    velocity: Array  # (3,): ṙ, the velocity at constant speed, m/s, base frame
+
+    def __call__(self, s: Array) -> tuple[Array, Array, Array]:
+        """Return the displacement and its derivatives by s; see `Curve`."""
+        x = s[:, None] * self.velocity
+        return x, np.broadcast_to(self.velocity, x.shape), np.zeros_like(x)
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """An ellipse, a circle if a and b are as long: x = a (1 − cos ωs) + b sin ωs."""
+
+    # a, b (3,): from the start to the centre, and the half axis across it, in which the motion begins, m, base frame
+    a: Array
+    b: Array
+    rate: float  # ω, rad/s
+
+    def __call__(self, s: Array) -> tuple[Array, Array, Array]:
+        """Return the displacement and its derivatives by s; see `Curve`."""
+        w = self.rate
+        cos, sin = np.cos(w * s)[:, None], np.sin(w * s)[:, None]
+        return (
+            self.a * (1.0 - cos) + self.b * sin,
+            w * (self.a * sin + self.b * cos),
+            w * w * (self.a * cos - self.b * sin),
+        )
+
+
+@dataclass(frozen=True)
+class Eight:
+    """A figure of eight that begins at its crossing: x = a sin ωs + b sin 2ωs."""
+
+    # a, b (3,): half the width along the eight and half the height across it, m, base frame
+    a: Array
+    b: Array
+    rate: float  # ω, rad/s
+
+    def __call__(self, s: Array) -> tuple[Array, Array, Array]:
+        """Return the displacement and its derivatives by s; see `Curve`."""
+        w = self.rate
+        one, two = (w * s)[:, None], (2.0 * w * s)[:, None]
+        return (
+            self.a * np.sin(one) + self.b * np.sin(two),
+            w * (self.a * np.cos(one) + 2.0 * self.b * np.cos(two)),
+            -w * w * (self.a * np.sin(one) + 4.0 * self.b * np.sin(two)),
+        )
+
 
 # i·h and the instant of a jump may differ by rounding: this share of a path's duration later is the instant itself.
 INSTANT = 1e-9
@@ -103,3 +195,13 @@ class TipPath:
                 r[where], velocity[where], acceleration[where] = segment.sample(t[where])
         r[at == len(self.segments)] = last.sample(ends[-1:])[0]
         return r, velocity, acceleration
+
+
+def through(times: Array, points: Array, origin: Array, timing: Timing) -> tuple[Segment, ...]:
+    """Return straight segments from point to point, displacements (K, 3), m, from `origin`, at the instants (K,), s."""
+    segments = []
+    for t0, t1, from_, to in zip(times[:-1], times[1:], points[:-1], points[1:], strict=True):
+        velocity = (to - from_) / (t1 - t0)
+        length = float(np.linalg.norm(to - from_))
+        segments.append(Segment(float(t0), float(t1), origin + from_, Straight(velocity), timing, length))
+    return tuple(segments)

@@ -16,7 +16,7 @@ from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.record.columns.derived import DERIVED
 from closedloop.record.frame import part_labels
 from closedloop.record.run import Run, units_by_kind
-from closedloop.scenario.contact_names import labels_of
+from closedloop.scenario.tables import labels_of
 
 
 def write_csv(run: Run, path: str | Path) -> list[Path]:

@@ -1,4 +1,8 @@
-"""A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
+"""A run as MCAP with standard ROS 2 messages.
+
+The definitions of the standard ROS 2 messages that a run is written as.
+
+A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
 
     /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law; of what turns freely the
                                                             rotation vector and the angular velocity in its axes
@@ -30,13 +34,87 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
 from closedloop.base.optional import missing_line
 from closedloop.control.laws.none import NoLaw
-from closedloop.figures.export.messages import DEFINITIONS
 from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import quaternions, scene_of
 from closedloop.mechanics.loops.wrench import named_side, parts_of
 from closedloop.record.columns.derived import loop_positions
 from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of
+
+_TIME = """================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec"""
+_HEADER = f"""================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_TIME}"""
+_SEPARATOR = "=" * 80
+
+_POINT = f"""{_SEPARATOR}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z"""
+_POSE = f"""{_SEPARATOR}
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{_POINT}
+{_SEPARATOR}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w"""
+
+DEFINITIONS: dict[str, str] = {
+    "sensor_msgs/msg/JointState": f"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+{_HEADER}""",
+    "geometry_msgs/msg/PoseStamped": f"""std_msgs/Header header
+geometry_msgs/Pose pose
+{_HEADER}
+{_POSE}""",
+    "geometry_msgs/msg/PointStamped": f"""std_msgs/Header header
+geometry_msgs/Point point
+{_HEADER}
+{_POINT}""",
+    "nav_msgs/msg/Path": f"""std_msgs/Header header
+geometry_msgs/PoseStamped[] poses
+{_HEADER}
+{_SEPARATOR}
+MSG: geometry_msgs/PoseStamped
+std_msgs/Header header
+geometry_msgs/Pose pose
+{_POSE}""",
+    "geometry_msgs/msg/WrenchStamped": f"""std_msgs/Header header
+geometry_msgs/Wrench wrench
+{_HEADER}
+{_SEPARATOR}
+MSG: geometry_msgs/Wrench
+geometry_msgs/Vector3 force
+geometry_msgs/Vector3 torque
+{_SEPARATOR}
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z""",
+    "rcl_interfaces/msg/Log": f"""builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+{_TIME}""",
+    "std_msgs/msg/String": "string data",
+}
+
 
 NEEDS_MCAP = missing_line("MCAP needs", "mcap-ros2-support", "mcap")
 PATH_POINTS = 1000  # of the message with the whole desired path, at most

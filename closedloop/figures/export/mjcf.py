@@ -1,4 +1,16 @@
-"""The scene of a run as MJCF: the arm with its tool, and the surface, for MuJoCo and what reads its files.
+"""The scene of a run as MJCF, for MuJoCo and what reads its files.
+
+Elements of MJCF, whose attributes are numbers.
+
+The surface of a scene as a geom of MuJoCo: a plane, a ball, a bar, an ellipsoid, else a grid of heights.
+
+What joins the links of a scene beside its tree, for MuJoCo: loop joints as equalities, contacts as pairs of geoms.
+
+A point is a `connect`, a hinge two on its axis, a weld a `weld`, a gear a `joint`, a distance a tendon of that length.
+The point of a contact is a small ball, and its plane lies lower by its radius: they are as far apart as the point
+is from the plane, in every posture. Nothing but these pairs touches.
+
+The scene of a run as MJCF: the arm with its tool, and the surface, for MuJoCo and what reads its files.
 
 The bodies are those of the dynamics: a link with a joint each, what is fixed to it included, in the frames in which the
 run computes, with the drives' inertia as `armature`. The shapes carry no mass and touch nothing; the surface can be
@@ -17,15 +29,252 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, printable
 from closedloop.base.files import write_whole
-from closedloop.figures.export.mjcf_joined import add_equalities, add_joined_parts, add_pairs, check_joined
-from closedloop.figures.export.mjcf_surface import add_surface
-from closedloop.figures.export.mjcf_text import element, numbers, quaternion
-from closedloop.figures.scene.scene import Scene, scene_of
+from closedloop.figures.scene.scene import Scene, quaternions, scene_of
+from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
+from closedloop.mechanics.surface.kinds.cylinder import Cylinder
+from closedloop.mechanics.surface.kinds.ellipsoid import Ellipsoid
+from closedloop.mechanics.surface.kinds.height_field import HeightField
+from closedloop.mechanics.surface.kinds.plane import PlaneSurface
+from closedloop.mechanics.surface.kinds.sphere import Sphere
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.plane import unit
+from closedloop.record.columns.touching import placed_frame
 from closedloop.record.run import Run
+from robot_models.loop_joint import LoopJoint
+
+
+def element(into: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
+    """Add an element; numbers have as many digits as tell them apart from all others, and None is left out."""
+    text = {
+        name: value if isinstance(value, str) else numbers(value)
+        for name, value in attributes.items()
+        if value is not None
+    }
+    return ElementTree.SubElement(into, tag, text)
+
+
+def numbers(values: ArrayLike, digits: int = 17) -> str:
+    """Return a number, or those of an array in their order, as text with so many digits."""
+    return " ".join(repr(x) if digits > 16 or isinstance(x, int) else f"{x:.{digits}g}" for x in _listed(values))
+
+
+def _listed(values: ArrayLike) -> list[Any]:
+    return np.asarray(values).ravel().tolist()
+
+
+def quaternion(axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit quaternion (4,), the real part first, of a rotation matrix (3, 3)."""
+    return quaternions(np.asarray(axes)[None])[0]
+
+
+COLOUR = (0.77, 0.80, 0.84, 0.75)
+GRID = 129  # heights along a side at most, of what is no shape of MuJoCo's
+BASE = 0.05  # thickness of a grid of heights below its lowest, m
+LEAST_RANGE = 1e-6  # of heights, m: MuJoCo takes none that is flat
+
+
+def add_surface(assets: ElementTree.Element, world: ElementTree.Element, scene: Scene) -> None:
+    """Add the surface where it is at t = 0, below a body that can be moved (`mocap`) if the surface moves."""
+    placed = scene.ground.placed
+    if placed is None:
+        raise ScenarioError(
+            f"surface.kind = {scene.run.scenario.surface.kind}: this class has not been imported here, so that its "
+            "shape is not known; import its module first, or use --to csv or --to mcap"
+        )
+    turned = placed.frame[[1, 2, 0]].T  # columns: the tangents t1, t2 and the normal
+    section, origin, n = placed.section, _origin(placed), placed.normal
+    look: dict[str, Any] = {"name": "surface", "rgba": COLOUR, "mass": 0.0}
+    body = element(world, "body", name="surface", mocap="true") if placed.moves else world
+    size: tuple[float, ...]
+    if isinstance(section, PlaneSurface):
+        half = 0.5 * np.ptp(_tangential(scene, placed), axis=0).max()
+        element(body, "geom", type="plane", pos=origin, quat=quaternion(turned), size=(half, half, 0.01), **look)
+    elif isinstance(section, Sphere) and not section.inside:
+        element(body, "geom", type="sphere", pos=origin - section.radius * n, size=(section.radius,), **look)
+    elif isinstance(section, Ellipsoid):
+        size = section.a, section.b, section.c
+        element(
+            body, "geom", type="ellipsoid", pos=origin - section.c * n, quat=quaternion(turned), size=size, **look
+        )  # fmt: skip
+    elif isinstance(section, Cylinder) and not section.inside:
+        axis = unit(section.axis, "surface.axis")
+        half = float(np.ptp((scene.ground.mesh[0] - origin) @ axis)) + section.radius
+        along = quaternion(np.column_stack([np.cross(n, axis), n, axis]))
+        size = (section.radius, half)
+        element(body, "geom", type="cylinder", pos=origin - section.radius * n, quat=along, size=size, **look)
+    else:
+        _add_heights(assets, body, scene, placed, look)
+
+
+def _origin(placed: PlacedSurface) -> Array:
+    """Return a point (3,) of the surface at t = 0, m: of a plane one that its `offset` says."""
+    origin: Array = placed.origin
+    if isinstance(placed.section, PlaneSurface):
+        origin = origin + (placed.offset - placed.normal @ origin) * placed.normal
+    return origin
+
+
+def _tangential(scene: Scene, placed: PlacedSurface) -> Array:
+    """Return where the drawn patch of the surface lies along its tangents (k, 2), m, from its origin."""
+    return (scene.ground.mesh[0] - placed.origin) @ placed.frame[1:].T
+
+
+def _add_heights(
+    assets: ElementTree.Element, body: ElementTree.Element, scene: Scene, placed: PlacedSurface, look: dict[str, Any]
+) -> None:
+    """Add a grid of heights: all of a height field, of another surface the patch around the paths."""
+    section = placed.section
+    if isinstance(section, HeightField):
+        rows, columns = len(section.heights), len(section.heights[0])
+        high = 0.5 * section.spacing * (np.array([columns, rows]) - 1.0)
+        low, finer = -high, max(1, (GRID - 1) // (max(rows, columns) - 1))
+        counts = finer * (columns - 1) + 1, finer * (rows - 1) + 1
+    else:
+        along = _tangential(scene, placed)
+        low, high, counts = along.min(axis=0), along.max(axis=0), (GRID, GRID)
+    x, y = (np.linspace(a, b, count) for a, b, count in zip(low, high, counts, strict=True))
+    tangential = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)  # a row for each y
+    inner = tangential * (1.0 - 1e-9) + 1e-9 * tangential.mean(axis=0)  # not beyond the edge by rounding
+    points = placed.origin + inner @ placed.frame[1:]
+    none = np.zeros_like(points)
+    on_it = placed.follow(0.0, np.zeros(len(points)), (points, none, none))[0]
+    heights = ((on_it - placed.origin) @ placed.normal).reshape(len(y), len(x))
+    span = max(float(np.ptp(heights)), LEAST_RANGE)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    place = placed.origin + middle @ placed.frame[1:] + heights.min() * placed.normal
+    # MuJoCo reads the rows from the top, as one sees them from above.
+    element(
+        assets, "hfield", name="surface", nrow=len(y), ncol=len(x), size=(*half, span, BASE),
+        elevation=numbers(heights[::-1] - heights.min(), 9),
+    )  # fmt: skip
+    quat = quaternion(placed.frame[[1, 2, 0]].T)
+    element(body, "geom", type="hfield", hfield="surface", pos=place, quat=quat, **look)
+
+
+BALL = 0.002  # radius of the ball that stands for a contact's point, m
+APART = 0.1  # of the arm's reach: between the two points that hold a hinge
+GROUP = 3  # of the geoms that touch; MuJoCo's viewer does not show it at first
+HELD = ("point", "hinge", "weld", "gear", "distance")  # types of loop joints that MuJoCo has an equality for
+
+
+def check_joined(scene: Scene) -> None:
+    """Refuse loop joints that MuJoCo has no equality for, and contacts of links but of points and balls with planes."""
+    for loop in scene.run.model.loops:
+        if loop.type not in HELD:
+            raise ScenarioError(
+                f"--to mjcf: MuJoCo has no equality for a {loop.type}, as {loop.name!r} of {scene.run.model.name} is; "
+                "use --to csv or --to mcap"
+            )
+    for section, touching in zip(scene.run.scenario.contact or (), scene.touching, strict=True):
+        if section.half_axes is not None:
+            raise ScenarioError(
+                f"--to mjcf: contact {touching.name!r} is of an ellipsoid or the edge of a disc, and only points and "
+                "balls are written; use --to csv or --to mcap"
+            )
+        if has_other_law(section):
+            raise ScenarioError(
+                f"--to mjcf: contact {touching.name!r} has a law of friction that MuJoCo does not have; "
+                "use --to csv or --to mcap"
+            )
+        if touching.surface is not None:
+            raise ScenarioError(
+                f"--to mjcf: contact {touching.name!r} has a surface that is curved or moves, and only planes at rest "
+                "are written; use --to csv or --to mcap"
+            )
+
+
+def add_joined_parts(body: ElementTree.Element, joint: int, scene: Scene, mechanism: Any) -> None:
+    """Add the sites of loop joints, and the geoms of contacts, that a body carries; `joint` 0: the world's."""
+    for loop in scene.run.model.loops:
+        for side, name in enumerate(loop.frames):
+            frame, rotation, origin = placed_frame(mechanism, name)
+            if frame == joint:
+                turned = rotation if side == 0 else rotation @ np.array(loop.turn)
+                for end, point in enumerate(_points(loop, side, APART * scene.size)):
+                    place = origin + rotation @ point
+                    element(body, "site", name=_site(loop, side, end), pos=place, quat=quaternion(turned), group=GROUP)
+    for section, touching in zip(scene.run.scenario.contact or (), scene.touching, strict=True):
+        if touching.point_frame == joint:
+            _add_geom(body, f"{touching.name} point", "sphere", touching.point, (section.radius or BALL,))
+        if touching.plane_frame == joint:
+            _, rotation, origin = placed_frame(mechanism, section.against)
+            normal, half = touching.axes[0], scene.size
+            place = origin + rotation @ np.array(section.through) - (0.0 if section.radius else BALL) * normal
+            turned = quaternion(touching.axes[[1, 2, 0]].T)
+            if joint:  # MuJoCo has planes in the world only
+                place = place - half * normal
+            size = (half, half, half if joint else 0.01)
+            _add_geom(body, f"{touching.name} plane", "box" if joint else "plane", place, size, turned)
+
+
+def add_equalities(root: ElementTree.Element, scene: Scene, mechanism: Any) -> None:
+    """Add the sections that hold the loop joints closed."""
+    import pinocchio as pin
+
+    if not scene.run.model.loops:
+        return
+    held = element(root, "equality")
+    for loop in scene.run.model.loops:
+        if loop.type == "gear":
+            names = dict(zip(("joint1", "joint2"), loop.joints, strict=False))
+            element(held, "joint", name=loop.name, polycoef=loop.polynomial, **names)
+        elif loop.type == "distance":
+            tendons = root.find("tendon")
+            rod = element(element(root, "tendon") if tendons is None else tendons, "spatial", name=loop.name)
+            ends, data = [], mechanism.createData()
+            pin.forwardKinematics(mechanism, data, np.zeros(mechanism.nq))  # MuJoCo's tendons have their length here
+            for side, name in enumerate(loop.frames):
+                element(rod, "site", site=_site(loop, side, 0))
+                joint, rotation, origin = placed_frame(mechanism, name)
+                ends.append(data.oMi[joint].act(origin + rotation @ np.array(loop.points[side])))
+            longer = loop.length - float(np.linalg.norm(ends[1] - ends[0]))
+            element(held, "tendon", name=loop.name, tendon1=loop.name, polycoef=(longer, 0.0, 0.0, 0.0, 0.0))
+        else:
+            for end, _ in enumerate(_points(loop, 0, 1.0)):
+                sites = {"site1": _site(loop, 0, end), "site2": _site(loop, 1, end)}
+                element(held, "weld" if loop.type == "weld" else "connect", name=_numbered(loop.name, end), **sites)
+
+
+def add_pairs(root: ElementTree.Element, scene: Scene) -> None:
+    """Add the pairs of geoms that touch, each with its friction."""
+    if not scene.touching:
+        return
+    pairs = element(root, "contact")
+    for section, touching in zip(scene.run.scenario.contact or (), scene.touching, strict=True):
+        mu = coulomb_of(section)
+        rubs = {"condim": 3, "friction": (mu, mu, 0.0, 0.0, 0.0)}
+        geoms = {"geom1": f"{touching.name} point", "geom2": f"{touching.name} plane"}
+        element(pairs, "pair", name=touching.name, **geoms, **(rubs if mu > 0.0 else {"condim": 1}))
+
+
+def _add_geom(
+    body: ElementTree.Element, name: str, kind: str, place: Array, size: tuple[float, ...], quat: Array | None = None
+) -> None:
+    """Add a geom that touches nothing but what it is paired with."""
+    element(
+        body, "geom", name=name, type=kind, pos=place, quat=quat, size=size, mass=0.0, contype=0, conaffinity=0,
+        group=GROUP, rgba=(0.34, 0.71, 0.91, 0.2),
+    )  # fmt: skip
+
+
+def _points(loop: LoopJoint, side: int, apart: float) -> list[Array]:
+    """Return the points (3,), m, in the frame of a side at which a loop joint is held: of a hinge two on its axis."""
+    point = np.array(loop.points[side])
+    return [point, point + apart * np.array(loop.axes[side])] if loop.type == "hinge" else [point]
+
+
+def _site(loop: LoopJoint, side: int, end: int) -> str:
+    return _numbered(f"{loop.name} {'ab'[side]}", end)
+
+
+def _numbered(name: str, end: int) -> str:
+    return f"{name} {end + 1}" if end else name
+
 
 ARM_GROUP = 1  # of the arm's geoms; the surface is in group 0
 TIP_RADIUS = 0.006  # m

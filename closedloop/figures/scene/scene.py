@@ -16,13 +16,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.ground import Ground, world_mesh
-from closedloop.figures.scene.joined import Joined, reactions_in, robot_in
-from closedloop.figures.scene.shapes import Shape, robot_shapes
+from closedloop.figures.scene.solids import Ghost, Joined, Shape, reactions_in, robot_in, robot_shapes
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.record.columns.events import Event
+from closedloop.record.columns.record import Event
 from closedloop.record.columns.touching import Touching, contacts_of
 from closedloop.record.run import Run
 from robot_models import RobotModel

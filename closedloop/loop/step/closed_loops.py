@@ -12,7 +12,7 @@ tree. The loops take what they bind, whatever acts.
 from __future__ import annotations
 
 from closedloop.base.arrays import Array
-from closedloop.control.seen import Seen
+from closedloop.control.law import Seen
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.energy_supplied import driving_torque

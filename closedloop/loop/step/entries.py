@@ -10,9 +10,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from closedloop.control.law import Compensation, ControlLaw
-from closedloop.control.law_input import LawInput
-from closedloop.control.seen import Seen
+from closedloop.control.law import Compensation, ControlLaw, LawInput, Seen
 from closedloop.jit.calls import Entry
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.parameters import one_joint_block, parameter_block, state_block

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from closedloop.base.arrays import Array
 from closedloop.control.drives import cut_torque
+from closedloop.control.law import Seen
 from closedloop.control.laws.paper import PaperLaw, paper_law
-from closedloop.control.seen import Seen
 from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined

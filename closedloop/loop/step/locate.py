@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.user_code import RAISED

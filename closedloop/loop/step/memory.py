@@ -10,8 +10,8 @@ from typing import Annotated
 
 from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters
-from closedloop.control.reference.table import Reference
-from closedloop.control.seen import Seen
+from closedloop.control.law import Seen
+from closedloop.control.reference.desired import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import call_at

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters, read_encoder
-from closedloop.control.reference.table import DrawnRow
-from closedloop.control.seen import Seen
+from closedloop.control.law import Seen
+from closedloop.control.reference.desired import DrawnRow
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of

@@ -1,20 +1,199 @@
-"""The record of a run: its columns, what made them, and what was computed from them.
+"""The columns that a run records, row by row and event by event.
+
+The events of a run, one by one, from the columns that have them.
+
+The columns that a run records: dimensions, unit and meaning of each.
+
+The record of a run: its columns, what made them, and what was computed from them.
 
 A report, and whatever follows from the columns, is written for this interface; `closedloop.record.run.Run` has it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import Array
+from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.mechanics.loops.reactions import LoopReactions
-from closedloop.record.columns.events import Event
-from closedloop.record.columns.recorded import Column
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
+
+
+class Event(NamedTuple):
+    """One event of the contact: an impact, the beginning or the end of contact, of sticking or of slip.
+
+    Attributes
+    ----------
+    time : float
+        Instant, s.
+    kind : str
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop", "release", "time_step" or
+        "tangential_impact".
+    rate_before, rate_after : float
+        Rate of the closure error just before and just after it, m/s.
+    rate_cut : float
+        Rate of a bounce that `impact.rest_speed` turned into contact, m/s.
+    compression, decompression : float
+        Impulses of both phases on the tip along the normal, N s.
+    tangential : (3,) array
+        Impulse on the tip along the surface, N s, base frame.
+    energy_lost : float
+        Kinetic energy lost, J; at an edge the energy of the spring of a soft surface.
+    energy_rested : float
+        Part of `energy_lost` that was removed so that a contact which separates too slowly comes to rest, J.
+    position : (3,) array
+        Where the tip is, m, base frame.
+    slip_before, slip_after : float
+        Speed of the tip along the surface, m/s.
+    restitution : float
+        Coefficient of restitution of an impact: `impact.restitution`, or less where Newton's law would have created
+        energy. It is 0 for all other events.
+    contact : int
+        Number of the contact: 0 is the tip; the scenario's sections [[contact]] follow in their order, and then the
+        joints that have stops.
+    """
+
+    time: float
+    kind: str
+    rate_before: float
+    rate_after: float
+    rate_cut: float
+    compression: float
+    decompression: float
+    tangential: Array
+    energy_lost: float
+    energy_rested: float
+    position: Array
+    slip_before: float
+    slip_after: float
+    restitution: float
+    contact: int = 0
+
+
+def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
+    """Return the events of columns that have those of `EVENT_COLUMNS`, in order of time."""
+    parts = [columns[name] for name in EVENT_COLUMNS]
+    rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
+    return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
+
+
+class Column(NamedTuple):
+    """Dimensions, unit and meaning of a column."""
+
+    dims: tuple[str, ...]
+    units: str
+    meaning: str
+
+
+# Joint quantities are in rad, rad/s, rad/s² and N m for revolute joints; for prismatic ones m, m/s, m/s² and N.
+_BY_TIME: dict[str, Column] = {
+    "time": Column(("time",), "s", "time since the start of the run"),
+    "q": Column(("time", "joint"), "rad", "joint positions"),
+    "v": Column(("time", "joint"), "rad s-1", "joint velocities"),
+    "acceleration": Column(("time", "joint"), "rad s-2", "joint accelerations, solution of Eq. 24"),
+    "torque": Column(("time", "joint"), "N m", "torque Q of the control law on the joints (Eq. 33)"),
+    "reference_position": Column(("time", "joint"), "rad", "q_des"),
+    "reference_velocity": Column(("time", "joint"), "rad s-1", "time derivative of q_des"),
+    "reference_tip": Column(("time", "axis"), "m", "desired tip position, base frame"),
+    "reference_force": Column(("time",), "N", "desired contact force f_des"),
+    "position": Column(("time", "axis"), "m", "tip position r, base frame"),
+    "velocity": Column(("time", "axis"), "m s-1", "tip velocity, base frame"),
+    "surface_normal": Column(("time", "axis"), "1", "unit normal n of the surface at the tip, base frame"),
+    "slip_velocity": Column(
+        ("time", "axis"), "m s-1", "velocity of the tip along the surface and relative to it, base frame"
+    ),
+    "contact_force": Column(
+        ("time",),
+        "N",
+        "force of the surface on the tip along the surface normal; positive pushes the robot away",
+    ),
+    "stabiliser_force": Column(("time",), "N", "the part of contact_force that answers the stabiliser"),
+    "friction_force": Column(("time", "axis"), "N", "tangential force of the surface on the tip, base frame"),
+    "joint_friction": Column(("time", "joint"), "N m", "torque of friction on the joints"),
+    "measured_force": Column(("time",), "N", "what the force sensor says after this row, for the next"),
+    "closure_error": Column(("time",), "m", "e = n.r - d; positive off the surface"),
+    "closure_rate": Column(("time",), "m s-1", "time derivative of closure_error"),
+    "mode": Column(("time",), "1", "0 free, 1 pressed (sliding or at rest), 2 stuck"),
+    "residual_motion": Column(("time",), "1", "relative residual of the equation of motion in Eq. 24"),
+    "residual_closure": Column(("time",), "1", "relative residual of the closure row in Eq. 24"),
+    "kkt_condition": Column(("time",), "1", "condition number of the matrix of Eq. 24, 1-norm, SI units"),
+    "normal_mobility": Column(("time",), "1", "A H^-1 A^T over the trace of J H^-1 J^T; 0 at a singular pose"),
+    "kinetic_energy": Column(("time",), "J", "kinetic energy, drives included"),
+    "potential_energy": Column(("time",), "J", "potential energy of gravity"),
+    "energy_supplied": Column(
+        ("time",), "J", "work of torque, contact force and friction since row 0, less what the events after it took"
+    ),
+}
+
+
+# What a run has if its scenario asks for it, see `closedloop.simulation.engines.needs.arm_columns`.
+ARM_COLUMNS: dict[str, Column] = {
+    "torque_limited": Column(
+        ("time", "joint"),
+        "1",
+        "0: torque is what the law asked for; 1: cut by the torque limit; 2: by the rate limit",
+    ),
+    "measured_position": Column(("time", "joint"), "rad", "joint positions as the encoders read them"),
+    "measured_velocity": Column(("time", "joint"), "rad s-1", "joint velocities as the controller has them"),
+    "motor_position": Column(("time", "joint"), "rad", "angles of the motors behind elastic joints, at the joints"),
+    "motor_velocity": Column(("time", "joint"), "rad s-1", "rates of the motors behind elastic joints, at the joints"),
+    "transmitted_torque": Column(("time", "joint"), "N m", "torque that elastic joints pass on to the links"),
+}
+
+# What it has if its links have contacts besides the tip.
+CONTACT_COLUMNS: dict[str, Column] = {
+    "link_modes": Column(("time", "contact"), "1", "mode of each contact of a link: 0 free, 1 sliding, 2 stuck"),
+    "link_gaps": Column(("time", "contact"), "m", "gap of each, positive off its plane"),
+    "link_forces": Column(("time", "contact"), "N", "force of each along its normal, on the link that has the point"),
+    "link_frictions": Column(
+        ("time", "contact_tangent"),
+        "N",
+        "force of each along the two tangents, which are fixed in the link that has the surface",
+    ),
+    "link_slips": Column(
+        ("time", "contact_tangent"), "m s-1", "velocity of each relative to its surface, along the two tangents"
+    ),
+    "link_rolling_moments": Column(
+        ("time", "contact_tangent"), "N m", "resistance of each to rolling, about the two tangents"
+    ),
+    "link_pivoting_moments": Column(("time", "contact"), "N m", "resistance of each to pivoting, about its normal"),
+}
+# Those of them that a run has if one of its contacts resists to rolling or to pivoting.
+RESISTANCE_COLUMNS = ("link_rolling_moments", "link_pivoting_moments")
+SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
+
+# What it has if there is a surface that its tip may touch; without one a `Run` answers with zeros.
+SURFACE_COLUMNS = (
+    "surface_normal", "slip_velocity", "contact_force", "stabiliser_force", "friction_force", "closure_error",
+    "closure_rate", "mode", "residual_closure",
+)  # fmt: skip
+
+COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
+ALL_COLUMNS = COLUMNS | SOMETIMES
+_NOT_ALWAYS = {*SURFACE_COLUMNS, *SOMETIMES}
+POSITIONS = ("q", "reference_position")
+
+
+def in_order(columns: Iterable[str]) -> list[str]:
+    """Return the names of columns in the order of `ALL_COLUMNS`, and those that are not in it behind, sorted."""
+    there = set(columns)
+    return [*(name for name in ALL_COLUMNS if name in there), *sorted(there - set(ALL_COLUMNS))]
+
+
+def columns_there(columns: Iterable[str], turns_freely: bool = False) -> dict[str, Column]:
+    """Return `COLUMNS`, but of `SURFACE_COLUMNS` and `SOMETIMES` only those that are among the columns of a run.
+
+    A robot that turns freely has other positions than velocities, see `robot_models.coordinates`.
+    """
+    there = set(columns)
+    found = {name: spec for name, spec in ALL_COLUMNS.items() if name in there or name not in _NOT_ALWAYS}
+    if turns_freely:
+        found |= {name: found[name]._replace(dims=("time", "coordinate")) for name in POSITIONS}
+    return found
 
 
 class Record(Protocol):
@@ -34,7 +213,7 @@ class Record(Protocol):
 
     @property
     def added(self) -> Mapping[str, Column]:
-        """What those of the columns are that not every run has, see `closedloop.record.columns.added`."""
+        """What those of the columns are that not every run has, see `closedloop.record.columns.derived`."""
 
     @property
     def specs(self) -> Mapping[str, Column]:

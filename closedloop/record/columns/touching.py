@@ -13,8 +13,8 @@ from closedloop.mechanics.contacts.shapes import SHAPE, lowest_point, make_shape
 from closedloop.mechanics.contacts.surfaces import surface_of
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import contact_frame, unit
-from closedloop.scenario.contact_names import names_of
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import names_of
 from robot_models.loop_joint import WORLD
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from closedloop.record.report.assumptions import assumptions
 from closedloop.record.report.report_rows import report_rows
-from closedloop.record.report.row_assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE
+from closedloop.record.report.row_sample import NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.record.report.summary import energy_balance, summarise
 from closedloop.record.report.tables import notes, print_report
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.record.columns.record import Record
-from closedloop.record.report.link_contacts import contact_faults
-from closedloop.record.report.row_assumptions import NAMES, assumptions_met
+from closedloop.record.report.row_sample import NAMES, assumptions_met
+from closedloop.record.report.run_values import contact_faults
 from closedloop.record.report.verdict import outside_by_the_run, outside_by_the_scenario
 
 

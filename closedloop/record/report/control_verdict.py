@@ -1,7 +1,11 @@
-"""Whether the controlled arm did what was commanded: the second verdict of a run, beside that of its numbers.
+"""The second verdict of a run: whether the controlled arm did what was commanded, and by which signals.
+
+Regular swings of a signal: growing, or a limit cycle; noise, drifts and decaying oscillations are not.
+
+Whether the controlled arm did what was commanded: the second verdict of a run, beside that of its numbers.
 
 `closedloop.record.report.verdict` says whether the numbers can be trusted; this says whether the control is good. Force
-counts while contact is commanded (`closedloop.record.report.control_signals`); with F, the root of the mean square of
+counts while contact is commanded (`closedloop.record.report.control_verdict`); with F, the root of the mean square of
 f_des there:
 
 ==================  ===========================================================================================
@@ -19,20 +23,115 @@ f_des there:
 ==================  ===========================================================================================
 
 The later half leaves a run the first for its transients: an approach, the bounces of a touchdown, a break-away.
+
+What the control of a run is judged by, from its columns, or from the rows of a batch.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array, Mask
-from closedloop.record.report.swings import GROWTH, Swing, lasting_swing, rms
+from closedloop.base.families import is_users
+from closedloop.loop.events.table import IMPACT, TOUCHDOWN
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.integrators import ADAPTIVE
+from closedloop.record.columns.record import Record
 from closedloop.record.report.verdict import names_of, problem_of
+from closedloop.scenario.scenario import Scenario
+
+# A regular swing has so many periods, each so many rows long, and periods that vary by this share of their mean at
+# most. The times between crossings of noise vary by as much as their mean.
+PERIODS, ROWS_IN_PERIOD, IRREGULAR = 4, 4, 0.4
+# A swing that grows is no transient, wherever it began: in a slow one three periods over all the time tell. Two show
+# that there may be one.
+GROWING_PERIODS, LEAST_PERIODS = 3, 2
+# So many means of neighbouring rows show a swing that is too slow for the later half alone: of eight periods at most.
+SLOW_ROWS = 512
+# Swings of the last third over those of the first: beyond this they grow, below its inverse they die away.
+GROWTH = 1.5
+
+
+class Swing(NamedTuple):
+    """A regular swing: median amplitude of its last third, period, s, first instant, s, growth, number of periods."""
+
+    amplitude: float
+    period: float
+    at: float
+    growth: float
+    periods: int
+
+    @property
+    def known(self) -> bool:
+        """Whether there are enough periods to tell it from a transient."""
+        return self.periods >= (GROWING_PERIODS if self.growth > GROWTH else PERIODS)
+
+
+def lasting_swing(x: Array, bound: float, h: float, begin: float) -> Swing | None:
+    """Return the regular swing in the later half of a signal (N,), or one over all of it, which may be too short."""
+    half = len(x) // 2
+    found = regular_swing(x[half:], bound, h, begin + half * h)
+    if found is None:
+        k = max(1, len(x) // SLOW_ROWS)
+        slow = x[: len(x) // k * k].reshape(-1, k) @ np.full(k, 1.0 / k) if k > 1 else x
+        found = regular_swing(slow, bound, k * h, begin, LEAST_PERIODS)
+    return found
+
+
+def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int = PERIODS) -> Swing | None:
+    """Return the swing of a signal (N,), `h` s apart, of `periods` and more beyond ±`bound`; None without one.
+
+    What counts is a period from one rise through the middle to the next, each with an excursion to both sides between
+    of more than half the bound and half the RMS; the last third of them must reach the bound, and all must last
+    about equally long.
+    """
+    if len(x) < periods * ROWS_IN_PERIOD:
+        return None
+    k, middle = _centred(len(x)), float(np.add.reduce(x)) / len(x)
+    slope = float(np.dot(k, x)) / (len(x) * (len(x) ** 2 - 1.0) / 12.0)  # a drift is no swing
+    # Without the work below: in each period the signal less its drift is beyond half the bound on both sides.
+    level = 0.5 * bound - abs(middle) - 0.5 * len(x) * abs(slope)
+    if level > 0.0 and min(np.count_nonzero(x > level), np.count_nonzero(x < -level)) < periods:
+        return None
+    y = x - middle - k * slope
+    level = 0.5 * max(bound, rms(y))  # noise on a large swing does not pass the middle twice
+    if not np.max(y) - np.min(y) > 2.0 * bound:
+        return None  # nor where it is not finite
+    there = np.flatnonzero(np.abs(y) > level)
+    above = y[there] > 0.0
+    rises = there[1:][above[1:] & ~above[:-1]]
+    if rises.size < periods + 1:
+        return None
+    lengths = np.diff(rises)
+    period = float(np.mean(lengths))
+    if period < ROWS_IN_PERIOD or np.std(lengths) > IRREGULAR * period:
+        return None
+    swings = 0.5 * (np.maximum.reduceat(y[: rises[-1]], rises[:-1]) - np.minimum.reduceat(y[: rises[-1]], rises[:-1]))
+    third = max(1, swings.size // 3)
+    first, last = float(np.median(swings[:third])), float(np.median(swings[-third:]))
+    ended = (len(x) - rises[-1]) > max(2.0 * period, 0.25 * len(x))
+    growth = last / first
+    if last <= bound or growth < 1.0 / GROWTH or ended:
+        return None
+    return Swing(last, period * h, begin + rises[0] * h, growth, lengths.size)
+
+
+@lru_cache(maxsize=8)
+def _centred(count: int) -> Array:
+    """Return whole numbers about 0; read only."""
+    return np.arange(count, dtype=float) - 0.5 * (count - 1)
+
+
+def rms(x: Array) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(x * x)))
+
 
 Problem = dict[str, Any]
 
@@ -261,3 +360,94 @@ def told(facts: Mapping[str, Any]) -> str:
 def unknown_text(unknown: Sequence[str]) -> str:
     """Return what is not known as an addition to the line of the verdict, or an empty string."""
     return f"; not known: {', '.join(unknown)}" if unknown else ""
+
+
+# A path leads off the surface where it lies so much farther from it than it did, m: what the stiffness of an arm's law,
+# some 1e4 N/m, turns into a tenth of a newton.
+RELEASE = 1e-5
+# Gains of the laws that ship with which they lead the tip along its path.
+_LEADS = ("kp", "motion_stiffness", "stiffness")
+_FEEDBACK = (*_LEADS, "kd", "motion_damping", "damping", "force_feedback", "force_integral")
+
+
+def follows_path(scenario: Scenario, own_law: bool = False) -> bool:
+    """Whether something leads the tip along the path: a gain of the law; of a law of one's own, a path that moves."""
+    if own_law or is_users(scenario.law):
+        return scenario.reference.kind != "hold"
+    return any(np.any(np.asarray(getattr(scenario.law, name, 0.0)) != 0.0) for name in _LEADS)
+
+
+def negative_gain(scenario: Scenario) -> str:
+    """Return the key of a gain of a law that ships which is below zero, "" if none is."""
+    if is_users(scenario.law):
+        return ""
+    return next((f"law.{name}" for name in _FEEDBACK if _below(getattr(scenario.law, name, None))), "")
+
+
+def _below(gain: Any) -> bool:
+    """Whether a gain, or one of several, is below zero; without numpy, for batches ask it of every run."""
+    if isinstance(gain, tuple | list):
+        return any(map(_below, gain))
+    return gain is not None and bool(gain < 0.0 if isinstance(gain, float) else np.any(gain < 0.0))
+
+
+def run_signals(run: Record) -> Signals | None:
+    """Return the signals of a run; None if it has no rows."""
+    if not len(run):
+        return None
+    off = run.position - run.reference_tip
+    out = np.einsum("ij,ij->i", off, run.surface_normal)
+    off = off - out[:, None] * run.surface_normal
+    began = run.event_time[np.isin(run.event_kind, (IMPACT, TOUCHDOWN))]
+    return signals_of(
+        run.scenario, run.scenario.time.step, run.contact_force, run.reference_force, run.mode != FREE,
+        (off, run.closure_error - out, run.reference_tip), began, run.law != "scenario",
+    )  # fmt: skip
+
+
+def signals_of(
+    scenario: Scenario, h: float, force: Array, wanted: Array, touching: Mask, path: tuple[Array, Array, Array],
+    touchdowns: Array, own_law: bool = False,
+) -> Signals:  # fmt: skip
+    """Return the signals of N rows.
+
+    Contact is commanded where f_des > 0 (on a surface that can pull, where f_des is not zero), but for where the
+    paper's law is led off the surface again by its path: by more than `RELEASE` from where it was nearest until
+    then. Without a surface, and where links have contacts and the tip never had one, nothing is commanded of the tip:
+    its force moves the arm.
+
+    Parameters
+    ----------
+    h : float
+        Time between two rows, s.
+    force, wanted, touching : (N,) arrays
+        f, f_des, N, and whether in contact.
+    path : (N, 3), (N,) and (N, 3) arrays
+        The tip less its path, along the surface; how far off the surface the path is; the path; m.
+    touchdowns : (E,) array
+        When contact began or the tip bounced, s.
+    own_law : bool
+        Whether the law is a function, and not the scenario's.
+    """
+    off, gap, tip = path
+    led = follows_path(scenario, own_law)
+    one_sided = scenario.surface.contact == "unilateral"
+    commanded = wanted > 0.0 if one_sided else wanted != 0.0
+    approaching = False
+    if one_sided and led and (own_law or is_users(scenario.law) or scenario.law.kind == "paper"):
+        nearest = np.minimum.accumulate(gap)
+        commanded = commanded & (gap <= nearest + RELEASE)
+        tenth = min(max(1, len(gap) // 10), len(gap) - 1)
+        approaching = bool(gap[-1] > RELEASE and nearest[-1] < nearest[-1 - tenth])
+    if scenario.contact and not np.any(touching):
+        commanded, led = np.zeros(len(force), dtype=bool), led and not scenario.contact
+    sparse = scenario.time.integrator in ADAPTIVE and h > SPARSE
+    return Signals(
+        h, force, wanted, touching, commanded, approaching, off if led else None, tip, touching | (wanted == 0.0),
+        touchdowns, sparse, "" if own_law else negative_gain(scenario),
+    )  # fmt: skip
+
+
+def limited_joints(names: Any, share: Any, at: Any) -> dict[str, tuple[float, float]]:
+    """Return by joint how often a limit of the drives cut its torque, and when first, s."""
+    return {name: (float(s), float(t)) for name, s, t in zip(names, share, at, strict=True)}

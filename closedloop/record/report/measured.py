@@ -11,7 +11,7 @@ from types import new_class
 from typing import Annotated, Any
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select
@@ -21,8 +21,10 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.tree import Tree, tree_potential_energy
 from closedloop.record.report.alternation import Signal, count_signal
 from closedloop.record.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES
-from closedloop.record.report.row_assumptions import MOST_GROWTH, NAMES, NEAR_SINGULAR
 from closedloop.record.report.row_sample import (
+    MOST_GROWTH,
+    NAMES,
+    NEAR_SINGULAR,
     Flags,
     Greatest,
     JointLimits,
@@ -137,7 +139,7 @@ def measure(
 
 @kernel_inlined
 def write_control(row: Row, wanted: Reference, signals: Array, i: int) -> None:
-    """Write what the control of a run is judged by (`closedloop.record.report.control_signals`) of row i.
+    """Write what the control of a run is judged by (`closedloop.record.report.control_verdict`) of row i.
 
     It is f and f_des, N, whether in contact, by how much the path is off the surface, m, the tip less its path along
     the surface, m, and the path, m.
@@ -263,7 +265,7 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
         values.torque_limited_share[j], values.torque_limited_at[j] = (
             0.0,
             math.nan,
-        )  # see `closedloop.record.report.limited`
+        )  # see `closedloop.record.report.verdict`
         values.torque_chatter[j] = share_of(torque.alternating, max(sums.torque[j], LEAST_TORQUE * mean))
 
 

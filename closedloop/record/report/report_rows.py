@@ -10,7 +10,7 @@ from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
-from closedloop.record.report.link_contacts import contact_rows
+from closedloop.record.report.run_values import contact_rows
 from closedloop.record.report.summary import joint_measures
 from closedloop.record.report.verdict import energy_at_stake
 

@@ -16,18 +16,15 @@ from closedloop.mechanics.loops.wrench import parts_of
 from closedloop.record.clearance import clearance_of
 from closedloop.record.columns.record import Record
 from closedloop.record.report.assumptions import assumptions
-from closedloop.record.report.control_signals import limited_joints, run_signals
-from closedloop.record.report.control_verdict import judge_control
+from closedloop.record.report.control_verdict import judge_control, limited_joints, run_signals
 from closedloop.record.report.halved import step_error
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
 from closedloop.record.report.row_sample import Scale, energy_left, torque_power
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.undetermined import friction_off_slip, motions_without_drive, not_determined_from
-from closedloop.record.report.verdict import Facts, judge
+from closedloop.record.report.verdict import Facts, friction_off_slip, judge, motions_without_drive, not_determined_from
 from closedloop.scenario.arm import robot_of
-from closedloop.scenario.contact_modes import Pressed, where_they_press
 from closedloop.scenario.gains import Rubbing, gains_fault
-from closedloop.scenario.modes import unresolved, unresolved_feedback, where_it_rubs
+from closedloop.scenario.modes import Pressed, unresolved, unresolved_feedback, where_it_rubs, where_they_press
 
 
 def summarise(run: Record) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from robot_models.notes import notes as robot_notes
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from closedloop.record.columns.events import Event
+    from closedloop.record.columns.record import Event
 
 # How many events are printed: a bouncing tip has dozens.
 MOST_EVENTS = 8

@@ -1,4 +1,10 @@
-"""Whether a run that ended is a good run: what it must not have done, and by how much.
+"""The verdict of a run: whether a run that ended is a good run, also where there are only the values of its summary.
+
+How often, and since when, the limits of the drives cut a joint's torque: of the column `torque_limited`.
+
+What the equations of a run do not determine: forces at rest, where friction of a slow tip points, lost torques.
+
+Whether a run that ended is a good run: what it must not have done, and by how much.
 
 A run ends whether or not its numbers mean anything. So each is judged by what a reader would have to look for, and the
 verdict stands in the first line of the report, in ``summary.json`` and in a column of a batch's table:
@@ -21,6 +27,8 @@ an assumption's name      an assumption of the paper that failed though the scen
 
 An ideal actuator is the paper's assumption, and nothing in the loop is cut unless `[drives]` asks for it: a run beyond
 the arm's own limits is right about an arm that is not this one, which is no good run of this one.
+
+The verdict of a run of which there are but the values: a row of a batch's table.
 """
 
 from __future__ import annotations
@@ -32,10 +40,101 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from closedloop.base.arrays import Array
+from closedloop.control.drives import AS_ASKED
+from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
+from closedloop.mechanics.friction.contact import joint_contacts
+from closedloop.mechanics.friction.quantities import AT_REST
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
+from closedloop.mechanics.loops.drives import torque_of_drives
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.record.columns.record import Record
+from closedloop.record.report.measured import EVENTS_AT, FAILED_AT, WIDTH
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
+from closedloop.record.report.row_sample import NAMES
+from closedloop.scenario.arm import joint_friction_of, robot_of
+from closedloop.scenario.gains import gains_fault
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.joint_dynamics import loop_dynamics
+
+
+def count_limited(limited: Array, h: float, values: Any) -> None:
+    """Write `torque_limited_share` and `torque_limited_at` into a run's values.
+
+    Parameters
+    ----------
+    limited : (N, n) array
+        The column `torque_limited`, N >= 1.
+    values : Values
+        See `closedloop.record.report.measured.Values`; written.
+    """
+    cut = limited != AS_ASKED
+    values.torque_limited_share[:] = np.mean(cut, axis=0)
+    values.torque_limited_at[:] = np.where(np.any(cut, axis=0), h * np.argmax(cut, axis=0), np.nan)
+
+
+def not_determined_from(run: Record) -> float | None:
+    """Return the first row's instant, s, at which f is the one of least friction, see `step.share_friction`; or None.
+
+    There all joints rest, each with dry friction, and the tip is held along the surface by friction or not at all.
+    """
+    scenario = run.scenario
+    law = joint_friction_of(scenario, run.model)
+    if law.kind == "none" or law.sticks != "rigid" or scenario.contact or run.loops is not None or not len(run):
+        return None
+    if not all(each.stick_limit > 0.0 for each in joint_contacts(law, run.model.n)):
+        return None
+    if scenario.friction.kind == "none":
+        if scenario.compliance.kind != "none":
+            return None
+        touching = run.mode == PRESSED
+    else:
+        touching = (run.mode == STUCK) & (scenario.friction.sticks == "rigid")
+    after = run.v + scenario.time.step * run.acceleration
+    rests = np.all((np.abs(run.v) <= AT_REST) & (np.abs(after) <= AT_REST), axis=1) & touching
+    return float(run.time[np.argmax(rests)]) if np.any(rests) else None
+
+
+def motions_without_drive(run: Record) -> int:
+    """Return how many independent motions at the first row no drive takes part in, see
+    `closedloop.mechanics.loops.drives`."""
+    model = run.model
+    if not len(run) or all(model.driven):
+        return 0
+    if not model.loops:
+        return int(model.n - np.count_nonzero(model.driven))
+    return torque_of_drives(robot_of(run.scenario, model), np.array(run.q[0]), np.zeros(model.n))[1]
+
+
+# Smaller angles than this, degrees, are those between the states of a row and of the stages beside it.
+LEAST_ANGLE = 1.0
+
+
+def friction_off_slip(run: Record) -> dict[str, float] | None:
+    """Return the largest angle between −F_t and the slip, degrees, when, s, and the fastest slip at which there is one.
+
+    Where friction would turn the slip within a step it points to where the slip will be
+    (`closedloop.loop.step.tip_friction`): no step resolves it.
+
+    None where friction is along the slip, to `LEAST_ANGLE`, at every row that slips; laws with elastic bristles have a
+    direction of their own, and none is meant.
+    """
+    if run.scenario.friction.kind == "none" or run.scenario.friction.sticks != "rigid" or not len(run):
+        return None
+    slip, friction = run.slip_velocity, -run.friction_force
+    speed, size = np.linalg.norm(slip, axis=1), np.linalg.norm(friction, axis=1)
+    slips = (run.mode == PRESSED) & (speed > AT_REST) & (size > 0.0)
+    cosine = np.einsum("ij,ij->i", slip, friction)[slips] / (speed * size)[slips]
+    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    if not np.any(angle > LEAST_ANGLE):
+        return None
+    return {
+        "max_angle": float(np.max(angle)),
+        "at": float(run.time[slips][np.argmax(angle)]),
+        "below_speed": float(np.max(speed[slips][angle > LEAST_ANGLE])),
+    }
+
 
 GOOD = "good"
 
@@ -333,3 +432,42 @@ def problem_of(name: str, text: str, at: float | None = None) -> dict[str, Any]:
 def _number(value: float | None) -> float:
     """Return a value; one that does not exist is infinite, so that what is missing never passes."""
     return math.inf if value is None or math.isnan(value) else value
+
+
+_AT = {name: at for at, name in enumerate(MEASURES)}
+
+
+def verdict_of(
+    scenario: Scenario,
+    robot: Robot,
+    values: Array,
+    steps: int,
+    stopped: str | None = None,
+    swings: Sequence[str] = (),
+    own_law: bool = False,
+) -> str:
+    """Return "good", or the names of what is wrong with a run, as `closedloop.record.report.verdict` judges its values.
+
+    `swings` are what `closedloop.scenario.modes.unresolved` and `unresolved_feedback` say.
+    """
+    numbers, n = values.tolist(), robot.n
+    measures = dict(zip(MEASURES, numbers[:EVENTS_AT], strict=True))
+    outside = outside_by_the_scenario(scenario, robot.model) | outside_by_the_run(measures, stopped)
+    failed = {
+        name: (at, "")
+        for name, at in zip(NAMES, numbers[FAILED_AT:WIDTH], strict=True)
+        if not math.isnan(at) and name not in outside
+    }
+    facts = Facts(
+        scenario, robot.model, stopped, steps, measures,
+        0 if steps < 0 else int(sum(numbers[EVENTS_AT:FAILED_AT])), failed,
+        {name: numbers[WIDTH + n * m : WIDTH + n * (m + 1)] for m, name in enumerate(JOINT_MEASURES)},
+        swings, passive=scenario.is_passive and not own_law,
+    )  # fmt: skip
+    return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
+
+
+def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:
+    """Write NaN for the measures that do not exist."""
+    for name in absent_measures(scenario, own_law):
+        values[_AT[name]] = math.nan

@@ -11,8 +11,17 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN, EventRow
-from closedloop.record.report.control_signals import RELEASE, limited_joints, negative_gain, signals_of
-from closedloop.record.report.control_verdict import MEAN_SHARE, PATH_FLOOR, judge_control, judge_force, told
+from closedloop.record.report.control_verdict import (
+    MEAN_SHARE,
+    PATH_FLOOR,
+    RELEASE,
+    judge_control,
+    judge_force,
+    limited_joints,
+    negative_gain,
+    signals_of,
+    told,
+)
 from closedloop.record.report.measured import Values
 from closedloop.record.report.verdict import GOOD
 from closedloop.scenario.scenario import Scenario

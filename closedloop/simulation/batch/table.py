@@ -19,7 +19,7 @@ from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.record_row import ARM_RECORDED, RECORDED
 from closedloop.record.report.measured import WIDTH
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
-from closedloop.record.report.row_assumptions import NAMES
+from closedloop.record.report.row_sample import NAMES
 from closedloop.simulation.batch.worker import Outcome
 
 if TYPE_CHECKING:
@@ -66,8 +66,8 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
     """
     import pyarrow as pa
 
-    from closedloop.record.columns.recorded import ALL_COLUMNS
-    from closedloop.scenario.units import key_description, key_unit
+    from closedloop.record.columns.record import ALL_COLUMNS
+    from closedloop.scenario.messages import key_description, key_unit
 
     def field(name: str, kind: pa.DataType, units: str, meaning: str) -> pa.Field:
         return pa.field(name, kind, metadata={"units": units, "meaning": meaning})

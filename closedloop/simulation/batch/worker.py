@@ -28,16 +28,20 @@ from closedloop.jit.simd8 import WIDE
 from closedloop.loop.step.record_row import Row, recorded
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
-from closedloop.record.columns.recorded import SURFACE_COLUMNS
-from closedloop.record.report.limited import count_limited
-from closedloop.record.report.link_contacts import lost_to_slips
+from closedloop.record.columns.record import SURFACE_COLUMNS
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
-from closedloop.record.report.row_assumptions import NAMES
-from closedloop.record.report.row_sample import joint_limits
-from closedloop.record.report.tabled import forget_absent, verdict_of
-from closedloop.scenario.contact_modes import Pressed, where_they_press
+from closedloop.record.report.row_sample import NAMES, joint_limits
+from closedloop.record.report.run_values import lost_to_slips
+from closedloop.record.report.verdict import count_limited, forget_absent, verdict_of
 from closedloop.scenario.gains import Rubbing
-from closedloop.scenario.modes import feedback_key, unresolved, unresolved_feedback, where_it_rubs
+from closedloop.scenario.modes import (
+    Pressed,
+    feedback_key,
+    unresolved,
+    unresolved_feedback,
+    where_it_rubs,
+    where_they_press,
+)
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import positions_told
 from closedloop.simulation.batch.control import control_in_lanes, control_of_rows

@@ -56,8 +56,8 @@ from closedloop.mechanics.robot.tree.layout import (
 from closedloop.mechanics.surface.compliance import largest_mobility
 from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.scenario.arm import joint_friction_of, stop_limits
-from closedloop.scenario.contact_names import names_of
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import names_of
 from robot_models.errors import shown
 from robot_models.loop_joint import WORLD
 

@@ -13,7 +13,7 @@ from numba import types
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import LawInput
 from closedloop.jit.calls import is_compiled
 from closedloop.jit.compiler_words import why_not_compiled
 from closedloop.jit.inline_once import NestedFunction

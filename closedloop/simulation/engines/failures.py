@@ -43,10 +43,9 @@ from closedloop.mechanics.friction.laws.lugre import LuGre, is_passive, passive_
 from closedloop.mechanics.friction.packing import surface_parameters
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.verdict import DIVERGES
-from closedloop.scenario.contact_names import patches_of
 from closedloop.scenario.gains import feedbacks, gains_fault
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.tables import families_in
+from closedloop.scenario.tables import families_in, patches_of
 from closedloop.simulation.engines.problem import Problem, contact_members
 
 

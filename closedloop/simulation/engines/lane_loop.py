@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.jit.numba_simd8 import float64x8_at, with_lane
@@ -39,7 +39,7 @@ from closedloop.record.report.row_sample import JointLimits
 NEEDS_EVENTS = -1
 
 
-# Of each row for `closedloop.record.report.control_signals`: f − f_des, and the tip less its path along both tangents.
+# Of each row for `closedloop.record.report.control_verdict`: f − f_des, and the tip less its path along both tangents.
 SIGNALS = 3
 
 

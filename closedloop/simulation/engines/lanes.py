@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import jit_disabled, plain
 from closedloop.jit.pointers import address_of

@@ -10,7 +10,7 @@ import numpy as np
 from closedloop.base.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.base.families import is_users
 from closedloop.control.encoder import NO_ENCODER
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import LawInput
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import twin_address
 from closedloop.jit.user_code import why_member_not_compiled

@@ -17,9 +17,9 @@ from closedloop.mechanics.integrators import Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import Plane
-from closedloop.record.columns.added import recorded_states
+from closedloop.record.columns.derived import recorded_states
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.stabiliser_sections import BaumgarteGains
+from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.simulation.engines.bind_contacts import ContactPlaces
 from closedloop.simulation.engines.needs import arm_columns, calls_law
 from closedloop.simulation.engines.packed import PackedLaw

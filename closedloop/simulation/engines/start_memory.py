@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.control.drives import DrivesSection
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.control.sensor import start_sensor
 from closedloop.jit.parameters import one_joint_block, parameter_block
 from closedloop.jit.user_code import of_users

@@ -1,6 +1,6 @@
 """A user's law as the loop calls it: a Python function or object, or a function that numba compiles.
 
-    def press(x):                                   # x: `closedloop.control.law_input.LawInput`
+    def press(x):                                   # x: `closedloop.control.law.LawInput`
         return x.C - x.A[0] * x.f_des - 5.0 * x.v
 
     def press(t, q, v, terms):                      # or time, q, q̇ and `Terms` of that state alone
@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, LawError, ScenarioError
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import LawInput
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import jit_disabled

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.table import TableRow
+from closedloop.control.reference.desired import TableRow
 from closedloop.control.sensor import SensorParameters, sense, sensor_rates
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined

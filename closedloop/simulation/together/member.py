@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, row_of, vector_at

@@ -1,17 +1,109 @@
-"""The loop from one sample of the law to the next, put together from what is reduced to free coordinates."""
+"""The loop as a linear system, put together from what is reduced to free coordinates, and one step of it.
+
+One step of a linear system by each integrator, its inputs constant over the step but for its beginning.
+
+    ẋ = A x + B₀ u  at the beginning,  A x + B u  within the step:    x⁺ = Φ x + Γ u
+
+A scheme of Runge and Kutta gives polynomials in h A, and exponentials of what decays by itself, the semi-implicit one
+lets positions advance with the new velocities, and an integrator that chooses its own steps the exponential, which is
+exact. B₀ is that of the first stage: what a sampled sensor reads changes at a row, between the law's evaluation there
+and those within the step. Of schemes of one stage it is the whole step, of the exponential no part.
+
+The loop from one sample of the law to the next, put together from what is reduced to free coordinates.
+
+The force loop as a linear system about the motion at an instant.
+
+Of the equation of motion the derivatives are taken at one state of a run, by the kernels of that run (`here`,
+`derivatives`). With the closure they are reduced to what it leaves free (`reduced`), carried over a step as the
+scenario's integrator would (`discretise`), and put together with what happens to samples (`assembly`): the sensor's
+delay, the hold of a sampled torque, the encoders. The result is x⁺ = A x + B u, y = C x + D u from one sample of the
+law to the next.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
+from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array, ComplexArray
 from closedloop.base.errors import ScenarioError
-from closedloop.mechanics.integrators import AdaptiveIntegrator, Scheme, scheme_of
+from closedloop.mechanics.integrators import ADAPTIVE, AdaptiveIntegrator, Scheme, scheme_of
+from closedloop.scenario.overrides import Variants
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
-from closedloop.studies.analysis.discretise import step_of
+from closedloop.simulation.prepare import prepare
+from closedloop.studies.analysis.here import Instant, refuse_outside, row_at, run_to, without_event
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from closedloop.studies.analysis.reduced import Reduced
+from robot_models import RobotModel
+
+
+def step_of(
+    scheme: type[Scheme], A: Array, B: Array, begin: Array, h: float, leads: Array, exact: Array, decays: Array
+) -> tuple[Array, Array]:
+    """Return Φ (k, k) and Γ (k, m) of a step h, s.
+
+    Parameters
+    ----------
+    scheme : type of Scheme
+        The integrator.
+    A, B, begin : (k, k), (k, m), (k, m) arrays
+        The system; `begin` is B₀.
+    leads : (k,) array of int
+        For the semi-implicit scheme, the state whose new value is in the rate of this one; −1: none.
+    exact : (k,) array of bool
+        For the semi-implicit scheme, the states that advance exactly, with what they depend on held over the step.
+    decays : (k,) array
+        For the schemes of Runge and Kutta, the rates a of states that decay by themselves, 1/s; 0 of others.
+    """
+    k, m = B.shape
+    both = np.zeros((k + m, k + m))
+    both[:k, :k], both[:k, k:] = A, B
+    if issubclass(scheme, AdaptiveIntegrator):
+        step = expm(h * both)[:k]
+        return step[:, :k], step[:, k:]
+    eye, first = np.eye(k + m), both.copy()
+    first[:k, k:] = begin
+    if scheme.semi_implicit:
+        step = eye + h * first
+        if np.any(exact):
+            alone = first.copy()
+            alone[~np.append(exact, np.zeros(m, dtype=bool))] = 0.0
+            rows = np.flatnonzero(exact)
+            step[rows] = expm(h * alone)[rows]
+        for place in np.flatnonzero(leads >= 0):
+            step[place] = eye[place] + h * (first[place] - eye[leads[place]] + step[leads[place]])
+        return step[:k, :k], step[:k, k:]
+    return _stages(scheme, both, first, h, np.append(decays, np.zeros(m)), k)
+
+
+def _stages(scheme: type[Scheme], within: Array, first: Array, h: float, decays: Array, k: int) -> tuple[Array, Array]:
+    """Return Φ and Γ of a scheme of Runge and Kutta, with exponentials of the states that decay.
+
+    About states at rest, g = a z, the E of `closedloop.loop.step.decay` is E δz = e^(−s) δz + (1 − e^(−s))/s p, with
+    p = h Σ wᵢ (δżᵢ + a δzᵢ).
+    """
+    states, slopes = [np.eye(within.shape[0])], list[Array]()
+    fast = np.flatnonzero(decays > 0.0)
+    a = decays[fast, None]
+    for weights, early in zip(scheme.tableau()[1:], scheme.first_tableau()[1:], strict=True):
+        slopes.append((within if slopes else first) @ states[-1])
+        done = len(slopes)
+        new = states[0] + h * np.tensordot(weights[:done], slopes, 1)
+        z = states[0][fast]
+        driven = [slope[fast] + a * state[fast] for slope, state in zip(slopes, states, strict=True)]
+        for part in (early, weights - early):
+            s = h * a * np.sum(part)
+            z = np.exp(-s) * z + np.where(s == 0.0, 1.0, -np.expm1(-s) / np.where(s == 0.0, 1.0, s)) * (
+                h * np.tensordot(part[:done], driven, 1)
+            )
+        new[fast] = z
+        states.append(new)
+    return states[-1][:k, :k], states[-1][:k, k:]
+
 
 # Columns of the inputs.
 COMMAND, ACCELERATION, LOAD, NOISE = range(4)
@@ -232,3 +324,63 @@ def _moving(F: Array, C: Array) -> NDArray[np.bool_]:
         if np.array_equal(left, keep):
             return keep
         keep = left
+
+
+@arguments_checked()
+def linearise(
+    scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None, cache: Cache | None = None
+) -> LinearLoop:
+    """Return the force loop, linear about the motion at an instant.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        From `load_scenario`.
+    at : float, optional
+        The instant, s, taken to the nearest sample of the law; half of the duration if left out.
+    model : RobotModel, optional
+        The robot to use instead of loading `scenario.robot.model`.
+    cache : Cache, optional
+        For repeated calls: the robot and the path that they share are prepared once.
+
+    Returns
+    -------
+    LinearLoop
+        A, B, C, D, dt, names with units, poles, margins, responses, the port.
+
+    Raises
+    ------
+    ScenarioError, ModelError
+        If the scenario is at fault, or `at` is outside the run.
+    SimulationError
+        At an event, in flight, if a drive is at its limit or a joint at its stop, or if the run stops before.
+    """
+    at = 0.5 * scenario.time.duration if at is None else at
+    refuse_outside(scenario, at)  # before the path is made, which takes a while
+    problem = prepare(scenario, model, cache)
+    instant = instant_of(scenario, problem, at, model)
+    return loop_at(problem, instant)
+
+
+def instant_of(scenario: Scenario, problem: Problem, at: float, model: RobotModel | None = None) -> Instant:
+    """Return the state of a scenario's run at an instant; with an integrator that chooses its steps, by rk4."""
+    row = row_at(problem, at)
+    return run_to(of_fixed_steps(problem, model), row)
+
+
+def of_fixed_steps(problem: Problem, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
+    """Return a problem that is stepped row by row: with an integrator that chooses its steps, the same one by rk4."""
+    scenario = problem.scenario
+    if scenario.time.integrator not in ADAPTIVE:
+        return problem
+    fixed = Variants(scenario, ("time.integrator", "time.tolerance")).scenario(("rk4", None))
+    return prepare(fixed, model, cache)
+
+
+def loop_at(problem: Problem, instant: Instant, free: bool = False) -> LinearLoop:
+    """Return the loop of a problem at the state of an instant, which may be that of a run with other gains.
+
+    In flight there is only a loop of motion, which is returned if `free` says that it is meant.
+    """
+    with without_event(instant.time):
+        return assembled(Reduced(problem, instant, free))

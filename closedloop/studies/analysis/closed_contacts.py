@@ -16,7 +16,7 @@ from closedloop.base.errors import SimulationError
 from closedloop.loop.step.make_loop import Loop
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.memory import ContactMemory
-from closedloop.scenario.contact_names import names_of
+from closedloop.scenario.tables import names_of
 from closedloop.simulation.engines.problem import Problem
 
 # What of the contacts' memory is their state, beside what the scenario says of them.

@@ -11,16 +11,15 @@ import numpy as np
 
 from closedloop.figures.files import write_figure
 from closedloop.figures.style import COLOURS, MANY, new_figure, styled
-from closedloop.scenario.units import key_unit, with_unit
+from closedloop.scenario.messages import key_unit, with_unit
 from closedloop.studies.analysis.page import Page
-from closedloop.studies.analysis.ranges import Limit, Range, Trial
+from closedloop.studies.analysis.stability import Limit, Range, Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from closedloop.studies.analysis.linear_loop import LinearLoop
-    from closedloop.studies.analysis.margins import Margins
+    from closedloop.studies.analysis.linear_loop import LinearLoop, Margins
 
 # |L| beyond which Nyquist's curve is not drawn.
 NYQUIST = 3.0

@@ -1,22 +1,259 @@
-"""The force loop as x⁺ = A x + B u, y = C x + D u, and what follows from it: poles, responses, the port."""
+"""The linear loop with its poles, its margins, and the port that the surface sees.
+
+A pole of the loop: how fast it decays, and which part it belongs to.
+
+How far a loop is from instability, from its transfer L where it is cut.
+
+gain margin      by which a gain may rise, or fall, until L = −1
+phase margin     by which the phase at |L| = 1 may lag
+delay margin     the delay that the loop may have in addition: phase margin over frequency, the least of all crossings
+modulus margin   the least distance of L from −1, 1/max|S|: it bounds all of them from below
+
+The tip as the surface sees it: how it yields to a force along the normal.
+
+The force loop as x⁺ = A x + B u, y = C x + D u, and what follows from it: poles, responses, the port.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq, minimize_scalar
 
 from closedloop.base.arrays import Array, ComplexArray
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import missing_line
+from closedloop.base.plain import plain
 from closedloop.scenario.scenario import Scenario
-from closedloop.studies.analysis.margins import Margins, margins_of
-from closedloop.studies.analysis.poles import Pole, pole_at
-from closedloop.studies.analysis.port import Port, port_of
 from robot_models.cached import cached_property
+
+# |z − 1| up to which a pole is one at rest: it changes nothing within a million samples. It is the square root of the
+# rounding that a double pole at 1 splits by.
+AT_REST = 1e-6
+# |z| below which a mode is over at the next samples: it has no continuous equivalent.
+DEADBEAT = 1e-6
+
+
+@dataclass(frozen=True)
+class Pole:
+    """A pole of the loop.
+
+    Attributes
+    ----------
+    z, s : complex
+        From sample to sample, and the continuous equivalent ln(z)/dt, 1/s; −∞ for a pole at z = 0.
+    frequency : float
+        Natural frequency |s|, Hz.
+    damping : float
+        Damping ratio −Re s/|s|; 1 for a real pole that decays.
+    participation : dict of str to float
+        Share of each part: arm, contact, law, compensation, filter, sensor, delay, hold, transmission, friction,
+        encoder; the sum is 1. The share of a state is |l_k r_k| with the left and the right eigenvector, normalised.
+    """
+
+    z: complex
+    s: complex
+    frequency: float
+    damping: float
+    participation: dict[str, float]
+
+    @property
+    def part(self) -> str:
+        """The part with the largest share."""
+        return max(self.participation, key=self.participation.__getitem__)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it neither decays nor grows: a joint that friction holds, a motion that nothing controls."""
+        return abs(self.z - 1.0) < AT_REST
+
+    @property
+    def grows(self) -> bool:
+        """Whether it is unstable."""
+        return not self.at_rest and abs(self.z) >= 1.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers; a pole at z = 0 has no s."""
+        over = not math.isfinite(self.s.real)
+        return {
+            "z": [self.z.real, self.z.imag], "s": None if over else [self.s.real, self.s.imag],
+            "frequency": None if over else self.frequency, "damping": self.damping,
+            "part": self.part, "participation": self.participation,
+        }  # fmt: skip
+
+
+def pole_at(z: complex, dt: float, participation: dict[str, float]) -> Pole:
+    """Return the pole at z, of a loop whose samples are dt apart, s."""
+    if abs(z) < DEADBEAT:
+        return Pole(z, complex(-math.inf, 0.0), math.inf, 1.0, participation)
+    s = complex(np.log(z)) / dt
+    size = abs(s)
+    return Pole(z, s, size / (2.0 * math.pi), -s.real / size if size > 0.0 else 1.0, participation)
+
+
+# |L| below which there is no loop.
+OPEN = 1e-12
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of a loop cut at one place.
+
+    Attributes
+    ----------
+    cut : str
+        "sensor", or "torque[JOINT]".
+    stable, closed : bool
+        Whether the loop is stable, and whether anything is fed back there.
+    gain, gain_at : float
+        The factor by which the gain may rise, infinite if any, and the frequency at which it then oscillates, Hz.
+    least_gain : float
+        The factor by which the gain may fall, 0 if any: above it the loop is stable.
+    phase, phase_at : float
+        Phase margin, degrees, infinite if |L| is below 1 everywhere, and its frequency, Hz.
+    delay : float
+        Delay margin, s.
+    modulus, peak_sensitivity, peak_at : float
+        min |1 + L|, max |S| = 1/that, and where, Hz.
+    """
+
+    cut: str
+    stable: bool
+    closed: bool
+    gain: float
+    gain_at: float
+    least_gain: float
+    phase: float
+    phase_at: float
+    delay: float
+    modulus: float
+    peak_sensitivity: float
+    peak_at: float
+
+    @property
+    def decibels(self) -> float:
+        """Gain margin, dB: of a rise or a fall, whichever is nearer."""
+        down = -20.0 * math.log10(self.least_gain) if self.least_gain > 0.0 else math.inf
+        return min(20.0 * math.log10(self.gain) if self.gain < math.inf else math.inf, down)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return them as plain values; what is infinite, or has no place, is None."""
+        return plain(asdict(self) | {"decibels": self.decibels})
+
+
+def margins_of(transfer: Callable[[Array], ComplexArray], grid: Array, cut: str, stable: bool) -> Margins:
+    """Return the margins of a loop transfer L.
+
+    Parameters
+    ----------
+    transfer : callable
+        L at frequencies, Hz.
+    grid : (k,) array
+        Frequencies, Hz, in order, close enough to each other that L turns little from one to the next.
+    """
+    L = transfer(grid)
+    closed = bool(np.max(np.abs(L)) > OPEN)
+    nan = math.nan
+    if not closed:
+        return Margins(cut, stable, False, math.inf, nan, 0.0, math.inf, nan, math.inf, 1.0, 1.0, nan)
+
+    def at(f: float) -> complex:
+        return complex(transfer(np.array([f]))[0])
+
+    gain, gain_at, least = math.inf, nan, 0.0
+    for i in np.flatnonzero((L.imag[:-1] * L.imag[1:] < 0.0) & ((L.real[:-1] < 0.0) | (L.real[1:] < 0.0))):
+        f = float(brentq(lambda f: at(f).imag, grid[i], grid[i + 1], xtol=1e-14, rtol=1e-13))
+        value = at(f)
+        if value.real >= 0.0 or abs(value.imag) > 1e-3 * abs(value.real):
+            continue
+        factor = -1.0 / value.real
+        if 1.0 <= factor < gain:
+            gain, gain_at = factor, f
+        elif least < factor < 1.0:
+            least = factor
+    last = L[-1]  # at half of the sampling rate L is real
+    if last.real < 0.0 and abs(last.imag) <= 1e-3 * abs(last.real):
+        factor = -1.0 / last.real
+        if 1.0 <= factor < gain:
+            gain, gain_at = factor, float(grid[-1])
+        elif least < factor < 1.0:
+            least = factor
+    phase, phase_at, delay = math.inf, nan, math.inf
+    size = np.log(np.maximum(np.abs(L), 1e-300))
+    for i in np.flatnonzero(size[:-1] * size[1:] < 0.0):
+        f = float(brentq(lambda f: math.log(abs(at(f))), grid[i], grid[i + 1], xtol=1e-14, rtol=1e-13))
+        angle = math.degrees(math.atan2(at(f).imag, at(f).real))
+        ahead = (angle + 180.0) % 360.0  # by which it may lag
+        nearest = min(ahead, 360.0 - ahead)
+        if nearest < phase:
+            phase, phase_at = nearest, f
+        delay = min(delay, math.radians(ahead) / (2.0 * math.pi * f))
+    distance = np.abs(1.0 + L)
+    k = int(np.argmin(distance))
+    low, high = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
+    best = minimize_scalar(lambda f: abs(1.0 + at(f)), bounds=(low, high), method="bounded", options={"xatol": 1e-10})
+    modulus, peak_at = (float(best.fun), float(best.x)) if best.fun < distance[k] else (distance[k], grid[k])
+    modulus = float(modulus)
+    return Margins(
+        cut, stable, True, gain, gain_at, least, phase, phase_at, delay, modulus,
+        1.0 / modulus if modulus > 0.0 else math.inf, float(peak_at),
+    )  # fmt: skip
+
+
+# −Re Y/|Y| up to which a port is passive: the rounding of a response; and what sampling makes of one that is 0, per
+# frequency in samples.
+PASSIVE, SAMPLING = 1e-6, 0.1
+
+
+@dataclass(frozen=True)
+class Port:
+    """How the tip yields to a force along the normal, as the surface sees it: Y = v/f.
+
+    Attributes
+    ----------
+    frequency : (k,) array
+        Hz, up to half of the sampling rate.
+    admittance : (k,) array of complex
+        Y, m/s/N: the velocity of the tip along n to f.
+    passive : bool
+        Whether Re Y ≥ 0 at all of them: then the loop is stable on every passive surface.
+    active_at : float or None
+        The frequency at which Re Y is the most negative, relative to |Y|, Hz; None if it is passive.
+    """
+
+    frequency: Array
+    admittance: ComplexArray
+    passive: bool
+    active_at: float | None
+
+
+def port_of(frequency: Array, velocity: ComplexArray, force: ComplexArray, sampled: float | None) -> Port:
+    """Return the port of a tip with these responses to a displacement of the surface.
+
+    Parameters
+    ----------
+    frequency : (k,) array
+        Hz.
+    velocity, force : (k,) arrays of complex
+        Of the tip along n, m/s, and f, N.
+    sampled : float or None
+        The time between two samples, s, if f varies in between.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        Y = velocity / force
+    known = np.isfinite(Y)
+    share = np.where(known, Y.real / np.where(known, np.abs(Y), 1.0), 0.0)
+    if sampled is not None:  # by so much Re Y is uncertain, and beyond a quarter of the sampling rate not known
+        share = np.where(frequency < 0.25 / sampled, share + SAMPLING * frequency * sampled, 0.0)
+    worst = int(np.argmin(share))
+    passive = bool(share[worst] >= -PASSIVE)
+    return Port(frequency, Y, passive, None if passive else float(frequency[worst]))
+
 
 # Parts that are no part of the loop.
 OUTSIDE = "surface"

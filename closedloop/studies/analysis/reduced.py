@@ -25,8 +25,7 @@ from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.simulation.engines.problem import Problem
 from closedloop.studies.analysis.derivatives import columns
-from closedloop.studies.analysis.here import Here, independent
-from closedloop.studies.analysis.instant import Instant, parts_of
+from closedloop.studies.analysis.here import Here, Instant, independent, parts_of
 
 Block = dict[str, dict[str, Array]]
 

@@ -1,4 +1,8 @@
-"""Where the force loop is stable: limits along a key of the scenario, and the boundary over two keys.
+"""Where the force loop is stable: ranges of a key, limits along it, the boundary over two keys.
+
+What is asked and answered about stability: a range of a key, a limit in it, and whole runs beside the limit.
+
+Where the force loop is stable: limits along a key of the scenario, and the boundary over two keys.
 
 A limit is solved for, as the value at which a pole reaches the unit circle. All loops of a study are linear about one
 motion, that of the scenario as it is: a loop that is unstable has none of its own. On a surface of another stiffness
@@ -9,7 +13,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -23,12 +29,81 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.analysis.here import Here
-from closedloop.studies.analysis.instant import Instant, refuse_outside, run_on
-from closedloop.studies.analysis.linear_loop import LinearLoop
-from closedloop.studies.analysis.linearise import instant_of, loop_at, of_fixed_steps
-from closedloop.studies.analysis.ranges import Limit, Range, Trial, Value
+from closedloop.studies.analysis.assembly import instant_of, loop_at, of_fixed_steps
+from closedloop.studies.analysis.here import Here, Instant, refuse_outside, run_on
+from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
+from closedloop.studies.shares import number_at, share_of
 from robot_models import RobotModel
+
+# A key's value: a number, or a list with a number for each joint.
+Value = float | list[float]
+
+
+@dataclass(frozen=True)
+class Range:
+    """A key of the scenario, and the range of numbers in which limits are sought."""
+
+    key: str  # dotted key
+    # low, high: ends, in either order: limits are found from `low` on
+    low: float
+    high: float
+    log: bool = False  # whether it is looked at evenly in its logarithm
+    held: tuple[float, ...] = ()  # where the key is a list, as it is in the scenario; else empty
+    # the entry of that list which the numbers are of, the others as they are; if left out they are of the first that is
+    # not zero, and the others change by the same factor
+    index: int | None = None
+
+    def value(self, number: float) -> float | list[float]:
+        """Return the key's value for a number of the range."""
+        if not self.held:
+            return number
+        if self.index is not None:
+            return [*self.held[: self.index], number, *self.held[self.index + 1 :]]
+        first = next(entry for entry in self.held if entry != 0.0)
+        return [number / first * entry for entry in self.held]
+
+    def at(self, share: float) -> float:
+        """Return the value at `share`, 0 to 1, of the way."""
+        return number_at(self.low, self.high, self.log, share)
+
+    def share(self, value: float) -> float:
+        """Return how far along the way a value is."""
+        return share_of(self.low, self.high, self.log, value)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A value at which the loop becomes unstable, or stable again."""
+
+    # key, value: what is changed, and to what
+    key: str
+    value: float
+    upwards: bool  # whether it is unstable above it, rather than below it
+    pole: Pole  # the pole that lies on the unit circle there
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers."""
+        return {
+            "key": self.key, "value": self.value, "unstable": "above" if self.upwards else "below",
+            "frequency": self.pole.frequency, "part": self.pole.part,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Two runs of the whole nonlinear loop beside the boundary, from the instant on, that begin a little apart."""
+
+    values: dict[str, Value]  # what is changed, from the instant on
+    # expected, seen: the rate of the linear loop's slowest pole, and that with which the two runs grow apart, 1/s;
+    # infinite if one of them stops
+    expected: float
+    seen: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both say the same of its stability."""
+        return (self.expected > 0.0) == (self.seen > 0.0)
+
 
 __all__ = ["Range", "Stability"]
 

@@ -16,7 +16,7 @@ from scipy import signal
 
 from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.record.report.swings import rms
+from closedloop.record.report.control_verdict import rms
 from closedloop.studies.comparison.explain import Hypothesis, Reason, explain
 from closedloop.studies.comparison.recording import Recording
 from closedloop.studies.identify.log import Log, LogError

@@ -17,8 +17,8 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import needs
 from closedloop.scenario.load import load_scenario
+from closedloop.scenario.messages import with_unit
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.units import with_unit
 from closedloop.simulation.batch.simulate_batch import simulate_batch
 from closedloop.simulation.batch.table import one_number
 from closedloop.simulation.engines.loops import COMPILED

@@ -13,7 +13,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.plain import plain
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.record.report.swings import rms
+from closedloop.record.report.control_verdict import rms
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate

@@ -27,7 +27,7 @@ from closedloop.jit.kernel import jit_disabled, needs_compiling
 from closedloop.loop.events.table import event_columns
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.mechanics.robot.tree import energies_of_rows
-from closedloop.record.columns.recorded import POSITIONS
+from closedloop.record.columns.record import POSITIONS
 from closedloop.record.report.measured import Values
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.run import Run

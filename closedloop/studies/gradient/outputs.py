@@ -14,8 +14,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.loop.events.table import EVENT_COLUMNS
-from closedloop.record.columns.by_contact import columns_by_contact
-from closedloop.record.columns.derived import DERIVED
+from closedloop.record.columns.derived import DERIVED, columns_by_contact
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.run import Run
 

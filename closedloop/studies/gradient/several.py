@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.loop.events.table import KINDS, STICK, TANGENTIAL_IMPACT, TIME_STEP
-from closedloop.record.report.link_contacts import shares_at
+from closedloop.record.report.run_values import shares_at
 from closedloop.record.run import Run
-from closedloop.scenario.contact_names import names_of
+from closedloop.scenario.tables import names_of
 from closedloop.studies.gradient.guard import AGREE
 from closedloop.studies.gradient.outputs import EVENTS, Output
 

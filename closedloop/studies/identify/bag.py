@@ -19,7 +19,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.optional import missing_line
-from closedloop.figures.export.messages import DEFINITIONS
+from closedloop.figures.export.mcap_file import DEFINITIONS
 from closedloop.simulation.batch.threads import Done, uninterrupted
 from closedloop.studies.identify.log import LogError
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.base.errors import ClusterError, OutputError, ScenarioError
 from closedloop.base.optional import missing_line
-from closedloop.studies.sweep.part import run_part_anywhere
-from closedloop.studies.sweep.store import Store
+from closedloop.studies.sweep.store import Store, run_part_anywhere
 
 if TYPE_CHECKING:
     from closedloop.studies.sweep.sweep import Sweep

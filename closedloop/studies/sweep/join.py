@@ -1,7 +1,16 @@
-"""From the parts of a sweep to its table, in order of the runs, part by part.
+"""The table of a sweep: Parquet of values, NetCDF of columns, joined from its parts.
+
+The table of a sweep as a Parquet file that tells damage: each page of values has a checksum, Parquet's own.
+
+What stands outside of the pages, names and units, has none: a digest in the file's metadata would be kept by a program
+that leaves rows out, and refuse what is as it should be. But a column's name is there more than once.
+
+Whole columns of a sweep as a NetCDF-4 file, on a disk that may be full: see `closedloop.record.netcdf_file`.
+
+From the parts of a sweep to its table, in order of the runs, part by part.
 
 The table is a Parquet file: typed columns, compressed, widely readable, also by row groups. Whole columns of the runs
-go into a NetCDF-4 file (`closedloop.studies.sweep.columns`), as those of a single run do, so that MATLAB, xarray and
+go into a NetCDF-4 file (`closedloop.studies.sweep.join`), as those of a single run do, so that MATLAB, xarray and
 h5py open both. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more
 package to be read. HDF5, which a kill during a write would corrupt, is written here only, from the parts, under another
 name until it is complete.
@@ -12,19 +21,146 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
+import numpy as np
+
 from closedloop.base.errors import OutputError
 from closedloop.base.files import remove_unfinished, write_whole
+from closedloop.record.columns.record import ALL_COLUMNS
+from closedloop.record.netcdf_file import OF_VARIABLE, write_reserved
 from closedloop.simulation.batch.threads import Done, uninterrupted
-from closedloop.studies.sweep.columns import write_columns
 from closedloop.studies.sweep.store import FORMAT, Store, check_identity, occupied, unwritable
-from closedloop.studies.sweep.table_file import METADATA, description_of, open_table, pieces, unreadable_is_none
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    from pyarrow.parquet import ParquetWriter
+
+    from closedloop.studies.sweep.store import Store
+
+
+METADATA = "closedloop_sweep"
+
+
+def open_table(file: BinaryIO, columns: pa.Schema, description: str) -> ParquetWriter:
+    """Return the writer of a table with these columns and so many rows; `description` says what the sweep is."""
+    from pyarrow import parquet
+
+    return parquet.ParquetWriter(file, columns.with_metadata({METADATA: description}), write_page_checksum=True)
+
+
+def description_of(path: Path) -> str:
+    """Return what a table's file says that the sweep is; raises as `pieces` does, KeyError if it says nothing."""
+    from pyarrow import parquet
+
+    with path.open("rb") as opened:
+        said: bytes = (parquet.read_schema(opened).metadata or {})[METADATA.encode()]
+    return said.decode()
+
+
+def pieces(path: Path) -> Iterator[pa.Table]:
+    """Yield the rows of a table's file, some at a time; files without checksums, as others write them, are read too.
+
+    Raises
+    ------
+    ValueError, KeyError, pyarrow.ArrowException
+        If it is no Parquet file, or is damaged.
+    OSError
+        If it cannot be read; without a number if it is damaged.
+    """
+    from pyarrow import parquet
+
+    # Arrow would open names that are text only.
+    with path.open("rb") as opened, parquet.ParquetFile(opened, page_checksum_verification=True) as file:
+        yield file.schema_arrow.empty_table()
+        columns = [file.schema.column(i).path for i in range(len(file.schema))]
+        for group in range(file.num_row_groups):
+            there = file.metadata.row_group(group)
+            if [there.column(i).path_in_schema for i in range(there.num_columns)] != columns:
+                raise ValueError("the names of its columns differ")
+            yield file.read_row_group(group)
+
+
+@contextmanager
+def unreadable_is_none() -> Iterator[None]:
+    """Pass over what Arrow says of a file that is none of its own, or damaged; not over what the system says."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowException, ValueError, KeyError, RecursionError):
+        pass
+    except OSError as error:
+        if error.errno is not None:
+            raise
+
+
+# Bytes that HDF5 takes beside the numbers of a run's column at most.
+OF_CHUNK = 400
+
+
+def write_columns(
+    path: Path, store: Store, parts: int, attributes: dict[str, str], step: float, check: Callable[[], None]
+) -> None:
+    """Write the whole columns of all parts into a file.
+
+    Parameters
+    ----------
+    step : float
+        Time between the rows of a run, s, where the runs do not say.
+    check : callable
+        Called between two parts; it may raise.
+
+    Raises
+    ------
+    OutputError
+    """
+    runs, rows = store.identity["runs"], 0
+    widths: dict[str, tuple[int, ...]] = {}
+    for part in range(parts):
+        check()
+        rows = max(rows, max(store.read(part)["rows"].to_pylist(), default=0))
+        widths |= {name: data.shape[2:] for name, data in store.read_columns(part).items() if data.shape[1]}
+
+    def write(out: Any) -> None:
+        out.attrs.update(attributes)
+        out.dimensions = {"run": runs, "time": rows, "axis": 3}
+        if "time.step" in store.identity["axes"]:
+            steps = out.create_variable("time_step", ("run",), "f8")
+            steps.attrs["units"] = "s"
+        else:
+            out.create_variable("time", ("time",), data=step * np.arange(rows)).attrs["units"] = "s"
+        for name, wide in widths.items():
+            _create(out, name, rows, wide)
+        first = 0
+        for part in range(parts):
+            check()
+            table = store.read(part)
+            stop = first + len(table)
+            if "time.step" in store.identity["axes"]:
+                steps[first:stop] = table["time.step"].to_numpy()
+            for name, data in store.read_columns(part).items():
+                if name in widths and data.shape[1]:
+                    out.variables[name][first:stop, : data.shape[1]] = data
+            first = stop
+
+    room = sum(runs * (8 * rows * int(np.prod(wide)) + OF_CHUNK) + OF_VARIABLE for wide in widths.values())
+    texts = 4 * sum(map(len, attributes.values()))
+    write_reserved(path, room + 8 * (runs + rows) + texts, write)
+
+
+def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:
+    column = ALL_COLUMNS[name]
+    if wide and column.dims[1] not in file.dimensions:
+        file.dimensions[column.dims[1]] = wide[0]
+    variable = file.create_variable(
+        name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide), fletcher32=True
+    )  # fmt: skip
+    variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning
+
 
 # The columns that judge a run's numbers and its control, where the table has them, and what they say of a good one.
 VERDICT, CONTROL, GOOD = "verdict", "control_verdict", "good"

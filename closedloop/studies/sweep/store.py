@@ -1,4 +1,10 @@
-"""The parts of a sweep on disk, written atomically.
+"""A part of a sweep: its runs, its file, and all parts on disk.
+
+The file of a part: its content, its name, and a line with the SHA-256 of both (`closedloop.record.netcdf_file`).
+
+A part of a sweep: some runs one after the other, as rows of the table and, if kept, whole columns.
+
+The parts of a sweep on disk, written atomically.
 
 Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
 
@@ -7,8 +13,8 @@ Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
     part-00000012.npz    its whole columns, if any are kept
 
 A file is written under another name, flushed to the disk and then renamed, which is atomic (`closedloop.base.files`).
-Parts end in their name and a seal (`closedloop.record.sealed`): one that is damaged, or another's, is run again. A lock
-on the file ``lock``, released when its process ends, keeps a second sweep out. Other files in the folder are kept.
+Parts end in their name and a SHA-256 (`closedloop.record.netcdf_file`): one that is damaged, or another's, is run
+again. A lock on the file ``lock``, released when its process ends, keeps a second sweep out. Other files are kept.
 """
 
 from __future__ import annotations
@@ -19,8 +25,12 @@ import json
 import os
 import re
 import stat
+import threading
 import zipfile
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -28,14 +38,136 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.base.errors import OutputError
+from closedloop.base.errors import OutputError, ScenarioError
 from closedloop.base.files import remove_unfinished, why_not_there, write_whole
-from closedloop.record.difference import difference
+from closedloop.record.frame import difference
+from closedloop.record.netcdf_file import seal, unsealed
+from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.overrides import Variants
+from closedloop.scenario.scenario import families
+from closedloop.scenario.user_module import import_law
+from closedloop.simulation.batch.simulate_batch import in_blocks, run_variants
+from closedloop.simulation.batch.table import schema, table_of
+from closedloop.simulation.batch.worker import Outcome, Worker
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.law_source import law_digest
 from closedloop.studies.identity import NAMES
-from closedloop.studies.sweep.part_file import read_part, write_part
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+
+def write_part(path: Path, content: memoryview) -> None:
+    """Write a part's file whole, or not at all."""
+    named = b"".join((content, path.name.encode()))
+    write_whole(path, b"".join((named, seal(named))))
+
+
+def read_part(path: Path) -> memoryview:
+    """Return the content of a part's file.
+
+    Raises
+    ------
+    OSError, ValueError
+        If there is none, it is damaged, or it was written under another name.
+    """
+    named, name = unsealed(memoryview(path.read_bytes())), path.name.encode()
+    if named is None or named[-len(name) :] != name:
+        raise ValueError("is damaged, or another file")
+    return named[: -len(name)]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What the runs of a sweep have in common, as plain text, so that it can be sent to another machine."""
+
+    scenario: str  # TOML of the scenario
+    keys: tuple[str, ...]  # the keys that change
+    kinds: tuple[str, ...]  # types of their columns in the table, in Arrow's words
+    engine: str  # see `closedloop.simulate`
+    keep: tuple[str, ...]  # columns to keep whole
+    runs: int  # how many runs the sweep has
+    # keys of the scenario that pick a user's class, with its name: the command line named it
+    members: tuple[tuple[str, str], ...] = ()
+    # law, law_digest: MODULE:FUNCTION of the user's law, and the SHA-256 of its text; "" for the scenario's own
+    law: str = ""
+    law_digest: str = ""
+
+
+_importing = threading.Lock()
+
+
+@lru_cache(maxsize=4)
+def law_of(name: str, digest: str) -> Any:
+    """Return the law of a sweep, imported here; None for the scenario's own."""
+    if not name:
+        return None
+    with _importing:  # what a module prints as it is imported is turned to standard error, of the whole process
+        law = import_law(name)
+    if law_digest(law) != digest:
+        raise ScenarioError(f"--law {name}: its text here is not the one that the sweep was begun with")
+    return law
+
+
+@lru_cache(maxsize=4)
+def _variants(job: Job) -> Variants:
+    for key, name in job.members:
+        families()[key].named(name, key)
+    return Variants(parse_scenario(job.scenario), job.keys)
+
+
+def columns_of(job: Job) -> pa.Schema:
+    """Return the columns of the table."""
+    import pyarrow as pa
+
+    return schema({key: pa.type_for_alias(kind) for key, kind in zip(job.keys, job.kinds, strict=True)})
+
+
+def run_part(
+    job: Job, first: int, points: Sequence[Sequence[Any]], worker: Worker, ran: Callable[[], None] = lambda: None
+) -> tuple[pa.Table, dict[str, Array]]:
+    """Run the runs from number `first` on, with these values of the keys.
+
+    Returns
+    -------
+    table : pyarrow.Table
+        A row for each run.
+    columns : dict of str to (runs, rows) or (runs, rows, k) array
+        The columns kept; after a run's last row NaN.
+    """
+    came_to: dict[int, Outcome] = {}
+    for block in in_blocks(_variants(job), points, job.engine, job.runs, lanes=not job.law):
+        some = run_variants(worker, _variants(job), [points[i] for i in block], job.engine, ran)
+        came_to |= dict(zip(block, some, strict=True))
+    outcomes = [came_to[i] for i in range(len(points))]
+    return table_of(columns_of(job), first, points, outcomes), {name: _stacked(outcomes, name) for name in job.keep}
+
+
+def _stacked(outcomes: Sequence[Outcome], name: str) -> Array:
+    parts = [outcome.columns.get(name) for outcome in outcomes]
+    rows = max((len(part) for part in parts if part is not None), default=0)
+    wide = next((part.shape[1:] for part in parts if part is not None), ())
+    whole = np.full((len(parts), rows, *wide), np.nan)
+    for place, part in zip(whole, parts, strict=True):
+        if part is not None:
+            place[: len(part)] = part
+    return whole
+
+
+def worker_for(job: Job, shared: Cache | None = None) -> Worker:
+    """Return a worker for a thread; `shared` is the cache that it shares with others."""
+    return Worker(job.engine, job.keep, runs=job.runs, shared=shared, law=law_of(job.law, job.law_digest))
+
+
+_here = threading.local()
+
+
+def run_part_anywhere(job: Job, first: int, points: Sequence[Sequence[Any]]) -> tuple[pa.Table, dict[str, Array]]:
+    """Do `run_part` with a `Worker` that this thread keeps from part to part: the task sent to a cluster."""
+    if getattr(_here, "job", None) != job:
+        _here.job, _here.worker = job, worker_for(job)
+    return run_part(job, first, points, _here.worker)
+
 
 FORMAT = "closedloop sweep 2"
 DESCRIPTION, LOCK = "sweep.json", "lock"

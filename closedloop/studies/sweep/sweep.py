@@ -1,25 +1,37 @@
-"""A sweep: what it varies, and its division into parts."""
+"""A sweep: what it varies, run whole or resumed.
+
+A sweep: what it varies, and its division into parts.
+
+Running a sweep, or resuming one that was killed, up to its table.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
-from closedloop.base.errors import ScenarioError
-from closedloop.record.columns.recorded import ALL_COLUMNS
+from closedloop.base.errors import OutputError, ScenarioError
+from closedloop.record.columns.record import ALL_COLUMNS
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import import_law
+from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.batch.table import kept_columns
+from closedloop.simulation.batch.threads import Done, side_by_side
+from closedloop.simulation.batch.worker import Worker
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import law_digest
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.simulate import check_engine
 from closedloop.studies.identity import identity_of, members
 from closedloop.studies.sweep.design import GRID, LATIN, Design
-from closedloop.studies.sweep.part import Job
+from closedloop.studies.sweep.join import Joined, already_there, join
+from closedloop.studies.sweep.store import Job, OccupiedError, Store, columns_of, run_part, tidy, worker_for
 from robot_models.cached import cached_property
 
 # Runs in a part: enough that writing it costs little, few enough that a kill loses little and all cores have work to
@@ -40,7 +52,7 @@ class Sweep:
     # full names of the columns to keep whole, see `closedloop.simulation.batch.table.kept_columns`
     keep: tuple[str, ...] = ()
     engine: str = COMPILED  # see `closedloop.simulate`
-    # law, law_digest: see `closedloop.studies.sweep.part.Job`
+    # law, law_digest: see `closedloop.studies.sweep.store.Job`
     law: str = ""
     law_digest: str = ""
 
@@ -118,3 +130,88 @@ class Sweep:
     @cached_property
     def _members(self) -> tuple[tuple[str, str], ...]:
         return members(self.scenario, self._changes)
+
+
+def run_sweep(
+    sweep: Sweep,
+    out: str | Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    overwrite: bool = False,
+) -> Joined:
+    """Run what is not yet there of a sweep, and join its parts into the table.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    out : path
+        The table, a Parquet file; whole columns go into a NetCDF file of the same name beside it, parts into a folder
+        until all are there.
+    workers : int, optional
+        Threads; as many as there are cores if left out.
+    scheduler : str, optional
+        Address of a Dask scheduler, ``tcp://host:port``, whose workers run the parts instead.
+    progress : callable, optional
+        Gets (runs done, runs in all).
+    overwrite : bool
+        Whether a file there that is not this sweep's is replaced once this one is done; its parts go at once.
+
+    Raises
+    ------
+    OutputError
+        If `out` cannot be written, or is there already and not this sweep's.
+    ClusterError
+        If the scheduler does not answer, or is lost on the way; what was done is kept.
+    """
+    out = Path(out)
+    threads = threads_for(sweep.engine, workers)
+    there = _already_there(sweep, out, overwrite)
+    if there is not None:
+        tidy(sweep.identity, out)
+        return there
+    try:
+        with Store(sweep.identity, out, overwrite) as store:
+            there = _already_there(sweep, out, overwrite)  # since, by another process
+            if there is not None:
+                store.remove()
+                return there
+            missing = [part for part in range(sweep.parts) if not store.has(part, sweep.runs_of(part))]
+            done = Done(sweep.design.runs - sum(len(sweep.runs_of(part)) for part in missing))
+
+            def report() -> None:
+                if progress is not None:
+                    progress(done.count, sweep.design.runs)
+
+            report()
+            if missing and scheduler is not None:
+                from closedloop.studies.sweep.cluster import run_on_cluster
+
+                run_on_cluster(sweep, store, missing, scheduler, done.add, report)
+            elif missing:
+                job, shared = sweep.job, Cache()
+
+                def one(worker: Worker, at: int) -> None:
+                    runs = sweep.runs_of(missing[at])
+                    points = sweep.design[runs.start : runs.stop]
+                    store.write(missing[at], *run_part(job, runs.start, points, worker, done.add))
+
+                side_by_side(one, len(missing), threads, lambda: worker_for(job, shared), report, done)
+            return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)
+    except KeyboardInterrupt:
+        with suppress(OutputError):
+            there = already_there(sweep.identity, out)
+            if there is not None:  # it came too late: the table is whole
+                tidy(sweep.identity, out)
+                return there
+        raise
+
+
+def _already_there(sweep: Sweep, out: Path, overwrite: bool) -> Joined | None:
+    try:
+        return already_there(sweep.identity, out)
+    except OccupiedError:
+        if overwrite:
+            return None
+        raise

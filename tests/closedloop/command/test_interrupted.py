@@ -13,7 +13,7 @@ import closedloop as cl
 from closedloop.base.errors import ClosedLoopError
 from closedloop.base.interrupts import Terminated, held_back, terminable
 from closedloop.loop.step import entries
-from closedloop.record.columns.recorded import COLUMNS
+from closedloop.record.columns.record import COLUMNS
 from closedloop.simulation.engines.user_law import UserLaw
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")

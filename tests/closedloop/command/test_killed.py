@@ -13,7 +13,7 @@ from budget import budget
 
 import closedloop as cl
 from closedloop.base.files import remove_unfinished
-from closedloop.record.columns.recorded import COLUMNS
+from closedloop.record.columns.record import COLUMNS
 from closedloop.run import main
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")

@@ -19,8 +19,7 @@ from closedloop.base.errors import printable
 from closedloop.base.files import what_was_written
 from closedloop.figures.export.csv_table import _table
 from closedloop.figures.export.mjcf import explained
-from closedloop.lab.history import quoted
-from closedloop.lab.keeping import save
+from closedloop.lab.history import quoted, save
 
 # Line breaks of all kinds, what ends a comment, a script or a cell, and characters that no file of text may have.
 NASTY = [

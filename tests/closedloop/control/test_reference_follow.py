@@ -19,7 +19,7 @@ from closedloop.control.reference.paths.figure_eight import FigureEight
 from closedloop.control.reference.paths.line import Line
 from closedloop.control.reference.paths.raster import Raster
 from closedloop.control.reference.paths.waypoints import Waypoints
-from closedloop.control.reference.timing import minimum_jerk
+from closedloop.control.reference.tip_path import minimum_jerk
 from robot_models.planar2 import closed_form
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from closedloop.control.reference.least_norm import RANK_TOLERANCE, least_norm
+from closedloop.control.reference.inverse_kinematics import RANK_TOLERANCE, least_norm
 from closedloop.jit.kernel import plain
 
 

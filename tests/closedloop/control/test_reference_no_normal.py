@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.control.reference import no_normal
-from closedloop.control.reference.no_normal import refuse_without_normal
+from closedloop.control.reference import on_surface
+from closedloop.control.reference.on_surface import refuse_without_normal
 from closedloop.control.reference.tip_path import Segment, TipPath
 from closedloop.mechanics.surface.motion import MOTIONS
 from closedloop.mechanics.surface.placed import PlacedSurface
@@ -61,7 +61,7 @@ def told(surface, tip, does):
 @pytest.fixture(autouse=True)
 def few_instants(monkeypatch):
     """Look at few instants first: each costs."""
-    monkeypatch.setattr(no_normal, "PATH_CHECKS", 20)
+    monkeypatch.setattr(on_surface, "NORMAL_CHECKS", 20)
 
 
 @pytest.mark.parametrize(

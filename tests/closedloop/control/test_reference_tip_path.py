@@ -13,7 +13,7 @@ from closedloop.control.reference.paths.hold import Hold
 from closedloop.control.reference.paths.line import Line
 from closedloop.control.reference.paths.raster import Raster
 from closedloop.control.reference.paths.waypoints import Waypoints
-from closedloop.control.reference.timing import minimum_jerk
+from closedloop.control.reference.tip_path import minimum_jerk
 
 ORIGIN = np.array([0.4, -0.1, 0.25])
 NORMAL = np.array([2.0, -1.0, 2.0]) / 3.0

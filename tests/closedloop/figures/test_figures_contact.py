@@ -11,9 +11,8 @@ from matplotlib.colors import to_rgb
 
 import closedloop as cl
 from closedloop.figures import closure_error, contact_force, draw_figures, files, friction_force, impacts, tip_position
-from closedloop.figures.dress import BANDS, SHAPES
 from closedloop.figures.force import transients
-from closedloop.figures.instants import intervals, marks, thinned
+from closedloop.figures.style import BANDS, SHAPES, intervals, marks, thinned
 from closedloop.loop.events.table import IMPACT, KINDS
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 

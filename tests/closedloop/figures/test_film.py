@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.figures.scene.ghost import Ghost
 from closedloop.figures.scene.scene import ARROWS, scene_of
+from closedloop.figures.scene.solids import Ghost
 from closedloop.lab import film_picture
 from closedloop.lab.curves import main_panel
 from closedloop.lab.film_picture import Picture

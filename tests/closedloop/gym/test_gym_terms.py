@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from closedloop.base.errors import ScenarioError
-from closedloop.gym import rewards
+from closedloop.gym import terms
 from closedloop.gym.actions import Actions
 from closedloop.gym.env import ContactEnv
-from closedloop.gym.now import Now
-from closedloop.gym.observations import PARTS, TRUTH, Observations
-from closedloop.gym.ranges import Range, as_ranges, drawn
+from closedloop.gym.terms import PARTS, TRUTH, Now, Observations, Range, as_ranges, drawn
 from closedloop.gym.vector import ContactVectorEnv
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
@@ -47,15 +45,15 @@ TERMS = [
 @pytest.mark.parametrize(("name", "given", "value"), TERMS)
 def test_a_term_is_what_its_sentence_says(name, given, value):
     """Its scale, its least value, and 0 where nothing is wrong."""
-    found = rewards.TERMS[name](now_of(len(value), **given))
+    found = terms.TERMS[name](now_of(len(value), **given))
     np.testing.assert_allclose(found, value, rtol=1e-12, atol=1e-15)
 
 
 ENDINGS = [
-    (rewards.excessive_force(30.0), {"largest_force": [30, 31, 0, 0], "largest_link_force": [0, 0, 30, 31]}, "0101"),
-    (rewards.jammed(0.3), {"jammed": [0.28, 0.3 - 1e-11, 0.32]}, "011"),
-    (rewards.lowered(0.015), {"tip": [[0, 0, -0.0149], [0, 0, -0.015], [-1, -1, 0.015]]}, "010"),
-    (rewards.contact_lost, {"touched": [True, True, False], "free_share": [1.0, 0.95, 1.0]}, "100"),
+    (terms.excessive_force(30.0), {"largest_force": [30, 31, 0, 0], "largest_link_force": [0, 0, 30, 31]}, "0101"),
+    (terms.jammed(0.3), {"jammed": [0.28, 0.3 - 1e-11, 0.32]}, "011"),
+    (terms.lowered(0.015), {"tip": [[0, 0, -0.0149], [0, 0, -0.015], [-1, -1, 0.015]]}, "010"),
+    (terms.contact_lost, {"touched": [True, True, False], "free_share": [1.0, 0.95, 1.0]}, "100"),
 ]  # fmt: skip
 
 

@@ -12,16 +12,13 @@ from budget import every
 
 import closedloop as cl
 import robot_models
-from closedloop.lab import groups, strip
+from closedloop.lab import curves, groups
 from closedloop.lab.answers import Answers
 from closedloop.lab.app import Lab
-from closedloop.lab.controls import TABS, controls
-from closedloop.lab.history import History, in_words
-from closedloop.lab.keeping import save
-from closedloop.lab.kinds import begin_values
+from closedloop.lab.controls import TABS, begin_values, controls
+from closedloop.lab.history import History, Pins, compared, in_words, save
 from closedloop.lab.messages import from_text, in_text, pack, unpack
-from closedloop.lab.newest import LONG, Newest
-from closedloop.lab.pins import Pins, compared
+from closedloop.lab.server import LONG, Newest
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
 from closedloop.simulation.cache import Cache
@@ -354,14 +351,14 @@ def test_the_strip_says_what_is_better_than_before():
     """Less error is green, more is red, equal says nothing; torque counts against each joint's own limit."""
     answers = Answers(History(cl.load_scenario("wam_slide_friction", {"time.duration": 2.0}), "wam_slide_friction"))
     start, stiff = answers.answer({}).run, answers.answer({"law.force_integral": 5.0}).run
-    before = strip.values(start, start.summary())
-    same = {tile["name"]: tile for tile in strip.tiles(start, start.summary(), before, "the start")}
+    before = curves.values(start, start.summary())
+    same = {tile["name"]: tile for tile in curves.tiles(start, start.summary(), before, "the start")}
     assert all("change" not in tile for tile in same.values())
     near = {key: None if value is None else 1.0001 * value for key, value in before.items()}  # no digit differs
-    assert all("change" not in tile for tile in strip.tiles(start, start.summary(), near, "the start"))
+    assert all("change" not in tile for tile in curves.tiles(start, start.summary(), near, "the start"))
     other = {key: None if value is None else 1.01 * value for key, value in before.items()}
-    assert any("change" in tile for tile in strip.tiles(start, start.summary(), other, "the start"))
-    found = {tile["name"]: tile for tile in strip.tiles(stiff, stiff.summary(), before, "the start")}
+    assert any("change" in tile for tile in curves.tiles(start, start.summary(), other, "the start"))
+    found = {tile["name"]: tile for tile in curves.tiles(stiff, stiff.summary(), before, "the start")}
     assert found["force RMS"]["better"] == (stiff.summary()["rms_force_error"] < start.summary()["rms_force_error"])
     assert (found["numbers"]["good"], found["control"]["good"]) == tuple(
         stiff.summary()[key]["good"] for key in ("verdict", "control_verdict")

@@ -10,10 +10,8 @@ import pinocchio
 import pytest
 
 import closedloop as cl
-from closedloop.figures.scene.ghost import Ghost
-from closedloop.figures.scene.joined import Joined
 from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
-from closedloop.figures.scene.shapes import Shape
+from closedloop.figures.scene.solids import Ghost, Joined, Shape
 from closedloop.lab import curves
 from closedloop.lab.animate import CELLS, OWN
 from closedloop.lab.curves import main_panel, panels, reduced
@@ -193,7 +191,7 @@ def test_every_kind_of_loop_joint_has_a_mark_where_it_is(mechanism):
 def test_shapes_move_with_the_joints(model):
     """Each shape belongs to a joint of the robot or its base, and its triangles to its vertices."""
     import robot_models
-    from closedloop.figures.scene.shapes import robot_shapes
+    from closedloop.figures.scene.solids import robot_shapes
 
     robot = robot_models.load(model)
     shapes = robot_shapes(robot, robot.tip)
@@ -207,7 +205,7 @@ def test_shapes_move_with_the_joints(model):
 def test_a_robot_without_shapes_is_drawn_as_rods():
     """An MJCF, whose shapes are not read, has a rod or a ball for the base and every joint."""
     import robot_models
-    from closedloop.figures.scene.shapes import robot_shapes
+    from closedloop.figures.scene.solids import robot_shapes
 
     inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
     body = f'<body name="{{}}" pos="0 0 0.5">{inertia}<joint name="{{}}" type="hinge" axis="0 1 0"/>'

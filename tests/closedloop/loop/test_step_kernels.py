@@ -5,7 +5,7 @@ import pytest
 from random_loop import loop_at_random
 
 import closedloop as cl
-from closedloop.control.seen import Seen
+from closedloop.control.law import Seen
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.belief import believe
 from closedloop.loop.step.closed_loops import BIND_LOAD, REACTION, closed_loops, factorise_tip

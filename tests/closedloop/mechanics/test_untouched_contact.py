@@ -7,7 +7,7 @@ import pytest
 from budget import budget
 
 import closedloop as cl
-from closedloop.record.columns.recorded import COLUMNS
+from closedloop.record.columns.record import COLUMNS
 from robot_models import load
 
 # To the end of what happens in each, s, where that is not 0.1 s; less where a step takes longest.

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.record.report.control_signals import run_signals, signals_of
 from closedloop.record.report.control_verdict import (
     LOST_SHARE,
     MEAN_SHARE,
@@ -17,6 +16,8 @@ from closedloop.record.report.control_verdict import (
     SWING_SHARE,
     Signals,
     judge_control,
+    run_signals,
+    signals_of,
 )
 from closedloop.record.report.control_verdict import told as told_of
 from closedloop.record.report.verdict import names_of

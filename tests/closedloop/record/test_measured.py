@@ -21,15 +21,19 @@ from closedloop.record.report.measured import (
     write_values,
 )
 from closedloop.record.report.measures import LEAST_TORQUE, SETTLED
-from closedloop.record.report.row_assumptions import (
+from closedloop.record.report.row_sample import (
     MOST_GROWTH,
     NAMES,
     NEAR_SINGULAR,
     ON_THE_WAY,
     RESIDUAL_TOLERANCE,
+    JointLimits,
+    Scale,
     assumptions_met,
+    energy_left,
+    friction_power,
+    joint_limits,
 )
-from closedloop.record.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.record.report.run_values import columns_of, run_values
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within

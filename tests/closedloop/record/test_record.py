@@ -16,7 +16,7 @@ import pytest
 import xarray
 
 import closedloop as cl
-from closedloop.record.columns.recorded import COLUMNS
+from closedloop.record.columns.record import COLUMNS
 from robot_models.shipped import path_of
 
 
@@ -282,7 +282,7 @@ import os, resource, sys
 from pathlib import Path
 import numpy as np
 from closedloop.record.netcdf_file import Variable, write_netcdf
-from closedloop.record.sealed import seal_file
+from closedloop.record.netcdf_file import seal_file
 columns = {f"c{k}": Variable(("time", "joint"), np.random.default_rng(k).normal(size=(125000, 8))) for k in range(9)}
 most = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 def write(rows):
@@ -310,7 +310,7 @@ from pathlib import Path
 import numpy as np
 from closedloop.base.errors import OutputError
 from closedloop.record.netcdf_file import Variable, write_netcdf
-from closedloop.record.sealed import seal_file
+from closedloop.record.netcdf_file import seal_file
 columns = {name: Variable(("time",), np.zeros(9000), {"units": "m"}) for name in ("time", "q", "v")}
 texts = {"words": "of some length" * 100}
 write_netcdf(Path("whole.nc"), {"time": 9000}, columns, texts, seal_file)

@@ -9,7 +9,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.record.sealed import seal
+from closedloop.record.netcdf_file import seal
 
 
 @pytest.fixture(scope="module")

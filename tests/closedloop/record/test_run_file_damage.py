@@ -12,8 +12,8 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.figures import draw_figures
-from closedloop.record import sealed
-from closedloop.record.columns.recorded import COLUMNS
+from closedloop.record import netcdf_file
+from closedloop.record.columns.record import COLUMNS
 from closedloop.record.report import print_report
 from closedloop.record.save import attributes
 
@@ -39,10 +39,10 @@ def same(file, saved):
 
 def test_every_changed_byte_is_told_before_hdf5_reads_it(copy, saved, monkeypatch):
     """One bit anywhere in front of the last line is one line, at once."""
-    monkeypatch.setattr(sealed, "_read_hdf5", None)
+    monkeypatch.setattr(netcdf_file, "_read_hdf5", None)
     whole = bytearray(saved.read_bytes())
     rng = np.random.default_rng(2)
-    for at in rng.integers(0, len(whole) - sealed.SEAL_LENGTH, 100):
+    for at in rng.integers(0, len(whole) - netcdf_file.SEAL_LENGTH, 100):
         damaged = whole.copy()
         damaged[at] ^= 1 << int(rng.integers(8))
         copy.write_bytes(damaged)

@@ -21,9 +21,8 @@ from closedloop.control.reference.paths.line import Line
 from closedloop.mechanics.closure.baumgarte import largest_stable_ratio, spectral_radius
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Integrator
 from closedloop.scenario.load import parse_scenario
-from closedloop.scenario.units import key_unit
-from closedloop.studies.sweep.axes import parse_axis
-from closedloop.studies.sweep.design import Design
+from closedloop.scenario.messages import key_unit
+from closedloop.studies.sweep.design import Design, parse_axis
 from closedloop.studies.sweep.sweep import Sweep
 
 ROOT = File(__file__).resolve().parents[3]
@@ -270,7 +269,7 @@ def test_a_path_that_fails(case, command_line, tmp_path):
     """What a user's path does wrong is one line with the line of its file, and status 2."""
     body, words = FAULTS[case]
     head = (
-        "import numpy as np; from closedloop.control.reference.timing import constant\n"
+        "import numpy as np; from closedloop.control.reference.tip_path import constant\n"
         "from closedloop.control.reference.path import Path\n"
         "from closedloop.control.reference.tip_path import Segment, TipPath\n"
     )

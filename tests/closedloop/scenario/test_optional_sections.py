@@ -12,10 +12,9 @@ from budget import budget
 
 import closedloop as cl
 from closedloop.base.errors import ScenarioError
-from closedloop.record.columns.recorded import SURFACE_COLUMNS
+from closedloop.record.columns.record import SURFACE_COLUMNS
 from closedloop.record.report.measures import MEASURES
-from closedloop.scenario.file import scenario_text
-from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.load import parse_scenario, scenario_text
 
 FALLS = '[robot]\nmodel = "wam4"\n[time]\nduration = 0.05\n'
 OPTIONAL = ("surface", "reference", "law")

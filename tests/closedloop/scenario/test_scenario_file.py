@@ -5,7 +5,7 @@ import os
 import pytest
 
 import closedloop as cl
-from closedloop.scenario.file import MOST_BYTES
+from closedloop.scenario.load import MOST_BYTES
 
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"
 

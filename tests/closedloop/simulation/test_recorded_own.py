@@ -11,8 +11,8 @@ import closedloop as cl
 from closedloop.base.errors import LawError, RunFileError, ScenarioError
 from closedloop.base.sections import RATE, Positive
 from closedloop.figures.export.csv_table import write_csv
-from closedloop.record.columns.added import from_text
-from closedloop.scenario.contact_names import labels_of
+from closedloop.record.columns.derived import from_text
+from closedloop.scenario.tables import labels_of
 from tests.rounding import rounding
 
 SHORT = {"time.duration": 0.02}

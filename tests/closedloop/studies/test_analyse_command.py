@@ -8,7 +8,7 @@ from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 from closedloop.__main__ import main
 from closedloop.studies.analysis.figures import stability_map
-from closedloop.studies.analysis.ranges import Range
+from closedloop.studies.analysis.stability import Range
 
 GAIN = ("--law.force_integral", "20", "--at", "1")
 

@@ -12,9 +12,8 @@ from closedloop.mechanics.loops.assemble import errors_at
 from closedloop.simulation.cache import Cache
 from closedloop.studies.analysis import stability
 from closedloop.studies.analysis.here import Here
-from closedloop.studies.analysis.margins import margins_of
-from closedloop.studies.analysis.overview import overview
-from closedloop.studies.analysis.page import page_of
+from closedloop.studies.analysis.linear_loop import margins_of
+from closedloop.studies.analysis.page import overview, page_of
 from closedloop.studies.analysis.stability import Range, Stability
 
 

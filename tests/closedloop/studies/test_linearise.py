@@ -10,9 +10,9 @@ from scipy.linalg import expm
 
 import closedloop as cl
 from closedloop.simulation.prepare import prepare
+from closedloop.studies.analysis.assembly import instant_of
 from closedloop.studies.analysis.derivatives import columns
 from closedloop.studies.analysis.here import Here
-from closedloop.studies.analysis.linearise import instant_of
 
 ALONG_N = ("contact", "law", "sensor", "delay", "filter", "hold")
 

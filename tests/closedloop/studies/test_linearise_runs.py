@@ -9,12 +9,12 @@ from budget import every
 from linear_loops import mass_on_a_spring
 
 import closedloop as cl
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.loop.step.record_row import ContactRow, Row
-from closedloop.scenario.contact_names import names_of
+from closedloop.scenario.tables import names_of
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.analysis.instant import rows_on, run_on
-from closedloop.studies.analysis.linearise import instant_of, loop_at
+from closedloop.studies.analysis.assembly import instant_of, loop_at
+from closedloop.studies.analysis.here import rows_on, run_on
 
 PULSES = {
     "wam_slide": ("wam_slide", {}),

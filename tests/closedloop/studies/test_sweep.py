@@ -19,10 +19,8 @@ from closedloop.base.progress import progress_text
 from closedloop.command import sweep as sweep_command
 from closedloop.studies.sweep import join as join_module
 from closedloop.studies.sweep import store as store_module
-from closedloop.studies.sweep.axes import parse_axis
-from closedloop.studies.sweep.design import Design
-from closedloop.studies.sweep.run import run_sweep
-from closedloop.studies.sweep.sweep import Sweep
+from closedloop.studies.sweep.design import Design, parse_axis
+from closedloop.studies.sweep.sweep import Sweep, run_sweep
 
 
 def small(keep=(), runs=6):
@@ -128,7 +126,7 @@ def test_an_end_before_or_after_any_rename_costs_nothing(tmp_path, monkeypatch, 
 def test_damaged_columns_are_made_again(tmp_path, monkeypatch, damage):
     """Columns that a disk has lost are no part, whatever is left of them."""
     with monkeypatch.context() as patch:
-        patch.setattr("closedloop.studies.sweep.run.join", lambda *_: None)
+        patch.setattr("closedloop.studies.sweep.sweep.join", lambda *_: None)
         run_sweep(small(["f"]), tmp_path / "t.parquet", workers=1)
     (tmp_path / "t.parquet.parts" / "part-00000003.npz").write_bytes(damage)
     run_sweep(small(["f"]), tmp_path / "t.parquet", workers=1)
@@ -144,10 +142,10 @@ def test_only_what_is_missing_is_run(tmp_path, monkeypatch):
         made.append(first)
         return run_part(job, first, *rest)
 
-    from closedloop.studies.sweep.part import run_part
+    from closedloop.studies.sweep.store import run_part
 
-    monkeypatch.setattr("closedloop.studies.sweep.run.run_part", counted)
-    monkeypatch.setattr("closedloop.studies.sweep.run.join", lambda *_: None)
+    monkeypatch.setattr("closedloop.studies.sweep.sweep.run_part", counted)
+    monkeypatch.setattr("closedloop.studies.sweep.sweep.join", lambda *_: None)
     out = tmp_path / "t.parquet"
     folder = tmp_path / "t.parquet.parts"
     run_sweep(small(), out, workers=1)
@@ -168,7 +166,7 @@ def test_a_sweep_that_is_done_is_not_run_again(capsys, tmp_path, monkeypatch):
     assert sweep(capsys, *SMALL, "--out", out)[0] == 0
     before = out.read_bytes()
     (tmp_path / "t.parquet.parts").mkdir()
-    monkeypatch.setattr("closedloop.studies.sweep.run.side_by_side", lambda *_: 1 / 0)
+    monkeypatch.setattr("closedloop.studies.sweep.sweep.side_by_side", lambda *_: 1 / 0)
     status, said, _ = sweep(capsys, *SMALL, "--out", out)
     assert status == 0
     assert "all were there before" in said
@@ -315,7 +313,7 @@ def test_an_interrupted_sweep_says_how_to_go_on(capsys, tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("closedloop.studies.sweep.run.run_part", interrupt)
+    monkeypatch.setattr("closedloop.studies.sweep.sweep.run_part", interrupt)
     status, _, err = sweep(capsys, *SMALL, "--out", tmp_path / "t.parquet")
     assert (status, err) == (130, "closedloop sweep: interrupted; the same command goes on from here\n")
 
@@ -367,9 +365,9 @@ def test_strict_takes_bad_verdicts_and_ends_for_a_failure(
     capsys, tmp_path, monkeypatch, statuses, verdicts, strict, plain, said
 ):
     """Exit status 4 with --strict, whether the rows are new or read from the table; the last line counts them."""
-    from closedloop.studies.sweep import part
+    from closedloop.studies.sweep import store
 
-    table_of = part.table_of
+    table_of = store.table_of
 
     def judged(*arguments):
         table = table_of(*arguments)
@@ -379,7 +377,7 @@ def test_strict_takes_bad_verdicts_and_ends_for_a_failure(
             table = table.set_column(table.column_names.index(name), table.schema.field(name), values)
         return table
 
-    monkeypatch.setattr(part, "table_of", judged)
+    monkeypatch.setattr(store, "table_of", judged)
     arguments = ("wam_slide", "--time.duration", "0.01", "--over", "law.force=5,6", "--out", tmp_path / "t.parquet")
     for options, expected in (((), plain), (("--strict",), strict), ((), plain)):
         status, out, err = sweep(capsys, *arguments, *options)

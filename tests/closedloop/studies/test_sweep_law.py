@@ -11,8 +11,8 @@ import closedloop as cl
 from closedloop.base.errors import ScenarioError
 from closedloop.command.sweep import main
 from closedloop.simulation.engines.law_source import law_digest
-from closedloop.studies.sweep.part import law_of
-from closedloop.studies.sweep.table_file import METADATA
+from closedloop.studies.sweep.join import METADATA
+from closedloop.studies.sweep.store import law_of
 
 LAWS = """
 import numba

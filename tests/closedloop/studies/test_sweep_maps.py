@@ -11,8 +11,7 @@ from sweep_runs import SMALL, refusal, sweep
 
 import closedloop as cl
 from closedloop.command.sweep import main
-from closedloop.studies.sweep.maps import draw_maps
-from closedloop.studies.sweep.scale import Scale
+from closedloop.studies.sweep.maps import Scale, draw_maps
 
 
 @pytest.fixture(scope="module")

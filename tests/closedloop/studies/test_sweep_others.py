@@ -11,7 +11,7 @@ from test_sweep import small
 
 import closedloop as cl
 from closedloop.studies.sweep import store as store_module
-from closedloop.studies.sweep.run import run_sweep
+from closedloop.studies.sweep.sweep import run_sweep
 
 
 def test_what_is_not_this_sweeps_is_never_overwritten(capsys, tmp_path):

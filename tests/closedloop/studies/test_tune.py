@@ -9,8 +9,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.studies.tune.evaluate import Runs
-from closedloop.studies.tune.given import limit_of, varied
+from closedloop.studies.tune.evaluate import Runs, limit_of, varied
 from closedloop.studies.tune.search import MEAN, STEP, WORST, Search
 from tests.closedloop.linear_loops import mass_on_a_spring
 

@@ -11,9 +11,8 @@ import trimesh
 
 import closedloop as cl
 from closedloop.base.errors import ScenarioError
-from closedloop.figures.scene.ghost import COLOUR, Ghost
 from closedloop.figures.scene.scene import scene_of
-from closedloop.figures.scene.shapes import Shape
+from closedloop.figures.scene.solids import COLOUR, Ghost, Shape
 from closedloop.lab.animate import write_film
 from closedloop.lab.app import Lab
 from closedloop.lab.curves import COLOURS, Panel, Trace

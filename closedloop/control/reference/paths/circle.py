@@ -10,11 +10,9 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import LENGTH, Direction, Instant, Number, Positive
-from closedloop.control.reference.checks import TURNS, direction_along, interval, not_zero
-from closedloop.control.reference.curves import Ellipse
+from closedloop.control.reference.desired import TURNS, direction_along, interval, not_zero
 from closedloop.control.reference.path import Path
-from closedloop.control.reference.timing import minimum_jerk
-from closedloop.control.reference.tip_path import Segment, TipPath
+from closedloop.control.reference.tip_path import Ellipse, Segment, TipPath, minimum_jerk
 
 
 class Circle(Path):

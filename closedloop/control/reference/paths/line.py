@@ -1,4 +1,4 @@
-"""[reference] kind = "line": r(t) = r(0) + speed · s(t) · direction, s of `closedloop.control.reference.timing`."""
+"""[reference] kind = "line": r(t) = r(0) + speed · s(t) · direction, s of `closedloop.control.reference.tip_path`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import SPEED, Direction, Instant, Number
-from closedloop.control.reference.checks import direction_along, interval
-from closedloop.control.reference.curves import Straight
+from closedloop.control.reference.desired import direction_along, interval
 from closedloop.control.reference.path import Path
-from closedloop.control.reference.timing import constant, minimum_jerk
-from closedloop.control.reference.tip_path import Segment, TipPath
+from closedloop.control.reference.tip_path import Segment, Straight, TipPath, constant, minimum_jerk
 
 
 class Line(Path):

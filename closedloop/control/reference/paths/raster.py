@@ -13,11 +13,9 @@ from pydantic import BeforeValidator, Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import LENGTH, Direction, Instant, Number, Positive, Unit
-from closedloop.control.reference.checks import direction_along, interval, not_zero
+from closedloop.control.reference.desired import direction_along, interval, not_zero
 from closedloop.control.reference.path import Path
-from closedloop.control.reference.segments import through
-from closedloop.control.reference.timing import minimum_jerk
-from closedloop.control.reference.tip_path import TipPath
+from closedloop.control.reference.tip_path import TipPath, minimum_jerk, through
 
 # More passes than this are refused as a typing error.
 MOST_PASSES = 1000

@@ -9,11 +9,9 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.reference.lists import MotionInstants, Points
+from closedloop.control.reference.force import MotionInstants, Points
 from closedloop.control.reference.path import Path
-from closedloop.control.reference.segments import through
-from closedloop.control.reference.timing import constant, minimum_jerk
-from closedloop.control.reference.tip_path import TipPath
+from closedloop.control.reference.tip_path import TipPath, constant, minimum_jerk, through
 
 
 class Waypoints(Path):

@@ -116,11 +116,11 @@ _HOME = {
     "Compliance": "mechanics.surface.compliance",
     "ControlLaw": "control.law",
     "DivergenceError": "base.errors",
-    "Event": "record.columns.events",
+    "Event": "record.columns.record",
     "InterruptedRunError": "base.errors",
     "Law": "simulation.engines.user_law",
     "LawError": "base.errors",
-    "LawInput": "control.law_input",
+    "LawInput": "control.law",
     "Log": "studies.identify.log",
     "ModelError": "base.errors",
     "NoNormalError": "base.errors",
@@ -151,12 +151,12 @@ _HOME = {
     "identify": "studies.identify.identify",
     "identify_contact": "studies.identify.contact.identify_contact",
     "lab": "lab.start",
-    "linearise": "studies.analysis.linearise",
+    "linearise": "studies.analysis.assembly",
     "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",
     "sensitivities": "studies.gradient.sensitivities",
-    "shipped_scenarios": "scenario.file",
+    "shipped_scenarios": "scenario.load",
     "simulate": "simulation.simulate",
     "simulate_batch": "simulation.batch.simulate_batch",
     "solve_closure": "mechanics.closure.solve",
@@ -171,6 +171,10 @@ def __getattr__(name: str) -> Any:
     if name == "__all__" and sys._getframe(1).f_globals.get("__name__") != "pydoc":
         # Without it help() shows the text above, and not the three thousand lines of all that is named there.
         return _NAMES
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("closedloop")
     if name not in _HOME:
         raise AttributeError(f"module 'closedloop' has no attribute '{name}'")
     module = import_module(f"closedloop.{_HOME[name]}")

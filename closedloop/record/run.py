@@ -50,6 +50,7 @@ ABOVE = {
     "html": "closedloop.figures.html:html",
     "show": "closedloop.lab.share:show_run",
     "animate": "closedloop.lab.animate:animate",
+    "save": "closedloop.figures.export.tables:save",
     "step_error": "closedloop.simulation.halve:step_error_of",
 }
 
@@ -138,6 +139,19 @@ class Run:
             base, k = of_contacts[name]
             return there[base][:, k]
         raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join((*there, *DERIVED))}")
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return a column by its name: ``run["contact_force"]`` is ``run.contact_force``.
+
+        Raises
+        ------
+        KeyError
+            If there is no such column; it names those there are.
+        """
+        column = getattr(self, name, None)
+        if not isinstance(column, np.ndarray):
+            raise KeyError(f"a Run has no column '{name}'; there are {', '.join((*self.columns, *DERIVED))}")
+        return column
 
     def _without_surface(self, name: str) -> NDArray[Any]:
         """Return what stands for a column of the tip's contact where there is none: no force, and `surface.normal`."""
@@ -255,8 +269,20 @@ class Run:
 
     @arguments_checked()
     def save(self, path: str | Path) -> Path:
-        """Write the run as NetCDF-4 (HDF5) and return the path; see `closedloop.record.save.save_run`."""
-        return save_run(self, path)
+        """Write the run in the format that the path's ending names, and return the path.
+
+        ``.nc`` is NetCDF-4 (HDF5), which `closedloop.load_run` reads, see `closedloop.record.save.save_run`; ``.csv``,
+        ``.mat``, ``.mcap`` and ``.parquet`` are for other programs, see `closedloop.figures.export`.
+
+        Raises
+        ------
+        OutputError
+            If the path has another ending, or the file cannot be written.
+        """
+        if Path(path).suffix == ".nc":
+            return save_run(self, path)
+        written: list[Path] = _by_name(self, "save", path)
+        return written[0]
 
     @arguments_checked()
     def show(self, path: str | Path | None = None) -> Any:

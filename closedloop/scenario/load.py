@@ -119,13 +119,14 @@ def _read(path: Path) -> str:
 
 
 @arguments_checked(overrides="keys and their values, such as {'law.force': 15.0}")
-def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+def load_scenario(name: str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | None = None) -> Scenario:
     """Read a scenario and check it.
 
     Parameters
     ----------
-    name : str or Path
-        A shipped name (see `shipped_scenarios`) or a path to a .toml file.
+    name : str, Path or mapping
+        A shipped name (see `shipped_scenarios`), a path to a .toml file, or the tables of such a file:
+        ``{"robot": {"model": "wam4"}, "law": {"kind": "paper"}, ...}``.
     overrides : mapping, optional
         Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``; of a contact by
         its name or number, or of all: ``{"contact.0.friction": 0.3, "contact.*.restitution": 0.0}``. Overriding a
@@ -138,6 +139,8 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
         If there is no such scenario, or the file or an override is at fault; it names the key, the value and the remedy
         of each fault, one line each.
     """
+    if isinstance(name, Mapping):
+        return _whole_scenario(_plain(dict(name)), "scenario", overrides or {}, Path(), keep_absent=False)
     text, stem, where, folder = scenario_text(name)
     return parse_scenario(text, stem, where, overrides, folder=folder)
 
@@ -161,11 +164,18 @@ def parse_scenario(
             f"overrides = {shown(overrides)}: must be keys and their values, such as {{'law.force': 15.0}}"
         )
     data.setdefault("name", stem)
+    return _whole_scenario(data, where, overrides or {}, folder, keep_absent=keep_absent)
+
+
+def _whole_scenario(
+    data: dict[str, Any], where: str, overrides: Mapping[str, Any], folder: Path | None, *, keep_absent: bool
+) -> Scenario:
+    """Check a scenario from the tables of its file, and that they say what is simulated; see `parse_scenario`."""
     robot = data.get("robot")
-    given = {"robot", "robot.model"} & (overrides or {}).keys()
+    given = {"robot", "robot.model"} & overrides.keys()
     if folder is not None and isinstance(robot, dict) and "model" in robot and not given:
         robot["model"] = robot_file(robot["model"], folder, where)
-    scenario = scenario_of(data, where, overrides or {}, keep_absent=keep_absent)
+    scenario = scenario_of(data, where, overrides, keep_absent=keep_absent)
     if not {"robot", "law"} & data.keys():  # an empty file would be an arm that falls
         raise ScenarioError(f"{where}: 'robot' is missing: neither [robot] nor [law] says what is simulated")
     return scenario
@@ -188,7 +198,11 @@ def scenario_of(
 
 
 def _plain(value: Any) -> Any:
-    """Return a copy of an override's value; numbers and arrays of numpy as Python's, which are what a file has."""
+    """Return a copy of a value; numbers and arrays of numpy, also inside, as Python's, which are what a file has."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else deepcopy(value)
 
 

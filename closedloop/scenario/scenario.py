@@ -5,7 +5,9 @@ A scenario is data: it can name a robot and numbers, never code. `closedloop.sce
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
+from importlib import import_module
 from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -107,6 +109,21 @@ class Scenario(Section):
         if not self.has_surface and "force" not in self.law.model_fields_set and not isinstance(self.law, Absent):
             self.__dict__["law"] = self.law.model_copy(update={"force": 0.0})
         return self
+
+    def replace(self, changes: Mapping[str, Any] | None = None, /, **more: Any) -> Scenario:
+        """Return the scenario with other values of some keys: ``scenario.replace({"law.force": 12.0})``.
+
+        Keys and values are as `closedloop.load_scenario` takes them; ``**{"law.force": 12.0}`` is the same.
+
+        Raises
+        ------
+        ScenarioError
+            If a key or a value is at fault.
+        """
+        of_keys = import_module("closedloop.scenario.overrides").Variants
+        changes = {**(changes or {}), **more}
+        replaced: Scenario = of_keys(self, tuple(changes)).scenario(tuple(changes.values()))
+        return replaced
 
     @property
     def has_surface(self) -> bool:

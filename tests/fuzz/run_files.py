@@ -221,7 +221,7 @@ _LOADER = """
 import contextlib, io, json, os, sys, tempfile
 import numpy as np
 import closedloop as cl
-from closedloop.figures.export.csv_table import write_csv
+from closedloop.figures.export.tables import write_csv
 from closedloop.figures.export.mcap_file import write_mcap
 from closedloop.figures.export.mjcf import write_mjcf
 from closedloop.record.report import print_report

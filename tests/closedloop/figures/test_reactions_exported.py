@@ -5,8 +5,8 @@ import pyarrow.csv
 import pytest
 
 import closedloop as cl
-from closedloop.figures.export.csv_table import write_csv
 from closedloop.figures.export.mcap_file import write_mcap
+from closedloop.figures.export.tables import write_csv
 
 
 @pytest.fixture(scope="module")

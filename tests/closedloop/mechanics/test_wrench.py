@@ -8,7 +8,7 @@ import pytest
 from rounding import within
 
 import closedloop as cl
-from closedloop.figures.export.csv_table import write_csv
+from closedloop.figures.export.tables import write_csv
 from closedloop.figures.tool import has_tool
 
 TOOL = {"tool.offset": [0.02, -0.01, 0.12], "tool.mass": 0.8, "tool.centre": [0.01, 0.0, 0.05],

@@ -10,7 +10,7 @@ from pydantic import Field
 import closedloop as cl
 from closedloop.base.errors import LawError, RunFileError, ScenarioError
 from closedloop.base.sections import RATE, Positive
-from closedloop.figures.export.csv_table import write_csv
+from closedloop.figures.export.tables import write_csv
 from closedloop.record.columns.derived import from_text
 from closedloop.scenario.tables import labels_of
 from tests.rounding import rounding

@@ -216,7 +216,7 @@ def test_two_at_once_are_one_too_many(tmp_path):
 def test_refusals(capsys, tmp_path, monkeypatch, arguments, said):
     """One line, exit status 2, and nothing is written."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("closedloop.studies.sweep.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("closedloop.studies.sweep.sweep.PATIENCE", 0.5)
     (tmp_path / "a_file").write_text("mine")
     (tmp_path / "a_folder.parquet").mkdir()
     assert said in refusal(capsys, "wam_slide", *arguments)

@@ -1,22 +1,37 @@
-"""A run as CSV: a column for each number of a row, with its unit in the header; and its events likewise."""
+"""A run as a table: CSV and Parquet, a column for each number of a row, its unit in the header; MATLAB's arrays.
+
+Events are written beside it, or into it, likewise.
+"""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
 from closedloop.base.optional import needs
+from closedloop.figures.export.mcap_file import write_mcap
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.record.columns.derived import DERIVED
 from closedloop.record.frame import part_labels
 from closedloop.record.run import Run, units_by_kind
 from closedloop.scenario.tables import labels_of
+
+
+def save(run: Run, path: str | Path) -> list[Path]:
+    """Write a run in the format that the path's ending names, and return what was written; see `Run.save`."""
+    path = Path(path)
+    if path.suffix not in FORMATS:
+        raise OutputError(
+            f"{path}: must end in .nc, {', '.join(FORMATS)}: the ending says in which format it is written"
+        )
+    return FORMATS[path.suffix](run, path)
 
 
 def write_csv(run: Run, path: str | Path) -> list[Path]:
@@ -26,14 +41,40 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
     ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none. Reactions
     of loop joints are last, ``reaction pin: force along x [N]`` ..., in the axes of the second of its frames.
     """
-    path = Path(path)
+    return _write_tables(run, Path(path), _csv)
+
+
+def write_parquet(run: Run, path: str | Path) -> list[Path]:
+    """Write a run as Parquet, with the headers of `write_csv`, and its events beside it; return the paths."""
+    return _write_tables(run, Path(path), _parquet)
+
+
+def write_mat(run: Run, path: str | Path) -> list[Path]:
+    """Write a run for MATLAB (version 5), and return its path in a list.
+
+    Each column is an array of its name, (N, 1) or (N, k); the struct ``units`` has the unit of each, ``events`` the
+    columns of the events.
+    """
+    from scipy.io import savemat
+
+    names = [*run.specs, *DERIVED]
+    values: dict[str, Any] = {name: np.asarray(getattr(run, name)) for name in names if name not in EVENT_COLUMNS}
+    values["units"] = {name: run.units(name) for name in names}
+    values["events"] = {name: np.asarray(getattr(run, name)) for name in EVENT_COLUMNS}
+    file = io.BytesIO()
+    savemat(file, values, long_field_names=True, do_compression=True, oned_as="column")
+    return [write_whole(path, file.getvalue())]
+
+
+def _write_tables(run: Run, path: Path, encoded: Callable[[Mapping[str, NDArray[Any]]], bytes]) -> list[Path]:
+    """Write the rows of a run, and its events, if it has any, beside it; return the paths."""
     rows = [*(name for name in run.specs if name not in EVENT_COLUMNS), *DERIVED]
     whole = {k: v for name in rows for k, v in _flat(run, name).items()} | _reactions(run)
-    written = [write_whole(path, _table(whole))]
+    written = [write_whole(path, encoded(whole))]
     if run.events:
         columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
         columns["event_kind"] = np.array([KINDS[int(kind)] for kind in run.event_kind])
-        written.append(write_whole(path.with_name(f"{path.stem}_events{path.suffix}"), _table(columns)))
+        written.append(write_whole(path.with_name(f"{path.stem}_events{path.suffix}"), encoded(columns)))
     return written
 
 
@@ -79,7 +120,7 @@ def _header(name: str, unit: str) -> str:
     return name if unit in ("", "1") else f"{name} [{unit}]"
 
 
-def _table(columns: Mapping[str, NDArray[Any]]) -> bytes:
+def _csv(columns: Mapping[str, NDArray[Any]]) -> bytes:
     needs("pyarrow")
     import pyarrow as pa
     from pyarrow import csv
@@ -87,3 +128,19 @@ def _table(columns: Mapping[str, NDArray[Any]]) -> bytes:
     text = io.BytesIO()
     csv.write_csv(pa.table(dict(columns)), text)
     return text.getvalue()
+
+
+def _parquet(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    needs("pyarrow")
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    content = io.BytesIO()
+    parquet.write_table(pa.table(dict(columns)), content)
+    return content.getvalue()
+
+
+# By the ending of the path; `closedloop export` has them too.
+FORMATS: dict[str, Callable[[Run, str | Path], list[Path]]] = {
+    ".csv": write_csv, ".mat": write_mat, ".mcap": write_mcap, ".parquet": write_parquet,
+}  # fmt: skip

@@ -6,8 +6,8 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+from closedloop.base.upwards import ABOVE
 from closedloop.command.table import COMMANDS
-from closedloop.record.run import ABOVE
 
 ROOT = Path(__file__).resolve().parent.parent
 WINGS = (
@@ -146,10 +146,10 @@ def test_what_is_imported_by_name_is_named_in_one_place():
         for name, file in modules("closedloop").items()
         if "import_module" in file.read_text(encoding="utf-8") and WINGS.index(wing(name)) < WINGS.index("command")
     }
-    assert by_name == {"closedloop.record.run", *NEVER_UPWARDS}
+    assert by_name == {"closedloop.base.upwards", *NEVER_UPWARDS}
     for above in ABOVE.values():
         module, _, function = above.partition(":")
-        assert wing(module) in ("simulation", "figures", "lab")
+        assert wing(module) in ("scenario", "simulation", "figures", "lab")
         assert callable(getattr(import_module(module), function))
 
 

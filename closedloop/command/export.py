@@ -7,6 +7,7 @@ from pathlib import Path
 from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written
 from closedloop.command.border import DONE, Parser, as_command
+from closedloop.figures.export.mjcf import write_mjcf
 from closedloop.figures.export.tables import FORMATS as BY_ENDING
 from closedloop.record.load import load_run
 
@@ -28,7 +29,7 @@ def main(arguments: list[str]) -> int:
         "--to",
         required=True,
         choices=tuple(FORMATS),
-        help="csv, parquet: a table with units; mat: arrays for MATLAB; mcap: ROS 2 messages; mjcf: the scene, for MuJoCo",
+        help="csv, parquet: a table; mat: arrays for MATLAB; mcap: ROS 2 messages; mjcf: the scene, for MuJoCo",
     )
     parser.add_argument("--out", metavar="FILE", help="the file (default: beside run.nc, under its name)")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import needs
+from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
@@ -42,17 +42,6 @@ if TYPE_CHECKING:
 def units_by_kind(units: str, kind: str) -> str:
     """Return the unit of an entry of a joint's column: of a joint or coordinate of this kind, from that for turning."""
     return {"prismatic": units.replace("rad", "m").replace("N m", "N"), "quaternion": "1"}.get(kind, units)
-
-
-# What draws a run: MODULE:FUNCTION, found when it is asked for, as drawing is above the record (tests/test_layers.py).
-ABOVE = {
-    "plot": "closedloop.figures.overview:plot",
-    "html": "closedloop.figures.html:html",
-    "show": "closedloop.lab.share:show_run",
-    "animate": "closedloop.lab.animate:animate",
-    "save": "closedloop.figures.export.tables:save",
-    "step_error": "closedloop.simulation.halve:step_error_of",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,10 +251,10 @@ class Run:
         ValueError
             If the run has no row.
         """
-        return _by_name(self, "plot")
+        return called("plot", self)
 
     def _repr_html_(self) -> str:
-        return str(_by_name(self, "html"))
+        return str(called("html", self))
 
     @arguments_checked()
     def save(self, path: str | Path) -> Path:
@@ -281,7 +270,7 @@ class Run:
         """
         if Path(path).suffix == ".nc":
             return save_run(self, path)
-        written: list[Path] = _by_name(self, "save", path)
+        written: list[Path] = called("save", self, path)
         return written[0]
 
     @arguments_checked()
@@ -300,7 +289,7 @@ class Run:
         OutputError
             If the file cannot be written.
         """
-        return _by_name(self, "show", path)
+        return called("show", self, path)
 
     def step_error(self, law: Any = None) -> dict[str, float | None]:
         """Return by how much the same run at half the step differs: ``force``, N, and ``position`` of the tip, m.
@@ -315,7 +304,7 @@ class Run:
         SimulationError
             If the run at half the step stops before its first row.
         """
-        return _by_name(self, "step_error", law)
+        return called("step_error", self, law)
 
     @arguments_checked()
     def animate(self, path: str | Path, *, speed: float = 1.0, frames_per_second: int = 25) -> Path:
@@ -330,10 +319,4 @@ class Run:
         OutputError
             If the file cannot be written, or there is no ffmpeg for a .mp4.
         """
-        return _by_name(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
-
-
-def _by_name(run: Run, how: str, *arguments: Any, **options: Any) -> Any:
-    """Return what a function above the record, see `ABOVE`, returns of a run."""
-    module, _, function = ABOVE[how].partition(":")
-    return getattr(import_module(module), function)(run, *arguments, **options)
+        return called("animate", self, path, speed=speed, frames_per_second=frames_per_second)

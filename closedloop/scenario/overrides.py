@@ -67,6 +67,11 @@ class Variants:
         raise first
 
 
+def replaced(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with other values of some keys; see `Scenario.replace`."""
+    return Variants(scenario, tuple(changes)).scenario(tuple(changes.values()))
+
+
 def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> None:
     """Refuse a key given beside kinds that change from run to run, if one of these kinds does not know it.
 

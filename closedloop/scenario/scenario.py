@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from importlib import import_module
 from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from closedloop.base.families import Absent, Family, OneOf
 from closedloop.base.sections import Section
+from closedloop.base.upwards import called
 from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import NO_ENCODER, EncoderSection, encoder_kind
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
@@ -120,9 +120,7 @@ class Scenario(Section):
         ScenarioError
             If a key or a value is at fault.
         """
-        of_keys = import_module("closedloop.scenario.overrides").Variants
-        changes = {**(changes or {}), **more}
-        replaced: Scenario = of_keys(self, tuple(changes)).scenario(tuple(changes.values()))
+        replaced: Scenario = called("replace", self, {**(changes or {}), **more})
         return replaced
 
     @property

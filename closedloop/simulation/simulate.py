@@ -87,12 +87,20 @@ def simulate(
         `DivergenceError` and others name the reason; the cause of a `LawError` is the exception of the user's law;
         `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps or after the compiled loop.
     """
+    return simulate_prepared(scenario, None, law, model, progress, engine, record)
+
+
+def simulate_prepared(
+    scenario: Scenario, problem: Problem | None, law: Law | None, model: RobotModel | None,
+    progress: bool | Callable[[int, int], None], engine: str, record: Recorded | None,
+) -> Run:  # fmt: skip
+    """Simulate a scenario that may be prepared already; see `simulate`."""
     check_engine(scenario, engine, law)
     check_names(record or {}, set(ALL_COLUMNS) | set(dir(Run)) | set(DERIVED) | RESERVED)
-    problem: Problem | None = None
     try:
-        with held_back(), not_compiled_first():
-            problem = prepare(scenario, model)
+        if problem is None:
+            with held_back(), not_compiled_first():
+                problem = prepare(scenario, model)
         with reporting(progress, problem.scenario.name, problem.steps) as report:
             rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     except KeyboardInterrupt as stop:

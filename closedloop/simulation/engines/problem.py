@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from closedloop.base.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.base.families import is_users
+from closedloop.base.upwards import called
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law import LawInput
 from closedloop.jit.calls import entry_address
@@ -29,6 +31,8 @@ from closedloop.mechanics.friction.law import Slip
 from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
+from closedloop.record.columns.derived import Recorded
+from closedloop.record.run import Run
 from closedloop.simulation.engines.bind_ball import ball_memory
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
 from closedloop.simulation.engines.loop_start import read_encoders
@@ -48,6 +52,31 @@ class Problem(ScenarioNumbers):
 
     Its attributes are those of `closedloop.simulation.engines.scenario_numbers.ScenarioNumbers`.
     """
+
+    def run(
+        self, changes: Mapping[str, Any] | None = None, *, q: ArrayLike | None = None, v: ArrayLike | None = None,
+        law: Callable[..., ArrayLike] | None = None, progress: bool = False,
+        engine: str = "pinocchio", record: Recorded | None = None,
+    ) -> Run:  # fmt: skip
+        """Simulate the problem, or the same with other values of some keys, from another start; return the `Run`.
+
+        It equals `closedloop.simulate` of ``scenario.replace(changes)`` to the bit, and does not load the robot again.
+
+        Parameters
+        ----------
+        changes : mapping, optional
+            Dotted keys and values, such as ``{"law.force": 12.0}``.
+        q, v : array_like, optional
+            The start, in place of ``start.q`` and ``start.v``.
+        law, progress, engine, record
+            See `closedloop.simulate`, which names the errors too.
+        """
+        start = {"start.q": q, "start.v": v}
+        changes = {**(changes or {}), **{key: value for key, value in start.items() if value is not None}}
+        scenario = self.scenario.replace(changes) if changes else self.scenario
+        model = self.robot.model if scenario.robot.model == self.scenario.robot.model else None
+        run: Run = called("run", scenario, None if changes else self, law, model, progress, engine, record)
+        return run
 
     def loop(self, user_law: bool = False) -> Loop:
         """Return the loop's memory at t = 0."""

@@ -25,7 +25,7 @@ import closedloop as cl
 from closedloop.figures import STYLE
 from closedloop.figures.friction_laws import draw
 from closedloop.scenario.load import load_scenario
-from closedloop.studies.study import controllers as study
+from validation.studies import controllers as study
 
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 110

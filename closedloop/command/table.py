@@ -29,7 +29,7 @@ COMMANDS = (
     Command("show", "print the report of a saved run", "closedloop.command.saved:show", "run"),
     Command("plot", "draw the figures of a saved run", "closedloop.command.saved:plot", "run"),
     Command("sweep", "run a scenario many times, into a table", "closedloop.command.sweep:as_process", "scenario"),
-    Command("study", "run a study: drift, controllers", "closedloop.command.study:main"),
+    Command("study", "run a study: drift, controllers", "validation.studies.__main__:main"),
     Command("analyse", "margins, poles and limits of the force loop", "closedloop.command.analyse:main", "scenario"),
     Command("tune", "find the gains that minimise a value of the runs", "closedloop.command.tune:main", "scenario"),
     Command("identify", "find a robot's parameters from a log", "closedloop.command.identify:main"),

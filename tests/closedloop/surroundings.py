@@ -20,7 +20,7 @@ ROOT = Path(cl.__file__).parent.parent
 COMMANDS = {
     "run": f'"{sys.executable}" -m closedloop.run',
     "sweep": f'"{sys.executable}" -m closedloop.command.sweep',
-    "study": f'"{sys.executable}" -m closedloop.command.study',
+    "study": f'"{sys.executable}" -m validation.studies',
     "validation": f'"{sys.executable}" -m validation.run',
 }
 SHORT = "{run} planar2_slide --reference.kind hold --time.duration 0.01 --out r --no-figures"

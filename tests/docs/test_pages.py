@@ -15,7 +15,7 @@ from pages import DOCS, PAGES, ROOT, blocks, broken_links, commands, left_out, s
 import closedloop
 import robot_models
 import validation
-from closedloop.command.study import STUDIES
+from validation.studies.__main__ import STUDIES
 
 WITH_CODE = [page for page in PAGES if blocks(page.read_text(encoding="utf-8"), "python")]
 # Pages whose commands, in the folder of their Python blocks, run too; those of others take minutes, or a browser. So do

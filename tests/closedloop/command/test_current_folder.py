@@ -34,7 +34,7 @@ def started(monkeypatch, tmp_path):
         (("-m", "closedloop.run"), 1),
         (("-m", "closedloop.run", "wam_slide", "--json"), 3),
         (("-W", "error", "-m", "closedloop.command.sweep", "plot"), 2),
-        (("-X", "dev", "-umclosedloop.command.study", "drift"), 2),
+        (("-X", "dev", "-umvalidation.studies", "drift"), 2),
         (("-mvalidation.run",), 1),
     ],
 )

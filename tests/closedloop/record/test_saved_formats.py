@@ -51,9 +51,9 @@ def test_a_scenario_from_tables_and_with_other_values():
     )
     assert scenario.replace(**{"law.force": 12.0}).law.force == 12.0
     assert scenario.law.force == 10.0
-    with pytest.raises(cl.ScenarioError, match="did you mean 'law.force'"):
+    with pytest.raises(cl.ScenarioError, match=r"did you mean 'law\.force'"):
         scenario.replace({"law.forze": 12.0})
-    with pytest.raises(cl.ScenarioError, match="neither \\[robot\\] nor \\[law\\]"):
+    with pytest.raises(cl.ScenarioError, match=r"neither \[robot\] nor \[law\]"):
         cl.load_scenario({})
 
 

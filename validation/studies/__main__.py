@@ -31,7 +31,7 @@ def main(words: list[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
     options = parser.parse_args(words)
     folder = made_folder(options.out or Path("out") / f"study_{options.study}")
-    from closedloop.studies.study import controllers, drift, surfaces
+    from validation.studies import controllers, drift, surfaces
 
     study = {"drift": drift, "controllers": controllers, "surfaces": surfaces}[options.study]
     study.run(folder, quick=options.quick, as_json=options.json)

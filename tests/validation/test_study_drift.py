@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.command.study import main
 from closedloop.mechanics.closure.baumgarte import largest_stable_ratio
-from closedloop.studies.study import drift
-from closedloop.studies.study.drift import (
+from validation.studies import drift
+from validation.studies.__main__ import main
+from validation.studies.drift import (
     SCHEMES,
     STEPS,
     TOLERANCES,

@@ -23,7 +23,7 @@ import numpy as np
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
-from closedloop.studies.study.results import ELBOW_UP, conclude, each, force_and_path, measured
+from validation.studies.results import ELBOW_UP, conclude, each, force_and_path, measured
 
 SETTLED_FROM, BAND = 1.5, 0.05  # s, N
 RISES_AT, RISE, FORCE_STEP, END = 7.0, 0.05, 3.0, 9.0  # s, s, N, s; the path ends at 6.5 s

@@ -22,7 +22,7 @@ from typing import Any
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
-from closedloop.studies.study.results import conclude, each, force_and_path, measured, print_table
+from validation.studies.results import conclude, each, force_and_path, measured, print_table
 
 SETTLED_FROM = 1.5  # s
 STEP, SAMPLE = 0.00025, 0.001  # s

@@ -35,7 +35,7 @@ from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import run_loop, simulate
-from closedloop.studies.study.results import ELBOW_UP, conclude, print_table
+from validation.studies.results import ELBOW_UP, conclude, print_table
 
 SCHEMES = ("semi_implicit_euler", "explicit_euler", "rk4")
 STABILISERS = ("none", "baumgarte", "projection", "both")
@@ -194,7 +194,7 @@ def measure(quick: bool = False) -> dict[str, Any]:
 
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> dict[str, Any]:
     """Do the study, write drift.json, drift.csv and the figures into `folder`, and print the tables."""
-    from closedloop.studies.study.drift_figures import draw_drift
+    from validation.studies.drift_figures import draw_drift
 
     results = measure(quick)
     columns = ["integrator", "stabiliser", "step [s]", "speed [m/s]", "tolerance", "largest |e| [m]"]

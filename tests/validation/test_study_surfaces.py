@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.command.study import main
-from closedloop.studies.study import results, surfaces
+from validation.studies import results, surfaces
+from validation.studies.__main__ import main
 
 
 def test_measures_of_known_signals():

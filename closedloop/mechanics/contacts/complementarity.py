@@ -42,8 +42,8 @@ INNER = 100.0
 SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
 # A residual above the first, of the force that is asked for, is made less by so many steps with the third for ρ.
 ROUGH, POLISHING, OTHER_PENALTY = 1e-13, 10, 0.1
-# Mobility of contacts that give way a little, of the largest.
-SOFTNESS = 1e-7
+# Mobility of contacts that give way a little, of the largest; rounds in which forces no longer depend on it.
+SOFTNESS, PROXIMAL = 1e-7, 3
 # Rounds at the end of a path, where the solution is near.
 LAST_ROUNDS = 9
 # Where paths start, one after the other, see `start_path`.
@@ -93,10 +93,14 @@ def largest_mobility(c: Contacts, k: int) -> float:
 
 @kernel
 def asked_of(c: Contacts, k: int) -> float:
-    """Return the largest number of q of the contacts that take part: what open ones have does not count."""
+    """Return the largest number of q of the rows that have equations: all of what may stick, of what slides its normal.
+
+    What open contacts have does not count.
+    """
     asked = 0.0
-    for j in range(3 * k):
-        if c.problem.form[j // 3] != OFF:
+    for i in range(k):
+        form = c.problem.form[i]
+        for j in range(3 * i, 3 * i + (3 if form in (CONE, DOUBLE) else (0 if form == OFF else 1))):
             asked = max(asked, abs(c.problem.q[j]))
     return asked
 
@@ -305,18 +309,24 @@ def polish(c: Contacts, k: int) -> None:
 
 
 @kernel
-def soften(c: Contacts, k: int) -> None:
-    """Write F near that of contacts that give way a little: of forces that are not unique nearly the shortest.
+def soften(c: Contacts, k: int, sweeps: int = SWEEPS, inner: float = 0.0) -> None:
+    """Write the F that contacts have which give way a little, all alike: one where forces are not unique, too.
 
-    The modes are then those of the forces that follow, and what is symmetric stays so.
+    Whatever the start is, it is the same F but for rounding: nearly the shortest, and symmetric where the problem is.
+    The method of the proximal point: F of the last round in W F + ε (F − F_last) + q, from none, so that after a few
+    rounds nothing is left of ε (R. T. Rockafellar, SIAM J. Control Optim. 14, 1976).
     """
-    largest = largest_mobility(c, k)
+    softness = SOFTNESS * largest_mobility(c, k)
     for i in range(3 * k):
-        c.problem.diagonal[i] = c.W[i, i]
-        c.W[i, i] += SOFTNESS * largest
-    solve_from_here(c, k, SWEEPS, ROUNDS)
+        c.problem.diagonal[i], c.problem.asked[i] = c.W[i, i], c.problem.q[i]
+        c.W[i, i] += softness
+    for proximal in range(PROXIMAL):
+        if not solve_from_here(c, k, sweeps if proximal == 0 else 0, ROUNDS, inner):
+            break
+        for i in range(3 * k):
+            c.problem.q[i] = c.problem.asked[i] - softness * c.F[i]
     for i in range(3 * k):
-        c.W[i, i] = c.problem.diagonal[i]
+        c.W[i, i], c.problem.q[i] = c.problem.diagonal[i], c.problem.asked[i]
 
 
 @kernel

@@ -74,7 +74,7 @@ def drop_contradictions(c: Contacts, k: int, largest: float) -> None:
     S, unknown, p, contact = c.scratch.system, c.scratch.unknown, 0, c.scratch.packed.contact
     for i in range(k):
         j = int(contact[i])
-        if c.scratch.turned[j] != 0.0 and c.friction.shared[j] > 0.0:
+        if c.scratch.turned[j] != 0.0:
             unknown[p], unknown[p + 1] = 3 * i + 1, 3 * i + 2
             p += 2
     for r in range(p):
@@ -86,8 +86,10 @@ def drop_contradictions(c: Contacts, k: int, largest: float) -> None:
     solve_any_rank(S, p, 1, c.scratch.column_order, c.scratch.solution, 0.0)
     for r in range(p):
         row = int(unknown[r])
-        left = -c.drift[3 * int(contact[row // 3]) + row % 3]
-        left -= CREEP * c.W[row - row % 3, row - row % 3] * c.scratch.solution[0, r]
+        j = int(contact[row // 3])
+        left = -c.drift[3 * j + row % 3]
+        if c.friction.shared[j] > 0.0:
+            left -= CREEP * c.W[row - row % 3, row - row % 3] * c.scratch.solution[0, r]
         for s in range(p):
             left += c.W[row, int(unknown[s])] * c.scratch.solution[0, s]
         c.scratch.sought[row] += left

@@ -35,8 +35,6 @@ FEW = 3
 SLOW = 0.1
 # The first part is shown as soon as it is clear that the run takes that long, if so large a share of SLOW is left.
 LEFT = 0.3
-# Evaluations between two looks at the clock: some 5 ms of an arm that slides on a plane.
-AT_ONCE = 4000
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ class Answers:
                 shown = clock.perf_counter()
 
         try:
-            found, events, failure, seconds = run_loop(problem, law, report, engine, rows=rows, at_once=AT_ONCE)
+            found, events, failure, seconds = run_loop(problem, law, report, engine, rows=rows)
         finally:
             if shown > began:
                 self._say("")

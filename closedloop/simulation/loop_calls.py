@@ -40,6 +40,7 @@ from closedloop.simulation.engines.bind_contacts import entries_of_contacts
 from closedloop.simulation.engines.failures import failure_of, raised_by_member
 from closedloop.simulation.engines.loops import COMPILED, kernels_of
 from closedloop.simulation.engines.needs import entries_of
+from closedloop.simulation.engines.pace import Pace
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, proceed_at, set_events
 from closedloop.simulation.engines.user_law import Law, UserLaw
@@ -47,8 +48,6 @@ from robot_models import RobotModel
 
 Call = Callable[[Array], int]
 
-# Evaluations between two returns to Python's bookkeeping, where nothing else is asked for.
-CHUNK = 400
 # What a run calls once or twice before and after its loop, interpreted where it is not compiled yet; and with loops.
 USED_ONCE, WITH_LOOPS = (potential_energies, walk, sample_spline), (rows_along, along_path, closed_to)
 
@@ -108,11 +107,11 @@ def driver(
     arrays: tuple[Array, Array, Array],
     engine: str,
     made: tuple[Tree, Array] | None = None,
-    at_once: int | None = None,
 ) -> tuple[Call, Call]:
     """Return two functions of the table of events: one provides terms once, one while nothing else is requested.
 
-    The compiled engine's, once compiled, are the same: it returns as soon as something else is requested.
+    The second returns after about a `MOMENT` too, see `Pace`. The compiled engine's are the same: it returns as soon as
+    something else is requested.
 
     Parameters
     ----------
@@ -124,21 +123,19 @@ def driver(
         See `closedloop.simulate`.
     made : (Tree, array), optional
         The robot for the compiled engine, and its scratch array, if they exist already.
-    at_once : int, optional
-        Evaluations of the compiled engine before it returns though nothing is requested.
     """
+    pace = Pace()
     if engine == COMPILED:
-        from closedloop.simulation.engines.compiled import ALL
-
         given, addresses = _compiled_arguments(problem, loop, arrays, made)
         if not isinstance(kernel, Interim) and not getattr(kernel, "signatures", ()):
-            direct(kernel, *given, ALL)  # compile it, or read it from the cache, before the clock starts
+            direct(kernel, *given, 1)  # compile it, or read it from the cache, before the clock starts
 
         def go_on(events: Array) -> int:
             set_events(addresses, events)
             # Interpreted, it returns after each evaluation, as with Pinocchio, and can be interrupted.
-            most = 1 if isinstance(kernel, Interim) and kernel.interpreting else (at_once or ALL)
-            return kernel(*given, most)
+            if isinstance(kernel, Interim) and kernel.interpreting:
+                return kernel(*given, 1)
+            return pace.take(lambda evaluations: kernel(*given, evaluations))
 
         return go_on, go_on
 
@@ -147,23 +144,27 @@ def driver(
     crba, bias, convention, pinocchio, data = robot.passes
     (q, turned), v, at = robot.configuration(loop.w.q), loop.w.v, address_of(addresses.memory)
 
-    def chunk(length: int) -> Call:
-        def go_on(events: Array) -> int:
-            set_events(addresses, events)
-            request, call = TERMS, direct(kernel, at, FROM_PINOCCHIO)
-            for _ in range(length):
-                if turned is not None:
-                    turned()
-                crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
-                bias(pinocchio, data, q, v)
-                request = call(at, FROM_PINOCCHIO)
-                if request != TERMS:
-                    break
-            return request
+    def provide(evaluations: int) -> int:
+        request, call = TERMS, direct(kernel, at, FROM_PINOCCHIO)
+        for _ in range(evaluations):
+            if turned is not None:
+                turned()
+            crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
+            bias(pinocchio, data, q, v)
+            request = call(at, FROM_PINOCCHIO)
+            if request != TERMS:
+                break
+        return request
 
-        return go_on
+    def once(events: Array) -> int:
+        set_events(addresses, events)
+        return provide(1)
 
-    return chunk(1), chunk(CHUNK)
+    def many(events: Array) -> int:
+        set_events(addresses, events)
+        return pace.take(provide)
+
+    return once, many
 
 
 def single_calls(

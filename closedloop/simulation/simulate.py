@@ -182,12 +182,14 @@ def run_loop(
     tree: tuple[Tree, Array] | None = None,
     interim: bool = False,
     keep_interrupted: bool = False,
-    at_once: int | None = None,
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
 
     Parameters
     ----------
+    report : callable
+        Called with the number of rows that are done and of all, every `closedloop.simulation.engines.pace.MOMENT`, s;
+        they are in `rows` then, but for the last condition numbers.
     rows : (>= steps + 1, width) array, optional
         Memory for the rows; its content is overwritten.
     tree : (Tree, array), optional
@@ -196,9 +198,6 @@ def run_loop(
         Whether the run may begin interpreted while the loop is not compiled yet; else the loop is compiled first.
     keep_interrupted : bool
         Whether Ctrl-C ends the run as a failure with its record; else it is raised.
-    at_once : int, optional
-        Evaluations of the compiled engine between two reports; all if left out. When `report` is called the rows that
-        are done are in `rows`, but for the last condition numbers.
 
     Returns
     -------
@@ -229,7 +228,7 @@ def run_loop(
         make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
     connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
     arrays = problem.table, problem.integrator.tableau(), rows
-    step, many = driver(problem, kernel, loop, arrays, engine, tree, at_once)
+    step, many = driver(problem, kernel, loop, arrays, engine, tree)
     answers = Answers(problem, loop, interim)
 
     def finish(done: int) -> None:

@@ -19,9 +19,6 @@ from closedloop.mechanics.robot.tree import Tree, tree_terms, work_size
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
 
-# More evaluations than any run has.
-ALL = 1 << 62
-
 
 @entry_kernel
 def run_compiled(tree: Tree, scratch: Array, address: int, most: int) -> int:

@@ -28,7 +28,8 @@ from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.report.measured import CONTROL, Tally, Values
 from closedloop.record.report.row_sample import joint_limits
 from closedloop.simulation.engines.at_addresses import Parts, measure_at, run_at, run_varied_at
-from closedloop.simulation.engines.compiled import ALL, compiled_work
+from closedloop.simulation.engines.compiled import compiled_work
+from closedloop.simulation.engines.pace import Pace
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import Addresses, proceed_at
 
@@ -185,7 +186,7 @@ class DualRun:
     def run(self) -> bool:
         """Run to the end; False if something stops it."""
         at, parts = address_of(self._addresses.memory), address_of(self._parts.memory)
-        go_on, request = dual(run_varied_at if self._varied else run_at), TERMS
+        go_on, request, pace = dual(run_varied_at if self._varied else run_at), TERMS, Pace()
         while request != DONE:
             if request == TABLE_FULL:
                 more = aligned(2 * len(self.events), EVENT_WIDTH)
@@ -197,7 +198,7 @@ class DualRun:
             elif request != TERMS:
                 return False
             with refused_as_one_line():
-                request = go_on(self._tree, parts, at, ALL)
+                request = pace.take(lambda evaluations: go_on(self._tree, parts, at, evaluations))
         self.events = self.events[: int(self._state.event.rows)]
         return True
 

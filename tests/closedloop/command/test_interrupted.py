@@ -12,8 +12,10 @@ import pytest
 import closedloop as cl
 from closedloop.base.errors import ClosedLoopError
 from closedloop.base.interrupts import Terminated, held_back, terminable
+from closedloop.loop.events.phases import TERMS
 from closedloop.loop.step import entries
 from closedloop.record.columns.record import COLUMNS
+from closedloop.simulation.engines import pace
 from closedloop.simulation.engines.user_law import UserLaw
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")
@@ -122,6 +124,37 @@ def test_ctrl_c_keeps_what_ran(integrator):
     assert "interrupted" in str(caught.value)
     assert len(caught.value.run) == 21
     assert begins_as(caught.value.run, cl.simulate(scenario(integrator), law=soft))
+
+
+def test_a_run_that_crawls_returns_to_python_soon(monkeypatch):
+    """Evaluations that take ten thousand times as long as those before are not done by the thousand."""
+    time_of_one, clock, calls = 1e-6, [0.0], []
+
+    def evaluate(evaluations):
+        clock[0] += evaluations * time_of_one
+        calls.append((evaluations, evaluations * time_of_one))
+        return TERMS
+
+    monkeypatch.setattr(pace.clock, "perf_counter", lambda: clock[0])
+    taken = pace.Pace()
+    for _ in range(20):
+        assert taken.take(evaluate) == TERMS
+    assert calls[-1][0] == pace.MOST, "it returns more often than need be"
+    time_of_one = 1e-2
+    for _ in range(20):
+        taken.take(evaluate)
+    assert [seconds for _, seconds in calls[21:] if seconds > 2.0 * pace.MOMENT] == []
+    assert min(evaluations for evaluations, _ in calls) > 0
+
+
+@pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+def test_how_often_a_run_returns_to_python_changes_no_bit(engine, monkeypatch):
+    """Every evaluation, every seventh, or as many as there are."""
+    whole = cl.simulate(scenario(), engine=engine)
+    for count in (1, 7):
+        monkeypatch.setattr(pace, "FEW", count)
+        monkeypatch.setattr(pace, "MOST", count)
+        assert begins_as(cl.simulate(scenario(), engine=engine), whole)
 
 
 @pytest.fixture

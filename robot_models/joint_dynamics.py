@@ -45,7 +45,7 @@ def _dynamics(model: RobotModel) -> NDArray[np.float64]:
         if dynamics is None or name not in model.joint_names:
             continue
         j, where = model.joint_names.index(name), f"{model.name}: joint {name}: {_WHERE[model.format]}"
-        found[:, j] = [float(dynamics.get(key, "0")) for key in keys]
+        found[:, j] = [float(dynamics.get(key, "0").split()[0]) for key in keys]
         if not (np.all(np.isfinite(found[:, j])) and np.all(found[:, j] >= 0.0)):
             raise ModelError(f"{where}: damping and friction must be zero or more")
         for key, number in zip(KEYS["urdf"], found[:, j], strict=True):

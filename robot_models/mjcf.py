@@ -22,7 +22,7 @@ from robot_models.coordinates import PARTS, PLACES
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
 from robot_models.mechanism import Array, check_size
-from robot_models.mjcf_coupling import couplings, drives, torque_limits
+from robot_models.mjcf_coupling import couplings, drives, tendon_joints, torque_limits
 from robot_models.xml_text import parse, read_text, tidy
 
 #: Names of the kinds of joints and of geoms, by MuJoCo's numbers.
@@ -43,7 +43,7 @@ _NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator")
 # Numbers that place, move or weigh, by kinds of objects.
 _NUMBERS = {
     "body": ("pos", "quat", "ipos", "iquat", "mass", "inertia"),
-    "jnt": ("pos", "axis", "range", "stiffness"),
+    "jnt": ("pos", "axis", "range", "stiffness", "stiffnesspoly"),
     "site": ("pos", "quat"),
 }
 _TITLES = {"body": "body", "jnt": "joint", "site": "site"}
@@ -112,6 +112,7 @@ def read(text: str, where: str, path: Path | None) -> Mjcf:
             place = {"pos": _words(model.body_pos[b]), "quat": _words(model.body_quat[b])}
             bodies[b] = ET.SubElement(bodies[int(model.body_parentid[b])], "body", {"name": names.body[b], **place})
         _write_body(bodies[b], b, model, names, limits)
+    _write_tendons(plain, model, names)
     loops, more = couplings(model, names, where)
     return Mjcf(
         ET.tostring(plain, encoding="unicode"),
@@ -301,14 +302,10 @@ def _write_body(element: ET.Element, b: int, model: Any, names: Names, limits: d
                 given |= {key: _word(value)} if value else {}
             if limits.get(j):
                 given["actuatorfrcrange"] = f"{-limits[j]!r} {limits[j]!r}"
-        acting = ("armature", model.dof_armature), ("damping", model.dof_damping), (
-            "frictionloss", model.dof_frictionloss,
-        )  # fmt: skip
-        for key, values in acting:
-            value = float(np.ravel(values[v])[0])
-            given |= {key: _word(value)} if value else {}
-        stiffness = float(np.ravel(model.jnt_stiffness[j])[0])
-        given |= {"stiffness": _word(stiffness)} if stiffness else {}
+        given |= {"armature": _word(model.dof_armature[v])} if model.dof_armature[v] else {}
+        given |= _rough(model.dof_damping[v], model.dof_dampingpoly[v], model.dof_frictionloss[v])
+        if kind not in ONE_BY_ONE:
+            given |= _three("stiffness", model.jnt_stiffness[j], model.jnt_stiffnesspoly[j])
         ET.SubElement(element, "joint", given)
     if b and model.body_mass[b] > 0.0:
         ET.SubElement(
@@ -328,6 +325,40 @@ def _write_body(element: ET.Element, b: int, model: Any, names: Names, limits: d
         if model.site_bodyid[s] == b:
             place = {"pos": _words(model.site_pos[s]), "quat": _words(model.site_quat[s])}
             ET.SubElement(element, "site", {"name": names.site[s], **place})
+
+
+def _write_tendons(plain: ET.Element, model: Any, names: Names) -> None:
+    """Write the fixed tendons along which something acts."""
+    made = ET.Element("tendon")
+    taken = {names.own("tendon", t) for t in range(model.ntendon)}
+    for t in range(model.ntendon):
+        given = _three("stiffness", model.tendon_stiffness[t], model.tendon_stiffnesspoly[t])
+        if given:
+            low, high = model.tendon_lengthspring[t]
+            automatic = low == high == -1.0  # which MuJoCo takes for the length where the model is assembled
+            given["springlength"] = _words([np.nextafter(low, 0.0) if automatic else low, high])
+        given |= _rough(model.tendon_damping[t], model.tendon_dampingpoly[t], model.tendon_frictionloss[t])
+        if model.tendon_limited[t]:
+            given["range"] = _words(model.tendon_range[t])
+        joints = tendon_joints(model, t)
+        if given and joints:
+            name = names.own("tendon", t) or _unused(f"tendon {t + 1}", taken, "tendon")
+            element = ET.SubElement(made, "fixed", {"name": name, **given})
+            for joint, coefficient in joints:
+                ET.SubElement(element, "joint", joint=names.joint[joint], coef=_word(coefficient))
+    if len(made):
+        plain.append(made)
+
+
+def _rough(damping: Any, more: Any, friction: Any) -> dict[str, str]:
+    """Return the attributes of a damper and of dry friction; none of what is zero."""
+    return _three("damping", damping, more) | ({"frictionloss": _word(friction)} if friction else {})
+
+
+def _three(key: str, first: Any, more: Any) -> dict[str, str]:
+    """Return the attribute of a polynomial of three coefficients; none if all are zero."""
+    numbers = [first, *more]
+    return {key: _words(numbers)} if any(numbers) else {}
 
 
 def _word(x: float) -> str:
@@ -383,9 +414,12 @@ def _left_out(model: Any, names: Names) -> list[str]:
     if model.nv and model.body_gravcomp.any():
         carried = [names.body[b] for b in np.flatnonzero(model.body_gravcomp)]
         found.append(f"gravcomp does not act ({_some(carried)}): compensation of gravity is the law's")
-    stiff = [names.joint[j] for j in range(model.njnt) if np.any(model.jnt_stiffness[j])]
-    if stiff:
-        found.append(f"springs of joints (stiffness) do not act: {_some(stiff)}")
+    held = [
+        names.joint[j] for j in range(model.njnt)
+        if JOINTS[model.jnt_type[j]] in ONE_BY_ONE and (model.jnt_stiffness[j] or np.any(model.jnt_stiffnesspoly[j]))
+    ]  # fmt: skip
+    if held:
+        found.append(f"springs of joints that turn freely do not act: {_some(held)}")
     for j, (low, high) in enumerate(model.jnt_range.tolist()):
         if not model.jnt_limited[j] and low >= high and (low or high):
             found.append(f"joint {names.joint[j]!r}: its range {low:g} {high:g} is none to MuJoCo, and does not act")

@@ -155,26 +155,23 @@ def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
 
 
 def _idle_tendons(model: Any, names: "Names", where: str) -> list[str]:
-    """Refuse spatial tendons that act, and return warnings of what of a tendon does not act."""
+    """Refuse spatial tendons that act, and an armature of others, and return warnings of those that do not act."""
     used = {int(model.actuator_trnid[a][0]) for a in range(model.nu) if model.actuator_trntype[a] == _AT_TENDON}
     used |= {int(i) for k in np.flatnonzero(model.eq_type == _TENDON) for i in (model.eq_obj1id[k], model.eq_obj2id[k])}
     warnings = []
     for t in range(model.ntendon):
         name = names.own("tendon", t) or str(t + 1)
-        acts = {
-            "stiffness": np.any(model.tendon_stiffness[t]),
-            "damping": np.any(model.tendon_damping[t]),
-            "frictionloss": np.any(model.tendon_frictionloss[t]),
-            "armature": np.any(model.tendon_armature[t]),
-            "range": bool(model.tendon_limited[t]),
-        }
-        acting = [key for key, there in acts.items() if there]
+        acting = [
+            key
+            for key in ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss", "armature", "limited")
+            if np.any(getattr(model, f"tendon_{key}")[t])
+        ]
         if not tendon_joints(model, t):
             if acting or t in used:
                 raise ModelError(f"{where}: tendon {name!r} is spatial, which is not simulated: leave it out")
             warnings.append(f"tendon {name!r} is spatial and left out: it does no work")
-        elif acting:
-            warnings.append(f"{' and '.join(acting)} of tendon {name!r} do not act")
+        elif "armature" in acting:
+            raise ModelError(f"{where}: the armature of tendon {name!r} is not simulated: leave it out")
     return warnings
 
 

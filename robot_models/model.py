@@ -13,6 +13,7 @@ from robot_models.cached import cached_property
 from robot_models.coordinates import PLACES, RATES, balls, coordinate_names, coordinate_types, with_rotation_vectors
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
+from robot_models.tendon import Tendon, springs, tendons
 from robot_models.tool import Tool
 
 if TYPE_CHECKING:
@@ -187,6 +188,18 @@ class RobotModel:
     def rigid_armature(self) -> Vector:
         """(n,) drive inertia that is in the mass matrix, kg m²: not that of drives behind springs."""
         return np.where(self.driven & self.elastic, 0.0, self.armature)
+
+    @cached_property
+    def tendons(self) -> tuple[Tendon, ...]:
+        """What acts along linear combinations of joint positions: springs of joints, fixed tendons."""
+        return tendons(self.text, self.joint_names, self.locked) if self.format == "mjcf" else ()
+
+    @cached_property
+    def springs(self) -> NDArray[np.float64]:
+        """A row for each spring, see `robot_models.tendon.springs`."""
+        found = springs(self.tendons, self.joint_names)
+        found.setflags(write=False)
+        return found
 
     @property
     def loop_coordinates(self) -> tuple[str, ...]:

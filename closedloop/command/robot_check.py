@@ -120,7 +120,7 @@ def _of_mujoco(robot: Robot, file: str, states: list[Any]) -> list[tuple[Array, 
         mujoco.mj_forward(compiled, data)
         full = np.zeros((compiled.nv, compiled.nv))
         mujoco.mj_fullM(compiled, data, full)
-        found.append((full[np.ix_(order, order)], data.qfrc_bias[order].copy()))
+        found.append((full[np.ix_(order, order)], (data.qfrc_bias - data.qfrc_spring)[order]))
     return found
 
 

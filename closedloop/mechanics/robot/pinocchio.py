@@ -18,6 +18,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
 from closedloop.mechanics.robot.tree.model import last_velocity
+from closedloop.mechanics.robot.tree.springs import add_springs, spring_energy
 from robot_models import RobotModel
 from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions, with_rotation_vectors
 from robot_models.loop_joint import WORLD
@@ -32,7 +33,7 @@ class Terms(NamedTuple):
     mass_matrix : (n, n) array
         H, kg m² (kg for prismatic joints), drive inertia included (Eq. 8).
     bias : (n,) array
-        C, N m: Coriolis, centrifugal and gravity terms (Eq. 8).
+        C, N m: Coriolis, centrifugal and gravity terms, and those of the springs of the robot's file (Eq. 8).
     position : (3,) array
         r, tip in the base frame, m.
     jacobian : (3, n) array
@@ -129,7 +130,28 @@ class Robot:
     @property
     def passes(self) -> tuple[Any, Any, Any, Any, Any]:
         """Pinocchio's two passes over the tree, with their arguments; see `evaluator`."""
-        return pin.crba, pin.nonLinearEffects, pin.Convention.WORLD, self._pin, self._data
+        bias = self._bias if self.model.springs.size else pin.nonLinearEffects
+        return pin.crba, bias, pin.Convention.WORLD, self._pin, self._data
+
+    def _bias(self, model: Any, data: Any, q: Array, v: Array) -> None:
+        """Do as `pinocchio.nonLinearEffects`, and add the torques of springs to what it writes."""
+        pin.nonLinearEffects(model, data, q, v)
+        self._add_springs(q, data.nle)
+
+    def _add_springs(self, q: Array, torque: Array) -> None:
+        """Add the torques of springs at positions as Pinocchio has them to a torque (n,), N m (N)."""
+        if self.turns_freely:  # no spring is on a joint that does
+            single, places = self._single
+            own = np.zeros(self.n)
+            own[single] = q[places]
+            q = own
+        interpreted(add_springs)(self.tree, q, torque)
+
+    @property
+    def _single(self) -> tuple[list[int], list[int]]:
+        """The joints of one velocity, and where Pinocchio has their positions."""
+        single = [j for j, kind in enumerate(self.model.joint_types) if kind != BALL]
+        return single, [j + sum(ball < j for ball in self.model.balls) for j in single]
 
     def evaluator(self, q: Array, v: Array) -> Callable[[], None]:
         """Return a function that evaluates H, C and the motion of the tip's link into `views`.
@@ -158,8 +180,7 @@ class Robot:
         model = self.model
         found = self.pinocchios(q)
         balls = tuple((j, j + k) for k, j in enumerate(model.balls))
-        single = [j for j, kind in enumerate(model.joint_types) if kind != BALL]
-        places = [j + sum(ball < j for ball in model.balls) for j in single]
+        single, places = self._single
 
         def write() -> None:
             found[places] = q[single]
@@ -204,7 +225,7 @@ class Robot:
         q, v = self._checked(q, "q"), self._checked(v, "v")
         model, data, frame = self._pin, self._data, self._frame
         pin.crba(model, data, q, pin.Convention.WORLD)
-        pin.nonLinearEffects(model, data, q, v)
+        self.passes[1](model, data, q, v)
         H = np.where(self._upper, data.M, data.M.T) + 0.0  # only that half is filled; no zero has a sign
         bias = data.nle.copy()
         pin.forwardKinematics(model, data, q, v, self._rest)  # q̈ = 0 leaves the velocity-product accelerations
@@ -243,15 +264,17 @@ class Robot:
         return axes
 
     def potential_energy(self, q: Array) -> Array:
-        """Return the potential energy of each row of q (N, n), J."""
+        """Return the potential energy of each row of q (N, n), J, that of springs included."""
         model, data = self._pin, self._data
-        return np.array([pin.computePotentialEnergy(model, data, row) for row in self._rows(q)])
+        springs = np.array([interpreted(spring_energy)(self.tree, row) for row in self.rotation_vectors(q)])
+        return springs + np.array([pin.computePotentialEnergy(model, data, row) for row in self._rows(q)])
 
     def needed_torque(self, q: Array, v: Array, a: Array, tip_force: Array) -> Array:
         """Return H q̈ + C − Jᵣᵀ F in each row of q, v, q̈ (N, n) and F (N, 3), base axes: (N, n), N m (N)."""
         found = np.empty((len(q), self.n))
         for k, (qk, vk, ak) in enumerate(zip(self._rows(q), *map(np.ascontiguousarray, (v, a)), strict=True)):
             found[k] = pin.rnea(self._pin, self._data, qk, vk, ak)
+            self._add_springs(qk, found[k])
             if tip_force[k].any():
                 jacobian = pin.computeFrameJacobian(self._pin, self._data, qk, self._frame, _ALIGNED)
                 found[k] -= jacobian.reshape(6, self.n)[:3].T @ tip_force[k]

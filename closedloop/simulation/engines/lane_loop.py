@@ -147,7 +147,7 @@ def run_in_lanes(
                 return NEEDS_EVENTS
             if stage == 0:
                 record_state(H, C, w, state, rows, slot)
-                potential = energy_there(tree, scratch)
+                potential = energy_there(tree, w.q, scratch)
                 write_signals(w, wanted, signals, row, worst)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
                 if row == steps:

@@ -105,6 +105,8 @@ class Regressor:
                 raise ModelError(f"coupled {', '.join(pair)}: must be two different joints")
             if set(pair) in map(set, terms.coupled[:k]):
                 raise ModelError(f"coupled {', '.join(pair)}: the pair is there twice")
+        if robot.springs.size:
+            raise ModelError(f"{robot.name} has springs in its file, which are not identified: leave them out of it")
         self.robot, self.terms, self.n = robot, terms, robot.n
         self._model: Any = robot.pinocchio_model()
         self._model.armature = np.zeros(self.n)  # the drives have columns of their own

@@ -11,6 +11,7 @@ from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.angles import sines
 from closedloop.mechanics.robot.tree.kinematics import motion
 from closedloop.mechanics.robot.tree.layout import Tree, work_size
+from closedloop.mechanics.robot.tree.springs import spring_energy
 
 # Rows whose numbers stay in the processor's cache.
 ROWS_AT_ONCE = 2000
@@ -20,12 +21,12 @@ ROWS_AT_ONCE = 2000
 def tree_potential_energy(tree: Tree, q: Array, work: Array) -> float:
     """Return −g·∫ r dm over all moving links at q (n,), J: zero where the mass would be at the base origin.
 
-    `work` (work_size(n),) is scratch.
+    The energy of springs is added. `work` (work_size(n),) is scratch.
     """
     sines(tree, q, work)
     if tree.balls != 0:
         motion(tree, q, work)  # where the links are does not depend on the rates
-    return energy_there(tree, work)
+    return energy_there(tree, q, work)
 
 
 @entry_kernel
@@ -52,15 +53,16 @@ def energies_of_rows(tree: Tree, q: Array) -> Array:
 
 
 @kernel
-def energy_there(tree: Tree, work: Array) -> float:
-    """Return the same for the q whose sines `tree_terms` has written into `work`; with ball joints, whose motion.
+def energy_there(tree: Tree, q: Array, work: Array) -> float:
+    """Return the same for the q (n,) whose sines `tree_terms` has written into `work`; with ball joints, whose motion.
 
     First moments are summed from the tips to the base, from each unbranched chain separately, so that nothing need be
     stored but the sines.
     """
     n, table, k = tree.n, tree.links, tree.constants
+    springs = spring_energy(tree, q)
     if tree.balls != 0:
-        return energy_of_links(tree, work)
+        return springs + energy_of_links(tree, work)
     total0, total1, total2 = k[at.RESTING], k[at.RESTING + 1], k[at.RESTING + 2]
     h0 = h1 = h2 = mass = 0.0
     for tip in range(n - 1, -1, -1):
@@ -93,12 +95,12 @@ def energy_there(tree: Tree, work: Array) -> float:
         if joint < 0:
             h0 = h1 = h2 = mass = 0.0
     energy: float = -(k[at.GRAVITY] * total0 + k[at.GRAVITY + 1] * total1 + k[at.GRAVITY + 2] * total2)
-    return energy
+    return springs + energy
 
 
 @kernel
 def energy_of_links(tree: Tree, work: Array) -> float:
-    """Return the same, link by link, where `closedloop.mechanics.robot.tree.kinematics` has written axes and
+    """Return that of gravity, link by link, where `closedloop.mechanics.robot.tree.kinematics` has written axes and
     origins."""
     n, table, k, w = tree.n, tree.links, tree.constants, work
     zero = 0.0 * w[table[at.SCRATCH * n]]

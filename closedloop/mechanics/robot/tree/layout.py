@@ -66,8 +66,9 @@ class Tree(NamedTuple):
     # scratch begin, what it is (SLIDES, TURNS ...), whether it moves the tip, the first joint of its unbranched chain:
     # of the joints up to it that are each a child of the one before; and the end of its group, see `group_ends`
     links: IntArray
-    # (HEAD + blocks * CONSTANTS,): see the names of `closedloop.mechanics.robot.tree.layout`. The z axis of a link is
-    # its joint axis; its x axis is perpendicular to its own joint axis and to that of the next joint.
+    # (HEAD + blocks * CONSTANTS + springs,): see the names of `closedloop.mechanics.robot.tree.layout`. The z axis of a
+    # link is its joint axis; its x axis is perpendicular to its own joint axis and to that of the next joint. The
+    # springs are the rows of `RobotModel.springs`.
     constants: Array
     # ball joints. Positions of one are the rotation vector θ of its link, rad, its rates the angular velocity in the
     # link's axes; see `robot_models.coordinates`.

@@ -85,7 +85,7 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
     block, lane = np.divmod(np.arange(n), LANES)
     links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, kinds, support, run, ends])
     blocks = int(block[-1]) + 1
-    constants = np.zeros(HEAD + blocks * CONSTANTS)
+    constants = np.concatenate([np.zeros(HEAD + blocks * CONSTANTS), model.springs.ravel()])
     constants[at.GRAVITY : at.GRAVITY + 3] = pin.gravity.linear
     constants[at.TIP : at.TIP + 3] = offset
     constants[at.RESTING : at.RESTING + 3] = masses[-1, :3, 3]

@@ -12,6 +12,7 @@ from closedloop.mechanics.robot.tree.angles import sines
 from closedloop.mechanics.robot.tree.dynamics import bodies, matrix_and_bias
 from closedloop.mechanics.robot.tree.kinematics import jacobian, motion, tip, turning
 from closedloop.mechanics.robot.tree.layout import Tree
+from closedloop.mechanics.robot.tree.springs import add_springs
 
 
 @kernel
@@ -31,7 +32,7 @@ def tree_terms(
     H : (n, n) array
         Written: mass matrix, kg m² (kg), armature included, the upper triangle; below it nothing is written.
     C : (n,) array
-        Written: Coriolis, centrifugal and gravity terms, N m (N).
+        Written: Coriolis, centrifugal and gravity terms, and those of springs, N m (N).
     of_tip : arrays (3, n), (3,) and (3,)
         Written: the tip's Jacobian Jᵣ (Eq. 13; zero for joints that do not move it), position r, m, and J̇ᵣq̇ (Eq. 18),
         m/s², in base axes.
@@ -43,6 +44,7 @@ def tree_terms(
     jacobian(tree, work, r, J)
     bodies(tree, work)
     matrix_and_bias(tree, work, H, C)
+    add_springs(tree, q, C)
 
 
 @kernel

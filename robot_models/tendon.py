@@ -1,0 +1,110 @@
+"""Fixed tendons: a length that is a linear combination of joint positions, with what acts along it.
+
+    L = Σ cᵢ qᵢ            rad, or m: as its coefficients have it
+
+Along L acts a spring, with k and k' and k'' for the coefficients of its force, between two rest lengths, a damper, dry
+friction, and hard stops at its range. Each force f of them is the torque c f on the joints.
+
+    spring     f = −(k x + k' x² + k'' x³)         x what L is beyond the nearer rest length; none between them
+    damper     f = −(b + b' |L̇| + b'' L̇²) L̇
+    friction   |f| ≤ f_c, against L̇
+
+The spring of a joint is a tendon of that joint alone, with c = 1. All of it is as MuJoCo 3.17 has it.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+Pair = tuple[float, float]
+Three = tuple[float, float, float]
+
+NONE = (-inf, inf)
+#: What the rows of `springs` begin with: k, k', k'' and the two rest lengths; the coefficients follow.
+SPRING = 5
+
+
+@dataclass(frozen=True)
+class Tendon:
+    """One tendon; see the module. Units follow from those of its length, rad or m.
+
+    Attributes
+    ----------
+    name
+        Its own, or that of a joint.
+    coefficients : mapping
+        c by the name of each joint that moves.
+    stiffness, damping : (3,)
+        k, k', k'' and b, b', b''; zeros if there is none.
+    rest : (2,)
+        The shorter and the longer rest length, less what joints that are held add to L.
+    friction : float
+        f_c.
+    limits : (2,)
+        The hard stops of L, likewise less what is held; infinite where there is none.
+    """
+
+    name: str
+    coefficients: Mapping[str, float]
+    stiffness: Three = (0.0, 0.0, 0.0)
+    rest: Pair = (0.0, 0.0)
+    damping: Three = (0.0, 0.0, 0.0)
+    friction: float = 0.0
+    limits: Pair = NONE
+
+
+def tendons(text: str, joints: Sequence[str], locked: Mapping[str, float]) -> tuple[Tendon, ...]:
+    """Return the tendons, springs of joints among them, that the plain text of an MJCF has.
+
+    Parameters
+    ----------
+    text
+        From `robot_models.mjcf.read`.
+    joints
+        Names of the joints that move.
+    locked
+        Those that are held, and where, rad (m).
+    """
+    root, found = ET.fromstring(text), []
+    for joint in root.iterfind("worldbody//joint"):
+        name = joint.attrib["name"]
+        if name in joints and joint.get("stiffness"):
+            rest = float(joint.get("springref", "0"))
+            found.append(Tendon(name, {name: 1.0}, _three(joint, "stiffness"), (rest, rest)))
+    for element in root.iterfind("tendon/fixed"):
+        parts = {part.attrib["joint"]: float(part.attrib["coef"]) for part in element.iterfind("joint")}
+        held = sum(coefficient * locked[joint] for joint, coefficient in parts.items() if joint in locked)
+        free = {joint: coefficient for joint, coefficient in parts.items() if joint in joints and coefficient}
+        if free:
+            spring = _three(element, "stiffness"), _pair(element, "springlength", (0.0, 0.0), held)
+            rough = _three(element, "damping"), float(element.get("frictionloss", "0"))
+            found.append(Tendon(element.attrib["name"], free, *spring, *rough, _pair(element, "range", NONE, held)))
+    return tuple(found)
+
+
+def _three(element: ET.Element, key: str) -> Three:
+    first, second, third = [float(word) for word in element.get(key, "0 0 0").split()]
+    return first, second, third
+
+
+def _pair(element: ET.Element, key: str, default: Pair, held: float) -> Pair:
+    low, high = [float(word) for word in element.get(key, "").split()] or default
+    return low - held, high - held
+
+
+def coefficients(found: Sequence[Tendon], joints: Sequence[str]) -> NDArray[np.float64]:
+    """Return the coefficients of each tendon, (m, n), in the order of the joints."""
+    return np.array([[each.coefficients.get(joint, 0.0) for joint in joints] for each in found]).reshape(
+        len(found), len(joints)
+    )
+
+
+def springs(found: Sequence[Tendon], joints: Sequence[str]) -> NDArray[np.float64]:
+    """Return a row for each tendon with a spring, (m, SPRING + n): k, k', k'', both rest lengths, coefficients."""
+    some = [each for each in found if any(each.stiffness)]
+    first = np.array([[*each.stiffness, *each.rest] for each in some]).reshape(len(some), SPRING)
+    return np.hstack([first, coefficients(some, joints)])

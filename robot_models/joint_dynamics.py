@@ -20,10 +20,10 @@ def joint_dynamics(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.f
     Raises
     ------
     ModelError
-        If no joint has any, or if a number is negative.
+        If no joint and no tendon has any, or if a number is negative.
     """
     found = _dynamics(model)
-    if not np.any(found):
+    if not (np.any(found) or any(any(each.damping) or each.friction for each in model.tendons)):
         raise ModelError(f"{model.name}: no joint of the robot's file has damping or friction ({_WHERE[model.format]})")
     return found[0], found[1]
 

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     import pinocchio as pin
 
 Vector = NDArray[np.float64]
+#: A joint is within its limits up to this, rad (m): angles are printed with some five digits, and a posture moves where
+#: loops are closed, or a stop is stabilised.
+AT_LIMIT = 1e-5
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,8 @@ friction, and hard stops at its range. Each force f of them is the torque c f on
     damper     f = −(b + b' |L̇| + b'' L̇²) L̇
     friction   |f| ≤ f_c, against L̇
 
-The spring of a joint is a tendon of that joint alone, with c = 1. All of it is as MuJoCo 3.17 has it.
+The spring of a joint is a tendon of that joint alone, with c = 1, and so is what b' and b'' of its damper add to the
+viscous friction that every joint may have. All of it is as MuJoCo 3.17 has it.
 """
 
 import xml.etree.ElementTree as ET
@@ -26,6 +27,8 @@ Three = tuple[float, float, float]
 NONE = (-inf, inf)
 #: What the rows of `springs` begin with: k, k', k'' and the two rest lengths; the coefficients follow.
 SPRING = 5
+#: What the rows of `rough_tendons` begin with: b, b', b'', f_c and the two stops; the coefficients follow.
+DAMPING, FRICTION, STOPS, ROUGH = 0, 3, 4, 6
 
 
 @dataclass(frozen=True)
@@ -72,9 +75,10 @@ def tendons(text: str, joints: Sequence[str], locked: Mapping[str, float]) -> tu
     root, found = ET.fromstring(text), []
     for joint in root.iterfind("worldbody//joint"):
         name = joint.attrib["name"]
-        if name in joints and joint.get("stiffness"):
+        stiffness, (_, *more) = _three(joint, "stiffness"), _three(joint, "damping")
+        if name in joints and (any(stiffness) or any(more)):
             rest = float(joint.get("springref", "0"))
-            found.append(Tendon(name, {name: 1.0}, _three(joint, "stiffness"), (rest, rest)))
+            found.append(Tendon(name, {name: 1.0}, stiffness, (rest, rest), (0.0, *more)))
     for element in root.iterfind("tendon/fixed"):
         parts = {part.attrib["joint"]: float(part.attrib["coef"]) for part in element.iterfind("joint")}
         held = sum(coefficient * locked[joint] for joint, coefficient in parts.items() if joint in locked)
@@ -96,15 +100,26 @@ def _pair(element: ET.Element, key: str, default: Pair, held: float) -> Pair:
     return low - held, high - held
 
 
-def coefficients(found: Sequence[Tendon], joints: Sequence[str]) -> NDArray[np.float64]:
-    """Return the coefficients of each tendon, (m, n), in the order of the joints."""
-    return np.array([[each.coefficients.get(joint, 0.0) for joint in joints] for each in found]).reshape(
-        len(found), len(joints)
-    )
-
-
 def springs(found: Sequence[Tendon], joints: Sequence[str]) -> NDArray[np.float64]:
     """Return a row for each tendon with a spring, (m, SPRING + n): k, k', k'', both rest lengths, coefficients."""
-    some = [each for each in found if any(each.stiffness)]
-    first = np.array([[*each.stiffness, *each.rest] for each in some]).reshape(len(some), SPRING)
-    return np.hstack([first, coefficients(some, joints)])
+    rows = [
+        [*each.stiffness, *each.rest, *(each.coefficients.get(joint, 0.0) for joint in joints)]
+        for each in found
+        if any(each.stiffness)
+    ]
+    return np.array(rows).reshape(len(rows), SPRING + len(joints))
+
+
+def rough_tendons(found: Sequence[Tendon], joints: Sequence[str], friction: bool, stops: bool) -> NDArray[np.float64]:
+    """Return a row for each tendon that rubs or has stops, (m, ROUGH + n): b, b', b'', f_c, both stops, coefficients.
+
+    Without `friction` dampers and friction are zero, without `stops` the stops infinite, and so are all of those that
+    have none.
+    """
+    rows = []
+    for each in found:
+        damping, level = (each.damping, each.friction) if friction else ((0.0, 0.0, 0.0), 0.0)
+        limits = each.limits if stops else NONE
+        if any(damping) or level or np.isfinite(limits).any():
+            rows.append([*damping, level, *limits, *(each.coefficients.get(joint, 0.0) for joint in joints)])
+    return np.array(rows).reshape(len(rows), ROUGH + len(joints))

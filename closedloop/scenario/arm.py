@@ -19,6 +19,7 @@ from robot_models import RobotModel, Tool
 from robot_models.bodies import FreeBody, with_bodies
 from robot_models.coordinates import PARTS, PLACES, RATES, normalised, with_rotation_vectors
 from robot_models.joint_dynamics import joint_dynamics, loop_dynamics
+from robot_models.tendon import rough_tendons
 
 
 def start_posture(scenario: Scenario, model: RobotModel) -> Array:
@@ -144,6 +145,14 @@ def stop_limits(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
     """
     there = np.array([scenario.robot.stops or name in model.loop_coordinates for name in model.joint_names])
     return np.where(there, model.position_lower, -np.inf), np.where(there, model.position_upper, np.inf)
+
+
+def acting_tendons(scenario: Scenario, model: RobotModel) -> Array:
+    """Return what of the robot's tendons rubs and stops, see `robot_models.tendon.rough_tendons`.
+
+    Like the friction and the stops of joints both are on request.
+    """
+    return rough_tendons(model.tendons, model.joint_names, scenario.robot.friction, scenario.robot.stops)
 
 
 def has_stops(scenario: Scenario, model: RobotModel) -> bool:

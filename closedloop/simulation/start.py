@@ -24,6 +24,7 @@ from closedloop.mechanics.surface.surface import Surface
 from closedloop.scenario.arm import has_stops, start_positions, start_posture, start_velocities
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
+from robot_models.model import AT_LIMIT
 
 # Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a
 # thousand newtons for each kilogram of apparent mass and each millimetre.
@@ -41,7 +42,7 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
         f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}] "
         + ("m" if model.joint_types[j] == "prismatic" else "rad")
         for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True))
-        if not low <= q[j] <= high
+        if not low - AT_LIMIT <= q[j] <= high + AT_LIMIT
     ]:
         raise ScenarioError(*faults)
     return q, v

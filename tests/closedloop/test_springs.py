@@ -22,19 +22,20 @@ ARM = """<mujoco><option integrator="RK4" timestep="0.001"><flag contact="disabl
 <site name="tip" pos=".1 0 0"/></body></body></body></worldbody>
 <tendon><fixed name="t" stiffness="30 1 2" springlength="-.1 .2"><joint joint="a" coef=".5"/><joint joint="c" coef="2"/>
 </fixed></tendon></mujoco>"""
-TIME = '[time]\nduration = 0.3\nstep = 0.001\nintegrator = "rk4"\n'
 
 
 @pytest.fixture
 def write(tmp_path):
     """Return what writes an MJCF and returns its path, or the scenario that is given with it."""
 
-    def write(text, scenario=""):
+    def write(text, scenario="", duration=0.3):
         path = tmp_path / "arm.xml"
         path.write_text(text)
         if not scenario:
             return str(path)
-        (tmp_path / "run.toml").write_text(scenario + TIME)
+        (tmp_path / "run.toml").write_text(
+            f'{scenario}[time]\nduration = {duration}\nstep = 0.001\nintegrator = "rk4"\n'
+        )
         return cl.load_scenario(tmp_path / "run.toml")
 
     return write
@@ -117,3 +118,108 @@ def test_what_cannot_act_is_said(write):
     assert robot_models.load(write(ARM)).warnings == []
     with pytest.raises(robot_models.ModelError, match="armature of tendon 't'"):
         robot_models.load(write(ARM.replace('<fixed name="t"', '<fixed name="t" armature="1"')))
+
+
+# A slider and a hinge, bound by a tendon that rubs and has a range; no gravity.
+PAIR = """<mujoco><option gravity="0 0 0" integrator="RK4" timestep="0.001"/><worldbody>
+<body name="x"><joint name="x" type="slide" axis="1 0 0"/><geom size=".05" mass="2"/></body>
+<body name="y" pos="0 1 0"><joint name="y" type="slide" axis="0 0 1" damping="{joint}"/>
+<geom size=".05" mass="3"/></body>
+</worldbody><tendon><fixed name="t" {what}><joint joint="x" coef="2"/><joint joint="y" coef="-.5"/></fixed></tendon>
+</mujoco>"""
+MOBILITY = 4.0 / 2.0 + 0.25 / 3.0  # c M⁻¹ c
+
+
+def pair(write, what, start, more="", joint="0"):
+    """Return a run of the pair with both flags, from a velocity."""
+    robot = f'[robot]\nmodel = "arm.xml"\ntip = "x"\n{more}[start]\nq = [0.0, 0.0]\nv = {start}\n'
+    return cl.simulate(write(PAIR.format(what=what, joint=joint), robot), progress=False)
+
+
+def test_dampers_with_all_coefficients_are_those_of_mujoco(write):
+    """Of a joint and of a tendon; what they take is the energy lost to friction."""
+    what, joint = 'damping="1 .5 .25"', "2 1 .5"
+    run = pair(write, what, [0.7, -0.4], "friction = true\n", joint)
+    compiled = mujoco.MjModel.from_xml_string(PAIR.format(what=what, joint=joint))
+    data = mujoco.MjData(compiled)
+    data.qvel[:] = 0.7, -0.4
+    for _ in range(300):
+        mujoco.mj_step(compiled, data)
+    assert run.v[-1] == pytest.approx(data.qvel, abs=1e-10)
+    assert run.energy_supplied[-1] == pytest.approx(run.kinetic_energy[-1] - run.kinetic_energy[0], rel=1e-9)
+    assert not np.any(pair(write, what, [0.7, -0.4]).joint_friction)
+
+
+def test_dry_friction_of_a_tendon_slows_it_and_then_holds_it(write):
+    """L̇ falls by f_c c M⁻¹ c a second until the tendon rests; across it nothing acts. Energy is f_c |L|."""
+    level, v = 0.9, np.array([0.3, -0.4])
+    run = pair(write, f'frictionloss="{level}"', v.tolist(), "friction = true\n")
+    rate, across = 2.0 * run.v[:, 0] - 0.5 * run.v[:, 1], 2.0 * run.v[:, 0] * 0.5 + 3.0 * run.v[:, 1] * 2.0
+    first, end = 2.0 * v[0] - 0.5 * v[1], (2.0 * v[0] - 0.5 * v[1]) / (level * MOBILITY)
+    assert 0.0 < end < 1.0
+    wanted = np.maximum(first - level * MOBILITY * run.time, 0.0)
+    assert np.abs(rate - wanted).max() <= 1e-3 * level * MOBILITY
+    assert across == pytest.approx(np.full(len(across), across[0]), abs=1e-12)
+    assert run.summary()["verdict"]["good"]
+
+
+def test_a_tendon_stops_at_its_range_and_is_held_there(write):
+    """It strikes without rebound, M across it is kept, and the stop's torque is along the tendon; with stops alone."""
+    what = 'range="-.05 .04" limited="true"'
+    run = pair(write, what, [0.3, -0.4], "stops = true\n")
+    length = 2.0 * run.q[:, 0] - 0.5 * run.q[:, 1]
+    assert length.max() == pytest.approx(0.04, abs=1e-9)
+    assert length[-1] == pytest.approx(0.04, abs=1e-9)
+    assert 2.0 * run.v[-1, 0] - 0.5 * run.v[-1, 1] == pytest.approx(0.0, abs=1e-9)
+    impulse = -(2.0 * 0.3 + 0.5 * 0.4) / MOBILITY
+    assert run.v[-1] == pytest.approx([0.3 + 2.0 * impulse / 2.0, -0.4 - 0.5 * impulse / 3.0], abs=1e-9)
+    again = pair(write, what, [0.3, -0.4])
+    assert np.max(2.0 * again.q[:, 0] - 0.5 * again.q[:, 1]) > 0.2
+
+
+def test_a_weight_hangs_on_the_range_of_a_tendon(write):
+    """Its force is the weight over the coefficient, in the joint's row of stop_torque, in both engines."""
+    hanging = PAIR.format(what='range="-1 .2" limited="true"', joint="0").replace("0 0 0", "0 0 -9.81", 1)
+    robot = '[robot]\nmodel = "arm.xml"\ntip = "x"\nstops = true\n[start]\nq = [0.0, -0.4]\n'
+    for engine in ("pinocchio", "compiled"):
+        run = cl.simulate(write(hanging, robot), engine=engine, progress=False)
+        push = run.stop_torque[1:]  # λ c with λ = m g / (c M⁻¹ c) of what the tendon alone accelerates
+        force = -0.5 * 9.81 / MOBILITY
+        assert push == pytest.approx(np.tile([2.0 * force, -0.5 * force], (len(push), 1)), rel=1e-8)
+        assert run.acceleration[1:, 1] == pytest.approx(-9.81 - 0.5 * force / 3.0, rel=1e-9)
+
+
+# Two fingers, each a parallelogram closed by a `connect`, driven by one fixed tendon: the mechanism of a Robotiq 2F-85.
+FINGER = """<body name="{0}_driver" pos="{1}.03 0 0"><joint name="{0}_driver" axis="0 {2}1 0" range="0 80"/>
+<geom type="capsule" fromto="0 0 0 0 0 .1" size=".005" mass=".02"/><body name="{0}_pad" pos="0 0 .1">
+<joint name="{0}_pad" axis="0 {2}1 0"/><geom type="box" size=".005 .01 .02" pos="{3}.005 0 .02" mass=".03"/></body>
+</body><body name="{0}_link" pos="{1}.05 0 0"><joint name="{0}_link" axis="0 {2}1 0" stiffness=".4" springref="60"/>
+<geom type="capsule" fromto="0 0 0 0 0 .1" size=".005" mass=".02"/></body>"""
+GRIPPER = (
+    '<mujoco><compiler angle="degree"/><option gravity="0 0 0"/><worldbody>'
+    + FINGER.format("right", "", "-", "-") + FINGER.format("left", "-", "", "")
+    + '</worldbody><equality><connect body1="right_pad" body2="right_link" anchor=".02 0 0"/>'
+    '<connect body1="left_pad" body2="left_link" anchor="-.02 0 0"/>'
+    '<joint joint1="right_driver" joint2="left_driver"/></equality><tendon><fixed name="split">'
+    '<joint joint="right_driver" coef=".5"/><joint joint="left_driver" coef=".5"/></fixed></tendon>'
+    '<actuator><motor tendon="split" ctrlrange="-5 5"/></actuator></mujoco>'
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.4])
+def test_a_gripper_presses_by_virtual_work(write, angle):
+    """Each pad moves by r cos θ along its normal: f r cos θ is half the tendon's force less the spring's torque."""
+    pull, radius, x = 2.0, 0.1, 0.03 - 0.1 * np.sin(angle) - 0.01
+    contacts = "".join(
+        f'[[contact]]\nname = "{side}"\nlink = "{side}_pad"\nat = [[{-sign * 0.01}, 0, 0], [{-sign * 0.01}, 0, 0.04]]\n'
+        f"normal = [{sign}, 0, 0]\nthrough = [{sign * float(x)!r}, 0, 0]\n"
+        for side, sign in (("right", 1), ("left", -1))
+    )
+    finger = f"{angle}, {-angle}, {angle}"
+    robot = f'[robot]\nmodel = "arm.xml"\ntip = "left_pad"\nstops = true\n{contacts}[start]\nq = [{finger}, {finger}]\n'
+    torque = np.array([pull / 2, 0.0, 0.0, pull / 2, 0.0, 0.0])
+    run = cl.simulate(write(GRIPPER, robot, 0.02), law=lambda x: torque, progress=False)
+    spring = 0.4 * (angle - np.radians(60.0))
+    force = run.link_forces.reshape(len(run.time), 2, 2).sum(axis=2)
+    assert force == pytest.approx(np.full(force.shape, (pull / 2 - spring) / (radius * np.cos(angle))), rel=1e-8)
+    assert run.summary()["verdict"]["good"]

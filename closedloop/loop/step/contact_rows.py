@@ -1,7 +1,7 @@
 """Where the contacts of the links are: their gaps, velocities, rows and mobility, and what the stabiliser asks for.
 
 A contact with a surface that is curved or moves has rows x, y, z of the frame that carries it, which are turned into n,
-t1, t2 of the surface at the point; a stop of a joint has the row ± q̇ of it.
+t1, t2 of the surface at the point; a stop of a joint has the row ± q̇ of it, one of a tendon likewise.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from closedloop.jit.user_code import RAISED
 from closedloop.loop.step.joint_limits import joint_limits
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.loop.step.tendons import part_of, rate_along, stops_of
 from closedloop.mechanics.closure.contact_force import FREE, baumgarte_acceleration
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute, forward_substitute_three
 from closedloop.mechanics.contacts.edges import write_edge_rows
@@ -240,14 +241,18 @@ def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: fl
 
 @kernel
 def locate_stops(links: ContactLinks, c: Contacts, w: Work, constants: Constants) -> None:
-    """Write rows, gaps and rates of the stops: of a joint that is at none the nearer of its two."""
+    """Write rows, gaps and rates of the stops: of a joint, or a tendon, that is at none the nearer of its two."""
     for i in range(links.points, links.points + links.stops):
-        at, j = 3 * i, int(c.joint[i])
-        low, high = w.q[j] - constants.lower_stop[j], constants.upper_stop[j] - w.q[j]
+        at, r = 3 * i, int(c.joint[i])
+        lower, upper = stops_of(constants, r)
+        place = rate_along(constants, r, w.q)
+        low, high = place - lower, upper - place
         if c.mode[i] == FREE:
             c.side[i] = 1.0 if low <= high else -1.0
         c.located[at] = low if c.side[i] > 0.0 else high
-        c.u[at], c.G[at, j] = c.side[i] * w.v[j], c.side[i]
+        c.u[at] = c.side[i] * rate_along(constants, r, w.v)
+        for j in range(links.n):
+            c.G[at, j] = c.side[i] * part_of(constants, r, j)
 
 
 @kernel
@@ -294,7 +299,7 @@ def turn_axes(c: Contacts, i: int, N: Array) -> None:
 
 @kernel
 def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> None:
-    """Write what stands for the dry friction of each joint in the search for modes.
+    """Write what stands for the dry friction of each joint, and each tendon, in the search for modes.
 
     It is a contact whose normal force is the largest torque d that friction can give, N m (N), and whose slip is
 
@@ -308,17 +313,19 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     write_mobility(c, links.k)
     joint_limits(w, constants, state)
     for i in range(first, links.k):
-        j, at = i - first, 3 * i
+        rubs, at = i - first, 3 * i
         for r in range(at, at + 3):
             c.a[r], c.b[r], c.drift[r], c.viscous[r] = 0.0, 0.0, 0.0, 0.0
             for m in range(n):
                 c.X[r, m] = 0.0
-        c.X[at + 1, j], c.near[i], c.mu[i] = 1.0, 1.0, 1.0
+        for m in range(n):
+            c.X[at + 1, m] = part_of(constants, rubs, m)
+        c.near[i], c.mu[i] = 1.0, 1.0
         forward_substitute(w.L, row_of(c.X, at + 1), 0, n)
         if state.loops.entry != 0:
             bound, loops = loops_at(state.loops.at)
             leave_free(bound, loops, row_of(c.X, at + 1))
-        c.a[at + 1], c.size[at + 1] = w.v[j] / constants.h, 0.0
+        c.a[at + 1], c.size[at + 1] = rate_along(constants, rubs, w.v) / constants.h, 0.0
         for m in range(n):
             c.a[at + 1] += c.X[at + 1, m] * c.load[m]
             c.size[at + 1] += abs(c.X[at + 1, m] * c.load[m])

@@ -448,7 +448,7 @@ def put_at_stops(links: ContactLinks, c: Contacts, w: Work, constants: Constants
     """Put joints that are at their stops, but for the rounding of an instant, exactly there."""
     for i in range(links.points, links.points + links.stops):
         j = int(c.joint[i])
-        if c.mode[i] != FREE and abs(c.located[3 * i]) <= AT_STOP:
+        if j < links.n and c.mode[i] != FREE and abs(c.located[3 * i]) <= AT_STOP:
             w.q[j] = constants.lower_stop[j] if c.side[i] > 0.0 else constants.upper_stop[j]
 
 

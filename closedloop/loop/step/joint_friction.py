@@ -28,6 +28,7 @@ from closedloop.loop.step.memory import (
     ask_contacts,
     ask_loops,
 )
+from closedloop.loop.step.tendons import add_along, part_of, rate_along
 from closedloop.mechanics.closure.contact_force import (
     FREE,
     PRESSED,
@@ -38,6 +39,7 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_tangentially,
 )
 from closedloop.mechanics.contacts.memory import contacts_at
+from robot_models.tendon import DAMPING
 
 # Sweeps of Gauss-Seidel at most, and the change of a torque, as a share of its limit, after which there is no other.
 MOST_SWEEPS, SETTLED = 500, 1e-14
@@ -73,7 +75,10 @@ def _ask_slide(w: Work, constants: Constants, state: State, rows: Array) -> None
 
 @kernel
 def add_joint_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
-    """Write the torque of friction on each joint, joint_friction (n,), N m, as far as the state determines it."""
+    """Write the torque of friction on each joint, joint_friction (n,), N m, as far as the state determines it.
+
+    The dampers of tendons are part of it.
+    """
     n, sticking = w.q.shape[0], state.joint_friction.sticking
     if sticking != SMOOTH:
         _ask_slide(w, constants, state, rows)
@@ -83,36 +88,42 @@ def add_joint_friction(w: Work, constants: Constants, state: State, rows: Array)
             w.joint_friction.torque[j] = -w.joint_friction.viscous[j]
         elif sticking != SMOOTH:
             w.joint_friction.torque[j] = -w.joint_friction.dry[j] - w.joint_friction.viscous[j]
+    for t in range(state.tendons):
+        rate, b = rate_along(constants, n + t, w.v), row_of(constants.tendons, t)
+        force = -rate * (b[DAMPING] + abs(rate) * b[DAMPING + 1] + rate * rate * b[DAMPING + 2])
+        add_along(constants, n + t, force, w.joint_friction.torque)
 
 
 @kernel
 def hold_joints(w: Work, constants: Constants, state: State) -> None:
-    """Add the dry friction of a law that sticks rigidly to the torque of friction on each joint.
+    """Add the dry friction of a law that sticks rigidly to the torque of friction on each joint, and that of tendons.
 
     Reads q̈ and F of Eq. 24 without it; afterwards Eq. 24 is to be solved again.
     """
     n, h = w.q.shape[0], constants.h
     F, y, a, target = w.scratch.force, w.scratch.column, w.scratch.acceleration, w.scratch.target
-    limit, dry, none = w.joint_friction.limit, w.scratch.dry, w.scratch.none
+    limit, dry, none = w.joint_friction.limit, w.joint_friction.held, w.scratch.none
     none[0], none[1] = 0.0, 0.0
     if state.together != 0:
         links, _ = contacts_at(state.contacts.at)
         if links.undecided != 0:  # the modes and the friction of joints are sought together
             return
     joint_limits(w, constants, state)
-    for j in range(n):
-        dry[j] = 0.0
-        # Column j of the answer: q̈ to a torque of 1 N m in joint j, the contact as it is.
+    for r in range(n + state.tendons):
+        dry[r] = w.joint_friction.mobility[r] = 0.0
+        if not limit[r] > 0.0:
+            continue
+        # Row r of the answer: q̈ to a torque of 1 N m in joint r, or a force in tendon r − n, the contact as it is.
         for i in range(n):
-            y[i] = 0.0
-        y[j] = 1.0
-        for i in range(j, n):
+            y[i] = part_of(constants, r, i)
+        first = r if r < n else 0
+        for i in range(first, n):
             s = y[i]
-            for m in range(j, i):
+            for m in range(first, i):
                 s -= w.L[i, m] * y[m]
             y[i] = s * w.L[i, i]
         alone = 0.0
-        for i in range(j, n):
+        for i in range(first, n):
             alone += y[i] * y[i]
         ask_loops(state, BIND_ANSWER)
         for i in range(3):
@@ -133,27 +144,28 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             for i in range(3):
                 target[i] = 0.0
             stuck_force(w.tip.S, a, target, F, w.scratch.unused)
-        accelerate(
-            w.L, w.tip.X, y, F, row_of(w.joint_friction.gain, j), integers_at(state.addresses.group_ends, state.n)
-        )
-        if not w.joint_friction.gain[j, j] > HELD * alone:
-            w.joint_friction.gain[j, j] = 0.0
+        answer = row_of(w.joint_friction.gain, r)
+        accelerate(w.L, w.tip.X, y, F, answer, integers_at(state.addresses.group_ends, state.n))
+        own = rate_along(constants, r, answer)
+        if own > HELD * alone:
+            w.joint_friction.mobility[r] = own
     for _ in range(MOST_SWEEPS):
         change = 0.0
-        for j in range(n):
-            if not (limit[j] > 0.0 and w.joint_friction.gain[j, j] > 0.0):
+        for r in range(n + state.tendons):
+            own = w.joint_friction.mobility[r]
+            if not own > 0.0:
                 continue
-            wanted = dry[j] - (w.v[j] / h + w.qdd[j]) / w.joint_friction.gain[j, j]
-            new = min(max(wanted, -limit[j]), limit[j])
-            moved = new - dry[j]
-            dry[j] = new
-            change = max(change, abs(moved) / limit[j])
+            wanted = dry[r] - (rate_along(constants, r, w.v) / h + rate_along(constants, r, w.qdd)) / own
+            new = min(max(wanted, -limit[r]), limit[r])
+            moved = new - dry[r]
+            dry[r] = new
+            change = max(change, abs(moved) / limit[r])
             for i in range(n):
-                w.qdd[i] += w.joint_friction.gain[j, i] * moved
+                w.qdd[i] += w.joint_friction.gain[r, i] * moved
         if change <= SETTLED:
             break
-    for j in range(n):
-        w.joint_friction.torque[j] += dry[j]
+    for r in range(n + state.tendons):
+        add_along(constants, r, dry[r], w.joint_friction.torque)
 
 
 @kernel

@@ -19,6 +19,7 @@ from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.pointers import integers_at, vector_at
 from closedloop.loop.step.records import (
     STAGES,
+    TENDONS,
     Decays,
     Drives,
     Encoders,
@@ -41,6 +42,7 @@ from closedloop.mechanics.contacts.memory import ELASTIC_STICK as ELASTIC_STICK
 from closedloop.mechanics.contacts.memory import RIGID_STICK as RIGID_STICK
 from closedloop.mechanics.contacts.memory import SMOOTH as SMOOTH
 from closedloop.mechanics.contacts.memory import SPRING_STICK as SPRING_STICK
+from robot_models.tendon import ROUGH
 
 
 class Member(Block):
@@ -133,6 +135,7 @@ class State(Block):
 
     address: int  # of this memory
     n: int  # joints
+    tendons: int  # that rub or have stops
     law_states: int  # of the law and its compensation
     law: Member
     compensation: Member
@@ -173,7 +176,7 @@ class State(Block):
     approached: int  # substeps in a row that began near a singular pose, see `closedloop.loop.step.singular`
 
 
-class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction", "compliance")):
+class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction", "compliance", "tendons")):
     """What does not change during a run of n joints."""
 
     h: float  # step, s
@@ -215,11 +218,12 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     friction: Annotated[Array, Count.of("friction")]
     joint_friction: Annotated[Array, N, Count.of("joint_friction")]
     compliance: Annotated[Array, Count.of("compliance")]
+    tendons: Annotated[Array, TENDONS, N + ROUGH]  # rows of `robot_models.tendon.rough_tendons`
 
 
 # Records of a fixed size come first, then those with a part for each joint: what a step touches is then at short
 # distances.
-class Work(Block, sizes=("n", "k", "stages", "ring")):
+class Work(Block, sizes=("n", "k", "stages", "ring", "tendons")):
     """The state that the loop works on; n joints, k states beside q and q̇."""
 
     time: float  # of the state whose terms are requested, s
@@ -287,7 +291,7 @@ def loop_at(address: int) -> tuple[State, Constants, Work]:
     n, at = state.n, state.addresses
     constants = Constants(
         vector_at(at.constants, at.constants_size), n, state.law.size, state.compensation.size, state.friction.size,
-        state.joint_friction.size, state.compliance.size,
+        state.joint_friction.size, state.compliance.size, state.tendons,
     )  # fmt: skip
-    w = Work(vector_at(at.work, at.work_size), n, at.extra, state.settings.stages, state.sensor.ring)
+    w = Work(vector_at(at.work, at.work_size), n, at.extra, state.settings.stages, state.sensor.ring, state.tendons)
     return state, constants, w

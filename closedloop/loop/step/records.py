@@ -7,8 +7,8 @@ from typing import Annotated
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 
-# Sizes: joints, numbers of state beside q and q̇, stages of the integrator, samples that the sensor keeps.
-N, K, STAGES, RING = (Count.of(size) for size in ("n", "k", "stages", "ring"))
+# Sizes: joints, numbers of state beside q and q̇, stages of the integrator, samples that the sensor keeps, tendons.
+N, K, STAGES, RING, TENDONS = (Count.of(size) for size in ("n", "k", "stages", "ring", "tendons"))
 
 
 class Search(Block):
@@ -91,8 +91,11 @@ class LinkContacts(Block, sizes=("n",)):
     torque: Annotated[Array, N]  # of the same forces, N m (N)
 
 
-class JointFriction(Block, sizes=("n",)):
-    """Friction in the joints: what it is asked of each, and its answer −dry − viscous, N m (N)."""
+class JointFriction(Block, sizes=("n", "tendons")):
+    """Friction in the joints: what it is asked of each, and its answer −dry − viscous, N m (N).
+
+    What dry friction holds are the joints, then the tendons that rub.
+    """
 
     torque: Annotated[Array, N]  # on the joints
     stuck: Annotated[Array, N]  # 1 for a joint that sticks as a spring
@@ -101,8 +104,10 @@ class JointFriction(Block, sizes=("n",)):
     direction: Annotated[Array, N]
     dry: Annotated[Array, N]
     viscous: Annotated[Array, N]
-    limit: Annotated[Array, N]  # torque beyond which sticking ends
-    gain: Annotated[Array, N, N]  # answer of q̈ to friction in each joint
+    limit: Annotated[Array, N + TENDONS]  # torque beyond which sticking ends
+    gain: Annotated[Array, N + TENDONS, N]  # answer of q̈ to friction in each
+    mobility: Annotated[Array, N + TENDONS]  # and of its own acceleration; 0 of what does not move
+    held: Annotated[Array, N + TENDONS]  # dry friction that is being sought
 
 
 class Sensing(Block, sizes=("ring",)):
@@ -169,5 +174,4 @@ class Scratch(Block, sizes=("n",)):
     target: Annotated[Array, 3]  # a right-hand side of Eq. 24, and a force that is of no use
     unused: Annotated[Array, 3]
     none: Annotated[Array, 2]  # friction −c f of a contact without
-    dry: Annotated[Array, N]  # torque of joints' friction that is being sought
     numbers: Annotated[Array, N * N + 3 * N + 224]

@@ -1,11 +1,11 @@
 """The memory of the contacts: what they are, and their rows, forces and modes at the state asked about last.
 
 Contact 0 is the tip with the scenario's surface; then come those of the sections [[contact]], in their order; then, of
-each joint with stops, the nearer of its two; then each joint, if dry friction may hold it: a contact with its largest
-torque as normal force, there only while modes are sought. Before the joints come the resistances to rolling and to
-pivoting (`closedloop.mechanics.contacts.resistance`), contacts with the normal force of another. Every contact has
-three rows, along its normal and two tangents, so k contacts have 3 k; those of a stop are ± q̇ of its joint and two of
-zeros, in rad (m) and N m (N).
+each joint with stops, the nearer of its two, and of each such tendon; then each joint and each tendon, if dry friction
+may hold them: a contact with its largest torque as normal force, there only while modes are sought. Before the joints
+come the resistances to rolling and to pivoting (`closedloop.mechanics.contacts.resistance`), contacts with the normal
+force of another. Every contact has three rows, along its normal and two tangents, so k contacts have 3 k; those of a
+stop are ± q̇ of its joint, or ± L̇ of its tendon, and two of zeros, in rad (m) and N m (N).
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     past_edge: Annotated[Array, K]  # 1 while it is not above its surface because it has gone beyond the edge
     restitution: Annotated[Array, K]
     soft: Annotated[Array, K]  # 1 of a surface that gives way, see `closedloop.mechanics.contacts.soft`
-    joint: Annotated[Array, K]  # of a stop, as the next
+    joint: Annotated[Array, K]  # of a stop, as the next; of a tendon see `closedloop.loop.step.tendons`
     side: Annotated[Array, K]  # 1 of a lower stop, −1 of an upper
     mode: Annotated[Array, K]  # see `closedloop.mechanics.closure.contact_force`
     near: Annotated[Array, K]  # 1 while its rows X and W are written: while it is closed, or about to be

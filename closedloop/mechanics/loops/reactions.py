@@ -60,8 +60,9 @@ class LoopReactions(NamedTuple):
 
 
 def loop_reactions(
-    robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array, at_stop: Mask | None = None
-) -> LoopReactions:
+    robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array, at_stop: Mask | None = None,
+    stops: Array | None = None,
+) -> LoopReactions:  # fmt: skip
     """Return what the loops carried: Gᵀλ = H q̈ + C − Q − Jᵣᵀ F, with H, C and Jᵣ of Pinocchio.
 
     Parameters
@@ -73,16 +74,18 @@ def loop_reactions(
         q̇ and q̈; Q and friction in the joints together, N m (N).
     force : (N, 3) array
         F of the surface on the tip, N, base frame.
-    at_stop : (N, n) array of bool, optional
-        Joints that are at a stop, which carries its own part.
+    at_stop : (N, s) array of bool, optional
+        Stops that are reached, each of which carries its own part.
+    stops : (s, n) array, optional
+        The torque of each of them for a force of one; those of the joints if left out, s = n.
     """
     rows, errors = loop_rows(robot, q, v)
     missing = robot.needed_torque(q, v, acceleration, force) - torque
     # rows differ in unit: what depends on what is decided with each by its usual length
     scaled = bound_by_loops(robot).scale[:, None] * rows
     rank = np.linalg.matrix_rank(scaled, tol=DEPENDENT * np.sqrt(rows.shape[1])) if len(q) else np.zeros(0, dtype=int)
-    forces, stops = share_of_rows(rows, missing, at_stop, bool(np.all(rank == rows.shape[1])))
-    left = np.max(np.abs(missing - stops - np.einsum("kmn,km->kn", rows, forces)), axis=1, initial=0.0)
+    forces, of_stops = share_of_rows(rows, missing, at_stop, bool(np.all(rank == rows.shape[1])), stops)
+    left = np.max(np.abs(missing - of_stops - np.einsum("kmn,km->kn", rows, forces)), axis=1, initial=0.0)
     joints = tuple(loop.name for loop in robot.model.loops for _ in range(loop.rows))
     parts = wrenches(robot, q, rows, forces)
     return LoopReactions(*labels_of(robot.model), parts, joints, forces, errors, np.asarray(rank), left)
@@ -109,19 +112,24 @@ def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
     return rows, errors
 
 
-def share_of_rows(rows: Array, missing: Array, at_stop: Mask | None, independent: bool = False) -> tuple[Array, Array]:
+def share_of_rows(
+    rows: Array, missing: Array, at_stop: Mask | None, independent: bool = False, stops: Array | None = None
+) -> tuple[Array, Array]:
     """Return the part of the rows (N, m) in a torque (N, n), and that of the stops (N, n): together of least norm.
+
+    Of the stops see `loop_reactions`.
 
     Of rows that are `independent` the part is unique: it takes a third of the time to factorise them as Q R.
     """
     m, n = rows.shape[1:]
-    held = None if at_stop is None or not at_stop.any() else at_stop[:, None, :]
+    held = None if at_stop is None or not at_stop.any() else at_stop[:, :, None]
+    stops = np.eye(n) if stops is None else stops
     if independent and held is None:
         Q, R = np.linalg.qr(np.swapaxes(rows, 1, 2))
         return np.linalg.solve(R, np.swapaxes(Q, 1, 2) @ missing[:, :, None])[:, :, 0], np.zeros(missing.shape)
-    bound = rows if held is None else np.concatenate([rows, np.eye(n) * held], axis=1)
+    bound = rows if held is None else np.concatenate([rows, stops * held], axis=1)
     found = np.einsum("kmn,kn->km", np.linalg.pinv(np.swapaxes(bound, 1, 2), rcond=DEPENDENT), missing)
-    return found[:, :m], np.zeros(missing.shape) if held is None else found[:, m:]
+    return found[:, :m], np.zeros(missing.shape) if held is None else found[:, m:] @ stops
 
 
 @entry_kernel

@@ -33,10 +33,11 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.record import CONTACT_COLUMNS, RESISTANCE_COLUMNS, Column, Record
 from closedloop.record.columns.touching import contact_torques
-from closedloop.scenario.arm import has_stops, robot_of, stop_limits, without_tools
+from closedloop.scenario.arm import acting_tendons, has_stops, robot_of, stop_limits, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import labels_of, tangents_of
 from robot_models.coordinates import with_rotation_vectors
+from robot_models.tendon import ROUGH, STOPS
 
 
 def columns_by_contact(sections: tuple[ContactSection, ...]) -> dict[str, tuple[str, int]]:
@@ -79,7 +80,7 @@ def tip_force(run: Record) -> Array:
 def reactions_of(run: Record, robot: Robot) -> LoopReactions:
     """Return what the loops of a mechanism carried, its robot being that of the run's scenario."""
     torque = _drive(run) + run.joint_friction + _of_contacts(run, robot)
-    return loop_reactions(robot, run.q, run.v, run.acceleration, torque, tip_force(run), at_stop(run))
+    return loop_reactions(robot, run.q, run.v, run.acceleration, torque, tip_force(run), at_stop(run), stop_rows(run))
 
 
 def _drive(run: Record) -> Array:
@@ -135,18 +136,25 @@ def stop_torque(run: Record) -> Array:
     robot = robot_of(run.scenario, without_tools(run.model))
     known = _drive(run) + run.joint_friction + _of_contacts(run, robot)
     found = robot.needed_torque(run.q, run.v, run.acceleration, tip_force(run)) - known
-    there = at_stop(run)
-    if robot.model.loops:
-        rows, _ = loop_rows(robot, run.q, run.v)
-        return share_of_rows(rows, found, there)[1]
+    there, stops = at_stop(run), stop_rows(run)
+    if robot.model.loops or len(stops) > robot.n:
+        rows = loop_rows(robot, run.q, run.v)[0] if robot.model.loops else np.zeros((len(run.q), 0, robot.n))
+        return share_of_rows(rows, found, there, stops=stops)[1]
     return np.where(there, found, 0.0)
 
 
+def stop_rows(run: Record) -> Array:
+    """Return what stops hold, (n + t, n): each joint, then each tendon that rubs or has stops, by its coefficients."""
+    return np.vstack([np.eye(run.model.n), acting_tendons(run.scenario, run.model)[:, ROUGH:]])
+
+
 def at_stop(run: Record) -> NDArray[np.bool_]:
-    """Return which joints are at a stop in each row, (N, n); all False where there are no stops."""
-    lower, upper = stop_limits(run.scenario, run.model)
-    q = loop_positions(run)
-    return (q >= upper - AT_STOP) | (q <= lower + AT_STOP)
+    """Return which of `stop_rows` are at a stop in each row, (N, n + t); all False where there are no stops."""
+    tendons = acting_tendons(run.scenario, run.model)
+    joints = stop_limits(run.scenario, run.model)
+    lower, upper = (np.concatenate([each, tendons[:, STOPS + k]]) for k, each in enumerate(joints))
+    places = loop_positions(run) @ stop_rows(run).T
+    return (places >= upper - AT_STOP) | (places <= lower + AT_STOP)
 
 
 DERIVED: dict[str, DerivedColumn] = {
@@ -164,7 +172,8 @@ DERIVED: dict[str, DerivedColumn] = {
         ("time",), "deg", "angle by which the tip's frame is turned away from that of q_des", orientation_error
     ),
     "stop_torque": DerivedColumn(
-        ("time", "joint"), "N m", "torque of the stops on the joints, where robot.stops asks for them", stop_torque
+        ("time", "joint"), "N m", "torque of the stops of joints and tendons on the joints, where robot.stops asks "
+        "for them", stop_torque,
     ),
 }  # fmt: skip
 

@@ -23,6 +23,7 @@ from closedloop.jit.simd8 import select
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.record.report.measures import SETTLED
 from robot_models import RobotModel
+from robot_models.model import AT_LIMIT
 
 # Eq. 24 is solved to rounding: n additions of rounding 1e-16 each, with room for the conditioning of H.
 RESIDUAL_TOLERANCE = 1e-12
@@ -220,7 +221,7 @@ def sample_joints(row: Any, n: int, limits: JointLimits, sample: Sample) -> Any:
         excess, size = select(over > under, over, under), abs(torque)
         greatest.position_excess[j], greatest.joint_speed[j] = excess, speed
         greatest.joint_torque[j], greatest.joint_friction[j] = size, friction
-        flags.position[j] = select(excess > 0.0, 1.0, 0.0)
+        flags.position[j] = select(excess > AT_LIMIT, 1.0, 0.0)
         flags.velocity[j] = select(speed > limits.velocity[j], 1.0, 0.0)
         flags.effort[j] = select(size > limits.effort[j], 1.0, 0.0)
         sums.torque[j], signals.torque[j] = size, torque

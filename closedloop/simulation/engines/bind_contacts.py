@@ -15,6 +15,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
 from closedloop.jit.user_code import of_users
 from closedloop.loop.step.memory import Constants
+from closedloop.loop.step.tendons import rate_along, stops_of
 from closedloop.mechanics.contacts.edges import PARTNER, choose_crossing, edges_of
 from closedloop.mechanics.contacts.friction import (
     STICKING,
@@ -55,11 +56,12 @@ from closedloop.mechanics.robot.tree.layout import (
 )
 from closedloop.mechanics.surface.compliance import largest_mobility
 from closedloop.mechanics.surface.plane import contact_frame, unit
-from closedloop.scenario.arm import joint_friction_of, stop_limits
+from closedloop.scenario.arm import acting_tendons, joint_friction_of, stop_limits
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of
 from robot_models.errors import shown
 from robot_models.loop_joint import WORLD
+from robot_models.tendon import STOPS
 
 # A point is on the edge of a disc to this share of its size: both are given in few digits.
 ON_EDGE = 1e-6
@@ -105,8 +107,10 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     """Return a new memory of a scenario's contacts, the tip's the first of them."""
     sections = scenario.contact or ()
     rows, points = make_loop_memory(robot.tree, placed.bound), len(sections) + 1
-    stops = np.flatnonzero(np.isfinite(stop_limits(scenario, robot.model)).any(axis=0))
-    held = robot.n if joint_friction_of(scenario, robot.model).sticks == "rigid" else 0
+    tendons = acting_tendons(scenario, robot.model)
+    limits = np.hstack([stop_limits(scenario, robot.model), tendons[:, STOPS : STOPS + 2].T])
+    stops = np.flatnonzero(np.isfinite(limits).any(axis=0))
+    held = robot.n + len(tendons) if joint_friction_of(scenario, robot.model).sticks == "rigid" else 0
     turns = resistances_of(sections)
     names, k = names_of(sections), points + len(stops) + len(turns) + held
     laws = laws_of(scenario, names)
@@ -260,10 +264,11 @@ def stops_at_start(memory: ContactMemory, constants: Constants, q: Array, v: Arr
     """Return whether a joint is at a stop at the start, at rest or leaving; one that moves on strikes it at once."""
     links, c, held = memory.links, memory.contacts, False
     for i in range(links.points, links.points + links.stops):
-        j = int(c.joint[i])
-        low, high = q[j] - constants.lower_stop[j], constants.upper_stop[j] - q[j]
+        r = int(c.joint[i])
+        (lower, upper), place = interpreted(stops_of)(constants, r), interpreted(rate_along)(constants, r, q)
+        low, high, rate = place - lower, upper - place, interpreted(rate_along)(constants, r, v)
         if min(low, high) <= HOVERING:
-            moves_on = (v[j] if low <= high else -v[j]) < 0.0
+            moves_on = (rate if low <= high else -rate) < 0.0
             if moves_on:
                 c.cleared[i], c.floor[i] = 1.0, min(low, high) + 2.0 * CLOSED_GAP
             held = held or not moves_on

@@ -114,13 +114,13 @@ def run_in_lanes(
     stages, steps, hold = state.settings.stages, state.settings.steps, state.settings.hold
     semi_implicit, unilateral = state.settings.semi_implicit != 0, state.settings.unilateral != 0
     at = LaneAddresses(addresses)
-    w = Work(float64x8_at(at.work, 0), n, 0, stages, 1)
+    w = Work(float64x8_at(at.work, 0), n, 0, stages, 1, 0)
     terms = float64x8_at(at.terms, n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
     largest = float64x8_at(at.largest, 1)[0]
     constants = Constants(
         float64x8_at(at.constants, 0), n, state.law.size, state.compensation.size, state.friction.size,
-        state.joint_friction.size, state.compliance.size,
+        state.joint_friction.size, state.compliance.size, 0,
     )  # fmt: skip
     forces = float64x8_at(at.forces, sizes.instants)
     rows = float64x8_at(at.rows, kept * width).reshape(kept, width)

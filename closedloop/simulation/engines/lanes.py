@@ -106,7 +106,7 @@ class LaneRuns:
         loop = like.loop()
         self._state, self._tableau = loop.state, like.integrator.tableau()
         self._h = like.h
-        self._work = Work(aligned(Work.count(n, 0, stages, 1)), n, 0, stages, 1)
+        self._work = Work(aligned(Work.count(n, 0, stages, 1, 0)), n, 0, stages, 1, 0)
         self._constants = aligned(loop.constants.memory.size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else BATCH, Row.count(n))

@@ -18,6 +18,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.plane import Plane
 from closedloop.record.columns.derived import recorded_states
+from closedloop.scenario.arm import acting_tendons
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.simulation.engines.bind_contacts import ContactPlaces
@@ -154,8 +155,13 @@ class ScenarioNumbers:
         return {
             "law": self.law.numbers.size, "compensation": self.compensation.numbers.size,
             "friction": self.friction.numbers.size, "joint_friction": self.joint_friction.numbers.shape[1],
-            "compliance": self.compliance.numbers.size,
+            "compliance": self.compliance.numbers.size, "tendons": len(self.tendons),
         }  # fmt: skip
+
+    @property
+    def tendons(self) -> Array:
+        """What rubs along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`."""
+        return acting_tendons(self.scenario, self.robot.model)
 
     @property
     def restitution(self) -> type[Restitution]:

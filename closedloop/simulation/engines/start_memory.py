@@ -48,7 +48,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
     constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
     constants.torque_limit[:], constants.torque_change[:] = problem.drives
-    constants.compliance[:] = problem.compliance.numbers
+    constants.compliance[:], constants.tendons[:] = problem.compliance.numbers, problem.tendons
     constants.friction[:], constants.joint_friction[:] = problem.friction.numbers, problem.joint_friction.numbers
     if problem.friction.member is not NoFriction:  # whose numbers are zero, as the memory is
         tip = tip_contact(problem)

@@ -177,7 +177,7 @@ def step_in_lanes(address: int, count: int) -> int:
     n, h, steps, stuck = a.n, constants.h, m.steps, g.mode == STUCK
     ends = integers_at(state.addresses.group_ends, n)
     sticks, unilateral = state.friction.sticking == RIGID_STICK, state.settings.unilateral != 0
-    w, c = Work(float64x8_at(g.work, 0), n, 0, 1, 1), LaneConstants(float64x8_at(g.constants, 0))
+    w, c = Work(float64x8_at(g.work, 0), n, 0, 1, 1, 0), LaneConstants(float64x8_at(g.constants, 0))
     kept, row = Kept(float64x8_at(g.before, 0)), Row(float64x8_at(g.row, 0), n)
     terms, forces = float64x8_at(g.terms, n * n + n + work_size(n)), float64x8_at(g.forces, steps + 1)
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]

@@ -41,8 +41,9 @@ def contacts_of(problem: Problem, loop: Loop, time: float) -> dict[str, Array]:
         return SimulationError(f"linearise: at t = {time:g} s {why}; take another instant", time)
 
     if np.any(stops):
-        joint = problem.robot.joint_names[int(c.joint[np.flatnonzero(stops)[0]])]
-        raise refuse(f"joint {joint} is at its stop, which is not linearised")
+        number = int(c.joint[np.flatnonzero(stops)[0]])
+        who = f"joint {problem.robot.joint_names[number]}" if number < problem.robot.n else "a tendon"
+        raise refuse(f"{who} is at its stop, which is not linearised")
     if links.undecided != 0 or links.stepped != 0:
         raise refuse("no modes of the contacts are found, and their forces are those of a time step")
     if np.any(resistance & closed):

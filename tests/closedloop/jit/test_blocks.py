@@ -23,7 +23,7 @@ from closedloop.loop.step.record_row import (
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.loops.memory import LoopRows
 
-SIZES = [(1, 0, 1, 1), (2, 3, 4, 1), (4, 0, 1, 1), (7, 21, 4, 6), (30, 5, 1, 2)]
+SIZES = [(1, 0, 1, 1, 0), (2, 3, 4, 1, 2), (4, 0, 1, 1, 0), (7, 21, 4, 6, 1), (30, 5, 1, 2, 3)]
 
 
 def names_of(kind):
@@ -120,8 +120,8 @@ _mark = kernel(_made["mark"])
 
 
 @entry_kernel
-def _mark_all(memory, n, k, stages, ring, shapes, read):
-    block = Work(memory, n, k, stages, ring)
+def _mark_all(memory, n, k, stages, ring, tendons, shapes, read):
+    block = Work(memory, n, k, stages, ring, tendons)
     _mark(block, shapes, read)
 
 
@@ -176,8 +176,8 @@ def test_no_record_has_more_than_forty_parts():
 
 def test_a_block_in_a_block_has_its_own_memory():
     """It is at its place in the outer one's memory, and all of it can be read at once, in compiled code too."""
-    work = Work(np.arange(float(Work.count(2, 3, 4, 1))), 2, 3, 4, 1)
-    begin = Work.place("reference.q", 2, 3, 4, 1).start
+    work = Work(np.arange(float(Work.count(2, 3, 4, 1, 0))), 2, 3, 4, 1, 0)
+    begin = Work.place("reference.q", 2, 3, 4, 1, 0).start
     np.testing.assert_array_equal(work.reference.memory, np.arange(begin, begin + Reference.count(2)))
     assert _sum_of_reference(work.memory, 2, 3, 4, 1) == np.sum(work.reference.memory)
 
@@ -185,14 +185,14 @@ def test_a_block_in_a_block_has_its_own_memory():
 @entry_kernel
 def _sum_of_reference(memory, n, k, stages, ring):
     total = 0.0
-    for x in Work(memory, n, k, stages, ring).reference.memory:
+    for x in Work(memory, n, k, stages, ring, 0).reference.memory:
         total += x
     return total
 
 
 def test_constants_are_laid_out_for_their_joints():
     """Parts whose shape depends on the joints have it."""
-    constants = Constants(np.zeros(Constants.count(3, 7, 2, 4, 5, 6)), 3, 7, 2, 4, 5, 6)
+    constants = Constants(np.zeros(Constants.count(3, 7, 2, 4, 5, 6, 2)), 3, 7, 2, 4, 5, 6, 2)
     assert constants.gravity.shape == (3,)
     assert constants.law.shape == (7,)
     assert constants.friction.shape == (4,)

@@ -1,0 +1,49 @@
+"""Joints, and the tendons that rub or have stops, in one row: joint r for r < n, then tendon r − n."""
+
+from __future__ import annotations
+
+from closedloop.base.arrays import Array
+from closedloop.jit.kernel import kernel
+from closedloop.loop.step.memory import Constants
+from robot_models.tendon import ROUGH, STOPS
+
+
+@kernel
+def part_of(constants: Constants, r: int, j: int) -> float:
+    """Return what joint j does to r, per unit of its position."""
+    n = constants.armature.shape[0]
+    if r < n:
+        return 1.0 if r == j else 0.0
+    return float(constants.tendons[r - n, ROUGH + j])
+
+
+@kernel
+def rate_along(constants: Constants, r: int, x: Array) -> float:
+    """Return the position of r, or its rate, at positions or rates x (n,) of the joints."""
+    n = constants.armature.shape[0]
+    if r < n:
+        return float(x[r])
+    s = 0.0
+    for j in range(n):
+        s += constants.tendons[r - n, ROUGH + j] * x[j]
+    return s
+
+
+@kernel
+def add_along(constants: Constants, r: int, force: float, torque: Array) -> None:
+    """Add what a torque, or a force, in r does to the torques (n,) of the joints."""
+    n = constants.armature.shape[0]
+    if r < n:
+        torque[r] += force
+        return
+    for j in range(n):
+        torque[j] += constants.tendons[r - n, ROUGH + j] * force
+
+
+@kernel
+def stops_of(constants: Constants, r: int) -> tuple[float, float]:
+    """Return the lower and the upper stop of r, infinite where there is none."""
+    n = constants.armature.shape[0]
+    if r < n:
+        return float(constants.lower_stop[r]), float(constants.upper_stop[r])
+    return float(constants.tendons[r - n, STOPS]), float(constants.tendons[r - n, STOPS + 1])

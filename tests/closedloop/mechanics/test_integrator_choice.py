@@ -45,7 +45,8 @@ def test_shipped_scenarios_that_may_leave_run_with_rk4():
     """All of them, and no other is unilateral."""
     loaded = [cl.load_scenario(name) for name in shipped_scenarios()]
     unilateral = {scenario.name for scenario in loaded if scenario.surface.contact == "unilateral"}
-    without = {"gripper_gear", "gripper_block", "cube_toss", "ball_on_turntable", "tower", "push_block"}  # a surface
+    without = {"gripper_gear", "gripper_block", "cube_toss", "ball_on_turntable", "tower", "push_block", "hand_turns",
+               "quadruped"}  # a surface  # fmt: skip
     assert unilateral == {*WITH_IMPACTS, "panda_scan", "panda_polish", "four_bar", "two_arms_bar", *without}
     assert {cl.load_scenario(name).time.integrator for name in unilateral} == {"rk4"}
 

@@ -12,7 +12,7 @@ ABOVE = {
     "replace": "closedloop.scenario.overrides:replaced",
     "run": "closedloop.simulation.simulate:simulate_prepared",
     "plot": "closedloop.figures.overview:plot",
-    "html": "closedloop.figures.html:html",
+    "html": "closedloop.figures.files:html",
     "show": "closedloop.lab.share:show_run",
     "animate": "closedloop.lab.animate:animate",
     "save": "closedloop.figures.export.tables:save",

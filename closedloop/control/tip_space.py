@@ -20,9 +20,9 @@ from closedloop.base.sections import (
 )
 from closedloop.control.law import ControlLaw, LawInput
 from closedloop.jit.blocks import Block, Count
+from closedloop.jit.calls import matrix_of
 from closedloop.jit.dual8 import has_derivatives, settled, sought
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import matrix_of
 from closedloop.mechanics.closure.contact_force import IMMOBILE
 
 # Jacobi's sweeps converge quadratically: a 3 x 3 matrix is diagonal to rounding after four or five.

@@ -25,8 +25,7 @@ from closedloop.figures.joints import joints
 from closedloop.figures.link_contacts import link_contacts
 from closedloop.figures.overview import force_control
 from closedloop.figures.style import STYLE
-from closedloop.figures.tip import tip_position
-from closedloop.figures.tool import tool
+from closedloop.figures.tip import tip_position, tool
 
 __all__ = [
     "STYLE",

@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 
 from closedloop.jit.blocks import Block
-from closedloop.jit.calls import call_at, call_with_buffers
-from closedloop.jit.pointers import (
+from closedloop.jit.calls import (
     MOST_KEPT,
+    call_at,
+    call_with_buffers,
     fortran_at,
     integers_at,
     known_matrix_at,

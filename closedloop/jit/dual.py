@@ -17,8 +17,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from closedloop.jit.calls import fortran_at, matrix_at, vector_at
 from closedloop.jit.kernel import Kernel
-from closedloop.jit.pointers import fortran_at, matrix_at, vector_at
 
 
 class NotDualError(Exception):

@@ -87,7 +87,7 @@ def _typeof(value: Any) -> Any:
 @cache
 def numba_ready() -> None:
     """Import numba, and teach it what is ours."""
-    from closedloop.jit import numba_blocks, numba_calls, numba_dual8, numba_pointers, numba_simd8  # noqa: F401
+    from closedloop.jit import numba_blocks, numba_dual8, numba_simd8  # noqa: F401
 
 
 def _made(function: F, make: Callable[[Callable[..., Any]], Any]) -> F:

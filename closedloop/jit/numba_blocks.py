@@ -1,10 +1,19 @@
-"""Blocks in compiled code: an address and sizes, of which the parts are made where they are asked for.
+"""The inside of numba that all kernels need: blocks, arrays by their address, calls by address.
+
+Blocks in compiled code: an address and sizes, of which the parts are made where they are asked for.
 
 See `closedloop.jit.blocks`. This is imported when the first kernel is compiled or read from the cache.
+
+Arrays by their address, and parts of arrays, in compiled code; see `closedloop.jit.calls`.
+
+Kernels count no references, so a compiled function cannot return a view: numba writes these where they are called.
+
+Calls by address in compiled code; see `closedloop.jit.calls`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -16,6 +25,16 @@ from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic,
 from numba.np.arrayobj import make_array
 
 from closedloop.jit.blocks import Block, Count, blocks, when_made
+from closedloop.jit.calls import (
+    call_at,
+    fortran_at,
+    integers_at,
+    known_matrix_at,
+    matrix_at,
+    matrix_of,
+    row_of,
+    vector_at,
+)
 
 # The type, in compiled code, of each class of blocks.
 _types: dict[type[Block], Any] = {}
@@ -147,3 +166,88 @@ def teach(block: type[Block]) -> None:
 for _block in blocks:
     teach(_block)
 when_made.append(teach)
+
+
+def _compiled(function: Callable[..., Any], kind: Any) -> None:
+    """Teach numba one of the functions above."""
+    dtype = types.CPointer(kind.dtype)
+
+    @infer_global(function)
+    class At(AbstractTemplate):
+        key = function
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            fits = len(args) == 1 + kind.ndim and not kws and all(isinstance(x, types.Integer) for x in args)
+            return signature(kind, *(types.intp for _ in args)) if fits else None
+
+    @lower_builtin(function, *(types.intp for _ in range(1 + kind.ndim)))
+    def lower(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        data = builder.inttoptr(arguments[0], context.get_value_type(dtype))
+        return array_on(context, builder, kind, data, list(arguments[1:]))
+
+
+_compiled(vector_at, types.Array(types.float64, 1, "C"))
+_compiled(matrix_at, types.Array(types.float64, 2, "C"))
+_compiled(known_matrix_at, types.Array(types.float64, 2, "C"))
+_compiled(fortran_at, types.Array(types.float64, 2, "F"))
+_compiled(integers_at, types.Array(types.int64, 1, "C"))
+
+
+@infer_global(row_of)
+class RowOf(AbstractTemplate):
+    """The type of a row of a matrix."""
+
+    key = row_of
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        """Return the signature for a matrix in C order and a whole number."""
+        fits = len(args) == 2 and not kws and isinstance(args[0], types.Array) and isinstance(args[1], types.Integer)
+        if not fits or args[0].ndim != 2 or args[0].layout != "C":
+            return None
+        return signature(types.Array(args[0].dtype, 1, "C"), args[0], types.intp)
+
+
+@lower_builtin(row_of, types.Array, types.intp)
+def _lower_row(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+    matrix = make_array(call.args[0])(context, builder, value=arguments[0])
+    columns = cgutils.unpack_tuple(builder, matrix.shape)[1]
+    data = builder.gep(matrix.data, [builder.mul(arguments[1], columns)])
+    return array_on(context, builder, call.return_type, data, [columns])
+
+
+@infer_global(matrix_of)
+class MatrixOf(AbstractTemplate):
+    """The type of the first numbers of a vector as a matrix."""
+
+    key = matrix_of
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        """Return the signature for a vector in C order and two whole numbers."""
+        fits = len(args) == 3 and not kws and isinstance(args[0], types.Array)
+        if not fits or args[0].ndim != 1 or args[0].layout != "C":
+            return None
+        return signature(types.Array(args[0].dtype, 2, "C"), args[0], types.intp, types.intp)
+
+
+@lower_builtin(matrix_of, types.Array, types.intp, types.intp)
+def _lower_matrix(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+    vector = make_array(call.args[0])(context, builder, value=arguments[0])
+    return array_on(context, builder, call.return_type, vector.data, list(arguments[1:]))
+
+
+_WORD = ir.IntType(64)
+
+
+@infer_global(call_at)
+class _CallAt(AbstractTemplate):
+    key = call_at
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        fits = len(args) == 3 and not kws and all(isinstance(x, types.Integer) for x in args)
+        return signature(types.int64, types.int64, types.int64, types.int64) if fits else None
+
+
+@lower_builtin(call_at, types.int64, types.int64, types.int64)
+def _lower_call_at(context: Any, builder: Any, call: Any, values: Any) -> Any:
+    kind = ir.FunctionType(_WORD, [_WORD, _WORD])
+    return builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])

@@ -16,10 +16,10 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, start, takes_long
+from closedloop.jit.calls import address_of
 from closedloop.jit.drafts import draft_address
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead
 from closedloop.jit.kernel import direct
-from closedloop.jit.pointers import address_of
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH

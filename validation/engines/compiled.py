@@ -11,9 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.base.errors import ModelError
-from closedloop.jit.calls import entry_address
+from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.kernel import entry_kernel
-from closedloop.jit.pointers import address_of
 from closedloop.loop.events.phases import DONE
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.make_loop import make_loop
@@ -23,7 +22,7 @@ from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Terms
 from closedloop.mechanics.robot.tree import Tree, tree_of, tree_terms, work_size
 from closedloop.mechanics.surface.plane import contact_frame
-from closedloop.simulation.engines.compiled import ALL, compiled_terms, compiled_work, run_compiled
+from closedloop.simulation.engines.compiled import compiled_terms, compiled_work, run_compiled
 from closedloop.simulation.engines.proceed import addresses_of, proceed_at
 from robot_models import RobotModel
 from validation.engines.interface import METHODS, CannotBuild, Robot
@@ -83,7 +82,7 @@ class Compiled(ClosedLoop):
         H, C, scratch = compiled_terms(compiled_work(n), n)
         addresses = addresses_of((H, C), loop, table, scheme.tableau(), rows, events)
         state.proceed = entry_address(proceed_at)
-        request = run_compiled(self.tree, scratch, address_of(addresses.memory), ALL)
+        request = run_compiled(self.tree, scratch, address_of(addresses.memory), 1)
         if request != DONE:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
         return np.asarray(rows[0])

@@ -14,8 +14,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from closedloop.jit.calls import integers_at
 from closedloop.jit.interpreted import interpreted
-from closedloop.jit.pointers import integers_at
 from closedloop.loop.step.closed_loops import BIND_TIP, DRIVE
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.closure.solve import forward_substitute

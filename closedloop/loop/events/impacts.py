@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.jit.pointers import row_of
 from closedloop.loop.events.phases import MAX_RAPID
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN, write_event
 from closedloop.loop.step.entries import RESTART

@@ -8,8 +8,8 @@ the same. With the tip as a point nothing of this is called.
 from __future__ import annotations
 
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import entry_kernel
-from closedloop.jit.pointers import integers_at
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.contacts.rolling import move_to_ball, turn_against, turn_on_surface
 from closedloop.mechanics.contacts.shapes import RADIUS, shapes_at

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from closedloop.base.arrays import Array
 from closedloop.control.law import Seen
+from closedloop.jit.calls import integers_at, row_of
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.memory import Constants, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.contact_force import factorise

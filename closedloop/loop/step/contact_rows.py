@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array
-from closedloop.jit.calls import call_at
+from closedloop.jit.calls import call_at, integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at, row_of, vector_at
 from closedloop.jit.user_code import RAISED
 from closedloop.loop.step.joint_limits import joint_limits
 from closedloop.loop.step.locate import off_anchor

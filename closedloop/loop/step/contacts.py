@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
+from closedloop.jit.calls import integers_at, row_of
 from closedloop.jit.kernel import kernel, long_loops_entry
-from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.contact_rows import (
     asked,
     forget_joints,

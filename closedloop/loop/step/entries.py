@@ -11,10 +11,9 @@ from functools import cache
 from typing import Any
 
 from closedloop.control.law import Compensation, ControlLaw, LawInput, Seen
-from closedloop.jit.calls import Entry
+from closedloop.jit.calls import Entry, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.parameters import one_joint_block, parameter_block, state_block
-from closedloop.jit.pointers import row_of
 from closedloop.jit.user_code import function_of, member_entry
 from closedloop.loop.step.memory import Constants, State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, STUCK

@@ -10,9 +10,8 @@ each joint (Moreau's time stepping). Friction then never adds energy, and no joi
 from __future__ import annotations
 
 from closedloop.base.arrays import Array
-from closedloop.jit.calls import call_at
+from closedloop.jit.calls import call_at, integers_at, row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.closed_loops import BIND_ANSWER
 from closedloop.loop.step.contacts import ANSWER
 from closedloop.loop.step.entries import ADVANCE_STATES, LIMIT, SLIDE

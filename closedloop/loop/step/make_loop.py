@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.pointers import address_of
+from closedloop.jit.calls import address_of
 from closedloop.loop.step.memory import STATE_COUNT, Constants, State, Work
 
 

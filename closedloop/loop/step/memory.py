@@ -14,9 +14,8 @@ from closedloop.control.law import Seen
 from closedloop.control.reference.desired import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.blocks import Block, Count
-from closedloop.jit.calls import call_at
+from closedloop.jit.calls import call_at, integers_at, vector_at
 from closedloop.jit.kernel import kernel_inlined
-from closedloop.jit.pointers import integers_at, vector_at
 from closedloop.loop.step.records import (
     STAGES,
     TENDONS,

@@ -11,9 +11,9 @@ from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.desired import TableRow
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import integers_at, row_of
 from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.jit.pointers import integers_at, row_of
 from closedloop.jit.simd8 import every, select
 from closedloop.loop.step.closed_loops import REACTION, missing_torque
 from closedloop.loop.step.contact_rows import asked

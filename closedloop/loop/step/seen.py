@@ -11,9 +11,8 @@ from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters, read_encoder
 from closedloop.control.law import Seen
 from closedloop.control.reference.desired import DrawnRow
-from closedloop.jit.calls import call_at
+from closedloop.jit.calls import call_at, integers_at, row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loop.step.belief import believe
 from closedloop.loop.step.closed_loops import BIND_SEEN, CLOSE
 from closedloop.loop.step.locate import in_contact_frame

@@ -22,8 +22,8 @@ from typing import Annotated
 
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.jit.pointers import integers_at
 from closedloop.jit.simd8 import every
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.loop.step.records import N

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 
-from closedloop.jit.calls import Entry, call_at
+from closedloop.jit.calls import Entry, call_at, integers_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import parameter_block
-from closedloop.jit.pointers import integers_at
 from closedloop.jit.user_code import function_of, member_entry
 from closedloop.loop.step.entries import mark_raised
 from closedloop.loop.step.locate import off_anchor

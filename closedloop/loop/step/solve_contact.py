@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import kernel_inlined
-from closedloop.jit.pointers import integers_at
 from closedloop.loop.step.closed_loops import BIND_LOAD
 from closedloop.loop.step.contacts import FORCE
 from closedloop.loop.step.energy_supplied import driving_torque

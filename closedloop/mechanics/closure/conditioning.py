@@ -17,9 +17,9 @@ from __future__ import annotations
 from typing import Any
 
 from closedloop.base.arrays import Array, IntArray
+from closedloop.jit.calls import matrix_of, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.lanewise import lanewise, takes_arrays
-from closedloop.jit.pointers import matrix_of, row_of
 
 BATCH = 32
 # Above this many joints the rows of the matrices vectorise by themselves, one condition number at a time.

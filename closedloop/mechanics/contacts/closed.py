@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import pressed_force, stuck_force
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.given_modes import solve_modes

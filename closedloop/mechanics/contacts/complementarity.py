@@ -25,8 +25,8 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.continuation import follow_path, force_size
 from closedloop.mechanics.contacts.linear import DEPENDENT, solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts

@@ -21,8 +21,8 @@ import math
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.rolling import turn_against

@@ -17,10 +17,9 @@ import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.blocks import Block, Count
-from closedloop.jit.calls import Entry, call_at
+from closedloop.jit.calls import Entry, address_of, call_at, integers_at, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import pack, parameter_block, state_block
-from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.memory import (

@@ -16,8 +16,8 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
+from closedloop.jit.calls import address_of, integers_at, vector_at
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.mechanics.loops.memory import LoopMemory
 
 N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")

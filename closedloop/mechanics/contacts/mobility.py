@@ -7,8 +7,8 @@ are taken over the joints that `Contacts.moves` says.
 from __future__ import annotations
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.memory import Contacts, joints_of
 
 

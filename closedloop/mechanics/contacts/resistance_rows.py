@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import near
 from closedloop.mechanics.contacts.rolling import turn_against, turn_on_surface

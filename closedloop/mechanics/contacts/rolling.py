@@ -8,8 +8,8 @@ surface (`closedloop.mechanics.contacts.shapes`).
 from __future__ import annotations
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at, row_of, vector_at
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.shapes import RADIUS, Shapes, lowest_point, wandering
 from closedloop.mechanics.contacts.standing import left_of_rolling, see_tilt, stand, take_seat

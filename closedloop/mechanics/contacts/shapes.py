@@ -23,8 +23,8 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
+from closedloop.jit.calls import address_of, integers_at, vector_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.mechanics.contacts.sections import THIN, ContactSection
 
 N, K = Count.of("n"), Count.of("k")

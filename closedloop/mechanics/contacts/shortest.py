@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, Contacts
 from closedloop.mechanics.contacts.resistance import square_of_turning
 

@@ -18,10 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.jit.calls import Entry, call_at
+from closedloop.jit.calls import Entry, address_of, call_at, integers_at, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import pack, parameter_block
-from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, OFF, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shortest import CONTRADICTS, EXACT, REFINEMENTS, SAME_ROW

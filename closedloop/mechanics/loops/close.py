@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.loops.factor import factor, meet
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.mechanics.loops.rows import place_rows

@@ -18,9 +18,9 @@ import math
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.loops.factor import factor
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows

@@ -15,8 +15,8 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array, IntArray
+from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 
 # A row of which no more than this share of its usual length is left depends on the others, or is none. A state is

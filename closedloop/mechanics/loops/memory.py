@@ -8,8 +8,8 @@ import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.blocks import Block, Count
+from closedloop.jit.calls import address_of, integers_at, vector_at
 from closedloop.jit.kernel import kernel, plain
-from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, work_size
 
 N, M = Count.of("n"), Count.of("m")

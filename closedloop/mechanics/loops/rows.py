@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at, row_of, vector_at
 from closedloop.mechanics.loops.memory import DISTANCE, GEAR, IDLE, POSITION, ROTATION, LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.mechanics.robot.tree import layout as at

@@ -15,8 +15,8 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import row_of
 from closedloop.mechanics.loops.factor import DEPENDENT, order_of
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 

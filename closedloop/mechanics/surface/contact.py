@@ -15,10 +15,9 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
-from closedloop.jit.calls import Entry, call_at
+from closedloop.jit.calls import Entry, address_of, call_at, integers_at, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.parameters import parameter_block
-from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.jit.user_code import RAISED, function_of, member_entry
 from closedloop.mechanics.surface.distance import (
     MOST_NEAREST,

@@ -8,8 +8,8 @@ compiled.run_compiled` and `closedloop.record.report.measured.measure_rows`.
 from __future__ import annotations
 
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import integers_at, matrix_at, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
-from closedloop.jit.pointers import integers_at, matrix_at, vector_at
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.robot.tree import Tree, work_size

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from closedloop.jit.pointers import address_of
+from closedloop.jit.calls import address_of
 from closedloop.loop.step.ball_tip import BALL_TIP, BallTip
 from closedloop.mechanics.contacts.shapes import RADIUS, SHAPE, make_shape_memory
 from closedloop.mechanics.loops.bind import link_poses

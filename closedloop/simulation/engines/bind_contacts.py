@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
+from closedloop.jit.calls import address_of
 from closedloop.jit.interpreted import interpreted
-from closedloop.jit.pointers import address_of
 from closedloop.jit.user_code import of_users
 from closedloop.loop.step.memory import Constants
 from closedloop.loop.step.tendons import rate_along, stops_of

@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.jit.calls import call_at
+from closedloop.jit.calls import call_at, fortran_at, integers_at, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel_inlined, plain
-from closedloop.jit.pointers import fortran_at, integers_at, vector_at
 from closedloop.loop.events.phases import TERMS
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.robot.tree import Tree, tree_terms, work_size

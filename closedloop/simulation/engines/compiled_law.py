@@ -15,10 +15,10 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.law import LawInput
 from closedloop.jit.calls import is_compiled
-from closedloop.jit.compiler_words import why_not_compiled
 from closedloop.jit.inline_once import NestedFunction
 from closedloop.jit.kernel import numba_ready
 from closedloop.jit.uninterrupted import compiler_at_work
+from closedloop.jit.user_code import why_not_compiled
 from closedloop.loop.step.entries import TORQUE, law_input
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.robot.pinocchio import Terms

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
-from closedloop.jit.calls import entry_address
+from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.dual import NotDualError, dual, refused_as_one_line
 from closedloop.jit.kernel import direct
-from closedloop.jit.pointers import address_of
 from closedloop.jit.simd8 import WIDE, aligned
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.desired import Reference
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import integers_at, matrix_at
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.jit.numba_simd8 import float64x8_at, with_lane
-from closedloop.jit.pointers import integers_at, matrix_at
 from closedloop.jit.simd8 import WIDE, every
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power

@@ -18,8 +18,8 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.control.reference.desired import Reference
 from closedloop.jit.background import make_ready
+from closedloop.jit.calls import address_of
 from closedloop.jit.kernel import jit_disabled, plain
-from closedloop.jit.pointers import address_of
 from closedloop.jit.simd8 import WIDE, aligned
 from closedloop.loop.step.memory import Work
 from closedloop.loop.step.record_row import Row

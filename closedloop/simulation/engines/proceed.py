@@ -10,8 +10,8 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import address_of, fortran_at, integers_at, known_matrix_at, matrix_at, vector_at
 from closedloop.jit.kernel import brief_entry, kernel_inlined
-from closedloop.jit.pointers import address_of, fortran_at, integers_at, known_matrix_at, matrix_at, vector_at
 from closedloop.loop.events.proceed import proceed
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.make_loop import Loop

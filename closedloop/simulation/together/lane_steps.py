@@ -17,10 +17,9 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.control.reference.desired import TableRow
 from closedloop.control.sensor import SensorParameters, sense, sensor_rates
-from closedloop.jit.calls import call_at
+from closedloop.jit.calls import call_at, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
-from closedloop.jit.pointers import integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.simd8 import WIDE, every, select
 from closedloop.loop.events.locate import slip_margin
 from closedloop.loop.events.phases import OUTPACED

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.calls import entry_address
+from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.kernel import jit_disabled, plain
-from closedloop.jit.pointers import address_of
 from closedloop.jit.simd8 import aligned
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, Constants, State, Work
 from closedloop.loop.step.record_row import Row

@@ -12,9 +12,8 @@ import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.desired import Reference
-from closedloop.jit.calls import call_at
+from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TERMS

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import Array, IntArray
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.jit.background import make_ready
-from closedloop.jit.calls import entry_address
-from closedloop.jit.pointers import address_of
+from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.phases import FAILED, MEASURED, STEP_END, TERMS
 from closedloop.loop.step.make_loop import Loop

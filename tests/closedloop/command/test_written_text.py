@@ -18,7 +18,7 @@ from closedloop.__main__ import main
 from closedloop.base.errors import printable
 from closedloop.base.files import what_was_written
 from closedloop.figures.export.mjcf import explained
-from closedloop.figures.export.tables import _table
+from closedloop.figures.export.tables import _csv
 from closedloop.lab.history import quoted, save
 
 # Line breaks of all kinds, what ends a comment, a script or a cell, and characters that no file of text may have.
@@ -62,7 +62,7 @@ def test_a_name_stays_in_the_comment_of_an_mjcf(text):
 @pytest.mark.parametrize("text", [text for text in NASTY if "\ud800" not in text])
 def test_a_name_stays_in_its_cell_of_a_table(text):
     """A header is read back as it was."""
-    written = _table({text: np.zeros(2), "b": np.ones(2)}).decode()
+    written = _csv({text: np.zeros(2), "b": np.ones(2)}).decode()
     rows = list(csv.reader(io.StringIO(written, newline="")))
     assert rows == [[text, "b"], ["0", "1"], ["0", "1"]]
 

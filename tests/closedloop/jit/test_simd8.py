@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
+from closedloop.jit.calls import address_of
 from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
-from closedloop.jit.pointers import address_of
 from closedloop.jit.simd8 import WIDE, aligned, every, nearest, select
 
 compiled = numba.njit(error_model="numpy")

@@ -7,8 +7,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.control.reference.path import PATHS, Path
-from closedloop.jit.compiler_words import why_not_compiled
-from closedloop.jit.user_code import why_member_not_compiled
+from closedloop.jit.user_code import why_member_not_compiled, why_not_compiled
 from closedloop.simulation.engines.law_source import arguments_of
 
 SHORT = {"time.duration": 0.01}

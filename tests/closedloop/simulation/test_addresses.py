@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from closedloop.jit.calls import address_of, fortran_at, integers_at, matrix_at, vector_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import address_of, fortran_at, integers_at, matrix_at, vector_at
 
 
 @kernel

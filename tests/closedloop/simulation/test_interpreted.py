@@ -11,11 +11,10 @@ import pytest
 import closedloop as cl
 from closedloop.control.reference.follow import follow
 from closedloop.jit import background, cache_folder, calls, compile_cache, drafts, interim
-from closedloop.jit.calls import call_at, forget_entry, interpreted_address
+from closedloop.jit.calls import address_of, call_at, forget_entry, interpreted_address, matrix_at
 from closedloop.jit.interim import PROBE, Interim
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel, jit_disabled
-from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.step.record_row import complete_record
 from closedloop.record.report.measured import measure_rows

@@ -11,8 +11,8 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError
 from closedloop.jit.background import make_ready
+from closedloop.jit.calls import address_of
 from closedloop.jit.interpreted import interpreted
-from closedloop.jit.pointers import address_of
 from closedloop.loop.events.asked import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import (

@@ -15,6 +15,7 @@ Simulate
     linearise                                     the force loop as a linear system: poles, margins, the port
     gradient, gradients, sensitivities            derivatives of runs with respect to numbers of their scenarios
     tune                                          gains, or other numbers, that minimise a value of the runs
+    serve                                         let another program drive a scenario
     figures, lab                                  figures of a run; a page with sliders that simulates again
 Build
     ControlLaw, Law, LawInput                     control laws of your own, and their input
@@ -87,6 +88,7 @@ if TYPE_CHECKING:
     from closedloop.scenario.load import load_scenario as load_scenario
     from closedloop.scenario.load import shipped_scenarios as shipped_scenarios
     from closedloop.scenario.scenario import Scenario as Scenario
+    from closedloop.serve.serve import serve as serve
     from closedloop.simulation.batch.simulate_batch import simulate_batch as simulate_batch
     from closedloop.simulation.engines.problem import Problem as Problem
     from closedloop.simulation.engines.user_law import Law as Law
@@ -156,6 +158,7 @@ _HOME = {
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",
     "sensitivities": "studies.gradient.sensitivities",
+    "serve": "serve.serve",
     "shipped_scenarios": "scenario.load",
     "simulate": "simulation.simulate",
     "simulate_batch": "simulation.batch.simulate_batch",

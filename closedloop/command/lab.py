@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.interrupts import Terminated
+from closedloop.base.loopback import is_loopback
 from closedloop.command.border import DONE, Parser, as_command
-from closedloop.lab.server import is_loopback
 from closedloop.lab.start import NEEDS, lab, open_in_browser
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.user_module import import_law, name_members

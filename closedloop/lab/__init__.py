@@ -7,27 +7,16 @@ What is drawn is data (`curves`, `drawn`, `strip`), what can be moved follows fr
 The package can be called, since ``closedloop.lab`` is its name as a module and as a function.
 """
 
-from __future__ import annotations
-
-import inspect
-import sys
-from types import ModuleType
+from collections.abc import Callable
 from typing import Any
 
-
-class _Lab(ModuleType):
-    """This package, as a function: see `closedloop.lab.start.lab`."""
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        from closedloop.lab.start import lab
-
-        return lab(*arguments, **options)
-
-    @property
-    def __signature__(self) -> inspect.Signature:
-        from closedloop.lab.start import lab
-
-        return inspect.signature(lab)
+from closedloop.base.callable_package import make_callable
 
 
-sys.modules[__name__].__class__ = _Lab
+def _function() -> Callable[..., Any]:
+    from closedloop.lab.start import lab
+
+    return lab
+
+
+make_callable(__name__, _function)

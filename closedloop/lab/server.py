@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import ipaddress
 import json
 import logging
 import math
@@ -35,6 +34,7 @@ from typing import Any, Generic, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
 from closedloop.base.errors import OutputError
+from closedloop.base.loopback import is_loopback
 
 Q = TypeVar("Q")
 A = TypeVar("A")
@@ -354,14 +354,6 @@ def _quiet() -> logging.Logger:
     found = logging.getLogger("closedloop.lab.socket")
     found.setLevel(logging.CRITICAL)
     return found
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address, or a name, is that of this computer for itself."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def foreign(headers: Mapping[str, str], loopback: bool) -> bool:

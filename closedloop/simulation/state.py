@@ -45,6 +45,11 @@ class StepState:
         self.time, self.row, self.measured = time, row, measured
         self._n, self._row, self._events, self._reads, self._types = n, recorded, events, reads, types
 
+    @property
+    def recorded(self) -> Array:
+        """The row of the record, as it is now: the columns of `closedloop.loop.step.record_row.Row` come first."""
+        return self._row
+
     def _part(self, name: str) -> Array:
         return self._row[Row.place(name, self._n)]
 

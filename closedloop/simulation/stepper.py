@@ -74,6 +74,7 @@ class Stepper:
         arrays = problem.table, problem.integrator.tableau(), self.rows
         self._once, self._again = single_calls(problem, loop_for(engine), self.loop, arrays, engine)
         self._held, self._own_started = False, False
+        self._all_driven = bool(problem.robot.model.driven.all())
         self._begins = MEASURED if state.settings.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
@@ -108,9 +109,9 @@ class Stepper:
         else:
             self._set_law(None)
             self._held = True
-        model = self._problem.robot.model
-        if not all(model.driven):
-            robot, acts = self._problem.robot, np.where(model.driven, torque, 0.0)
+        if not self._all_driven:
+            robot, model = self._problem.robot, self._problem.robot.model
+            acts = np.where(model.driven, torque, 0.0)
             torque = torque_of_drives(robot, self.loop.w.q, torque)[0] if model.loops else acts
         if not self._numbers.item(_DRIVES):
             self._torque[:] = torque

@@ -1,0 +1,116 @@
+"""The command ``closedloop serve SCENARIO``."""
+
+from __future__ import annotations
+
+import os
+import sys
+import uuid
+from pathlib import Path
+
+from closedloop.base.errors import SimulationError, printable
+from closedloop.base.files import what_was_written
+from closedloop.base.interrupts import Terminated
+from closedloop.base.loopback import is_loopback
+from closedloop.command.border import DONE, Parser, as_command
+from closedloop.command.results import Results, first_free
+from closedloop.scenario.user_module import member_digests
+from closedloop.scenario.overrides import split_overrides
+from closedloop.scenario.user_module import name_members
+from closedloop.serve.serve import INTERFACES, Served, serve
+
+# How long a signal that comes just before the main thread waits stays unanswered at the most, s.
+ANSWERED = 0.5
+
+
+@as_command()
+def main(arguments: list[str]) -> int:
+    """Serve a scenario until Ctrl-C, save the record, and return the exit status."""
+    overrides, rest = split_overrides(arguments)
+    options = _parser().parse_args(rest)
+    name_members(overrides.items())
+    served = serve(
+        options.scenario, options.interface, overrides=overrides, lock_step=options.lock_step, host=options.host,
+        port=options.port, limits=options.limits, say=_say,
+    )  # fmt: skip
+    try:
+        with _results(served, options.out, options.overwrite) as results:
+            if not is_loopback(options.host):
+                _say(f"warning: --host {options.host} lets every computer that reaches this one drive the simulation")
+            return _until_ended(served, results)
+    finally:
+        with_failure_of(served)
+
+
+def with_failure_of(served: Served) -> SimulationError | None:
+    """End the serving and return why the simulation could not go on, None if it could."""
+    try:
+        served.close()
+    except SimulationError as failure:
+        return failure
+    return None
+
+
+def _until_ended(served: Served, results: Results) -> int:
+    ports = " and ".join(map(str, served.ports))
+    print(f"serving on {served.host}, port {ports} (Ctrl-C ends it and saves the run)", flush=True)
+    stop: KeyboardInterrupt | None = None
+    try:
+        while not served.wait(ANSWERED):
+            pass
+    except KeyboardInterrupt as came:
+        stop = came
+    failure = with_failure_of(served)
+    run = served.close() if failure is None else failure.run
+    paths = results.save(run, None)
+    session = served.session
+    share = f", {session.lost} of {session.cycles} cycles without a command" if session.cycles else ""
+    late = f", {session.late} instants skipped" if session.late else ""
+    beside = results.not_first and printable(f"; {results.not_first}")
+    wrote = what_was_written(*paths, folder=results.folder) + beside
+    print(f"{max(0, len(run) - 1)} steps served{share}{late}; {wrote}", flush=True)
+    if failure is not None:
+        raise failure
+    if isinstance(stop, Terminated):
+        raise stop
+    return DONE
+
+
+def _results(served: Served, out: str | None, overwrite: bool) -> Results:
+    """Return where the record goes: without --out into a folder that holds no run yet."""
+    from closedloop.record.save import question
+    from closedloop.simulation.simulator import FROM_OUTSIDE
+
+    simulator = served.session.simulator
+    scenario = simulator.problem.scenario
+    digest = "" if out else uuid.uuid4().hex  # the record depends on the client: no earlier run is the same
+    inputs = question(scenario, served.session.run().model, FROM_OUTSIDE, digest, "pinocchio", member_digests(scenario))
+    if out:
+        del inputs["law"], inputs["law_digest"]
+        return Results(Path(out), inputs, overwrite)
+    return first_free(Path("out") / scenario.name, inputs, overwrite)
+
+
+def _say(line: str) -> None:
+    print(f"closedloop: {printable(line)}", file=sys.stderr, flush=True)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="closedloop serve",
+        description="Serve a scenario to a controller that is another program: the arm and the surface are simulated, "
+        "and it drives them.",
+        epilog="Any key of the scenario can be set, as --time.duration 60. Ctrl-C ends it; the run is in "
+        f"DIR{os.sep}run.nc.",
+        cure="see closedloop serve --help",
+    )
+    add = parser.add_argument
+    add("scenario", metavar="SCENARIO", help="a shipped name or a .toml file")
+    add("--as", dest="interface", choices=tuple(INTERFACES), default="json", metavar="INTERFACE",
+        help="json: our own messages, JSON or binary (default); franka: the interface of Franka's arms")  # fmt: skip
+    add("--lock-step", action="store_true", help="time goes on with each command, not with the wall clock")
+    add("--host", default="127.0.0.1", help="address to listen on (default: this computer alone)")
+    add("--port", type=int, help="first port (default: json any, franka 1337 and 1338)")
+    add("--limits", action="store_true", help="limits and lost commands end a motion as on the real arm (franka)")
+    add("--out", metavar="DIR", help="where the run goes (default: out/SCENARIO, -2 ...)")
+    add("--overwrite", action="store_true", help="replace results of another scenario in that folder")
+    return parser

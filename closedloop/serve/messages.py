@@ -1,0 +1,267 @@
+"""Our own messages between a controller and a served simulation, as lines of JSON or binary.
+
+A client that begins with "{" writes JSON: one object a line, and gets one a line. A client that begins with the four
+bytes `MAGIC` writes binary messages: two little-endian 32-bit whole numbers, kind and length, then as many bytes. Each
+message of the client has one answer. docs/serve.md has the table of both.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from closedloop.base.arrays import Array
+from closedloop.loop.step.record_row import Row
+from closedloop.record.columns.record import Event
+from closedloop.serve.session import Session
+from closedloop.serve.sockets import Client, Gone
+from closedloop.simulation.state import StepState
+
+MAGIC = b"CLB1"
+HEAD = struct.Struct("<II")
+# The longest message of a client, bytes: a torque of more joints than any arm has.
+LONGEST = 65_536
+
+# What a client can ask for. In a binary message the kind is the place in this list.
+DESCRIBE, RESET, STATE, TORQUE, STEP, WRENCH, EVENTS = ASKED = (
+    "describe", "reset", "state", "torque", "step", "wrench", "events",
+)  # fmt: skip
+# The kinds of binary answers: a state or a wrench as doubles, a text in JSON, an error as text.
+NUMBERS, TEXT, ERROR = range(3)
+
+# A state, in order; "n" numbers for each velocity, "nq" for each position. All are doubles in a binary message.
+FIELDS: tuple[tuple[str, int | str], ...] = (
+    ("time", 1), ("row", 1), ("done", 1), ("mode", 1), ("contact_force", 1), ("measured_force", 1),
+    ("closure_error", 1), ("closure_rate", 1), ("position", 3), ("velocity", 3), ("normal", 3), ("friction_force", 3),
+    ("q", "nq"), ("v", "n"), ("acceleration", "n"), ("torque", "n"),
+)  # fmt: skip
+_OF_ROW = {"normal": "surface_normal"}
+_SEEN = ("time", "row", "done", "measured_force", "closure_error", "q")  # not as they are in the row
+
+
+class Asked(NamedTuple):
+    """What a client asks for, and the torque (n,), N m, if that is it."""
+
+    kind: str
+    torque: Array | None = None
+
+
+class States:
+    """States as one array of doubles, in the order of `FIELDS`.
+
+    Attributes
+    ----------
+    places : dict of str to slice
+        Where each field is.
+    """
+
+    def __init__(self, session: Session) -> None:
+        model = session.simulator.problem.robot.model
+        sizes = {"n": model.n, "nq": len(model.coordinate_names)}
+        self.names, self.n = model.joint_names, model.n
+        self.places: dict[str, slice] = {}
+        at = 0
+        to: list[int] = []
+        source: list[int] = []
+        for name, size in FIELDS:
+            count = sizes[size] if isinstance(size, str) else size
+            self.places[name] = slice(at, at + count)
+            if name not in _SEEN:
+                place: Any = Row.place(_OF_ROW.get(name, name), model.n)
+                first = place.start if isinstance(place, slice) else place
+                to += range(at, at + count)
+                source += range(first, first + count)
+            at += count
+        self.size = at
+        self._to, self._source = np.array(to), np.array(source)
+        self._gap = self.places["closure_error"].start
+        self._measured = self.places["measured_force"].start
+        self._q = self.places["q"]
+
+    def numbers(self, state: StepState, done: bool) -> Array:
+        """Return a state as doubles."""
+        found = np.empty(self.size)
+        found[self._to] = state.recorded[self._source]
+        found[0], found[1], found[2] = state.time, state.row, done
+        found[self._gap], found[self._measured], found[self._q] = state.gap, state.measured, state.q
+        return found
+
+
+def wrench(state: StepState, radius: float) -> Array:
+    """Return the force of the surface on the tip and its moment about the base's origin (6,), N and N m, base axes.
+
+    The surface touches a round tip at `radius`, m, from its centre.
+    """
+    normal = state.normal
+    force = state.f * normal + state.friction_force
+    return np.concatenate((force, np.cross(state.position - radius * normal, force)))
+
+
+class Language:
+    """How messages are written; `JsonLines` and `Binary` are the two."""
+
+    def __init__(self, states: States) -> None:
+        self.states = states
+
+    def asked(self, client: Client) -> Asked | str | None:
+        """Return the next message of a client, what is wrong with it, or None if it is not whole yet.
+
+        Raises
+        ------
+        Gone
+            If what follows cannot be told apart from it.
+        """
+        raise NotImplementedError
+
+    def numbers(self, kind: str, found: Array) -> bytes:
+        """Return the answer that is a state or a wrench."""
+        raise NotImplementedError
+
+    def text(self, kind: str, found: Any) -> bytes:
+        """Return the answer that is a description or events, which JSON can hold."""
+        raise NotImplementedError
+
+    def error(self, why: str) -> bytes:
+        """Return the answer to what cannot be done."""
+        raise NotImplementedError
+
+    def torque(self, found: Any) -> Array | str:
+        """Return a torque (n,) from what a client sent, or what is wrong with it."""
+        n = self.states.n
+        try:
+            torque = np.asarray(found, dtype=np.float64)
+            if torque.shape == (n,) and np.isfinite(torque).all():
+                return torque
+        except (TypeError, ValueError, OverflowError):
+            pass
+        return f"torque: must be {n} finite numbers, one for each of {', '.join(self.states.names)}"
+
+
+def _too_long(length: int) -> Gone:
+    return Gone(f"sent a message of {length} bytes, longer than {LONGEST}: the connection is closed")
+
+
+class JsonLines(Language):
+    """One JSON object a line; what is not finite is null."""
+
+    def asked(self, client: Client) -> Asked | str | None:
+        """See `Language`."""
+        end = client.received.find(b"\n")
+        if max(end, 0 if end >= 0 else len(client.received)) > LONGEST:
+            raise _too_long(len(client.received))
+        if end < 0:
+            return None
+        line = client.take(end + 1)
+        try:
+            found = json.loads(line)
+        except (ValueError, RecursionError):
+            return 'not a JSON object on one line, such as {"do": "state"}'
+        kind = found.get("do") if isinstance(found, dict) else None
+        if not isinstance(kind, str) or kind not in ASKED:
+            return f'"do": must be one of {", ".join(ASKED)}, as in {{"do": "state"}}'
+        unknown = set(found) - {"do", TORQUE} if kind == TORQUE else set(found) - {"do"}
+        if unknown:
+            return f'"{kind}" takes nothing named {", ".join(sorted(unknown))}'
+        if kind != TORQUE:
+            return Asked(kind)
+        torque = self.torque(found.get(TORQUE))
+        return torque if isinstance(torque, str) else Asked(TORQUE, torque)
+
+    def numbers(self, kind: str, found: Array) -> bytes:
+        """See `Language`."""
+        if kind == WRENCH:
+            return self._line({WRENCH: found.tolist()})
+        values = [value if math.isfinite(value) else None for value in found.tolist()]
+        state: dict[str, Any] = {}
+        for (name, size), place in zip(FIELDS, self.states.places.values(), strict=True):
+            state[name] = values[place.start] if size == 1 else values[place]
+        state |= {"row": int(state["row"]), "done": bool(state["done"]), "mode": int(state["mode"])}
+        return self._line(state)
+
+    def text(self, kind: str, found: Any) -> bytes:
+        """See `Language`."""
+        return self._line(found if isinstance(found, dict) else {kind: found})
+
+    def error(self, why: str) -> bytes:
+        """See `Language`."""
+        return self._line({"error": why})
+
+    def _line(self, found: dict[str, Any]) -> bytes:
+        return json.dumps(found, allow_nan=False).encode() + b"\n"
+
+
+class Binary(Language):
+    """A kind, a length, and the bytes."""
+
+    def asked(self, client: Client) -> Asked | str | None:
+        """See `Language`."""
+        if len(client.received) < HEAD.size:
+            return None
+        kind, length = HEAD.unpack_from(client.received)
+        if length > LONGEST:
+            raise _too_long(length)
+        if len(client.received) < HEAD.size + length:
+            return None
+        body = client.take(HEAD.size + length)[HEAD.size :]
+        if kind >= len(ASKED):
+            return f"kind {kind}: must be from 0 to {len(ASKED) - 1}"
+        name = ASKED[kind]
+        if name == TORQUE and length == 8 * self.states.n:
+            torque = self.torque(np.frombuffer(body, "<f8"))
+            return torque if isinstance(torque, str) else Asked(name, torque)
+        if name == TORQUE or length:
+            wanted = 8 * self.states.n if name == TORQUE else 0
+            return f"{name}: has {length} bytes, must have {wanted}"
+        return Asked(name)
+
+    def numbers(self, kind: str, found: Array) -> bytes:
+        """See `Language`."""
+        return HEAD.pack(NUMBERS, 8 * len(found)) + found.astype("<f8", copy=False).tobytes()
+
+    def text(self, kind: str, found: Any) -> bytes:
+        """See `Language`."""
+        body = json.dumps(found, allow_nan=False).encode()
+        return HEAD.pack(TEXT, len(body)) + body
+
+    def error(self, why: str) -> bytes:
+        """See `Language`."""
+        body = why.encode()
+        return HEAD.pack(ERROR, len(body)) + body
+
+
+def language_of(client: Client, states: States) -> Language | None:
+    """Return the language of a client from how it begins, None if it has not said enough; magic bytes are taken.
+
+    Raises
+    ------
+    Gone
+        If it begins in another way.
+    """
+    begun = bytes(client.received[:4])
+    if begun[:1] == b"{":
+        return JsonLines(states)
+    if begun == MAGIC:
+        client.take(len(MAGIC))
+        return Binary(states)
+    if MAGIC.startswith(begun):
+        return None
+    raise Gone("is refused: it must begin with { or with the bytes CLB1")
+
+
+def events_as_lists(events: tuple[Event, ...]) -> list[dict[str, Any]]:
+    """Return events as JSON can hold them."""
+    found = []
+    for event in events:
+        entry = event._asdict()
+        for name in ("tangential", "position"):
+            entry[name] = [float(value) for value in entry[name]]
+        found.append({name: _finite(value) for name, value in entry.items()})
+    return found
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

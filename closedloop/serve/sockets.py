@@ -1,0 +1,199 @@
+"""Ports with one client at a time, and what is bounded there: messages, waiting, clients.
+
+A client that closes its socket, half of it or all of it, that breaks the connection, or that does not read what is sent
+to it, is gone; the next one is served. While a client is there, others are refused.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import Any
+
+from closedloop.base.errors import OutputError, printable
+
+# Bytes that are read at once, bytes that may wait to be taken, and the time that a client may take until it has read
+# what was sent to it, s.
+CHUNK, MOST, PATIENCE = 65_536, 1_048_576, 1.0
+
+Say = Callable[[str], None]
+
+
+class Stopped(Exception):
+    """The server is to end."""
+
+
+class Gone(Exception):
+    """The client is no longer there, or is not to be served further: the argument says why."""
+
+
+class Client:
+    """The connection of a client.
+
+    Attributes
+    ----------
+    name : str
+        Its address and port.
+    host : str
+        Its address.
+    received : bytearray
+        What has come and has not been taken yet.
+    """
+
+    def __init__(self, sock: socket.socket, address: tuple[str, int]) -> None:
+        self.host = address[0]
+        self.name = f"{address[0]}:{address[1]}"
+        self.received = bytearray()
+        self.sock = sock
+        sock.settimeout(PATIENCE)
+        with suppress(OSError):
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def fileno(self) -> int:
+        """Return the number that `select` needs."""
+        return self.sock.fileno()
+
+    def receive(self) -> None:
+        """Read what is there, after `Ports.ready` has named this client.
+
+        Raises
+        ------
+        Gone
+            If the client has closed its end, or sends more than is taken.
+        """
+        try:
+            part = self.sock.recv(CHUNK)
+        except OSError as error:
+            raise Gone(f"broke the connection ({error.strerror or error})") from None
+        if not part:
+            raise Gone("")
+        self.received += part
+        if len(self.received) > MOST:
+            raise Gone(f"sends faster than it waits for answers, {len(self.received)} bytes: the connection is closed")
+
+    def take(self, count: int) -> bytes:
+        """Return the first bytes that have come, and remove them."""
+        part = bytes(self.received[:count])
+        del self.received[:count]
+        return part
+
+    def send(self, message: bytes) -> None:
+        """Send a message whole.
+
+        Raises
+        ------
+        Gone
+            If the client does not take it.
+        """
+        try:
+            self.sock.sendall(message)
+        except OSError as error:
+            raise Gone(f"does not take its answers ({error.strerror or error})") from None
+
+    def close(self) -> None:
+        """End the connection."""
+        with suppress(OSError):
+            self.sock.close()
+
+
+class Port:
+    """A port on which one client at a time is served.
+
+    Attributes
+    ----------
+    number : int
+        The port.
+    client : Client or None
+        The present client.
+
+    Raises
+    ------
+    OutputError
+        If nobody can listen there.
+    """
+
+    def __init__(self, host: str, number: int, say: Say) -> None:
+        self._say = say
+        self.client: Client | None = None
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        try:
+            self._door = socket.create_server((host, number), family=family, backlog=128)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(f"cannot listen on port {number} of {host}: {reason}; name another with --port") from None
+        self._door.setblocking(False)
+        self.number: int = self._door.getsockname()[1]
+
+    def fileno(self) -> int:
+        """Return the number that `select` needs."""
+        return self._door.fileno()
+
+    def admit(self) -> None:
+        """Accept who has come, or refuse them while a client is served."""
+        try:
+            sock, address = self._door.accept()
+        except OSError:  # it has gone again
+            return
+        if self.client is None:
+            self.client = Client(sock, address)
+            self._say(f"client {self.client.name} is connected")
+            return
+        sock.close()
+        self._say(f"client {address[0]}:{address[1]} is refused: {self.client.name} is connected")
+
+    def drop(self, why: str = "") -> None:
+        """End the connection of the present client, and say why."""
+        if self.client is not None:
+            self.client.close()
+            self._say(f"client {self.client.name} {printable(why) or 'is gone'}")
+            self.client = None
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.drop("is left: the server ends")
+        self._door.close()
+
+
+class Ports:
+    """Ports that are waited for together, until another thread stops it."""
+
+    def __init__(self, *ports: Port) -> None:
+        self._ports = ports
+        self._wake, self._woken = socket.socketpair()
+
+    def stop(self) -> None:
+        """Let `ready` raise, now or the next time: for another thread."""
+        with suppress(OSError):
+            self._wake.send(b".")
+
+    def ready(self, timeout: float | None, others: Iterable[socket.socket] = ()) -> set[object]:
+        """Wait until there is something to read or the time is over, and return from whom: clients and `others`.
+
+        Raises
+        ------
+        Stopped
+            After `stop`.
+        """
+        clients = [port.client for port in self._ports if port.client is not None]
+        waited: list[Any] = [*clients, *others, self._woken, *self._ports]
+        found, _, _ = select.select(waited, (), (), timeout)
+        if not found:
+            return set()
+        ready: set[object] = set(found)
+        if self._woken in ready:
+            raise Stopped
+        for port in self._ports:
+            if port in ready:
+                ready.discard(port)
+                if port.client not in ready:  # what it says comes first: it may be that it is gone
+                    port.admit()
+        return ready
+
+    def close(self) -> None:
+        """Close all ports."""
+        for port in self._ports:
+            port.close()
+        self._wake.close()
+        self._woken.close()

@@ -1,0 +1,236 @@
+"""A served scenario: a controller in another program gets the bits of a law; nobody can stop the server."""
+
+import json
+import os
+import random
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.serve.messages import ASKED, ERROR, HEAD, MAGIC, NUMBERS
+
+SCENARIO = "panda_slide"
+BRIEF = {"time.duration": 0.3, "reference.start": 0.0, "reference.stop": 0.2}
+KP, KD = np.array([600.0] * 4 + [100.0, 100.0, 15.0]), np.array([50.0] * 4 + [6.0, 6.0, 1.0])
+HOME = np.array(cl.load_scenario(SCENARIO).start.q)
+
+
+def law(t, q, v, terms):
+    """A posture, held by springs about a place below the board."""
+    return KP * (HOME + 0.01 * np.sin(3.0 * t) - q) - KD * v + terms.bias
+
+
+class Json:
+    """A client that writes lines of JSON."""
+
+    def __init__(self, port):
+        self.file = socket.create_connection(("127.0.0.1", port), 10.0).makefile("rwb")
+
+    def ask(self, do, **more):
+        """Return the answer to a message."""
+        self.file.write(json.dumps({"do": do, **more}).encode() + b"\n")
+        self.file.flush()
+        return json.loads(self.file.readline())
+
+    def state(self, do, torque=None):
+        """Return the state that answers a message."""
+        return self.ask(do) if torque is None else self.ask(do, torque=list(torque))
+
+
+class Binary:
+    """A client that writes binary messages."""
+
+    def __init__(self, port):
+        self.file = socket.create_connection(("127.0.0.1", port), 10.0).makefile("rwb")
+        self.file.write(MAGIC)
+        self.fields = json.loads(self.ask("describe")[1])["state"]
+
+    def ask(self, do, body=b""):
+        """Return the kind and the bytes of the answer to a message."""
+        self.file.write(HEAD.pack(ASKED.index(do), len(body)) + body)
+        self.file.flush()
+        kind, length = HEAD.unpack(self.file.read(HEAD.size))
+        return kind, self.file.read(length)
+
+    def state(self, do, torque=None):
+        """Return the state that answers a message."""
+        kind, body = self.ask(do, b"" if torque is None else struct.pack(f"<{len(torque)}d", *torque))
+        assert kind == NUMBERS
+        numbers, at, found = np.frombuffer(body), 0, {}
+        for name, size in self.fields:
+            found[name] = numbers[at] if size == 1 else numbers[at : at + size]
+            at += size
+        return found
+
+
+def same(a, b):
+    """Two runs have the same rows, to the bit; in the last one acts what was asked for before it."""
+    assert len(a) == len(b)
+    for name, column in a.columns.items():
+        last = None if name in ("q", "v", "position", "velocity", "mode") or len(column) != len(a) else -1
+        assert np.array_equal(column[:last], b.columns[name][:last], equal_nan=True), name
+
+
+@pytest.mark.parametrize("client", [Json, Binary])
+def test_a_controller_over_a_socket_gets_the_bits_of_a_law(client):
+    """In lock-step, a law in the client gives the run that the same law gives in `simulate`, also after a reset."""
+    scenario = cl.load_scenario(SCENARIO, BRIEF)
+    robot = cl.prepare(scenario).robot
+    with cl.serve(scenario, lock_step=True) as served:
+        robot_arm = client(served.port)
+        for _ in range(2):
+            state = robot_arm.state("reset")
+            while not state["done"]:
+                q, v = np.array(state["q"]), np.array(state["v"])
+                state = robot_arm.state("torque", law(state["time"], q, v, robot.terms(q, v)))
+        run = served.close()
+    once = cl.simulate(scenario, law=law, progress=False)
+    same(once, run)
+    assert (run.stopped, run.law) == (None, "torque from outside")
+    assert state["contact_force"] == pytest.approx(run.contact_force[-1], abs=1e-9)
+
+
+def test_messages_say_what_is_wrong_and_what_there_is():
+    """Each message has one answer, a wrong one too; the wrench is the force of the state about the base."""
+    with cl.serve(SCENARIO, overrides=BRIEF, lock_step=True) as served:
+        arm = Json(served.port)
+        described = arm.ask("describe")
+        assert (described["n"], described["steps"], described["lock_step"]) == (7, 300, True)
+        assert arm.ask("dance") == {"error": f'"do": must be one of {", ".join(ASKED)}, as in {{"do": "state"}}'}
+        assert arm.ask("torque", torque=[1.0])["error"].startswith("torque: must be 7 finite numbers")
+        assert arm.ask("state", torque=[1.0]) == {"error": '"state" takes nothing named torque'}
+        state, wrench = arm.ask("step"), np.array(arm.ask("wrench")["wrench"])
+        force = state["contact_force"] * np.array(state["normal"]) + state["friction_force"]
+        np.testing.assert_allclose(wrench, np.r_[force, np.cross(state["position"], force)], atol=1e-12)
+        for _ in range(299):
+            state = arm.ask("step")
+        assert state["done"]
+        assert "reset begins anew" in arm.ask("step")["error"]
+        assert arm.ask("events") == {"events": []}
+    with cl.serve("wam_touchdown", overrides={"time.duration": 2.0}, lock_step=True) as served:
+        arm = Json(served.port)
+        while not (state := arm.ask("step"))["done"]:
+            pass
+        kinds = [event["kind"] for event in arm.ask("events")["events"]]
+        assert kinds == [event.kind for event in served.close().events]
+        assert "impact" in kinds
+
+
+def test_real_time_goes_on_without_commands():
+    """In real time the steps follow the wall clock, and those without a command of their own are counted."""
+    with cl.serve(SCENARIO, overrides={"time.duration": 30.0}) as served:
+        arm = Json(served.port)
+        state = arm.ask("state")
+        began = time.perf_counter()
+        for _ in range(20):
+            state = arm.ask("torque", torque=state["torque"])
+        time.sleep(0.1)
+        state = arm.ask("torque", torque=state["torque"])
+        elapsed = time.perf_counter() - began
+    session = served.session
+    assert session.lost >= 50
+    assert session.cycles == len(served.close()) - 1
+    # What this computer was too late for is left out, so that never more time passes than on the wall.
+    assert state["time"] + 1e-3 * session.late > 0.1
+    assert state["time"] <= elapsed + 1e-3
+
+
+def raw(port):
+    """Return a connection on which anything can be sent."""
+    return socket.create_connection(("127.0.0.1", port), 10.0)
+
+
+def test_nobody_can_stop_the_server():
+    """Random, oversized, half-closed and second clients get a line, and the next client is served."""
+    said, chance = [], random.Random(0)
+    with cl.serve(SCENARIO, overrides=BRIEF, lock_step=True, say=said.append) as served:
+
+        def still_serves():
+            for _ in range(200):  # until the client before has been found gone
+                arm = Binary.__new__(Binary)
+                try:
+                    arm.__init__(served.port)
+                    arm.state("reset")
+                    arm.file.close()
+                    return
+                except (OSError, struct.error):
+                    time.sleep(0.01)
+            raise AssertionError("the next client is not served")
+
+        for begin in (b"", MAGIC, b"{"):
+            for _ in range(300):
+                with raw(served.port) as client:
+                    try:
+                        client.sendall(begin + chance.randbytes(chance.randrange(200)) + b"\n" * chance.randrange(2))
+                        if chance.random() < 0.5:
+                            client.shutdown(socket.SHUT_WR)
+                    except OSError:
+                        pass
+            still_serves()
+        for begin in (MAGIC + HEAD.pack(3, 2**32 - 1), b"{" + b" " * 3_000_000):
+            with raw(served.port) as client:
+                try:
+                    client.sendall(begin)
+                    assert client.recv(1) == b""
+                except ConnectionError:
+                    pass
+            still_serves()
+        first = Json(served.port)
+        assert first.ask("state")["row"] == 0
+        with raw(served.port) as second:
+            assert second.recv(1) == b""
+        assert first.ask("step")["row"] == 1
+        arm = Binary.__new__(Binary)
+        del first
+        still_serves()
+        arm = Binary(served.port)
+        kind, why = arm.ask("torque", struct.pack("<7d", *[np.nan] * 7))
+        assert (kind, b"must be 7 finite numbers" in why) == (ERROR, True)
+    assert all("\n" not in line for line in said)
+    assert any("is refused" in line for line in said)
+    assert any("longer than" in line for line in said)
+
+
+def test_the_command_saves_what_was_served(tmp_path):
+    """Ctrl-C ends it with status 0, and run.nc has the rows that were stepped."""
+    words = [sys.executable, "-m", "closedloop", "serve", SCENARIO, "--lock-step", "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(
+        [*words, "--time.duration", "5"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
+    try:
+        port = int(process.stdout.readline().split("port ")[1].split()[0])
+        arm = Json(port)
+        for _ in range(20):
+            arm.ask("step")
+        os.kill(process.pid, signal.SIGINT)
+        out, _ = process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert "20 steps served" in out
+    run = cl.load_run(tmp_path / "out" / "run.nc")
+    assert (len(run), run.law) == (21, "scenario")
+    assert "not stepped further" in run.stopped
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({"as_": "kuka"}, "must be one of json"),
+        ({"port": 70_000}, "must be from 0 to 65534"),
+        ({"host": "192.0.2.1"}, "cannot listen on port"),
+        ({"overrides": {"law.force": "x"}}, "law.force"),
+    ],
+)
+def test_what_cannot_be_served_is_said(more, why):
+    """A wrong interface, port, address or key is one line."""
+    with pytest.raises(cl.ClosedLoopError, match=why) as caught:
+        cl.serve(SCENARIO, **more)
+    assert "\n" not in str(caught.value)

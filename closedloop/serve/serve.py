@@ -13,13 +13,14 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.scenario import Scenario
+from closedloop.serve.franka.server import Franka
 from closedloop.serve.interface import Interface
 from closedloop.serve.plain import Plain
 from closedloop.serve.session import Session
 from closedloop.serve.sockets import Say
 
 # The interfaces, and how long a run may be at least where the scenario's own duration is shorter, s.
-INTERFACES = {"json": (Plain, 0.0)}
+INTERFACES: dict[str, tuple[type[Interface], float]] = {"json": (Plain, 0.0), "franka": (Franka, 600.0)}
 _log = logging.getLogger("closedloop.serve")
 
 

@@ -255,6 +255,24 @@ class Robot:
         jacobian = pin.computeFrameJacobian(self._pin, self._data, self.pinocchios(q), self._frame, _ALIGNED)
         return np.array(jacobian).reshape(6, self.n)
 
+    def tip_frame(self, q: Array) -> tuple[Array, Array, Array]:
+        """Return the tip's frame at q (n,): axes, columns (3, 3), origin r (3,), m, and its Jacobian (6, n), base axes.
+
+        The Jacobian is that of `frame_jacobian`; nothing is checked.
+        """
+        jacobian = self.frame_jacobian(q)
+        place = pin.updateFramePlacement(self._pin, self._data, self._frame)
+        return np.array(place.rotation), np.array(place.translation), jacobian
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
+        """Return H q̈ + C (n,), N m (N), at one state, each (n,); nothing is checked."""
+        return np.array(pin.rnea(self._pin, self._data, self.pinocchios(q), v, a))
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return H (n, n) at q (n,); nothing is checked."""
+        H = pin.crba(self._pin, self._data, self.pinocchios(q), pin.Convention.WORLD)
+        return np.where(self._upper, H, H.T)
+
     def link_axes(self, q: Array) -> Array:
         """Return the axes of the tip's link as `tree` has them, columns (3, 3), base frame, at q (n,)."""
         n, tree = self.n, self.tree

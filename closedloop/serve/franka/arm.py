@@ -1,0 +1,142 @@
+"""What the controller inside the arm knows of it: its frames, its terms, and what it makes of the torques it measures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from closedloop.base.arrays import Array
+from closedloop.base.errors import ModelError, ScenarioError
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.scenario.scenario import Scenario
+from closedloop.serve.franka.description import JOINTS, describe
+from closedloop.simulation.prepare import load_model
+from robot_models.tool import Tool
+
+FLANGE = "link8"
+# Below this ratio of the pivots of the Jacobian no wrench is told, as near a singularity.
+SINGULAR = 1e-3
+
+
+class Arm:
+    """The arm of a scenario as its own controller has it.
+
+    Frames: O the base, F the flange, NE the nominal end effector, here the tip of the scenario, EE the end effector that
+    the client sets from there, K the stiffness frame that it sets from EE. Poses are (4, 4).
+
+    Attributes
+    ----------
+    fingers : int
+        How many joints the simulated robot has after the arm's seven: those of a hand.
+    urdf : str
+        The description for the client.
+    F_T_NE, NE_T_EE, EE_T_K : (4, 4) arrays
+        The frames.
+    load : tuple
+        Mass, kg, centre of mass (3,), m, in F, and tensor about it, (9,), kg m², that the client has set.
+    robot : Robot
+        The arm with its load.
+
+    Raises
+    ------
+    ScenarioError
+        If the robot has not seven joints that turn, and sliding ones of a hand after them.
+    """
+
+    def __init__(self, scenario: Scenario, simulated: Robot) -> None:
+        model = simulated.model
+        types = model.joint_types
+        turning = len(types) >= JOINTS and all(kind in ("revolute", "continuous") for kind in types[:JOINTS])
+        if not turning or any(kind != "prismatic" for kind in types[JOINTS:]) or model.loops or len(types) > JOINTS + 2:
+            raise ScenarioError(
+                f"robot.model = {scenario.robot.model!r}: cannot be served as an arm of Franka: it must have seven "
+                f"joints that turn, and at most two that slide, of a hand, after them; it has {', '.join(types)}"
+            )
+        self.fingers = model.n - JOINTS
+        if self.fingers:  # the controller takes them for fixed
+            held = dict(model.locked) | dict.fromkeys(model.joint_names[JOINTS:], 0.0)
+            section = scenario.robot.model_copy(update={"lock": held})
+            model = load_model(scenario.model_copy(update={"robot": section}))
+        self._model, self._tip = model, simulated.tip
+        self._flange = next((name for name in model.frames if name.endswith(FLANGE)), simulated.tip)
+        self.robot = Robot(model, self._tip)
+        self.urdf = describe(self.robot, self._flange)
+        axes, origin = (part[0] for part in self.robot.frame_poses(self._flange, np.zeros((1, JOINTS))))
+        tip_axes, tip, _ = self.robot.tip_frame(np.zeros(JOINTS))
+        self.F_T_NE = pose(axes.T @ tip_axes, axes.T @ (tip - origin))
+        self.set_frames(np.eye(4), np.eye(4))
+        self.load: tuple[float, Array, Array] = (0.0, np.zeros(3), np.zeros(9))
+
+    def set_frames(self, NE_T_EE: Array, EE_T_K: Array) -> None:
+        """Take over the frames of the client."""
+        self.NE_T_EE, self.EE_T_K = NE_T_EE, EE_T_K
+        self._at_tip, self._at_ee = np.array_equal(NE_T_EE, np.eye(4)), np.array_equal(EE_T_K, np.eye(4))
+
+    def set_load(self, mass: float, centre: Array, tensor: Array) -> None:
+        """Take over a load at the flange: it is in the model of the controller, not in the simulation.
+
+        Raises
+        ------
+        ModelError
+            If no body has such a mass and tensor.
+        """
+        if not mass >= 0.0:
+            raise ModelError(f"a load of {mass} kg: must not be negative")
+        I = tensor.reshape(3, 3)
+        load = Tool(
+            self._flange, mass=mass, centre=tuple(centre.tolist()),
+            inertia=(I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]),
+        )  # fmt: skip
+        load.tensor()
+        tools = (*self._model.tools, load) if mass else self._model.tools
+        self.robot = Robot(replace(self._model, tools=tools), self._tip)
+        self.load = (mass, centre, tensor)
+
+    def end_effector(self, q: Array) -> tuple[Array, Array]:
+        """Return the pose of EE in O (4, 4) and its Jacobian (6, 7), velocity above angular velocity, base axes."""
+        axes, origin, J = self.robot.tip_frame(q)
+        T = pose(axes, origin)
+        return (T, J) if self._at_tip else (T @ self.NE_T_EE, moved(J, axes @ self.NE_T_EE[:3, 3]))
+
+    def gravity(self, q: Array) -> Array:
+        """Return the torque that holds the arm and its load against gravity (7,), N m."""
+        rest = np.zeros(JOINTS)
+        return self.robot.inverse_dynamics(q, rest, rest)
+
+    def wrench(self, torque: Array, T: Array, J: Array) -> tuple[Array, Array]:
+        """Return the wrench at K that a torque (7,) of the joints balances: in base axes, and in the axes of K.
+
+        It is the one of least squares, J_Kᵀ F = τ; zeros near a singular pose. T and J are those of `end_effector`.
+        """
+        R = T[:3, :3]
+        if not self._at_ee:
+            J, R = moved(J, R @ self.EE_T_K[:3, 3]), R @ self.EE_T_K[:3, :3]
+        factor, F, wrong = dposv(J @ J.T, J @ torque)
+        size = factor.diagonal()
+        if wrong or size.min() < SINGULAR * size.max():
+            return np.zeros(6), np.zeros(6)
+        return F, (F.reshape(2, 3) @ R).ravel()
+
+
+def pose(axes: Array, origin: Array) -> Array:
+    """Return axes, columns (3, 3), and an origin (3,) as a pose (4, 4)."""
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = axes, origin
+    return found
+
+
+def moved(J: Array, arm: Array) -> Array:
+    """Return the Jacobian (6, n) of a point that lies by `arm` (3,), m, base axes, from that of J."""
+    if not arm.any():
+        return J
+    found = J.copy()
+    found[:3] += np.cross(J[3:].T, arm).T
+    return found
+
+
+def turned(axes: Array, wanted: Array) -> Array:
+    """Return the rotation from axes to wanted ones, columns (3, 3), as sin(angle) times its axis (3,), base axes."""
+    found: Array = 0.5 * np.cross(axes.T, wanted.T).sum(axis=0)
+    return found

@@ -1,0 +1,453 @@
+"""The server: commands over TCP, a state and a command over UDP in each cycle of a millisecond.
+
+In lock-step the simulation advances with each command of a running motion, and stands still otherwise; a state is sent
+again if no command comes, since a client may read several before it commands. In real time a cycle lasts a millisecond
+while a client is connected; between motions the arm holds its place.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from closedloop.base.arrays import Array
+from closedloop.base.errors import ModelError, OutputError, ScenarioError
+from closedloop.serve.clock import Clock
+from closedloop.serve.franka import wire
+from closedloop.serve.franka.arm import Arm
+from closedloop.serve.franka.description import JOINTS
+from closedloop.serve.franka.generator import Generator
+from closedloop.serve.franka.gripper import Gripper
+from closedloop.serve.franka.impedance import Impedance
+from closedloop.serve.franka.reflexes import LOST, Reflexes
+from closedloop.serve.interface import Interface
+from closedloop.serve.sockets import Client, Gone, Port, Stopped
+
+PERIOD = 1e-3
+# Lock-step: when a state is sent again, s. The first one is sent twice, since libfranka reads one to see that the motion
+# has begun. Then so late that no client that computes meanwhile gets a state which it has answered already.
+AGAIN_FIRST, AGAIN, BETWEEN = 2e-3, 0.05, 1e-3
+# After a stop in lock-step the arm brakes until it moves no joint by more than this, rad/s, or for so many cycles.
+AT_REST, LONGEST_BRAKE = 1e-3, 1000
+# Joint 4 beyond which the elbow is turned over, rad, as the maker states it.
+ELBOW_FLIP = -0.467002423653011
+# Cycles that the success rate is of.
+RATED = 100
+
+
+class Franka(Interface):
+    """The arm's interface and its gripper's."""
+
+    numbers = (wire.ROBOT_PORT, wire.GRIPPER_PORT)
+
+    def __init__(self, *given: Any, **more: Any) -> None:
+        super().__init__(*given, **more)
+        try:
+            self._prepare(more["host"])
+        except BaseException:
+            self.close()
+            raise
+
+    def _prepare(self, host: str) -> None:
+        problem = self.session.simulator.problem
+        self._substeps = round(PERIOD / problem.h)
+        if self._substeps < 1 or abs(self._substeps * problem.h - PERIOD) > 1e-9:
+            raise ScenarioError(f"time.step = {problem.h:g}: must be 0.001, or a whole share of it, for as franka")
+        self.arm = Arm(problem.scenario, problem.robot)
+        self._udp = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._udp.bind((host, 0))
+        except OSError as error:
+            raise OutputError(f"cannot send from {host}: {error.strerror or error}; name another --host") from None
+        self._udp.setblocking(False)
+        self.motion = Generator(self.arm, PERIOD)
+        self.springs = Impedance(self.arm, PERIOD)
+        self.reflexes = Reflexes(self.arm, PERIOD)
+        self.gripper = Gripper(self.session, self.arm.fingers, self._udp)
+        self._state = wire.StateMessage()
+        self._state.write(
+            F_T_NE=self.arm.F_T_NE, F_T_EE=self.arm.F_T_NE, NE_T_EE=self.arm.NE_T_EE, EE_T_K=self.arm.EE_T_K,
+            O_ddP_O=(0.0, 0.0, -9.81),
+        )  # fmt: skip
+        self._message = 0
+        self._clock = Clock(PERIOD)
+        self._to: tuple[str, int] | None = None
+        self._torque = np.zeros(JOINTS)  # commanded, without gravity
+        self._measured = np.zeros(JOINTS)
+        self._errors: set[int] = set()
+        self._reasons: set[int] = set()
+        self._recent: deque[bool] = deque(maxlen=RATED)
+        self._lost = 0
+        self._set_idle()
+        self._look()
+        self.motion.rest_at(self._q)
+
+    def close(self) -> None:
+        """See `Interface`."""
+        super().close()
+        if hasattr(self, "_udp"):
+            self._udp.close()
+
+    def serve(self) -> None:
+        """See `Interface`."""
+        arm, hand = self.ports
+        try:
+            while not self.session.done:
+                client = arm.client
+                if client is None or self._to is None:
+                    self._wait(None if client is None and hand.client is None else BETWEEN)
+                else:
+                    self._send_state()
+                    self._cycle()
+                if self.gripper.busy and self._move is None and (self.lock_step or self._to is None):
+                    self._advance(self._hold())
+                self.gripper.report(hand)
+            self.say("the record is full: the server ends; --time.duration makes it longer")
+        except Stopped:
+            pass
+
+    def _cycle(self) -> None:
+        """Wait until the next state is to be sent, with what happens until then."""
+        if not self.lock_step:
+            self._real_cycle()
+            return
+        if self._move is None:
+            self._wait(BETWEEN)
+            return
+        self._wait_for_command(AGAIN_FIRST if self._sent == 1 and not self._begun else AGAIN)
+        command, self._command = self._command, None
+        if command is not None and self._move is not None:
+            self.session.cycles += 1
+            self._drive(command)
+
+    def _real_cycle(self) -> None:
+        """A cycle of a millisecond of the wall clock."""
+        clock = self._clock
+        while True:
+            left = clock.left()
+            self._wait(left)
+            if self._to is None:
+                return
+            if left == 0.0:
+                break
+        clock.tick()
+        self.session.late = clock.late
+        command, self._command = self._command, None
+        if self._move is None:
+            self._advance(self._hold())
+            return
+        self._recent.append(command is not None)
+        begun = command is not None or self.session.cycles > self._cycles_before
+        if begun:  # before the first command there is nothing to lose
+            self.session.cycles += 1
+            self._lost = 0 if command is not None else self._lost + 1
+            self.session.lost += command is None
+        if self.limits and self._lost > LOST:
+            self._end(wire.MOVE_REFLEX, {wire.COMMUNICATION})
+            self._advance(self._hold())
+        else:
+            self._drive(command)
+
+    def _wait_for_command(self, timeout: float) -> None:
+        until = time.perf_counter() + timeout
+        while self._command is None and self._move is not None:
+            left = until - time.perf_counter()
+            if left <= 0.0:
+                return
+            self._wait(left)
+
+    def _wait(self, timeout: float | None) -> None:
+        """Wait for clients and answer them; a command of this cycle is kept."""
+        arm, hand = self.ports
+        ready = self.waiting.ready(timeout, (self._udp,))
+        if self._udp in ready:
+            self._take_commands()
+        for port, receive in ((arm, self._receive), (hand, self.gripper.receive)):
+            if port.client is not None and port.client in ready:
+                self._guarded(port, receive)
+        if arm.client is None:
+            self._leave()
+        if hand.client is None:
+            self.gripper.leave()
+
+    def _guarded(self, port: Port, receive: Callable[[Client], None]) -> None:
+        try:
+            assert port.client is not None
+            receive(port.client)
+        except Gone as gone:
+            port.drop(str(gone))
+
+    def _leave(self) -> None:
+        """End what a client that is gone has begun."""
+        if self._to is not None:
+            self._to = None
+            if self._move is not None:
+                self._set_idle()
+                self._stop_here()
+
+    def _take_commands(self) -> None:
+        """Keep the newest command that answers the present state."""
+        while True:
+            try:
+                message, address = self._udp.recvfrom(2048)
+            except OSError:  # there is none, or the client's port is closed
+                return
+            if self._to is None or address[0] != self._to[0]:
+                continue
+            command = wire.command_of(message)
+            if command is not None and command.message >= self._first and self._move is not None:
+                self._command = command
+
+    # Commands over TCP
+
+    def _receive(self, client: Client) -> None:
+        client.receive()
+        while len(client.received) >= wire.HEAD.size:
+            command, number, size = wire.HEAD.unpack_from(client.received)
+            if command not in wire.REQUESTS or size > wire.LONGEST:
+                raise Gone(f"sent what is no command of libfranka ({command}, {size} bytes): the connection is closed")
+            body = wire.REQUESTS[command]
+            if size != wire.HEAD.size + body.size:
+                raise Gone(f"sent command {command} with {size} bytes, not {wire.HEAD.size + body.size}: it is closed")
+            if len(client.received) < size:
+                return
+            given = body.unpack(client.take(size)[wire.HEAD.size :])
+            if self._to is None and command != wire.CONNECT:
+                raise Gone("sent a command before it connected: the connection is closed")
+            self._obey(client, command, number, given)
+
+    def _answer(self, client: Client, command: int, number: int, status: int, rest: bytes = b"") -> None:
+        client.send(wire.HEAD.pack(command, number, wire.HEAD.size + 1 + len(rest)) + bytes([status]) + rest)
+
+    def _obey(self, client: Client, command: int, number: int, given: tuple[Any, ...]) -> None:
+        rest, status = b"", wire.SUCCESS
+        if command == wire.CONNECT:
+            version, port = given
+            fits = version == wire.ROBOT_VERSION
+            status, rest = (wire.SUCCESS if fits else wire.INCOMPATIBLE), wire.ROBOT_VERSION.to_bytes(2, "little")
+            self._to = (client.host, port) if fits else None
+            self._clock.begin()
+        elif command == wire.GET_MODEL:
+            rest = self.arm.urdf.encode()
+        elif command == wire.MOVE:
+            self._begin(client, number, *given[:2], given[8])
+            return
+        elif command == wire.STOP_MOVE:
+            if self._move is not None:
+                self._end(wire.MOVE_PREEMPTED)
+        elif command == wire.RECOVER:
+            self._errors = set()
+            self.reflexes.recover()
+            if self._mode == wire.MODE_REFLEX:
+                self._mode = wire.MODE_IDLE
+        elif self._move is not None:
+            status = wire.NOT_POSSIBLE
+        elif not self._set(command, np.array(given)):
+            status = wire.INVALID_ARGUMENT
+        self._answer(client, command, number, status, rest)
+
+    def _set(self, command: int, given: Array) -> bool:
+        """Take over a setting, and return whether it can be."""
+        if not np.isfinite(given).all():
+            return False
+        if command == wire.SET_COLLISION:
+            if (given < 0.0).any():
+                return False
+            self.reflexes.set_thresholds(given)
+        elif command in (wire.SET_JOINT_IMPEDANCE, wire.SET_CARTESIAN_IMPEDANCE):
+            if (given < 0.0).any():
+                return False
+            if command == wire.SET_JOINT_IMPEDANCE:
+                self.springs.joints = given
+            else:
+                self.springs.end_effector = given
+        elif command == wire.SET_LOAD:
+            try:
+                self.arm.set_load(given[0], given[1:4], given[4:])
+            except ModelError:
+                return False
+            mass, centre, tensor = self.arm.load
+            self._state.write(m_load=mass, F_x_Cload=centre, I_load=tensor)
+        elif command in (wire.SET_NE_TO_EE, wire.SET_EE_TO_K):
+            T = wire.pose_of(given)
+            R = T[:3, :3]
+            if np.abs(R.T @ R - np.eye(3)).max() > 1e-4 or np.linalg.det(R) < 0.0 or (T[3] != (0, 0, 0, 1)).any():
+                return False
+            self.arm.set_frames(*((T, self.arm.EE_T_K) if command == wire.SET_NE_TO_EE else (self.arm.NE_T_EE, T)))
+            self._state.write(F_T_EE=self.arm.F_T_NE @ self.arm.NE_T_EE, NE_T_EE=self.arm.NE_T_EE, EE_T_K=self.arm.EE_T_K)
+            self.motion.pose = self.arm.end_effector(self.motion.q)[0]
+        return True
+
+    def _begin(self, client: Client, number: int, controller: int, generator: int, asynchronous: bool) -> None:
+        """Begin a motion, or refuse it."""
+        known = controller <= wire.EXTERNAL and generator <= wire.NO_GENERATOR
+        if self._mode != wire.MODE_IDLE:
+            self._answer(client, wire.MOVE, number, wire.MOVE_NOT_POSSIBLE)
+        elif not known or asynchronous or (generator == wire.NO_GENERATOR and controller != wire.EXTERNAL):
+            self._answer(client, wire.MOVE, number, wire.MOVE_INVALID)
+        else:
+            self._answer(client, wire.MOVE, number, wire.MOVE_STARTED)
+            self._move = (client, number)
+            self._mode, self._generator, self._controller = wire.MODE_MOVE, generator, controller
+            self._command, self._first, self._sent = None, self._message + 1, 0
+            self._reasons, self._lost, self._cycles_before = set(), 0, self.session.cycles
+            self._recent.clear()
+            self._begun = False
+            if self.lock_step or self._torque.any():
+                self.motion.rest_at(self._q)
+
+    def _end(self, status: int, errors: frozenset[int] | set[int] = frozenset()) -> None:
+        """End the motion, and tell the client why; after an error the arm has to be recovered."""
+        assert self._move is not None
+        client, number = self._move
+        stopped = status != wire.SUCCESS
+        self._set_idle()
+        if errors:
+            self._errors, self._reasons, self._mode = set(errors), set(errors), wire.MODE_REFLEX
+        try:
+            self._answer(client, wire.MOVE, number, status)
+        except Gone as gone:
+            self.ports[0].drop(str(gone))
+        self._stop_here()
+        if stopped and self.lock_step:
+            for _ in range(LONGEST_BRAKE):
+                if np.abs(self._v).max() < AT_REST or self.session.done:
+                    break
+                self._advance(self._hold())
+
+    def _set_idle(self) -> None:
+        self._move: tuple[Client, int] | None = None
+        self._mode, self._generator, self._controller = wire.MODE_IDLE, wire.NO_GENERATOR, wire.EXTERNAL
+        self._command: wire.Command | None = None
+        self._first = self._sent = 0
+        self._begun = False
+
+    def _stop_here(self) -> None:
+        self.motion.rest_at(self._q)
+        self._torque = np.zeros(JOINTS)
+
+    # The simulation
+
+    def _hold(self) -> Array:
+        """Return the torque that holds the arm where it is wanted."""
+        return self.springs.at_joints(self._q, self._v, self.motion.q, self.motion.dq)
+
+    def _drive(self, command: wire.Command | None) -> None:
+        """Advance by a cycle with a command, or without the one that has not come."""
+        motion, generator = self.motion, self._generator
+        first, self._begun = not self._begun, True
+        before = self._torque
+        if command is not None:
+            finite = np.isfinite(command.torque).all() and np.isfinite(command.pose).all()
+            if not finite or not all(map(math.isfinite, (*command.q, *command.dq, *command.twist, *(command.elbow or ())))):
+                self._end(wire.MOVE_INPUT_ERROR)
+                return
+            motion.follow(generator, command)
+        else:
+            motion.go_on(generator, self._lost > LOST)
+        errors: set[int] = set()
+        if self.limits and command is not None:
+            errors = self.reflexes.of_command(generator, motion, first)
+        if self._controller == wire.EXTERNAL:
+            if command is not None:
+                self._torque = command.torque
+            torque = self._torque + self.arm.gravity(self._q)
+            if generator == wire.NO_GENERATOR:
+                motion.q, motion.dq = self._q, self._v
+        elif self._controller == wire.JOINT_IMPEDANCE:
+            torque = self.springs.at_joints(self._q, self._v, motion.q, motion.dq)
+            self._torque = torque - self.arm.gravity(self._q)
+        else:
+            T_d = motion.pose if generator in (wire.CARTESIAN_POSE, wire.CARTESIAN_VELOCITY) else self.arm.end_effector(
+                motion.q
+            )[0]
+            torque = self.springs.at_end_effector(self._q, self._v, motion.q, motion.dq, T_d)
+            self._torque = torque - self.arm.gravity(self._q)
+        if self.limits and not (first and self._controller == wire.EXTERNAL):
+            errors |= self.reflexes.of_torque(self._torque, before) if self._controller == wire.EXTERNAL else set()
+        if errors:
+            self._end(wire.MOVE_REFLEX, errors)
+            return
+        self._advance(torque)
+        errors = self.reflexes.collided()
+        if self.limits:
+            errors |= self.reflexes.of_state(self._q, self._v)
+        if errors:
+            self._end(wire.MOVE_REFLEX, errors)
+        elif command is not None and (command.torque_finished or command.motion_finished):
+            self._end(wire.SUCCESS)
+        elif self.lock_step:
+            self._first, self._sent = self._message + 1, 0
+
+    def _advance(self, torque: Array) -> None:
+        """Step the simulation by a millisecond with the torque of the arm, and look at what came of it."""
+        for _ in range(self._substeps):
+            if self.session.done:
+                return
+            self.session.step(self.gripper.with_fingers(torque))
+        self._look()
+
+    def _look(self) -> None:
+        """Take over the state of the simulation."""
+        state = self.session.state
+        q, v = state.measured_position[:JOINTS], state.measured_velocity[:JOINTS]
+        measured = state.torque[:JOINTS]
+        T, J = self.arm.end_effector(q)
+        expected = self.arm.robot.inverse_dynamics(q, v, state.acceleration[:JOINTS])
+        self.reflexes.feel(measured - expected, T, J, bool(self.motion.ddq.any()))
+        self._rate = (measured - self._measured) / PERIOD
+        self._q, self._v, self._measured, self._T = q, v, measured, T
+
+    def _send_state(self) -> None:
+        """Send the state over UDP, with the next number."""
+        motion, reflexes, q = self.motion, self.reflexes, self._q
+        moves = self._move is not None
+        elbow = (q[2], 1.0 if q[3] > ELBOW_FLIP else -1.0)
+        wanted = (motion.q[2], 1.0 if motion.q[3] > ELBOW_FLIP else -1.0)
+        if moves and self._generator != wire.NO_GENERATOR:
+            T_d, twist, acceleration = motion.pose, motion.twist, motion.acceleration
+            if self._generator in (wire.JOINT_POSITION, wire.JOINT_VELOCITY):
+                T_d = self.arm.end_effector(motion.q)[0]
+        else:
+            T_d, twist, acceleration = self._T, np.zeros(6), np.zeros(6)
+        self._state.write(
+            O_T_EE=self._T, O_T_EE_d=T_d, O_T_EE_c=T_d, O_dP_EE_d=twist, O_dP_EE_c=twist, O_ddP_EE_c=acceleration,
+            elbow=elbow, elbow_d=wanted, elbow_c=wanted, delbow_c=(motion.dq[2], 0.0), ddelbow_c=(motion.ddq[2], 0.0),
+            tau_J=self._measured, tau_J_d=self._torque, dtau_J=self._rate, q=q, q_d=motion.q, dq=self._v,
+            dq_d=motion.dq, ddq_d=motion.ddq, joint_contact=reflexes.contact[:JOINTS],
+            cartesian_contact=reflexes.contact[JOINTS:], joint_collision=reflexes.collision[:JOINTS],
+            cartesian_collision=reflexes.collision[JOINTS:], tau_ext_hat_filtered=reflexes.torque,
+            O_F_ext_hat_K=reflexes.wrench, K_F_ext_hat_K=reflexes.wrench_in_K, theta=q, dtheta=self._v,
+        )  # fmt: skip
+        generator = wire.GENERATOR_IDLE if not moves else _SHOWN[self._generator]
+        controller = self._controller if moves else wire.CONTROLLER_OTHER
+        rate = 0.0 if not moves else sum(self._recent) / len(self._recent) if self._recent else 1.0
+        self._message, self._sent = self._message + 1, self._sent + 1
+        message = self._state.bytes(
+            self._message, generator, controller, _flags(self._errors), _flags(self._reasons), self._mode, rate
+        )
+        try:
+            assert self._to is not None
+            self._udp.sendto(message, self._to)
+        except OSError:  # its buffer is full, or the client's port is closed: TCP will say so
+            pass
+
+
+# Motion generators of Move as the state shows them.
+_SHOWN = {
+    wire.JOINT_POSITION: 1, wire.JOINT_VELOCITY: 2, wire.CARTESIAN_POSE: 3, wire.CARTESIAN_VELOCITY: 4,
+    wire.NO_GENERATOR: 5,
+}  # fmt: skip
+
+
+def _flags(errors: set[int]) -> bytes:
+    found = bytearray(wire.ERRORS)
+    for error in errors:
+        found[error] = 1
+    return bytes(found)

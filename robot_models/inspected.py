@@ -32,6 +32,8 @@ PASSED: dict[str, tuple[str, ...]] = {
     "7c916021ed179fdbd28be0fe96f0b32e525485a77fe1334f66b4f2538304b928": (),
     # peg_gantry
     "c77e2d73997171a9c8739dedaf6721484bea945117679af828102a93799ed7ec": (),
+    # fr3
+    "399a5b99998ca3bbdc45ba51d391c94965e5141d480877160a1a01c4af89f4f2": (),
     # kinova
     "a9a0a8a1a21b82419b15293fca47b8a35c57e7200eaf1e39dadb6bfd7e44eabb": (),
     # panda

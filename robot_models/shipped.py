@@ -6,7 +6,7 @@ _HERE = Path(__file__).parent
 
 _NAMES = (
     "wam4", "wam7", "planar2", "pointmass3", "four_bar", "five_bar", "delta", "stewart", "two_arms", "gripper",
-    "peg_gantry",
+    "peg_gantry", "fr3",
 )  # fmt: skip
 
 

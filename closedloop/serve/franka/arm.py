@@ -1,4 +1,4 @@
-"""What the controller inside the arm knows of it: its frames, its terms, and what it makes of the torques it measures."""
+"""What the controller inside the arm knows of it: its frames, its terms, and the wrench behind torques."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ SINGULAR = 1e-3
 class Arm:
     """The arm of a scenario as its own controller has it.
 
-    Frames: O the base, F the flange, NE the nominal end effector, here the tip of the scenario, EE the end effector that
-    the client sets from there, K the stiffness frame that it sets from EE. Poses are (4, 4).
+    Frames: O the base, F the flange, NE the nominal end effector, here the tip of the scenario, EE the end effector
+    that the client sets from there, K the stiffness frame that it sets from EE. Poses are (4, 4).
 
     Attributes
     ----------
@@ -84,10 +84,10 @@ class Arm:
         """
         if not mass >= 0.0:
             raise ModelError(f"a load of {mass} kg: must not be negative")
-        I = tensor.reshape(3, 3)
+        Y = tensor.reshape(3, 3)
         load = Tool(
             self._flange, mass=mass, centre=tuple(centre.tolist()),
-            inertia=(I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]),
+            inertia=(Y[0, 0], Y[1, 1], Y[2, 2], Y[0, 1], Y[0, 2], Y[1, 2]),
         )  # fmt: skip
         load.tensor()
         tools = (*self._model.tools, load) if mass else self._model.tools

@@ -1,7 +1,7 @@
 """The gripper: commands for the sliding joints that the scenario's robot has behind its seven, its fingers.
 
-A finger follows a wanted position that moves with the commanded speed, pulled by a spring and a damper whose force is at
-most that of the command. Where the scenario has no free finger, the width stays, and every motion fails.
+A finger follows a wanted position that moves with the commanded speed, pulled by a spring and a damper whose force is
+at most that of the command. Where the scenario has no free finger, the width stays, and every motion fails.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import socket
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -166,10 +167,8 @@ class Gripper:
         assert self._order is not None
         client, command, number = self._order
         self._order = None
-        try:
+        with suppress(Gone):  # it is found gone when it is read from
             self._answer(client, command, number, status)
-        except Gone:  # it is found gone when it is read from
-            pass
 
     def leave(self) -> None:
         """Forget a client that is gone; the fingers stay where they are."""
@@ -183,9 +182,6 @@ class Gripper:
             return
         self._next = time.perf_counter() + EVERY
         self._message += 1
-        try:
-            self._udp.sendto(
-                wire.GRIPPER_STATE.pack(self._message, self.width, self._widest, self.grasped, TEMPERATURE), self._to
-            )
-        except OSError:
-            pass
+        state = wire.GRIPPER_STATE.pack(self._message, self.width, self._widest, self.grasped, TEMPERATURE)
+        with suppress(OSError):
+            self._udp.sendto(state, self._to)

@@ -2,7 +2,8 @@
 
     τ = f + D (q̇_d − q̇) + C        joints: f = K (q_d − q)        end effector: f = Jᵀ K_x e + springs of the rest
 
-K_x e is of the end effector's distance from its wanted pose; along motions that do not move it, weak springs pull to q_d.
+K_x e is of the end effector's distance from its wanted pose; along motions that do not move it, weak springs pull to
+q_d.
 The dampers belong to the modes of H and K, H V = 1, K V = H V Λ: D = H V diag(2 ζ √λ) Vᵀ H (A. Albu-Schäffer, C. Ott,
 U. Frese, G. Hirzinger, ICRA 2003). The torque is held for a period h: a mode quicker than that allows is as stiff and
 as damped as it can be, λ <= 1/h², 2 ζ √λ <= 1/h. No torque is larger than the effort limit of its joint.
@@ -53,8 +54,8 @@ class Impedance:
             squares, P = np.maximum(squares, 0.0), H @ V
             damping = np.minimum(2.0 * DAMPING_RATIO * np.sqrt(squares), 1.0 / self._h)
             softer = 1.0 / np.maximum(1.0, squares * self._h * self._h)
-            self._modes = q, K, P * softer @ V.T, P * damping @ P.T
-        _, _, spring, damper = self._modes
+            at = self._modes = q, K, P * softer @ V.T, P * damping @ P.T
+        _, _, spring, damper = at
         C = self._arm.robot.inverse_dynamics(q, v, np.zeros(JOINTS))
         found: Array = np.clip(spring @ f + damper @ (dq_d - v) + C, -self._most, self._most)
         return found

@@ -1,7 +1,7 @@
 """What the arm feels and what ends a motion: contacts, collisions, and, where asked for, the limits of motions.
 
-External torques are what the model of the controller does not explain, τ_J − (H q̈ + C), so positive where the arm pushes
-against the environment; they and the wrench at K that they make are filtered by a low pass of first order.
+External torques are what the model of the controller does not explain, τ_J − (H q̈ + C), so positive where the arm
+pushes against the environment; they and the wrench at K that they make are filtered by a low pass of first order.
 """
 
 from __future__ import annotations
@@ -36,14 +36,16 @@ from closedloop.serve.franka.wire import (
     TORQUE_RANGE,
 )
 
-# Cut-off frequency of the external torques, Hz: the default that libfranka has for commands. The arm's is not published.
+# Cut-off frequency of the external torques, Hz: the default of libfranka for commands. The arm's is not published.
 CUTOFF = 100.0
-# Limits that the maker states for the FR3: of joints, rad/s², rad/s³; of the end effector, m/s and rad/s, m/s² and rad/s²,
-# m/s³ and rad/s³; of the rate of a torque, N m/s.
+# Limits that the maker states for the FR3: of joints, rad/s², rad/s³; of the rate of a torque, N m/s; of the end
+# effector, m/s and rad/s, m/s² and rad/s², m/s³ and rad/s³.
 JOINT_ACCELERATION, JOINT_JERK, TORQUE_RATE = 10.0, 5000.0, 1000.0
 CARTESIAN = ((3.0, 2.5), (9.0, 17.0), (4500.0, 8500.0))
-# What a limit may be exceeded by: commands come through 32-bit floats, of which 1e-7 makes 0.1 of a second difference.
+# What a limit may be exceeded by: states are 32-bit floats, whose rounding of 1e-7 is 0.1 in a second difference.
 SLACK = 1.05
+# Without limits a motion ends where a joint is so many times as quick as its limit.
+RUNAWAY = 2.0
 # Commands that may be lost one after the other.
 LOST = 20
 
@@ -98,19 +100,19 @@ class Reflexes:
         found = {JOINT_REFLEX} if self.collision[:JOINTS].any() else set()
         return found | ({CARTESIAN_REFLEX} if self.collision[JOINTS:].any() else set())
 
-    def of_state(self, q: Array, v: Array) -> set[int]:
-        """Return the errors of a joint that is outside of its limits, or quicker than they allow."""
+    def of_state(self, q: Array, v: Array, limits: bool) -> set[int]:
+        """Return the errors of a joint that runs away or, with limits, that is outside of them or quicker than them."""
         found = set()
-        if (q < self._within[0]).any() or (q > self._within[1]).any():
+        if limits and ((q < self._within[0]).any() or (q > self._within[1]).any()):
             found.add(JOINT_POSITION_LIMITS)
-        if (np.abs(v) > self._speed).any():
+        if (np.abs(v) > (self._speed if limits else RUNAWAY * self._speed)).any():
             found.add(JOINT_VELOCITY_LIMITS)
         return found
 
-    def of_torque(self, torque: Array, before: Array) -> set[int]:
-        """Return the errors of a commanded torque (7,), N m, after another."""
+    def of_torque(self, torque: Array, before: Array | None) -> set[int]:
+        """Return the errors of a commanded torque (7,), N m; of its rate where it came after another."""
         found = set()
-        if (np.abs(torque - before) > SLACK * TORQUE_RATE * self._h).any():
+        if before is not None and (np.abs(torque - before) > SLACK * TORQUE_RATE * self._h).any():
             found.add(TORQUE_DISCONTINUITY)
         if (np.abs(torque) > self._effort).any():
             found.add(TORQUE_RANGE)

@@ -7,7 +7,6 @@ while a client is connected; between motions the arm holds its place.
 
 from __future__ import annotations
 
-import math
 import socket
 import time
 from collections import deque
@@ -30,11 +29,12 @@ from closedloop.serve.interface import Interface
 from closedloop.serve.sockets import Client, Gone, Port, Stopped
 
 PERIOD = 1e-3
-# Lock-step: when a state is sent again, s. The first one is sent twice, since libfranka reads one to see that the motion
-# has begun. Then so late that no client that computes meanwhile gets a state which it has answered already.
+# Lock-step: when a state is sent again, s. The first one is sent twice, since libfranka reads one to see that the
+# motion has begun. Then so late that no client that computes meanwhile gets a state which it has answered already.
 AGAIN_FIRST, AGAIN, BETWEEN = 2e-3, 0.05, 1e-3
-# After a stop in lock-step the arm brakes until it moves no joint by more than this, rad/s, or for so many cycles.
-AT_REST, LONGEST_BRAKE = 1e-3, 1000
+# After a stop in lock-step the arm brakes until it moves no joint by more than this, rad/s; cycles, at least and at
+# most: the filters forget what has stopped it, and the client does not wait for a state for longer than it would.
+AT_REST, SHORTEST_BRAKE, LONGEST_BRAKE = 1e-3, 20, 400
 # Joint 4 beyond which the elbow is turned over, rad, as the maker states it.
 ELBOW_FLIP = -0.467002423653011
 # Cycles that the success rate is of.
@@ -84,9 +84,13 @@ class Franka(Interface):
         self._reasons: set[int] = set()
         self._recent: deque[bool] = deque(maxlen=RATED)
         self._lost = 0
+        self._move: tuple[Client, int] | None = None
+        self._command: wire.Command | None = None
+        self._mode = wire.MODE_IDLE
         self._set_idle()
         self._look()
         self.motion.rest_at(self._q)
+        self._advance(self._hold())  # the arm holds itself, and the scenario's law presses no longer
 
     def close(self) -> None:
         """See `Interface`."""
@@ -121,7 +125,8 @@ class Franka(Interface):
             self._wait(BETWEEN)
             return
         self._wait_for_command(AGAIN_FIRST if self._sent == 1 and not self._begun else AGAIN)
-        command, self._command = self._command, None
+        command = self._command
+        self._command = None
         if command is not None and self._move is not None:
             self.session.cycles += 1
             self._drive(command)
@@ -138,7 +143,8 @@ class Franka(Interface):
                 break
         clock.tick()
         self.session.late = clock.late
-        command, self._command = self._command, None
+        command = self._command
+        self._command = None
         if self._move is None:
             self._advance(self._hold())
             return
@@ -236,7 +242,7 @@ class Franka(Interface):
         elif command == wire.GET_MODEL:
             rest = self.arm.urdf.encode()
         elif command == wire.MOVE:
-            self._begin(client, number, *given[:2], given[8])
+            self._begin(client, number, given[0], given[1], given[8])
             return
         elif command == wire.STOP_MOVE:
             if self._move is not None:
@@ -280,7 +286,9 @@ class Franka(Interface):
             if np.abs(R.T @ R - np.eye(3)).max() > 1e-4 or np.linalg.det(R) < 0.0 or (T[3] != (0, 0, 0, 1)).any():
                 return False
             self.arm.set_frames(*((T, self.arm.EE_T_K) if command == wire.SET_NE_TO_EE else (self.arm.NE_T_EE, T)))
-            self._state.write(F_T_EE=self.arm.F_T_NE @ self.arm.NE_T_EE, NE_T_EE=self.arm.NE_T_EE, EE_T_K=self.arm.EE_T_K)
+            self._state.write(
+                F_T_EE=self.arm.F_T_NE @ self.arm.NE_T_EE, NE_T_EE=self.arm.NE_T_EE, EE_T_K=self.arm.EE_T_K
+            )
             self.motion.pose = self.arm.end_effector(self.motion.q)[0]
         return True
 
@@ -295,7 +303,8 @@ class Franka(Interface):
             self._answer(client, wire.MOVE, number, wire.MOVE_STARTED)
             self._move = (client, number)
             self._mode, self._generator, self._controller = wire.MODE_MOVE, generator, controller
-            self._command, self._first, self._sent = None, self._message + 1, 0
+            self._command = None
+            self._first, self._sent = self._message + 1, 0
             self._reasons, self._lost, self._cycles_before = set(), 0, self.session.cycles
             self._recent.clear()
             self._begun = False
@@ -316,16 +325,15 @@ class Franka(Interface):
             self.ports[0].drop(str(gone))
         self._stop_here()
         if stopped and self.lock_step:
-            for _ in range(LONGEST_BRAKE):
-                if np.abs(self._v).max() < AT_REST or self.session.done:
+            for k in range(LONGEST_BRAKE):
+                if (k >= SHORTEST_BRAKE and np.abs(self._v).max() < AT_REST) or self.session.done:
                     break
                 self._advance(self._hold())
 
     def _set_idle(self) -> None:
-        self._move: tuple[Client, int] | None = None
+        self._move = self._command = None
         self._mode, self._generator, self._controller = wire.MODE_IDLE, wire.NO_GENERATOR, wire.EXTERNAL
-        self._command: wire.Command | None = None
-        self._first = self._sent = 0
+        self._first = self._sent = self._cycles_before = 0
         self._begun = False
 
     def _stop_here(self) -> None:
@@ -344,8 +352,7 @@ class Franka(Interface):
         first, self._begun = not self._begun, True
         before = self._torque
         if command is not None:
-            finite = np.isfinite(command.torque).all() and np.isfinite(command.pose).all()
-            if not finite or not all(map(math.isfinite, (*command.q, *command.dq, *command.twist, *(command.elbow or ())))):
+            if not command.sensible:
                 self._end(wire.MOVE_INPUT_ERROR)
                 return
             motion.follow(generator, command)
@@ -364,20 +371,20 @@ class Franka(Interface):
             torque = self.springs.at_joints(self._q, self._v, motion.q, motion.dq)
             self._torque = torque - self.arm.gravity(self._q)
         else:
-            T_d = motion.pose if generator in (wire.CARTESIAN_POSE, wire.CARTESIAN_VELOCITY) else self.arm.end_effector(
-                motion.q
-            )[0]
+            T_d = (
+                motion.pose
+                if generator in (wire.CARTESIAN_POSE, wire.CARTESIAN_VELOCITY)
+                else self.arm.end_effector(motion.q)[0]
+            )
             torque = self.springs.at_end_effector(self._q, self._v, motion.q, motion.dq, T_d)
             self._torque = torque - self.arm.gravity(self._q)
-        if self.limits and not (first and self._controller == wire.EXTERNAL):
-            errors |= self.reflexes.of_torque(self._torque, before) if self._controller == wire.EXTERNAL else set()
+        if self._controller == wire.EXTERNAL:
+            errors |= self.reflexes.of_torque(self._torque, before if self.limits and not first else None)
         if errors:
             self._end(wire.MOVE_REFLEX, errors)
             return
         self._advance(torque)
-        errors = self.reflexes.collided()
-        if self.limits:
-            errors |= self.reflexes.of_state(self._q, self._v)
+        errors = self.reflexes.collided() | self.reflexes.of_state(self._q, self._v, self.limits)
         if errors:
             self._end(wire.MOVE_REFLEX, errors)
         elif command is not None and (command.torque_finished or command.motion_finished):

@@ -69,6 +69,10 @@ COMMUNICATION, TORQUE_DISCONTINUITY, TORQUE_RANGE = 25, 32, 34
 _COMMAND = struct.Struct("<Q7d7d16d6d2d??7d?")
 
 
+# No command has such numbers, rad, m, N m and their rates.
+HUGE = 1e6
+
+
 class Command(NamedTuple):
     """What a client commands for a cycle; poses are (4, 4)."""
 
@@ -81,6 +85,12 @@ class Command(NamedTuple):
     motion_finished: bool
     torque: Array
     torque_finished: bool
+
+    @property
+    def sensible(self) -> bool:
+        """Whether all its numbers are finite and smaller than `HUGE`."""
+        given = (*self.q, *self.dq, *self.twist, *(self.elbow or ()), *self.torque, *self.pose.ravel())
+        return all(-HUGE < value < HUGE for value in given)
 
 
 def command_of(message: bytes) -> Command | None:
@@ -139,9 +149,7 @@ class StateMessage:
     ) -> bytes:
         """Return the message with this number, modes, errors and success rate."""
         _ID.pack_into(self._buffer, 0, message)
-        _END.pack_into(
-            self._buffer, _ID.size + 4 * _FLOATS, generator, controller, errors, reasons, mode, rate
-        )
+        _END.pack_into(self._buffer, _ID.size + 4 * _FLOATS, generator, controller, errors, reasons, mode, rate)
         return bytes(self._buffer)
 
 

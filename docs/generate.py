@@ -30,7 +30,7 @@ from closedloop.scenario.tables import table_type
 API = {
     "From a scenario to a run": (
         "load_scenario shipped_scenarios Scenario simulate halve simulate_batch prepare Problem Run Event load_run "
-        "sweep_plot Simulator StepState figures lab compare"
+        "sweep_plot Simulator StepState serve figures lab compare"
     ),
     "Laws and surfaces of your own": "Law LawInput ControlLaw Surface SurfaceMotion Compliance",
     "The robot and the closure": "Robot Terms Plane solve_closure",

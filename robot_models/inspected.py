@@ -33,7 +33,7 @@ PASSED: dict[str, tuple[str, ...]] = {
     # peg_gantry
     "c77e2d73997171a9c8739dedaf6721484bea945117679af828102a93799ed7ec": (),
     # fr3
-    "399a5b99998ca3bbdc45ba51d391c94965e5141d480877160a1a01c4af89f4f2": (),
+    "7a6748644b414d62171a36822e68a832ee780f38b657e2aad73a7372ea4ead4d": (),
     # kinova
     "a9a0a8a1a21b82419b15293fca47b8a35c57e7200eaf1e39dadb6bfd7e44eabb": (),
     # panda

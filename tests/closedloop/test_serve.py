@@ -9,6 +9,8 @@ import struct
 import subprocess
 import sys
 import time
+from pathlib import Path
+from shutil import which
 
 import numpy as np
 import pytest
@@ -234,3 +236,32 @@ def test_what_cannot_be_served_is_said(more, why):
     with pytest.raises(cl.ClosedLoopError, match=why) as caught:
         cl.serve(SCENARIO, **more)
     assert "\n" not in str(caught.value)
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.mark.skipif(which("g++") is None, reason="g++ is not installed")
+def test_the_page_s_controller_in_cpp_gives_the_run_of_python(tmp_path):
+    """The C++ example of the page, compiled with the package's header, drives the run that Python's messages give."""
+    source = (PAGE / "serve.md").read_text(encoding="utf-8").split("```cpp\n")[1].split("```")[0]
+    (tmp_path / "client.cpp").write_text(source)
+    header = Path(cl.__file__).parent / "serve"
+    words = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "-O1", f"-I{header}", "client.cpp", "-o", "client"]
+    subprocess.run(words, cwd=tmp_path, check=True, timeout=120.0)
+    with cl.serve(SCENARIO, overrides=BRIEF, lock_step=True) as served:
+        said = subprocess.run([tmp_path / "client", str(served.port)], capture_output=True, check=True, timeout=60.0)
+        run = served.close()
+    with cl.serve(SCENARIO, overrides=BRIEF, lock_step=True) as served:
+        arm = Json(served.port)
+        state = arm.ask("reset")
+        hold = np.array(state["torque"])
+        while not state["done"]:
+            state = arm.ask("torque", torque=list(hold - 5.0 * np.array(state["v"])))
+        same(served.close(), run)
+    assert said.stdout.split() == [b"%.17g" % run.time[-1], b"%.17g" % state["contact_force"]]
+
+
+def test_the_example_of_ros_is_python():
+    """The node of the page can be read; ROS 2 itself is not there."""
+    compile((PAGE / "ros2_node.py").read_text(encoding="utf-8"), "ros2_node.py", "exec")

@@ -73,7 +73,7 @@ def driven(scenario, script, overrides=None, **options):
 
 TABLES = {
     "rigid": {},
-    "moving": {"surface.motion.kind": "conveyor", "surface.motion.velocity": [0.0, 0.05, 0.0]},
+    "moving": {"surface_motion.kind": "conveyor", "surface_motion.velocity": [0.0, 0.05, 0.0]},
     "soft": {"compliance.kind": "kelvin_voigt", "compliance.stiffness": 1e4, "compliance.damping": 100.0},
 }
 

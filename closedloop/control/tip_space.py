@@ -259,6 +259,15 @@ def add_mass_times(H: Array, a: Array, sign: float, torque: Array) -> None:
 
 
 @kernel
+def add_transposed(A: Array, inverse: Array, e: Array, y: Array, joints: Array) -> None:
+    """Add Aᵀ(A Aᵀ)⁺e to `joints`; `y` (3,) is scratch."""
+    for i in range(3):
+        y[i] = inverse[i, 0] * e[0] + inverse[i, 1] * e[1] + inverse[i, 2] * e[2]
+    for j in range(joints.shape[0]):
+        joints[j] += A[0, j] * y[0] + A[1, j] * y[1] + A[2, j] * y[2]
+
+
+@kernel
 def add_tip_force(A: Array, F: Array, torque: Array) -> None:
     """Add AᵀF, the torque that makes the tip push with F (3,), N."""
     for j in range(torque.shape[0]):

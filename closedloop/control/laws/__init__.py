@@ -6,4 +6,5 @@ operational_space   feedback linearisation of the tip's dynamics       Khatib 19
 dynamic_hybrid      the same through joint accelerations               Yoshikawa 1987
 impedance           a desired spring and damper at the tip             Hogan 1985
 admittance          the force error moves the set point                Whitney 1977
+servo_admittance    the same over a position servo of the joints       Whitney 1977
 """

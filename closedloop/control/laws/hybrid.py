@@ -30,11 +30,11 @@ from closedloop.control.tip_space import (
     Approach,
     GainNotNegative,
     TipScratch,
+    add_transposed,
     jacobian_gram,
     motion_along_normal,
     pseudo_inverse,
 )
-from closedloop.jit.kernel import kernel
 
 
 class HybridLaw(Approach):
@@ -71,22 +71,13 @@ class HybridLaw(Approach):
                 for j in range(n):
                     along += x.A[i, j] * s.joints[j]
                 s.rest[i] = -along
-            _add_transposed(x.A, s.inverse, s.rest, s.force, s.joints)
+            add_transposed(x.A, s.inverse, s.rest, s.force, s.joints)
             # + T⁺ e_t
             jacobian_gram(x.A, 1, s.inverse)
             pseudo_inverse(s.inverse, s.eigen, s.inverse)
             s.rest[0] = 0.0
             for i in range(1, 3):
                 s.rest[i] = x.p_des[i] - x.p[i] if part == 0 else x.u_des[i] - x.u[i]
-            _add_transposed(x.A, s.inverse, s.rest, s.force, s.joints)
+            add_transposed(x.A, s.inverse, s.rest, s.force, s.joints)
             for j in range(n):
                 torque[j] += (par.kp[j] if part == 0 else par.kd[j]) * s.joints[j]
-
-
-@kernel
-def _add_transposed(A: Array, inverse: Array, e: Array, y: Array, joints: Array) -> None:
-    """Add Aᵀ(A Aᵀ)⁺e to `joints`; `y` (3,) is scratch."""
-    for i in range(3):
-        y[i] = inverse[i, 0] * e[0] + inverse[i, 1] * e[1] + inverse[i, 2] * e[2]
-    for j in range(joints.shape[0]):
-        joints[j] += A[0, j] * y[0] + A[1, j] * y[1] + A[2, j] * y[2]

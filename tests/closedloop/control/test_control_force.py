@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from control_loop import Loop, force_loop_radius
 
+import closedloop as cl
 from closedloop.base.errors import ScenarioError
 from closedloop.control.compensation.model import ModelCompensation
 from closedloop.control.compensation.observer import ObserverCompensation
@@ -293,3 +294,23 @@ def test_integral_rests_in_free_motion_but_for_its_recovery(pressed, f_des, f, i
     loop = Loop("wam4", OperationalSpaceLaw(force_integral=20.0))
     x = loop.moment(0.0, loop.q, loop.v)[0]._replace(pressed=pressed, f_des=f_des)
     assert interpreted(force_error_rate)(x, loop.law, SimpleNamespace(force_error=integral), f) == rate
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_set_points_of_a_servo_gain_speed_off_the_surface_and_press_on_it(engine):
+    """Off it ẋ_a = −g f_des t/M up to its limit, exactly; on a soft surface the force comes to f_des, to 0.1 N."""
+    law = {
+        "kind": "servo_admittance", "kp": 2e4, "kd": 600.0, "force": 20.0, "gain_scaling": 0.5, "speed_limit": 0.1,
+        "admittance_inertia": 5.0, "admittance_damping": 0.0, "contact_damping": 150.0,
+    }  # fmt: skip
+    run = cl.simulate(cl.load_scenario("soft_table", {
+        "robot.model": "pointmass3", "start.q": [0.0, 0.0, 0.0], "surface.gap": 0.003, "surface.contact": "unilateral",
+        "compliance.stiffness": 5e3, "compliance.damping": 20.0, "reference": {"kind": "hold"}, "law": law,
+        "time.duration": 0.5, "time.integrator": "rk4",
+    }), engine=engine, progress=False)  # fmt: skip
+    free = np.cumprod(run.mode == 0).astype(bool)
+    wanted = np.maximum(-0.5 * 20.0 * run.time / 5.0, -0.1)[free]
+    assert free.sum() > 50
+    assert run.law_set_point_rate[free] == pytest.approx(wanted, abs=2e-3 + 1e-12)
+    assert np.abs(run.law_set_point_rate[free] - wanted)[run.time[free] < 0.05] == pytest.approx(0.0, abs=1e-12)
+    assert run.contact_force[-1] == pytest.approx(20.0, abs=0.1)

@@ -40,6 +40,24 @@ def test_poles_of_a_mass_on_a_spring(spring):
     np.testing.assert_allclose(sorted_by(found), sorted_by(wanted), rtol=1e-9)
 
 
+def test_poles_of_an_admittance_over_a_position_servo():
+    """The eigenvalues of mass, spring, servo and set point, written out for x, v, x_a and ẋ_a, to 1e-9."""
+    kp, kd, g, M, B, Bc = 4e4, 300.0, 0.5, 40.0, 100.0, 300.0
+    law = {
+        "kind": "servo_admittance", "kp": kp, "kd": kd, "gain_scaling": g, "admittance_inertia": M,
+        "admittance_damping": B, "contact_damping": Bc, "speed_limit": 1.0, "force": 10.0,
+    }  # fmt: skip
+    loop = cl.linearise(mass_on_a_spring(law=law))
+    a = np.array([
+        [0.0, 1.0, 0.0, 0.0],
+        [-(STIFFNESS + kp) / MASS, -(DAMPING + kd) / MASS, kp / MASS, kd / MASS],
+        [0.0, 0.0, 0.0, 1.0],
+        [-g * STIFFNESS / M, -g * DAMPING / M, 0.0, -(B + Bc) / M],
+    ])  # fmt: skip
+    found = [pole.s for pole in normal_poles(loop)]
+    np.testing.assert_allclose(sorted_by(found), sorted_by(np.linalg.eigvals(a)), rtol=1e-9)
+
+
 @pytest.mark.parametrize("scheme", ["semi_implicit_euler", "explicit_euler", "rk4"])
 def test_poles_as_the_integrator_makes_them(scheme):
     """A step of each scheme, written out for the three states v, x, ∫: its eigenvalues, to 1e-11."""

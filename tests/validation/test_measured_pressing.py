@@ -1,0 +1,123 @@
+"""The study of a robot that presses, on tests that the package makes itself in the form of the measured ones."""
+
+import json
+
+import numpy as np
+import pytest
+
+from closedloop.base.errors import ModelError
+from validation.measured.__main__ import main
+from validation.measured.pressing.fitting import intervals, residuals
+from validation.measured.pressing.judging import fits_of, judge
+from validation.measured.pressing.machine import CONTACT, MACHINE, ClosedLoopArm, pose, scenario
+from validation.measured.pressing.measures import figures
+from validation.measured.pressing.mujoco import MuJoCoArm
+from validation.measured.pressing.touchdowns import Touchdown, read
+
+VALUES = {p.name: p.first for p in (*MACHINE, *CONTACT)}
+NAMES = ("straight_F55_g1_v0.25", "straight_F35_g0.5_v0.10")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return a file of two tests that the machine itself made, and a fit whose numbers made them."""
+    folder, arrays = tmp_path_factory.mktemp("pressing"), {}
+    for name in NAMES:
+        place, force, gain, _ = name.split("_")
+        test = Touchdown(name, place, float(force[1:]), float(gain[1:]), 0.25, 0.2, 3.2, np.zeros(0), np.zeros(0))
+        time, force = ClosedLoopArm().simulate(VALUES, test)
+        at = np.arange(-0.1, 3.3, 8e-4)
+        speed = np.arange(-0.1, 3.3, 2e-3)
+        arrays[f"{name}/force_measured"] = np.array([at, np.interp(at, time, force)])
+        arrays[f"{name}/speed_measured"] = np.array([speed, np.full(len(speed), 0.2)])
+    np.savez(folder / "made.npz", **arrays)
+    mine = {"values": VALUES, "intervals": {n: (0.9 * x, 1.1 * x) for n, x in VALUES.items()}, "tests": [NAMES[0]]}
+    (folder / "fit.json").write_text(json.dumps({"closedloop": mine}))
+    return folder
+
+
+def test_what_the_machine_made_is_predicted(made):
+    """With the numbers that made it, every figure of the other test comes out, and the contract's keys are there."""
+    out = made / "out.json"
+    words = ["pressing", "--data", made / "made.npz", "--fitted", made / "fit.json", "--json", out]
+    assert main([str(word) for word in words]) == 0
+    numbers = json.loads(out.read_text())
+    ours = numbers["closedloop"]
+    assert (ours["tests"], list(ours["each"])) == (1, [NAMES[1]])
+    for key, within in (("peak_percent", 1.0), ("frequency_percent", 1.0), ("settling_percent", 1.0)):
+        assert ours[key] < within
+    assert ours["mean_newton"] < 0.01
+    assert numbers["poles"]["straight_F35_g0.5"]["frequency"] > 0.0
+
+
+def test_a_wrong_number_is_seen(made):
+    """A surface half as stiff strikes less: the residuals grow, and the interval of a number holds the true one."""
+    test = read(made / "made.npz")[1]
+    right = residuals(ClosedLoopArm(), VALUES, [test])
+    wrong = residuals(ClosedLoopArm(), VALUES | {"stiffness_straight": 0.5 * VALUES["stiffness_straight"]}, [test])
+    assert np.sum(right**2) < 0.05 < np.sum(wrong**2)
+    low, high = intervals(ClosedLoopArm(), VALUES, [test])["mode_inertia"]
+    assert low <= VALUES["mode_inertia"] <= high
+
+
+def test_a_fit_is_written_and_names_its_tests(made, monkeypatch):
+    """Where the file of the fit is not there, it is made from the tests to fit to, better than the first guess."""
+    monkeypatch.setattr("validation.measured.pressing.judging.find_spec", lambda name: None)
+    monkeypatch.setattr("validation.measured.pressing.fitting.BUDGET", 6)
+    path = made / "new.json"
+    fits = fits_of(read(made / "made.npz"), made / "made.npz", path)
+    assert fits["closedloop"]["tests"] == [NAMES[0]]
+    assert json.loads(path.read_text())["closedloop"]["values"] == fits["closedloop"]["values"]
+    assert fits_of([], made / "made.npz", path)["closedloop"]["cost"] == fits["closedloop"]["cost"]
+
+
+def test_figures_of_a_known_force():
+    """A decaying swing: its peak, frequency, decay, settling time and mean are those of its formula."""
+    t = np.arange(0.0, 4.0, 1e-4)
+    force = 50.0 + 40.0 * np.exp(-2.0 * t) * np.sin(2.0 * np.pi * 5.0 * t)
+    found = figures(t, force, 50.0, 3.0)
+    assert found.frequency == pytest.approx(5.0, rel=0.02)
+    assert found.decay == pytest.approx(2.0, rel=0.1)
+    assert found.settling == pytest.approx(np.log(40.0 / 5.0) / 2.0, abs=0.1)
+    assert found.mean == pytest.approx(50.0, abs=0.05)
+    assert (found.losses, found.peak) == (0, pytest.approx(force[t < 0.06].max(), rel=1e-3))
+    lost = np.where((t > 0.5) & (t < 0.6), 0.0, 50.0)
+    assert (figures(t, lost, 50.0, 3.0).losses, figures(t, lost, 50.0, 3.0).lost) == (1, pytest.approx(0.1, abs=0.005))
+
+
+def test_mujoco_has_the_same_machine():
+    """Off the contact's details both engines settle alike: the mean force of a touchdown is the commanded one in both."""
+    test = Touchdown(NAMES[0], "straight", 55.0, 1.0, 0.25, 0.2, 3.2, np.zeros(0), np.zeros(0))
+    peer = MuJoCoArm(VALUES)
+    found = [
+        figures(*engine.simulate(values, test), 55.0, 3.2)
+        for engine, values in ((ClosedLoopArm(), VALUES), (peer, {p.name: p.first for p in peer.parameters}))
+    ]
+    assert [one.mean for one in found] == pytest.approx([55.0, 55.0], abs=0.5)
+    assert found[1].peak == pytest.approx(found[0].peak, rel=0.4)
+
+
+def test_the_pose_points_the_tool_down():
+    """The tip is at its place, and its speed at the start is the test's, straight down."""
+    q, rates = pose("ramp")
+    test = Touchdown("ramp_F15_g1_v0.10", "ramp", 15.0, 1.0, 0.1, 0.1, 3.2, np.zeros(0), np.zeros(0))
+    assert scenario(VALUES, test).start.v == pytest.approx(0.1 * rates)
+    assert q[1] < 0.0 < q[2]
+
+
+@pytest.mark.parametrize(
+    ("name", "arrays", "said"),
+    [
+        ("sideways_F15_g1_v0.10", {}, "must be PLACE_F"),
+        ("ramp_F15_g1_v0.10", {"force_measured": np.zeros(3)}, r"force_measured: must be \(2, N\)"),
+        ("ramp_F15_g1_v0.10", {"force_measured": np.zeros((2, 3)), "speed_measured": np.zeros((2, 3))}, "must rise"),
+    ],
+)
+def test_what_is_no_test_is_said(tmp_path, name, arrays, said):
+    """A name or an array of another form is refused in one line, and so is a study without its data."""
+    arrays = arrays or {"force_measured": np.zeros((2, 3))}
+    np.savez(tmp_path / "x.npz", **{f"{name}/{key}": value for key, value in arrays.items()})
+    with pytest.raises(ModelError, match=said):
+        read(tmp_path / "x.npz")
+    with pytest.raises(ModelError, match="give them, --data"):
+        judge()

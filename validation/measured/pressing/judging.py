@@ -1,0 +1,213 @@
+"""The table of `python -m validation.measured pressing`: each test measured and simulated, and what the fit says."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import closedloop as cl
+from closedloop.base.errors import ClosedLoopError, ModelError
+from closedloop.base.files import reason_of, write_whole
+from validation.measured.judged import Judged
+from validation.measured.pressing.fitting import TRAINING, Engine, Fit, fit, measured_figures
+from validation.measured.pressing.machine import MACHINE, ClosedLoopArm, scenario
+from validation.measured.pressing.measures import SMOOTH, Figures, figures
+from validation.measured.pressing.mujoco import MuJoCoArm
+from validation.measured.pressing.touchdowns import Touchdown, read
+
+OURS, PEER = ClosedLoopArm.name, MuJoCoArm.name
+# What a prediction may differ by: means over the tests, of sizes of the difference.
+GOALS = {"peak_percent": 15.0, "frequency_percent": 10.0, "settling_percent": 30.0, "mean_newton": 1.0}
+# A number whose interval spans more than this factor is not determined.
+DETERMINED = 4.0
+
+
+def judge(given: Path | None = None, fitted: Path | None = None) -> Judged:
+    """Fit the machine to tests of a file, or take a fit, and predict the other tests.
+
+    Parameters
+    ----------
+    given : Path
+        The measurements, see `touchdowns.read`.
+    fitted : Path, optional
+        A file of fitted numbers: used if it exists, else written.
+
+    Raises
+    ------
+    ModelError
+        If a file cannot be read, or nothing is there to fit or to predict.
+    """
+    if given is None:
+        raise ModelError("pressing: its measurements are not part of the package (GPL-3): give them, --data FILE.npz")
+    tests = read(given)
+    fits = fits_of(tests, given, fitted)
+    rest = [test for test in tests if test.name not in fits[OURS]["tests"]]
+    if not rest:
+        raise ModelError(f"{given}: every test is one that the machine was fitted to: give others")
+    judged = Judged("A UR10e in its force mode comes down", str(given))
+    judged.lines.append(f"{len(rest)} tests predicted, with numbers fitted to {len(fits[OURS]['tests'])} others")
+    errors = {}
+    for engine in engines(fits):
+        found = [_simulated(engine, fits[engine.name]["values"], test) for test in rest]
+        errors[engine.name] = _errors(rest, found)
+        judged.numbers[engine.name] = errors[engine.name] | {
+            "each": {test.name: one._asdict() for test, one in zip(rest, found, strict=True)},
+            "values": fits[engine.name]["values"], "intervals": fits[engine.name]["intervals"],
+        }  # fmt: skip
+    judged.numbers["measured"] = {test.name: measured_figures(test)._asdict() for test in rest}
+    _table(judged, rest)
+    _compare(judged, errors)
+    _fitted(judged, fits)
+    _why(judged, fits[OURS]["values"], tests)
+    return judged
+
+
+def engines(fits: Mapping[str, Any]) -> list[Engine]:
+    """Return the engines that have been fitted and are installed."""
+    found: list[Engine] = [ClosedLoopArm()]
+    if PEER in fits and find_spec("mujoco") is not None:
+        found.append(MuJoCoArm(fits[OURS]["values"]))
+    return found
+
+
+def fits_of(tests: Sequence[Touchdown], given: Path, fitted: Path | None) -> dict[str, Any]:
+    """Return values, intervals and tests of each engine by its name: read from a file, or found and written to it."""
+    if fitted is not None and fitted.exists():
+        return _read_fits(fitted)
+    training = [test for test in tests if test.name in TRAINING]
+    if not training:
+        raise ModelError(f"{given}: has none of the tests to fit to, {', '.join(TRAINING)}: give --fitted FILE")
+    fits = {OURS: _entry(fit(ClosedLoopArm(), training, told=print), training)}
+    if find_spec("mujoco") is not None:
+        peer = MuJoCoArm(fits[OURS]["values"])
+        fits[PEER] = _entry(fit(peer, training, told=print), training)
+    if fitted is not None:
+        write_whole(fitted, f"{json.dumps(fits, indent=2)}\n".encode())
+    return fits
+
+
+def _entry(found: Fit, tests: Sequence[Touchdown]) -> dict[str, Any]:
+    return dataclasses.asdict(found) | {"tests": [test.name for test in tests]}
+
+
+def _read_fits(path: Path) -> dict[str, Any]:
+    try:
+        fits = json.loads(path.read_text(encoding="utf-8"))
+        for kind, parameters in ((OURS, ClosedLoopArm.parameters), (PEER, MuJoCoArm.parameters)):
+            for p in parameters if kind in (OURS, *fits) else ():
+                if not float(fits[kind]["values"][p.name]) > 0.0:
+                    raise ModelError(f"{path}: {kind}: {p.name} must be above 0")
+                list(fits[kind]["intervals"][p.name])
+            list(fits[kind]["tests"] if kind in fits else ())
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {reason_of(error)}") from None
+    except (ValueError, KeyError, TypeError):
+        raise ModelError(f"{path}: is no fit, as --fitted writes it to a file that is not there yet") from None
+    return dict(fits)
+
+
+def _simulated(engine: Engine, values: Mapping[str, float], test: Touchdown) -> Figures:
+    time, force = engine.simulate(values, test)
+    return figures(time, force, test.force, test.rest)
+
+
+def settles(found: Figures, test: Touchdown) -> bool:
+    """Whether the force stays within its band before the rest ends."""
+    return found.settling < test.rest - 2.0 * SMOOTH
+
+
+def _errors(tests: Sequence[Touchdown], found: Sequence[Figures]) -> dict[str, Any]:
+    """Return the mean sizes of the differences; of the settling time over the tests that settle as measured."""
+    pairs = [(measured_figures(test), one, test) for test, one in zip(tests, found, strict=True)]
+    settling = [abs(one.settling / want.settling - 1.0) for want, one, test in pairs if settles(want, test)]
+    return {
+        "peak_percent": 100.0 * float(np.mean([abs(one.peak / want.peak - 1.0) for want, one, _ in pairs])),
+        "frequency_percent": 100.0 * float(np.mean([abs(f.frequency / w.frequency - 1.0) for w, f, _ in pairs])),
+        "settling_percent": 100.0 * float(np.mean(settling)) if settling else None,
+        "mean_newton": float(np.mean([abs(one.mean - want.mean) for want, one, _ in pairs])),
+        "tests": len(tests), "tests_that_settle": len(settling),
+        "settle_alike": sum(settles(want, test) == settles(one, test) for want, one, test in pairs),
+    }  # fmt: skip
+
+
+def _table(judged: Judged, tests: Sequence[Touchdown]) -> None:
+    """Add each figure of each test: measured, then simulated by each engine."""
+    names = [name for name in (OURS, PEER) if name in judged.numbers]
+    units = ("N", "", "s", "Hz", "1/s", "s", "N", "N")
+    judged.lines += ["", f"each: measured, {', '.join(names)}; no settling time: the force does not settle"]
+    columns = [f"{name}{', ' + unit if unit else ''}" for name, unit in zip(Figures._fields, units, strict=True)]
+    judged.lines.append(f"  {'':26}" + "".join(f"{column:>22}" for column in columns))
+    for test in tests:
+        rows = [judged.numbers["measured"], *(judged.numbers[name]["each"] for name in names)]
+        texts = []
+        for key in Figures._fields:
+            told = [_text(key, Figures(**row[test.name]), test) for row in rows]
+            texts.append(f"{' '.join(told):>22}")
+        judged.lines.append(f"  {test.name:26}" + "".join(texts))
+
+
+def _text(key: str, found: Figures, test: Touchdown) -> str:
+    value = getattr(found, key)
+    if key == "settling" and not settles(found, test):
+        return "-"
+    return f"{value:.0f}" if key in ("peak", "losses") else f"{value:.2f}"
+
+
+def _compare(judged: Judged, errors: Mapping[str, Mapping[str, Any]]) -> None:
+    """Add the mean differences, and a fault for each beyond its goal or above the peer's."""
+    judged.lines += ["", "mean difference from the measurement (goal)"]
+    for name, told in errors.items():
+        parts = [f"{key} {told[key]:.3g} ({GOALS[key]:g})" for key in GOALS if told[key] is not None]
+        alike = f"{told['settle_alike']} of {told['tests']} settle, or do not, as measured"
+        judged.lines.append(f"  {name:12}{', '.join(parts)}; {alike}")
+    for key, goal in GOALS.items():
+        ours, peer = errors[OURS][key], errors.get(PEER, {}).get(key)
+        if ours is not None and ours > goal:
+            judged.faults.append(f"{key}: {ours:.3g}, over {goal:g}")
+        if None not in (ours, peer) and ours > peer:
+            judged.faults.append(f"{key}: {ours:.3g}, above {peer:.3g} of {PEER}")
+
+
+def _fitted(judged: Judged, fits: Mapping[str, Any]) -> None:
+    """Add the fitted numbers and their intervals, and which are not determined."""
+    for name, parameters in ((OURS, ClosedLoopArm.parameters), (PEER, MuJoCoArm.parameters)):
+        if name not in fits:
+            continue
+        shared = "" if name == OURS else f", beside the {len(MACHINE)} numbers of the machine above"
+        judged.lines += ["", f"fitted, {name}{shared}, with 95 % intervals"]
+        for p in parameters:
+            low, high = fits[name]["intervals"][p.name]
+            unsure = "" if high < DETERMINED * low else "   not determined"
+            value = fits[name]["values"][p.name]
+            judged.lines.append(f"  {p.name:20}{value:10.3g}{low:12.2g} to {high:.2g} {p.unit}{unsure}")
+
+
+def _why(judged: Judged, values: Mapping[str, float], tests: Sequence[Touchdown]) -> None:
+    """Add the slowest oscillating pole of the loop at rest in each kind of test."""
+    judged.lines += ["", "the loop at rest, linear: the pole that swings, and its part"]
+    poles = judged.numbers["poles"] = {}
+    kinds = {(test.place, test.force, test.gain): test for test in reversed(tests)}
+    for test in reversed(kinds.values()):
+        at = swing_pole(values, test)
+        if at is None:
+            continue
+        place = test.name.rpartition("_")[0]
+        poles[place] = {"frequency": at.frequency, "damping": at.damping}
+        part = max(at.participation, key=lambda name: at.participation[name])
+        judged.lines.append(f"  {place:20}{at.frequency:6.2f} Hz, damping ratio {at.damping:.2f}, of the {part}")
+
+
+def swing_pole(values: Mapping[str, float], test: Touchdown) -> Any:
+    """Return the oscillating pole of lowest frequency of the loop at rest, or None if there is none."""
+    try:
+        loop = cl.linearise(scenario(values, test), at=test.rest - 0.1)
+    except ClosedLoopError:
+        return None
+    found = [pole for pole in loop.poles() if pole.s.imag > 0.0 and pole.participation.get("law", 0.0) > 0.1]
+    return min(found, key=lambda pole: pole.frequency, default=None)

@@ -1,0 +1,133 @@
+"""The UR10e of the tests as a scenario: the maker's arm, a tool, elastic joints, a position servo and a force mode.
+
+What is public is taken: kinematics and inertia of the maker (data/ur10e.urdf), mass, centre and tip of the tool and the
+poses of the tests from the scripts and settings of the measurements' repository, the servo's cycle of 2 ms. What is not
+public, is fitted: `PARAMETERS`. The tool's own tensor is a guess, that of a body of its size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+import closedloop as cl
+import robot_models
+from closedloop.base.arrays import Array
+from closedloop.base.errors import ClosedLoopError
+from closedloop.scenario.scenario import Scenario
+from validation.measured.data_file import DATA
+from validation.measured.pressing.touchdowns import Touchdown
+
+URDF, FLANGE = DATA / "ur10e.urdf", "tool0"
+# Tool centre point and centre of mass in the flange's axes, m, and its turn about the flange's axis; mass, kg.
+TIP, CENTRE, TURN, MASS = (0.07188, -0.0415, 0.2594), (0.001, -0.002, 0.15), np.radians(-30.0), 6.86
+TENSOR = (0.05, 0.05, 0.02, 0.0, 0.0, 0.0)
+# Where the tip is in contact, m, in the arm's base frame. The tool points down, turned half about its axis in one.
+PLACES = {"direct": (-0.734, 0.0, 0.0438), "straight": (-0.727, 0.265, 0.082), "ramp": (-0.708, 0.25, 0.183)}
+HALF_TURNED = ("direct",)
+NEAR = (-0.4, -1.4, 2.0, -2.1, -np.pi / 2.0, 0.0)  # rad: elbow up
+CYCLE, STEP, GAP = 0.002, 4e-4, 5e-4  # s, s, and the height from which a run starts, m
+# The sizes of the joints, largest first: stiffness, inertia and gains of a wrist are this share of those of the others.
+WRIST = 0.2
+SIZES = np.array([1.0, 1.0, 1.0, WRIST, WRIST, WRIST])
+
+
+class Parameter(NamedTuple):
+    """A number that is fitted: name, unit, first value, and bounds."""
+
+    name: str
+    unit: str
+    first: float
+    low: float
+    high: float
+
+
+MACHINE = (
+    Parameter("joint_stiffness", "N m/rad", 3e4, 5e3, 5e5),  # of the three large joints
+    Parameter("joint_damping", "N m s/rad", 60.0, 5.0, 600.0),
+    Parameter("motor_inertia", "kg m²", 6.0, 0.5, 40.0),
+    Parameter("servo_stiffness", "N m/rad", 1e4, 2e3, 2e5),
+    Parameter("servo_damping", "N m s/rad", 300.0, 30.0, 6e3),
+    Parameter("mode_inertia", "kg", 50.0, 15.0, 150.0),
+    Parameter("mode_damping", "N s/m", 100.0, 5.0, 4e3),
+    Parameter("delay", "s", 0.005, 0.002, 0.03),  # of the reading: the time constant of its low-pass
+)
+# The stiffness is the mean one at this depth, m: f = k d (depth/d)^exponent.
+DEPTH = 1e-3
+FIRST_STIFFNESS = {"direct": 1e6, "straight": 3e5, "ramp": 1e5}
+CONTACT = (
+    *(Parameter(f"stiffness_{place}", "N/m", k, 1e4, 1e8) for place, k in FIRST_STIFFNESS.items()),
+    *(Parameter(f"exponent_{place}", "1", 1.5, 1.0, 6.0) for place in PLACES),
+    Parameter("dissipation", "s/m", 1.0, 1e-2, 30.0),
+)
+
+
+@cache
+def pose(place: str) -> tuple[Array, Array]:
+    """Return q (6,), rad, with the tip at a place, and q̇ (6,), rad/s, at which it comes down upright at 1 m/s."""
+    arm = cl.Robot(robot_models.load(str(URDF)), FLANGE)
+    turn = TURN + (0.0 if place in HALF_TURNED else np.pi)
+    down = np.array([[np.cos(turn), np.sin(turn), 0.0], [np.sin(turn), -np.cos(turn), 0.0], [0.0, 0.0, -1.0]])
+
+    def tip(q: Array) -> Array:
+        (axes,), (at,) = arm.frame_poses(FLANGE, q[None])
+        return np.concatenate([at + axes @ TIP - PLACES[place], (axes - down).ravel()])
+
+    found = least_squares(tip, NEAR, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    rates = np.linalg.lstsq(found.jac, -np.eye(12)[2], rcond=None)[0]
+    return found.x, rates
+
+
+def scenario(values: Mapping[str, float], test: Touchdown) -> Scenario:
+    """Return the scenario of a test, from `GAP` above the surface on."""
+    q, rates = pose(test.place)
+    exponent = values[f"exponent_{test.place}"]
+    return cl.load_scenario("soft_table", {
+        "description": test.name,
+        "robot": {"model": str(URDF), "tip": FLANGE, "drive_inertia": False},
+        "tool": {"offset": TIP, "mass": MASS, "centre": CENTRE, "inertia": TENSOR},
+        "surface": {"kind": "plane", "normal": [0, 0, 1], "offset": "start", "gap": GAP, "contact": "unilateral"},
+        "compliance": {
+            "kind": "hunt_crossley", "exponent": exponent, "dissipation": values["dissipation"],
+            "stiffness": values[f"stiffness_{test.place}"] * DEPTH ** (1.0 - exponent),
+        },
+        "transmission": {
+            "stiffness": list(values["joint_stiffness"] * SIZES), "damping": list(values["joint_damping"] * SIZES),
+            "motor_inertia": list(values["motor_inertia"] * SIZES), "measured": "motor",
+        },
+        "sensor": {"filter_time_constant": values["delay"]},
+        "reference": {"kind": "hold"},
+        "law": {
+            "kind": "servo_admittance", "force": test.force, "gain_scaling": test.gain, "speed_limit": test.limit,
+            "kp": list(values["servo_stiffness"] * SIZES), "kd": list(values["servo_damping"] * SIZES),
+            "admittance_inertia": values["mode_inertia"], "admittance_damping": 0.0,
+            "contact_damping": values["mode_damping"], "sample_period": CYCLE,
+        },
+        "start": {"q": list(q), "v": list(test.speed * rates)},
+        "stabiliser": {"kind": "none"},
+        "time": {"duration": test.rest + 0.01, "step": STEP, "integrator": "rk4"},
+    })  # fmt: skip
+
+
+def contact_time(time: Array, force: Array) -> float:
+    """Return the instant of the first force, s."""
+    return float(time[np.argmax(force > 0.0)])
+
+
+class ClosedLoopArm:
+    """The scenario in this package's compiled engine."""
+
+    name: ClassVar = "closedloop"
+    parameters: ClassVar[Sequence[Parameter]] = (*MACHINE, *CONTACT)
+
+    def simulate(self, values: Mapping[str, float], test: Touchdown) -> tuple[Array, Array]:
+        """Return time (N,), s, 0 at the first contact, and force (N,), N; none of a run that could not go on."""
+        try:
+            run = cl.simulate(scenario(values, test), progress=False, engine="compiled")
+        except ClosedLoopError:
+            return np.zeros(1), np.zeros(1)
+        return run.time - contact_time(run.time, run.contact_force), run.contact_force

@@ -28,11 +28,13 @@ def main(words: list[str]) -> int:
         "consistent with its own motion and torques. --SECTION.KEY VALUE changes the scenario.",
         cure="such as: closedloop compare log.csv --scenario wam_slide",
     )
-    parser.add_argument("log", metavar="LOG", help=".csv, .parquet, .nc, .mcap, rosbag2, or a run.nc of this simulator")
+    parser.add_argument(
+        "log", metavar="LOG", help=".csv, .parquet, .nc, .mcap, rosbag2, or a run.nc; force or speed alone will do"
+    )
     parser.add_argument("--scenario", required=True, help="a scenario that ships, or a .toml")
     parser.add_argument(
         "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",
-        help="columns of time, q, torque ({} for the joint) and force (one, or three with commas); repeat it for each",
+        help="columns of time, q, torque ({} for the joint), force (one, or three with commas), speed; repeat it for each",
     )  # fmt: skip
     parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
     parser.add_argument("--gain", type=float, default=1.0, metavar="N", help="factor of the log's torques")

@@ -139,12 +139,12 @@ def expected_force(
         missing = "torque" if torque is None else "force"
         raise LogError(f"{recording.source}: has no {missing}: the meaning of its force cannot be determined")
     step, N = recording.step, len(recording.time)
-    cutoff = usual_cutoff(Log(recording.time, recording.q, torque)) if cutoff is None else cutoff
+    cutoff = usual_cutoff(Log(recording.time, recording.positions, torque)) if cutoff is None else cutoff
     if not 0.0 < cutoff < 0.5 / step:
         raise LogError(f"cutoff is {cutoff:.6g} Hz: it must be above 0 and below half the rate, {0.5 / step:.6g} Hz")
     low_pass = signal.butter(4, 2.0 * cutoff * step, output="sos")
     edge = min(round(EDGE / (cutoff * step)), N // 4)
-    q, Q, f = (signal.sosfiltfilt(low_pass, x, axis=0) for x in (recording.q, torque, force))
+    q, Q, f = (signal.sosfiltfilt(low_pass, x, axis=0) for x in (recording.positions, torque, force))
     v = np.gradient(q, step, axis=0)
     a = np.zeros_like(q)  # differences of neighbours lose less of fast motions than those of differences
     a[1:-1] = np.diff(q, 2, axis=0) / step**2

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from closedloop.record.run import Run
     from robot_models import RobotModel
 
+# What the column of the tip's speed is called.
+SPEED = ("speed", "tip_speed", "tcp_speed")
 # What the columns of a force are called: one that is along the surface's normal, or three along the base's axes.
 FORCE = ("contact_force", "normal_force", "force", "f", "fn", "f_n")
 FORCES = (("force_{}", "xyz"), ("f{}", "xyz"), ("f_{}", "xyz"), ("force.{}", "xyz"), ("wrench.force.{}", "xyz"))
@@ -33,8 +35,8 @@ class Recording:
     ----------
     time : (N,)
         s, increasing.
-    q : (N, n)
-        Joint positions, rad (m).
+    q : (N, n), optional
+        Joint positions, rad (m); None where only the force, or the tip's speed, was recorded.
     torque : (N, n), optional
         Torques of the drives at the joints, N m (N).
     force : (N,) or (N, 3), optional
@@ -43,14 +45,27 @@ class Recording:
         Named in messages.
     v : (N, n), optional
         Joint velocities, rad/s (m/s): only compared with the rates of the positions, to find wrong units and orders.
+    speed : (N,), optional
+        Size of the tip's velocity, m/s.
     """
 
     time: Array
-    q: Array
+    q: Array | None = None
     torque: Array | None = None
     force: Array | None = None
     source: str = "the log"
     v: Array | None = None
+    speed: Array | None = None
+
+    @property
+    def positions(self) -> Array:
+        """Joint positions q (N, n); LogError if the recording has none."""
+        if self.q is None:
+            raise LogError(
+                f"{self.source}: has no joint positions q: a contact is identified from how deep the tip is, which "
+                "force and speed alone do not tell; where the tip's path is known, it is q of --robot pointmass3"
+            )
+        return self.q
 
     @property
     def step(self) -> float:
@@ -81,8 +96,8 @@ def read_recording(
     robot : RobotModel
         Whose joints the columns are of.
     columns : mapping, optional
-        Of "time", "q", "torque", "force" to names, as `closedloop.studies.identify.read.read_log` takes them; of
-        "force" one name, or three with commas between.
+        Of "time", "q", "torque", "force", "speed" to names, as `closedloop.studies.identify.read.read_log` takes them;
+        of "force" one name, or three with commas between.
     degrees : bool
         Whether angles are in degrees.
     gain : float or (n,)
@@ -94,8 +109,8 @@ def read_recording(
         If the file cannot be read, a column is missing, a value is not finite, or time jumps.
     """
     path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
-    if unknown := set(given) - {"time", "q", "torque", "force"}:
-        raise LogError(f"--columns {sorted(unknown)[0]}: is none of time, q, torque, force")
+    if unknown := set(given) - {"time", "q", "torque", "force", "speed"}:
+        raise LogError(f"--columns {sorted(unknown)[0]}: is none of time, q, torque, force, speed")
     if path.suffix.lower() == ".nc" and not given:
         run = run_of(path)
         if run is not None:
@@ -106,17 +121,29 @@ def read_recording(
                 )
             return checked(of_run(run, str(path)), robot)
     table = table_of(path)
-    force_names = given.pop("force", None)
+    force_names, speed_name = given.pop("force", None), given.pop("speed", None)
     time = time_of(table, given.get("time"), path)
     q, torque, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "torque", "v"))
-    if q is None:
+    if q is not None:
+        check_positions(q, robot, str(path))
+    force, speed = _force(table, force_names, path), _speed(table, speed_name, path)
+    if q is None and force is None and speed is None:
         raise LogError(
-            f"{path}: no columns for q of the joints {', '.join(robot.joint_names)}: name them, as in "
-            f"--columns q='q_{{}}'; it has {listed(table)}"
+            f"{path}: no columns for q of the joints {', '.join(robot.joint_names)}, for force or for speed: name "
+            f"them, as in --columns q='q_{{}}'; it has {listed(table)}"
         )
-    check_positions(q, robot, str(path))
-    force = _force(table, force_names, path)
-    return checked(Recording(time, q, None if torque is None else torque * factors, force, str(path), v), robot)
+    return checked(Recording(time, q, None if torque is None else torque * factors, force, str(path), v, speed), robot)
+
+
+def _speed(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:
+    """Return the column of the tip's speed, m/s, or None if there is none."""
+    for name in [asked] if asked else SPEED:
+        found = columns_named(table, [name], "speed", path)
+        if found is not None:
+            return found[0]
+    if asked:
+        raise LogError(f"{path}: --columns speed={asked}: no column {asked!r}; it has {listed(table)}")
+    return None
 
 
 def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:
@@ -152,6 +179,7 @@ def checked(recording: Recording, robot: RobotModel) -> Recording:
         ("torque", recording.torque, [(N, robot.n)]),
         ("force", recording.force, [(N,), (N, 3)]),
         ("v", recording.v, [(N, robot.n)]),
+        ("speed", recording.speed, [(N,)]),
     ):
         if x is None:
             continue
@@ -159,7 +187,12 @@ def checked(recording: Recording, robot: RobotModel) -> Recording:
             raise LogError(f"{where}: {name} has shape {np.shape(x)}: must be {' or '.join(map(str, shapes))}")
         if not np.isfinite(x).all():
             raise LogError(f"{where}: {name} in row {int(np.argwhere(~np.isfinite(x))[0][0])} is not finite")
-    check_motion(recording.q, recording.v, check_time(time, where), robot, where)
+    step = check_time(time, where)
+    if recording.q is None:
+        if recording.force is None and recording.speed is None:
+            raise LogError(f"{where}: has neither q nor force nor speed: there is nothing to compare")
+        return recording
+    check_motion(recording.q, recording.v, step, robot, where)
     if recording.torque is not None:
         check_torques(recording.q, recording.torque, robot, where)
     return recording

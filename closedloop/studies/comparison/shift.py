@@ -18,10 +18,12 @@ STILL = 1e-4
 
 def shift_of(clock: Array, recording: Recording, run: Run) -> tuple[float, str]:
     """Return the shift at which log and run differ least, and what told it."""
-    pairs = [("q", recording.q, run.q)]
+    pairs = [("q", recording.q, run.q)] if recording.q is not None else []
     if recording.force is not None and run.scenario.has_surface:
         size = recording.force if recording.force.ndim == 1 else np.linalg.norm(recording.force, axis=1)
         pairs.append(("force", np.abs(size)[:, None], np.abs(run.contact_force)[:, None]))
+    if recording.speed is not None:
+        pairs.append(("speed", recording.speed[:, None], np.linalg.norm(run.velocity, axis=1)[:, None]))
     for name, logged, simulated in pairs:
         spread = simulated.std(axis=0)
         moves = (spread > STILL) & (logged.std(axis=0) > STILL)

@@ -75,11 +75,11 @@ class LogComparison:
     shift : float
         The instant t of the run is t + `shift` of the log, counted from the log's first row, s.
     shift_from : str
-        The quantity from which the shift was found: "q", "force", or "" where nothing moves and the shift is 0.
+        From which quantity the shift was found: "q", "force", "speed", or "" where nothing moves and the shift is 0.
     overlap : float
         Length of time that both cover, s.
     differences : dict of str to Difference
-        "q", and "torque" and "force" where the log has them.
+        "q", "torque", "force" and "speed", those that the log has.
     audit : Audit or None
         Audit of the log's force; None without torque, force or surface.
     notes : list of str
@@ -203,12 +203,14 @@ def compare_log(
     q, v, torque = (_at(time, run, name) for name in ("q", "v", "torque"))
     robot = Robot(run.model, run.scenario.robot.tip) if run.model.tip or run.scenario.robot.tip else None
     names = run.model.joint_names
-    differences = {
-        "q": Difference(
+    differences = {}
+    if recording.q is not None:
+        differences["q"] = Difference(
             "joint positions", "rad (m)", names, time, recording.q[inside], q,
             explain(*of_joints(recording.q[inside] - q, names, v, torque), rms(q)),
-        )
-    }  # fmt: skip
+        )  # fmt: skip
+    else:
+        notes.append("the log has no joint positions: joints are not compared")
     normal = _at(time, run, "surface_normal") if normal_there else None
     told = None
     if recording.torque is not None:
@@ -232,11 +234,16 @@ def compare_log(
             "contact force along the normal", "N", ("on the robot",), time, along[:, None], force[:, None],
             explain(along - force, force_hypotheses(force, np.gradient(force, time)), rms(force)),
         )  # fmt: skip
-        if recording.torque is not None and robot is not None:
+        if recording.torque is not None and recording.q is not None and robot is not None:
             part = Recording(time, recording.q[inside], recording.torque[inside], logged, recording.source)
             told = audit(part, robot, normal, cutoff)
     elif recording.force is None:
         notes.append("the log has no force")
+    if recording.speed is not None:
+        speed = np.linalg.norm(_at(time, run, "velocity"), axis=1)
+        differences["speed"] = Difference(
+            "speed of the tip", "m/s", ("its size",), time, recording.speed[inside, None], speed[:, None], []
+        )
     return LogComparison(run, float(found), by, float(time[-1] - time[0]), differences, told, notes)
 
 

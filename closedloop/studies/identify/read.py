@@ -47,6 +47,7 @@ UNITS = {
         for force, k in FORCES.items() for length, arm in LENGTHS.items() for times in ("", " ", "*", "·", ".")
     },
     "force": FORCES,
+    "speed": {f"{unit}{per}": k for unit, k in LENGTHS.items() for per in ("/s", " s^-1", " s-1")},
 }  # fmt: skip
 MOST_LISTED = 12
 _UNIT = re.compile(r"\s*[\[(]([^\[\]()]*)[\])]$")

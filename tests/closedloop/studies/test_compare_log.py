@@ -140,7 +140,7 @@ def test_bad_input_is_one_line(run, tmp_path, capsys):
     for words, expected in (
         ([str(tmp_path / "log.csv")], "no columns for q"),
         ([str(tmp_path / "none.csv")], "cannot be read"),
-        ([str(tmp_path / "log.csv"), "--columns", "speed=v"], "is none of time, q, torque, force"),
+        ([str(tmp_path / "log.csv"), "--columns", "pace=v"], "is none of time, q, torque, force"),
     ):
         with pytest.raises(SystemExit) as ended:
             raise SystemExit(main([*words, *scenario]))
@@ -197,3 +197,25 @@ def test_a_log_at_rest_is_compared(run):
     log = Recording(run.time, np.tile(run.q[0], (n, 1)), np.tile(run.torque[0], (n, 1)), np.full(n, 5.0))
     found = cl.compare_log(log, run.scenario)
     assert found.differences["q"].rms.max() > 0.0
+
+
+def test_a_log_of_force_and_speed_alone_is_compared(run, tmp_path, capsys):
+    """Without joints the shift is found by the force; half the force is named, and the speed is the tip's."""
+    force = np.array(run.contact_force) + 2.0 * np.sin(9.0 * run.time)
+    speed = np.linalg.norm(run.velocity, axis=1)
+    rows = {"time": run.time[200:] + 5.0, "force": 0.5 * force[200:], "tcp_speed": speed[200:]}
+    pd.DataFrame(rows).to_csv(tmp_path / "force.csv", index=False)
+    scenario = ["--scenario", "planar2_slide", "--time.duration", "3.0"]
+    assert main([str(tmp_path / "force.csv"), *scenario, "--shift", "-0.2", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) >= {"force", "speed"}
+    assert "q" not in found
+    assert max(found["speed"]["rms"]) < 1e-6
+    assert found["force"]["rms"][0] > 0.3 * found["force"]["size"][0]
+    assert "the log has no joint positions: joints are not compared" in found["notes"]
+    part = Recording(run.time[200:], force=np.array(run.contact_force)[200:], speed=speed[200:])
+    assert cl.compare_log(part, run.scenario).shift == pytest.approx(-0.2, abs=2e-3)
+    with pytest.raises(LogError, match="neither q nor force nor speed"):
+        cl.compare_log(Recording(run.time), run.scenario)
+    with pytest.raises(LogError, match="force and speed alone do not tell"):
+        cl.identify_contact(part, "planar2", normal=(0.0, 1.0, 0.0))

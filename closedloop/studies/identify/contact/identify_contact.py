@@ -179,8 +179,8 @@ def identify_contact(
         recording = log if isinstance(log, Recording) else read_recording(log, model)
     recording = checked(recording, model)
     if not isinstance(log, Run):
-        check_positions(recording.q, model, recording.source)
-    if np.ptp(recording.q, axis=0).max() == 0.0:
+        check_positions(recording.positions, model, recording.source)
+    if np.ptp(recording.positions, axis=0).max() == 0.0:
         raise LogError(f"{recording.source}: the robot rests: no joint moves, nothing can be found")
     mechanics = Robot(model, tip)
     z = float(stats.norm.ppf(0.5 + 0.5 * confidence))

@@ -58,7 +58,7 @@ class Touch:
 
 def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
     """Return where the tip of a recording is, and when it touches a plane."""
-    time, q, force = recording.time, recording.q, recording.force
+    time, q, force = recording.time, recording.positions, recording.force
     stride = -(-len(time) // EVALUATIONS)
     if stride > 1:
         time, q = _averaged(time, stride), _averaged(q, stride)

@@ -34,7 +34,7 @@ def main(words: list[str]) -> int:
     parser.add_argument("--scenario", required=True, help="a scenario that ships, or a .toml")
     parser.add_argument(
         "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",
-        help="columns of time, q, torque ({} for the joint), force (one, or three with commas), speed; repeat it for each",
+        help="columns of time, q, torque ({} for the joint), force (one, or three with commas), speed; repeat it",
     )  # fmt: skip
     parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
     parser.add_argument("--gain", type=float, default=1.0, metavar="N", help="factor of the log's torques")

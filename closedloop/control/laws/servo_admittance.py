@@ -1,6 +1,6 @@
 """Admittance over a position servo: the measured force moves set points of the joints, which their servos follow.
 
-    Outer loop, along n:   (M/g) ẍ_a = f_s − f_des − (B + B_c)/g ẋ_a,      |ẋ_a| ≤ v_max,  B_c in contact only
+    Outer loop, along n:   (M/g) ẍ_a = f_s − f_des − (B + B_c) ẋ_a,      |ẋ_a| ≤ v_max,  B_c in contact only
     Set points:            q_a = q_des + A⁺n x_a,        q̇_a = q̇_des + A⁺n ẋ_a
     Position servo:        Q = C + K_p (q_a − q) + K_d (q̇_a − q̇)
 
@@ -8,8 +8,8 @@ Most industrial arms take set points and no torques, so this is the form of thei
 of the force, which the arm feels through its set points alone. A⁺ is the pseudo-inverse of the tip's Jacobian: the
 joint rates of least norm that move the tip along n. In free motion f_s = 0 and the set point gains speed at g f_des/M
 up to v_max. In contact at rest f_s = f_des, whatever the servo's stiffness: ẋ_a is the integral of the force error. On
-a surface that with servo and joints has the stiffness k along n, M/g ẍ_a + (B + B_c)/g ẋ_a + k x_a = 0: the force
-swings at √(g k/M) and decays with (B + B_c)/2M, less the sensor's delay and the servo's lag.
+a surface that with servo and joints has the stiffness k along n, (M/g) ẍ_a + (B + B_c) ẋ_a + k x_a = 0: the force
+swings at √(g k/M) and decays with g (B + B_c)/2M, less what the sensor's delay and the servo's lag take from it.
 
 Sources: the position-based form of D. Whitney, J. Dynamic Systems, Measurement and Control 99(2), 1977, and G. Zeng, A.
 Hemami, An overview of robot force control, Robotica 15(5), 1997. M, g, B and v_max are what a maker's force mode has as
@@ -40,7 +40,7 @@ class ServoAdmittanceLaw(ControlLaw):
         description="damping K_d of the position servo, N m s/rad, one per joint or one for all"
     )
     gain_scaling: Annotated[Positive, gain_in("")] = Field(
-        1.0, description="g: the force error, and the damping with it, act g times on the set point"
+        1.0, description="g: the force error less the damping acts g times on the set point"
     )
     admittance_inertia: Annotated[Positive, INERTIA] = Field(20.0, description="mass M of the set point, kg")
     admittance_damping: Annotated[NotNegative, gain_in("N s/m")] = Field(
@@ -79,7 +79,7 @@ class ServoAdmittanceLaw(ControlLaw):
         limit = par.speed_limit
         dz.set_point = rate = _limited(z.set_point_rate, limit)
         damping = par.admittance_damping + (par.contact_damping if x.pressed != 0.0 else 0.0)
-        a = (par.gain_scaling * (f - commanded_force(x, par, z)) - damping * rate) / par.admittance_inertia
+        a = par.gain_scaling * (f - commanded_force(x, par, z) - damping * rate) / par.admittance_inertia
         if (z.set_point_rate >= limit and a > 0.0) or (z.set_point_rate <= -limit and a < 0.0):
             a = 0.0
         dz.set_point_rate = a

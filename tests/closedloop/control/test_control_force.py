@@ -301,7 +301,7 @@ def test_set_points_of_a_servo_gain_speed_off_the_surface_and_press_on_it(engine
     """Off it ẋ_a = −g f_des t/M up to its limit, exactly; on a soft surface the force comes to f_des, to 0.1 N."""
     law = {
         "kind": "servo_admittance", "kp": 2e4, "kd": 600.0, "force": 20.0, "gain_scaling": 0.5, "speed_limit": 0.1,
-        "admittance_inertia": 5.0, "admittance_damping": 0.0, "contact_damping": 150.0,
+        "admittance_inertia": 5.0, "admittance_damping": 0.0, "contact_damping": 300.0,
     }  # fmt: skip
     run = cl.simulate(cl.load_scenario("soft_table", {
         "robot.model": "pointmass3", "start.q": [0.0, 0.0, 0.0], "surface.gap": 0.003, "surface.contact": "unilateral",

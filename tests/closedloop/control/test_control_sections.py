@@ -20,6 +20,7 @@ from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.none import NoLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw
+from closedloop.control.laws.servo_admittance import ServoAdmittanceLaw
 from closedloop.control.sensor import SensorSection
 from closedloop.jit.parameters import parameter_block
 from closedloop.simulation.engines.packed import pack_law
@@ -31,6 +32,7 @@ LAWS = (
     DynamicHybridLaw(),
     ImpedanceLaw(),
     AdmittanceLaw(),
+    ServoAdmittanceLaw(kp=400.0, kd=30.0),
     NoLaw(),
 )
 COMPENSATIONS = (
@@ -56,8 +58,8 @@ def test_every_key_says_what_it_is(section):
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.kind)
 def test_number_of_states(law):
-    """One state for the integral of the force error, two for the admittance, and no others; none without a law."""
-    assert pack_law(law, 7).states == {"admittance": 3, "none": 0}.get(law.kind, 1)
+    """One state for the integral of the force error, two for an admittance, and no others; none without a law."""
+    assert pack_law(law, 7).states == {"admittance": 3, "servo_admittance": 3, "none": 0}.get(law.kind, 1)
 
 
 @pytest.mark.parametrize(("section", "states"), list(zip(COMPENSATIONS, (0, 0, 7, 2), strict=True)))

@@ -52,7 +52,7 @@ def test_poles_of_an_admittance_over_a_position_servo():
         [0.0, 1.0, 0.0, 0.0],
         [-(STIFFNESS + kp) / MASS, -(DAMPING + kd) / MASS, kp / MASS, kd / MASS],
         [0.0, 0.0, 0.0, 1.0],
-        [-g * STIFFNESS / M, -g * DAMPING / M, 0.0, -(B + Bc) / M],
+        [-g * STIFFNESS / M, -g * DAMPING / M, 0.0, -g * (B + Bc) / M],
     ])  # fmt: skip
     found = [pole.s for pole in normal_poles(loop)]
     np.testing.assert_allclose(sorted_by(found), sorted_by(np.linalg.eigvals(a)), rtol=1e-9)

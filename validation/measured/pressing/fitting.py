@@ -26,7 +26,8 @@ TRAINING = (
     "straight_F55_g0.5_v0.25", "straight_F55_g1_v0.25", "ramp_F15_g1_v0.10", "ramp_F15_g1_v0.25", "ramp_F55_g0.5_v0.25",
     "ramp_F55_g1_v0.10",
 )  # fmt: skip
-BUDGET, SIZE, AGAIN = 400, 1.25, 130  # simulations of all tests, the first simplex, and a new one after so many
+# Simulations of all tests for each number that is fitted, the first simplex, and a new one after this share of them.
+BUDGET, SIZE, AGAIN = 6, 1.15, 0.6
 # What a residual is divided by: a share of the peak, of the frequency, of the settling time, s without contact, and of
 # the RMS of the force about the commanded one.
 PEAK, FREQUENCY, SETTLING, LOST, FORCE = 0.1, 0.1, 0.3, 0.3, 1.0
@@ -83,7 +84,8 @@ def fit(engine: Engine, tests: Sequence[Touchdown], budget: int | None = None, t
     names = [p.name for p in engine.parameters]
     low, high = (np.log([getattr(p, end) for p in engine.parameters]) for end in ("low", "high"))
     best = np.log([(first or {}).get(p.name, p.first) for p in engine.parameters])
-    used, least, budget = 0, np.inf, budget or BUDGET
+    used, least = 0, np.inf
+    budget = int(BUDGET * len(names)) if budget is None else budget
 
     def values_at(x: Array) -> dict[str, float]:
         return dict(zip(names, map(float, np.exp(x)), strict=True))
@@ -94,7 +96,10 @@ def fit(engine: Engine, tests: Sequence[Touchdown], budget: int | None = None, t
 
     while budget > used:
         simplex = np.vstack([best, best + np.diag(np.full(len(best), np.log(SIZE)))])
-        options = {"maxfev": min(AGAIN, budget - used), "initial_simplex": np.clip(simplex, low, high)}
+        options = {
+            "maxfev": min(int(AGAIN * budget) + 1, budget - used),
+            "initial_simplex": np.clip(simplex, low, high),
+        }
         found = minimize(cost, best, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)), options=options)
         used += int(found.nfev)
         if found.fun < least:

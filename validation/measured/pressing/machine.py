@@ -47,22 +47,22 @@ class Parameter(NamedTuple):
 
 
 MACHINE = (
-    Parameter("joint_stiffness", "N m/rad", 3e4, 5e3, 5e5),  # of the three large joints
-    Parameter("joint_damping", "N m s/rad", 60.0, 5.0, 600.0),
-    Parameter("motor_inertia", "kg m²", 6.0, 0.5, 40.0),
-    Parameter("servo_stiffness", "N m/rad", 1e4, 2e3, 2e5),
-    Parameter("servo_damping", "N m s/rad", 300.0, 30.0, 6e3),
-    Parameter("mode_inertia", "kg", 50.0, 15.0, 150.0),
-    Parameter("mode_damping", "N s/m", 100.0, 5.0, 4e3),
-    Parameter("delay", "s", 0.005, 0.002, 0.03),  # of the reading: the time constant of its low-pass
+    Parameter("joint_stiffness", "N m/rad", 2e4, 5e3, 5e5),  # of the three large joints
+    Parameter("joint_damping", "N m s/rad", 100.0, 5.0, 600.0),
+    Parameter("motor_inertia", "kg m²", 12.0, 0.5, 60.0),
+    Parameter("servo_stiffness", "N m/rad", 1.5e4, 2e3, 2e5),
+    Parameter("servo_damping", "N m s/rad", 150.0, 30.0, 6e3),
+    Parameter("mode_inertia", "kg", 40.0, 15.0, 150.0),
+    Parameter("mode_damping", "N s/m", 180.0, 5.0, 4e3),
+    Parameter("delay", "s", 0.0025, 0.002, 0.03),  # of the reading: the time constant of its low-pass
 )
 # The stiffness is the mean one at this depth, m: f = k d (depth/d)^exponent.
 DEPTH = 1e-3
-FIRST_STIFFNESS = {"direct": 1e6, "straight": 3e5, "ramp": 1e5}
+FIRST = {"direct": (2e6, 1.1), "straight": (6e4, 4.0), "ramp": (2e5, 1.1)}  # N/m, and the exponent
 CONTACT = (
-    *(Parameter(f"stiffness_{place}", "N/m", k, 1e4, 1e8) for place, k in FIRST_STIFFNESS.items()),
-    *(Parameter(f"exponent_{place}", "1", 1.5, 1.0, 6.0) for place in PLACES),
-    Parameter("dissipation", "s/m", 1.0, 1e-2, 30.0),
+    *(Parameter(f"stiffness_{place}", "N/m", k, 1e4, 1e8) for place, (k, _) in FIRST.items()),
+    *(Parameter(f"exponent_{place}", "1", n, 1.0, 6.0) for place, (_, n) in FIRST.items()),
+    Parameter("dissipation", "s/m", 2.0, 1e-2, 30.0),
 )
 
 

@@ -20,6 +20,7 @@ from validation.measured.pressing.machine import (
     MASS,
     PLACES,
     SIZES,
+    STEP,
     TENSOR,
     TIP,
     URDF,
@@ -29,8 +30,8 @@ from validation.measured.pressing.machine import (
 )
 from validation.measured.pressing.touchdowns import Touchdown
 
-STEP, RADIUS = 2e-4, 0.01  # s, m
-FIRST = {"direct": 6e4, "straight": 2e4, "ramp": 8e3}  # 1/s²
+RADIUS = 0.01  # m
+FIRST = {"direct": 1.7e5, "straight": 6e4, "ramp": 1.7e4}  # 1/s²
 
 
 class MuJoCoArm:
@@ -82,9 +83,8 @@ class MuJoCoArm:
                 force += wrench[0]
             pressed = 1.0 if force > 0.0 else 0.0
             reading += STEP * (force - reading) / m["delay"]
-            speed += (
-                STEP * (test.gain * (reading - test.force) - pressed * m["mode_damping"] * speed) / m["mode_inertia"]
-            )
+            error = reading - test.force - pressed * m["mode_damping"] * speed
+            speed += STEP * test.gain * error / m["mode_inertia"]
             speed = min(max(speed, -test.limit), test.limit)
             at += STEP * speed
             forces[i] = force

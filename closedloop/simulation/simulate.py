@@ -85,7 +85,7 @@ def simulate(
     SimulationError
         If the simulation stopped early; its `run` holds the rows until then. `SingularClosureError`,
         `DivergenceError` and others name the reason; the cause of a `LawError` is the exception of the user's law;
-        `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps or after the compiled loop.
+        `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps.
     """
     return simulate_prepared(scenario, None, law, model, progress, engine, record)
 

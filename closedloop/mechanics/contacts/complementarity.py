@@ -42,8 +42,10 @@ INNER = 100.0
 SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
 # A residual above the first, of the force that is asked for, is made less by so many steps with the third for ρ.
 ROUGH, POLISHING, OTHER_PENALTY = 1e-13, 10, 0.1
-# Mobility of contacts that give way a little, of the largest; rounds in which forces no longer depend on it.
-SOFTNESS, PROXIMAL = 1e-7, 3
+# Mobility of contacts that give way a little, of the largest.
+SOFTNESS = 1e-7
+# The same where it becomes less: at first, by which factor, how often, and rounds after which nothing depends on it.
+SOFTEST, LESS_SOFT, HARDER, PROXIMAL = 1e-3, 1e-2, 2, 3
 # Rounds at the end of a path, where the solution is near.
 LAST_ROUNDS = 9
 # Where paths start, one after the other, see `start_path`.
@@ -93,14 +95,10 @@ def largest_mobility(c: Contacts, k: int) -> float:
 
 @kernel
 def asked_of(c: Contacts, k: int) -> float:
-    """Return the largest number of q of the rows that have equations: all of what may stick, of what slides its normal.
-
-    What open contacts have does not count.
-    """
+    """Return the largest number of q of the contacts that take part: what open ones have does not count."""
     asked = 0.0
-    for i in range(k):
-        form = c.problem.form[i]
-        for j in range(3 * i, 3 * i + (3 if form in (CONE, DOUBLE) else (0 if form == OFF else 1))):
+    for j in range(3 * k):
+        if c.problem.form[j // 3] != OFF:
             asked = max(asked, abs(c.problem.q[j]))
     return asked
 
@@ -309,22 +307,40 @@ def polish(c: Contacts, k: int) -> None:
 
 
 @kernel
-def soften(c: Contacts, k: int, sweeps: int = SWEEPS, inner: float = 0.0) -> None:
-    """Write the F that contacts have which give way a little, all alike: one where forces are not unique, too.
+def soften(c: Contacts, k: int) -> None:
+    """Write F near that of contacts that give way a little: of forces that are not unique nearly the shortest.
 
-    Whatever the start is, it is the same F but for rounding: nearly the shortest, and symmetric where the problem is.
-    The method of the proximal point: F of the last round in W F + ε (F − F_last) + q, from none, so that after a few
-    rounds nothing is left of ε (R. T. Rockafellar, SIAM J. Control Optim. 14, 1976).
+    The modes are then those of the forces that follow, and what is symmetric stays so.
     """
-    softness = SOFTNESS * largest_mobility(c, k)
+    largest = largest_mobility(c, k)
+    for i in range(3 * k):
+        c.problem.diagonal[i] = c.W[i, i]
+        c.W[i, i] += SOFTNESS * largest
+    solve_from_here(c, k, SWEEPS, ROUNDS)
+    for i in range(3 * k):
+        c.W[i, i] = c.problem.diagonal[i]
+
+
+@kernel
+def harden(c: Contacts, k: int, inner: float) -> None:
+    """Write the F of contacts that give way all alike, and ever less: one F, wherever it starts, but for rounding.
+
+    Feet of one body share their forces in many ways, or in one that hardly differs from others: Newton's method does
+    not find it from anywhere, and rounding decides where it ends. Contacts that give way much share them in one, and as
+    they give way less the modes change one by one. The last rounds are those of the proximal point (R. T. Rockafellar,
+    SIAM J. Control Optim. 14, 1976), with ε (F − F_last) for ε F: they leave nothing of ε.
+    """
+    softness, steps = SOFTEST * largest_mobility(c, k), c.problem.steps
     for i in range(3 * k):
         c.problem.diagonal[i], c.problem.asked[i] = c.W[i, i], c.problem.q[i]
-        c.W[i, i] += softness
-    for proximal in range(PROXIMAL):
-        if not solve_from_here(c, k, sweeps if proximal == 0 else 0, ROUNDS, inner):
-            break
+    for done in range(HARDER + PROXIMAL):
         for i in range(3 * k):
+            c.W[i, i] = c.problem.diagonal[i] + softness
+        solve_from_here(c, k, 0, ROUNDS, inner)
+        softness *= LESS_SOFT if done < HARDER else 1.0
+        for i in range(3 * k if done >= HARDER else 0):
             c.problem.q[i] = c.problem.asked[i] - softness * c.F[i]
+    c.problem.steps = steps  # which counts what this does once
     for i in range(3 * k):
         c.W[i, i], c.problem.q[i] = c.problem.diagonal[i], c.problem.asked[i]
 

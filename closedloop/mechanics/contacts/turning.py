@@ -25,9 +25,9 @@ from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.closed import solve_closed
 from closedloop.mechanics.contacts.complementarity import (
+    harden,
     largest_mobility,
     newton_step,
-    soften,
     solve_from_here,
     write_residuals,
 )
@@ -268,7 +268,7 @@ def solve_within(c: Contacts, k: int, rate: float) -> bool:
             u1, u2 = slip_of(c, i)
             c.problem.q[3 * i + 1] += rate * u1
             c.problem.q[3 * i + 2] += rate * u2
-    soften(c, k, 0, c.problem.inner)
+    harden(c, k, c.problem.inner)
     # q has the slips divided by τ: a residual that is small beside it may be large beside the forces.
     if not solve_from_here(c, k, 0, ROUNDS, c.problem.inner) or not is_near(c, k):
         if not some_share(c, c.friction.shared.shape[0]):

@@ -8,6 +8,7 @@ import robot_models
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.contact_rows import locate_points
 from closedloop.mechanics.closure.contact_force import PRESSED
+from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.touching import contact_torques
 from closedloop.simulation.prepare import prepare
 
@@ -237,3 +238,44 @@ def test_a_can_tips_over_the_edge_of_its_end_and_not_over_its_feet(about, share)
     slope = np.arctan(share * 0.8)
     run = stood(0.0, about, gap=0.0, friction=2.0, slope=slope, duration=0.05, step=1e-3)
     assert (np.max(np.abs(run.v[-1, 3:])) > 1e-2) == (share > 1.0)
+
+
+@pytest.mark.parametrize("spin", [0.0, 400.0])
+def test_a_step_of_a_wheel_that_spins_costs_what_that_of_one_that_stands_does(tmp_path, monkeypatch, spin):
+    """Rk4 needs four evaluations a step and one more for the row, however fast an axisymmetric wheel slips."""
+    inertia, evaluations = 'mass="0.5" diaginertia="0.0013 0.0025 0.0013"', [0]
+    (tmp_path / "car.xml").write_text(
+        '<mujoco model="car"><worldbody><body name="car" pos="0 0 0.1"><freejoint name="car"/>'
+        '<inertial pos="0 0 0.05" mass="10" diaginertia="0.2 0.4 0.5"/>'
+        + "".join(
+            f'<body name="{name}" pos="{x} {y} 0"><joint name="{name}_spin" type="hinge" axis="0 1 0"/>'
+            f'<inertial pos="0 0 0" {inertia}/></body>'
+            for name, x, y in (("rl", -0.25, 0.2), ("rr", -0.25, -0.2), ("fl", 0.25, 0.2), ("fr", 0.25, -0.2))
+        )
+        + "</body></worldbody></mujoco>"
+    )
+    rim = {"friction": 0.05, "half_axes": [[0.1, 0.0, 0.0], [0.0, 0.0, 0.1]]}
+    scenario = {
+        "robot": {"model": str(tmp_path / "car.xml")},
+        "contact": [{"name": name, "link": name, **rim} for name in ("rl", "rr", "fl", "fr")],
+        "start": {"v": [0.0] * 6 + [spin, spin, 0.0, 0.0]},
+        "time": {"duration": 0.03, "step": 0.001, "integrator": "rk4"},
+    }
+    passes = Robot.passes.fget
+
+    def counted(robot):
+        crba, *others = passes(robot)
+
+        def once(*arguments):
+            evaluations[0] += 1
+            return crba(*arguments)
+
+        return once, *others
+
+    monkeypatch.setattr(Robot, "passes", property(counted))
+    run = cl.simulate(cl.Scenario.model_validate(scenario), engine="pinocchio")
+    assert len(run) == 31
+    assert evaluations[0] < 6 * 30
+    if spin > 0.0:  # both wheels at the back push with their friction
+        push = 0.05 * run.link_forces[15, :2].sum() / 12.0
+        assert run.v[-1, 0] == pytest.approx(0.03 * push, rel=0.2)

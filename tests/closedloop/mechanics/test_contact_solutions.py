@@ -10,7 +10,8 @@ from random_contacts import faults, filled, quick_at, solve_at, strike_at
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
-from closedloop.mechanics.contacts.memory import CONE, make_contact_memory
+from closedloop.mechanics.contacts.complementarity import ROUNDS, harden, solve_from_here
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, make_contact_memory
 from closedloop.mechanics.contacts.time_step import begin_time_step
 
 
@@ -36,6 +37,39 @@ def test_contacts_that_are_open_change_nothing_of_the_others():
         np.testing.assert_allclose(c.problem.after, c.problem.q + c.W @ c.F, atol=1e-12 * np.abs(c.W).max())
         for before, now in zip(kept, (c.W, c.problem.q, c.mu, c.problem.form, c.problem.along), strict=True):
             np.testing.assert_array_equal(before, now)
+
+
+def on_four_feet(rng, form):
+    """A box on its four corners that slides and turns, for a step at whose end its slips may have ended, and its X."""
+    half, X = rng.uniform(0.5, 1.5, size=2), np.zeros((12, 6))
+    for i, (a, b) in enumerate(itertools.product((-1, 1), repeat=2)):
+        arm = np.array([a * half[0], b * half[1], -0.7])
+        for r, axis in enumerate(np.eye(3)[[2, 0, 1]]):
+            X[3 * i + r] = [*axis, *(1.2 * np.cross(arm, axis))]
+    memory = make_contact_memory(6, 4)
+    c, moves = memory.contacts, np.array([*rng.normal(size=2), 0.0, 0.0, 0.0, rng.normal()])
+    free = np.array([*rng.normal(size=2), -9.81, *(0.3 * rng.normal(size=3))])
+    c.X[:], c.W[:], c.problem.q[:] = X, X @ X.T, X @ (free + rng.uniform(0, 20) * moves)
+    c.mu[:], c.problem.form[:] = 0.3, form
+    return memory
+
+
+@pytest.mark.parametrize("form", [CONE, DOUBLE])
+def test_feet_of_one_body_share_their_forces_in_one_way_wherever_the_solution_starts(form):
+    """Newton's method alone ends at forces that differ by newtons; all of them are solutions, of one motion."""
+    rng, apart = np.random.default_rng(1), []
+    for _ in range(4):
+        memory = on_four_feet(rng, form)
+        c, found = memory.contacts, []
+        for soft_first in (True, True, False, False):
+            c.F[:] = 3.0 * np.abs(rng.normal(size=12))
+            if soft_first:
+                interpreted(harden)(c, 4, 0.0)
+            assert interpreted(solve_from_here)(c, 4, 0, ROUNDS, 0.0)
+            found.append(c.F.copy())
+        np.testing.assert_allclose(found[0], found[1], atol=1e-7)
+        apart.append(np.abs(found[2] - found[3]).max())
+    assert max(apart) > 0.1, "the problem is one that has one solution anyway"
 
 
 def check_random(count, seed):

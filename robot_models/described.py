@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from robot_models import example_robots, shipped, urdf
 from robot_models.errors import ModelError
 from robot_models.sidecar import Sidecar, read_sidecar
+from robot_models.urdf_loops import Beside, read_beside
 from robot_models.xml_text import parse, read_text
 
 if TYPE_CHECKING:
@@ -81,16 +82,17 @@ def _from_file(name: str, path: Path, owner: str) -> Description:
     format = _ROOTS[root]
     if path.suffix.lower() == ".xacro":
         text = urdf.expanded(path, where)
-    found = canonical(text, format, name, where, path)
+    beside = read_beside(path.with_suffix(".yaml"), text) if format == "urdf" else Beside(text)
+    found = canonical(beside.text, format, name, where, path)
     own, sidecar = found.sidecar, read_sidecar(path.with_suffix(".toml"), joint_names(found.text, format))
     sidecar = replace(
         sidecar,
         source=sidecar.source or ("" if owner else where),
         home=dict(own.home) | dict(sidecar.home),
-        drives=sidecar.drives or own.drives,
-        closed_loop=(*own.closed_loop, *sidecar.closed_loop),
+        drives=sidecar.drives or beside.drives or own.drives,
+        closed_loop=(*own.closed_loop, *beside.loops, *sidecar.closed_loop),
     )
-    return replace(found, sidecar=sidecar)
+    return replace(found, sidecar=sidecar, warnings=[*found.warnings, *beside.warnings])
 
 
 def canonical(text: str, format: Format, name: str, where: str, path: Path | None) -> Description:

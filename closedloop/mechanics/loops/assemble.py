@@ -13,9 +13,12 @@ from closedloop.mechanics.loops.close import TOLERANCE, closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
+from robot_models.model import AT_LIMIT
 
 # A start that is open by no more than this, m or rad, or moves a loop by no more, m/s or rad/s, is meant to be closed.
 START_OPEN, START_RATE = 1e-3, 1e-3
+# As many postures a search for one that closes the loops starts from, and evaluations of each.
+STARTS, EVALUATIONS = 8, 200
 
 
 # A distance between points in one place has no direction: that it is open is said, and no division warns.
@@ -28,6 +31,35 @@ def errors_at(robot: Robot, memory: LoopMemory, q: Array, v: Array) -> tuple[Arr
     memory.rows.q[:], memory.rows.v[:] = q, v
     interpreted(locate_rows)(memory.links, memory.rows)
     return memory.rows.error.copy(), memory.rows.G @ v
+
+
+@_undefined_passes
+def assembled(robot: Robot, memory: LoopMemory, q: Array) -> Array:
+    """Return a posture within the limits that nearly closes the loops, from one (n,), rad (m), that is far from it.
+
+    Newton's steps from far away go anywhere. Here the sum of the squares of the errors is minimised, each step within
+    a region in which the rows have been found to hold (Branch, Coleman, Li, SIAM J. Sci. Comput. 21, 1999). Where that
+    ends beside a closed posture, it starts again from postures around, the farther the more there have been.
+    """
+    from scipy.optimize import least_squares
+
+    model, v = robot.model, np.zeros(robot.n)
+
+    def rows(x: Array) -> Array:
+        errors_at(robot, memory, x, v)
+        return memory.rows.G.copy()
+
+    low, high = model.position_lower - AT_LIMIT, model.position_upper + AT_LIMIT
+    random, found = np.random.default_rng(0), []
+    for k in range(STARTS):
+        around = q + random.normal(size=robot.n) * k / STARTS
+        inside = np.clip(around, low + AT_LIMIT, high - AT_LIMIT)
+        found.append(
+            least_squares(lambda x: errors_at(robot, memory, x, v)[0], inside, rows, (low, high), max_nfev=EVALUATIONS)
+        )
+        if np.max(np.abs(found[-1].fun)) <= START_OPEN:
+            break
+    return np.array(min(found, key=lambda each: each.cost).x)
 
 
 @_undefined_passes
@@ -48,7 +80,8 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
     """
     memory, names = loop_memory(robot), robot.model.joint_names
     error, rate = errors_at(robot, memory, q, v)
-    near, rates = q.copy(), v.copy()
+    far = assemble and float(np.max(np.abs(error))) > START_OPEN
+    near, rates = assembled(robot, memory, q) if far else q.copy(), v.copy()
     written = memory.rows.memory, memory.links.memory, near, rates
     left = float(call_now(closed_to, written, memory.address, near, rates))
     turned = near - q

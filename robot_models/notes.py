@@ -27,7 +27,8 @@ def notes(
     """
     root = ET.fromstring(text)
     found = _rough_urdf(root) if format == "urdf" else _rough_mjcf(root)
-    rough = [joint for joint in joints if joint in found]
+    tendons = [each.get("name", "") for each in root.iter("fixed")]
+    rough = [name for name in (*joints, *tendons) if name in found]
     lines = []
     if rough:
         element = "<dynamics>" if format == "urdf" else "damping and frictionloss"
@@ -53,7 +54,8 @@ def _rough_urdf(root: ET.Element) -> set[str]:
 
 
 def _rough_mjcf(root: ET.Element) -> set[str]:
-    return {joint.get("name", "") for joint in root.iter("joint") if joint.get("damping") or joint.get("frictionloss")}
+    named = (*root.iter("joint"), *root.iter("fixed"))
+    return {each.get("name", "") for each in named if each.get("damping") or each.get("frictionloss")}
 
 
 def _some(names: list[str]) -> str:

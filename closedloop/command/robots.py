@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from closedloop.base.errors import printable
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
     from robot_models import RobotModel
     from robot_models.loop_joint import LoopJoint
+    from robot_models.tendon import Tendon
 
 
 @as_command()
@@ -105,7 +107,8 @@ def _print_one(model: RobotModel, console: Console) -> None:
         console.print("of a ball joint the rotation vector, rad, and the angular velocity in its link's axes, rad/s")
     masses = [inertia.mass for inertia in model.pinocchio_model().inertias]
     console.print(f"total mass: {sum(masses):.6g} kg, of which {sum(masses[1:]):.6g} kg move")
-    stops = any(map(math.isfinite, (*model.position_lower, *model.position_upper)))
+    ends = [end for tendon in model.tendons for end in tendon.limits]
+    stops = any(map(math.isfinite, (*model.position_lower, *model.position_upper, *ends)))
     if stops:
         console.print("the limits are stops with robot.stops = true, and not without", markup=False)
     passive = [name for name, driven in zip(model.joint_names, model.driven, strict=True) if not driven]
@@ -113,6 +116,8 @@ def _print_one(model: RobotModel, console: Console) -> None:
         console.print(f"joints without a drive: {', '.join(passive)}", markup=False)
     for loop in model.loops:
         console.print(f"{'coupling' if loop.type == 'gear' else 'loop'}: {_loop(loop)}", markup=False)
+    for tendon in model.tendons:
+        console.print(f"{'tendon' if len(tendon.coefficients) > 1 else 'spring'}: {_tendon(tendon)}", markup=False)
     _print_shapes(model, console)
     for joint, value in model.locked.items():
         console.print(f"held rigid: {joint} at {value:.4g}", markup=False)
@@ -132,6 +137,29 @@ def _loop(loop: LoopJoint) -> str:
     powers = ("", f" {other[0]}" if other else "", *(f" {other[0]}^{k}" for k in (2, 3, 4) if other))
     terms = [f"{c:.6g}{power}" for c, power in zip(loop.polynomial, powers, strict=False) if c]
     return f"{loop.name}: {one} = {' + '.join(terms) or '0'}"
+
+
+def _tendon(tendon: Tendon) -> str:
+    """Return what acts along a tendon, in a line."""
+    length = " + ".join(f"{c:g} {joint}" for joint, c in tendon.coefficients.items())
+    acting = []
+    if any(tendon.stiffness):
+        low, high = tendon.rest
+        rest = f"{low:.4g}" if low == high else f"[{low:.4g}, {high:.4g}]"
+        acting.append(f"spring {_numbers(tendon.stiffness)} about {rest}")
+    if any(tendon.damping):
+        acting.append(f"damper {_numbers(tendon.damping)}")
+    if tendon.friction:
+        acting.append(f"friction {tendon.friction:g}")
+    if any(map(math.isfinite, tendon.limits)):
+        acting.append(f"range [{tendon.limits[0]:.4g}, {tendon.limits[1]:.4g}]")
+    return f"{tendon.name}: {length}: {', '.join(acting)}"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    """Return the coefficients of a polynomial, without zeros at its end."""
+    kept = max(k for k, value in enumerate(values) if value) + 1
+    return " ".join(f"{value:g}" for value in values[:kept])
 
 
 def _print_shapes(model: RobotModel, console: Console) -> None:

@@ -144,9 +144,11 @@ def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
 TENDON_HAND = """<mujoco model="hand"><worldbody><body name="palm"><geom size=".05" mass="1"/>
 <body name="left" pos="0 .1 0"><joint name="l" type="slide" range="0 .1"/><geom type="box" size=".01 .02 .03"/></body>
 <body name="right"><joint name="r" type="slide" axis="0 0 1"/><geom type="box" size=".01 .02 .03"/>
-<body name="end" pos="0 0 .1"><joint name="e" axis="1 0 0"/><geom size=".02"/></body></body></body></worldbody>
+<body name="end" pos="0 0 .1"><joint name="e" axis="1 0 0" stiffness="2"/><geom size=".02"/></body></body></body>
+</worldbody>
 <equality><joint name="both" joint1="r" joint2="l" polycoef="0 -1 0.5 0 0"/></equality>
-<tendon><fixed name="t"><joint joint="l" coef=".5"/><joint joint="r" coef="-.5"/></fixed></tendon>
+<tendon><fixed name="t" stiffness="30 1" springlength="-.1 .2" frictionloss=".3" range="-.5 .5" limited="true">
+<joint joint="l" coef=".5"/><joint joint="r" coef="-.5"/></fixed></tendon>
 <actuator><motor tendon="t" ctrlrange="-5 5"/></actuator><sensor><jointpos joint="l"/></sensor></mujoco>"""
 
 
@@ -159,6 +161,8 @@ def test_robots_prints_and_checks_what_was_read(closedloop, tmp_path, monkeypatc
     for words in (
         "total mass: ", "joints without a drive: e", "coupling: both: r = -1 l + 0.5 l^2", "2 box, 2 sphere",
         "warning: sensors of the file are left out", "the limits are stops with robot.stops = true",
+        "tendon: t: 0.5 l + -0.5 r: spring 30 1 about [-0.1, 0.2], friction 0.3, range [-0.5, 0.5]",
+        "spring: e: 1 e: spring 2 about 0", "(damping and frictionloss; t) does not act",
         "Pinocchio: H and C are equal", "MuJoCo: H and C are equal at 20 random states",
     ):  # fmt: skip
         assert words in out, words

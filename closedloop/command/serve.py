@@ -13,9 +13,8 @@ from closedloop.base.interrupts import Terminated
 from closedloop.base.loopback import is_loopback
 from closedloop.command.border import DONE, Parser, as_command
 from closedloop.command.results import Results, first_free
-from closedloop.scenario.user_module import member_digests
 from closedloop.scenario.overrides import split_overrides
-from closedloop.scenario.user_module import name_members
+from closedloop.scenario.user_module import member_digests, name_members
 from closedloop.serve.serve import INTERFACES, Served, serve
 
 # How long a signal that comes just before the main thread waits stays unanswered at the most, s.

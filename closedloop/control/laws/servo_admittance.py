@@ -24,8 +24,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import INERTIA, SPEED, Gain, NotNegative, Positive, gain_in
-from closedloop.control.law import ControlLaw, commanded_force, force_error_rate
-from closedloop.control.law_input import LawInput
+from closedloop.control.law import ControlLaw, LawInput, commanded_force, force_error_rate
 from closedloop.control.tip_space import TipScratch, add_transposed, jacobian_gram, pseudo_inverse
 from closedloop.jit.kernel import kernel
 

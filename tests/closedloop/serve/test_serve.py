@@ -238,7 +238,7 @@ def test_what_cannot_be_served_is_said(more, why):
     assert "\n" not in str(caught.value)
 
 
-PAGE = Path(__file__).resolve().parents[2] / "docs"
+PAGE = Path(__file__).resolve().parents[3] / "docs"
 
 
 @pytest.mark.skipif(which("g++") is None, reason="g++ is not installed")

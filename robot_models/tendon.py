@@ -75,10 +75,10 @@ def tendons(text: str, joints: Sequence[str], locked: Mapping[str, float]) -> tu
     root, found = ET.fromstring(text), []
     for joint in root.iterfind("worldbody//joint"):
         name = joint.attrib["name"]
-        stiffness, (_, second, third) = _three(joint, "stiffness"), _three(joint, "damping")
-        if name in joints and (any(stiffness) or second or third):
+        stiffness, (_, *more) = _three(joint, "stiffness"), _three(joint, "damping")
+        if name in joints and (any(stiffness) or any(more)):
             rest = float(joint.get("springref", "0"))
-            found.append(Tendon(name, {name: 1.0}, stiffness, (rest, rest), (0.0, second, third)))
+            found.append(Tendon(name, {name: 1.0}, stiffness, (rest, rest), (0.0, *more)))
     for element in root.iterfind("tendon/fixed"):
         parts = {part.attrib["joint"]: float(part.attrib["coef"]) for part in element.iterfind("joint")}
         held = sum(coefficient * locked[joint] for joint, coefficient in parts.items() if joint in locked)

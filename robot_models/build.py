@@ -111,6 +111,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         links = urdf_mechanism.mechanism(text)
         check_sizes(links, where)
         check_built(model, links, locked, where)
+        _name_apart(model)
     model = separated(model, free_joints(model))
     columns: list[tuple[str, str]] = []
     for joint in range(1, model.njoints):
@@ -124,6 +125,16 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         if named.count(name) > 1:
             raise ModelError(f"{where}: two coordinates are named {name!r}: give its joints other names")
     return Built(model, named, types)
+
+
+def _name_apart(model: "pin.Model") -> None:
+    """Give frames of joints another name than a link's, by which that could not be asked for."""
+    import pinocchio as pin
+
+    links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    for frame in model.frames:
+        if frame.type != pin.FrameType.BODY and frame.name in links:
+            frame.name = f"{frame.name} joint"
 
 
 def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:

@@ -2,18 +2,22 @@
 
 import re
 from collections.abc import Collection
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
 # Names of tool frames as makers have them, the most telling first; each a whole word of the frame's name.
-_TOOLS = ("tcp", "tool", "tool0", "ee", "eef", "end_effector", "grip", "grasp", "flange", "attachment")
+_TOOLS = ("tcp", "tool", "tool0", "ee", "eef", "endeffector", "gripperframe", "grip", "grasp", "flange", "attachment")
 # Joints of fingers, and frames that touch nothing, by a word of their names.
 _FINGER = re.compile(
     r"finger|thumb|knuckle|gripper|jaw|claw|pinky|phalan|(^|_)(index|middle|ring|little)(_|\d|$)", re.I
 )
-_IDLE = re.compile(r"imu|camera|sensor|optical|lidar|laser|velodyne|visual|collision|inerti|antenna|marker", re.I)
+_IDLE = re.compile(
+    r"imu|camera|sensor|optical|lidar|laser|range|sonar|accelerometer|velodyne|visual|collision|inerti|antenna|marker",
+    re.I,
+)
 
 
 def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[str]) -> str | None:
@@ -48,8 +52,8 @@ def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[st
         kind = frame.type
         if frame.name not in usable or frame.name in made or frame.parentJoint == 0:
             continue
-        words = re.split(r"[^a-z0-9]+", re.sub(r"end.?effector", "end_effector", frame.name.lower()).replace("_", " "))
-        words += ["end_effector"] * ("end effector" in " ".join(words))
+        words = re.split(r"[^a-z0-9]+", frame.name.lower())
+        words += [one + other for one, other in pairwise(words)]
         tool = min((i for i, word in enumerate(_TOOLS) if word in words), default=len(_TOOLS))
         is_tool = tool < len(_TOOLS)
         if not is_tool and (kind != pin.FrameType.BODY or index in bearers):

@@ -283,8 +283,7 @@ def _home(found: Description, built: build.Built) -> NDArray[np.float64]:
 def _frames(model: "pin.Model") -> tuple[str, ...]:
     """Return the links, bodies and sites that can be asked for by name.
 
-    Pinocchio keeps joints and links in one list of frames and refuses to look up a name that occurs twice, so
-    a link that shares its name with a joint is left out.
+    Pinocchio refuses to look up a name that occurs twice, which is left out.
     """
     import pinocchio as pin
 

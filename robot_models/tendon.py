@@ -78,7 +78,7 @@ def tendons(text: str, joints: Sequence[str], locked: Mapping[str, float]) -> tu
         stiffness, (_, *more) = _three(joint, "stiffness"), _three(joint, "damping")
         if name in joints and (any(stiffness) or any(more)):
             rest = float(joint.get("springref", "0"))
-            found.append(Tendon(name, {name: 1.0}, stiffness, (rest, rest), (0.0, *more)))
+            found.append(Tendon(name, {name: 1.0}, stiffness, (rest, rest), (0.0, more[0], more[1])))
     for element in root.iterfind("tendon/fixed"):
         parts = {part.attrib["joint"]: float(part.attrib["coef"]) for part in element.iterfind("joint")}
         held = sum(coefficient * locked[joint] for joint, coefficient in parts.items() if joint in locked)

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from model_texts import INERTIAL, LIMIT, arm, joint, link, mjcf, urdf
 
+import closedloop as cl
 import robot_models
 from robot_models import inspected, shipped
 from robot_models.collision import collision_shapes
@@ -325,6 +326,11 @@ def test_meshes_are_found_in_the_package_and_beside(tmp_path, name):
 TIPS = {
     "the last link": ("", "tip"),
     "a tool": (joint("t", "fore", "my_tcp", kind="fixed", limit="") + link("my_tcp", ""), "my_tcp"),
+    "a gripper's frame": (joint("t", "tip", "gripper_frame", kind="fixed", limit="") + link("gripper_frame", "")
+                          + joint("u", "tip", "z_mount", kind="fixed", limit="") + link("z_mount", ""),
+                          "gripper_frame"),
+    "not a range sensor": (joint("t", "tip", "hand_range_link", kind="fixed", limit="")
+                           + link("hand_range_link", ""), "tip"),
     "not a sensor": (joint("t", "tip", "imu_link", kind="fixed", limit="") + link("imu_link", ""), "tip"),
     "not a finger": (
         joint("finger_1", "tip", "f1", origin="0 0 1") + link("f1") + joint("finger_2", "f1", "f2") + link("f2"), "tip"
@@ -410,10 +416,14 @@ def test_massless_frames_and_intermediate_links_are_fine(write):
     assert robot.tip == "flag"
 
 
-def test_a_name_that_occurs_twice_is_no_tip(write):
-    """Pinocchio cannot look up a link that shares its name with a joint, so it is not offered."""
-    robot = robot_models.load(write(arm(elbow=joint("fore", "upper", "fore"))))
-    assert robot.frames == ("base", "upper", "tip")
+def test_a_link_may_have_the_name_of_a_joint(write):
+    """Pinocchio has both in one list: the joint's frame is called otherwise, and the link can be asked for."""
+    same = cl.Robot(robot_models.load(write(arm(elbow=joint("fore", "upper", "fore", axis="0 0 1")))), "fore")
+    other = cl.Robot(robot_models.load(write(arm())), "fore")
+    assert same.model.frames == other.model.frames == ("base", "upper", "fore", "tip")
+    for one, two in zip(same.terms([0.3, 0.2], [1, 2]), other.terms([0.3, 0.2], [1, 2]), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert same.link_below("fore")[0] == other.link_below("elbow")[0] == "upper"
 
 
 def test_home_is_inside_the_limits(write):

@@ -368,9 +368,10 @@ class Robot:
 
     def link_below(self, joint: str) -> tuple[str, Array]:
         """Return the name of the link that a joint hangs on, and where on it (3,), m, in the axes of that link."""
-        frame = self._pin.frames[self._pin.getFrameId(joint, pin.FrameType.JOINT)]
-        link = self._pin.frames[frame.parentFrame]
-        placement = self._pin.jointPlacements[self._pin.getJointId(joint)]
+        number = self._pin.getJointId(joint)
+        frames = (each for each in self._pin.frames if each.type == pin.FrameType.JOINT)
+        link = self._pin.frames[next(each for each in frames if each.parentJoint == number).parentFrame]
+        placement = self._pin.jointPlacements[number]
         return str(link.name), np.array(link.placement.actInv(placement).translation)
 
     def tip_axes(self, q: Array) -> Array:

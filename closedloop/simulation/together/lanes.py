@@ -58,7 +58,7 @@ class Lanes:
     def __init__(self, problem: Problem, mode: int, steps: int, arrays: dict[str, NDArray[Any]]) -> None:
         n, tree = problem.robot.n, problem.robot.tree
         parts = {
-            "work": aligned(Work.count(n, 0, 1, 1)), "constants": aligned(LaneConstants.count()),
+            "work": aligned(Work.count(n, 0, 1, 1, 0)), "constants": aligned(LaneConstants.count()),
             "terms": aligned(n * n + n + plain(work_size)(n)), "tree": aligned(tree.constants.size),
             "row": aligned(Row.count(n)), "forces": aligned(steps + 1), "before": aligned(Kept.count()),
         }  # fmt: skip

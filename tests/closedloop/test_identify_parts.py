@@ -1,0 +1,118 @@
+"""The parts of an identification, each by what defines it: windows, columns of coupled joints, the filter, pieces."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import closedloop as cl
+import robot_models
+from closedloop.studies.identify.fit import fit
+from closedloop.studies.identify.identify import PIECES, _pieces
+from closedloop.studies.identify.motion import ABOVE_MOTION, Motion, motion, usual_cutoff
+from closedloop.studies.identify.regressor import NOISY, REST, Regressor, Terms
+
+SIZE = 4
+
+
+def moving(q, v, noise=0.0):
+    """A motion of two joints with windows of four rows."""
+    count = len(v) // SIZE
+    zeros = np.zeros((count, 2))
+    return Motion(q, v, np.zeros_like(v), np.arange(count), zeros, SIZE, np.full(2, noise), np.zeros(2), 10.0)
+
+
+def reversing(frequencies):
+    """Angles and velocities of two joints that swing, at 400 rows over 2 s."""
+    t = np.linspace(0.0, 2.0, 100 * SIZE, endpoint=False)[:, None]
+    rates = 2.0 * np.pi * np.array(frequencies)
+    return np.sin(rates * t + 0.3), rates * np.cos(rates * t + 0.3)
+
+
+@pytest.mark.parametrize(("coupled", "noise"), [(False, 0.0), (False, 0.3), (True, 0.0), (True, 0.4)])
+def test_windows_count_where_all_rows_of_them_and_of_those_beside_move_one_way(coupled, noise):
+    """Window by window: faster than what is slow, and than the noise, with one sign; of a pair the sum of both, too."""
+    robot = robot_models.load("planar2")
+    pairs = (tuple(robot.joint_names),) if coupled else ()
+    q, v = reversing((1.0, 1.7))
+    found = Regressor(robot, Terms(coupled=pairs, slow=0.1)).certain(moving(q, v, noise))
+    sums = [(v[:, 0], noise, (0,)), (v[:, 1], noise, (1,))]
+    sums += [(v.sum(axis=1), np.sqrt(2.0) * noise, (0, 1)) for _ in pairs]
+    expected = np.ones_like(found)
+    for speed, of_speed, joints in sums:
+        least = max(0.1 * np.abs(speed).max(), NOISY * of_speed)
+        signs = np.where(np.abs(speed) > least, np.sign(speed), 0.0).reshape(-1, SIZE)
+        sure = [len(set(window)) == 1 and window[0] != 0.0 for window in signs]
+        for joint in joints:
+            expected[:, joint] &= [all(sure[max(k - 1, 0) : k + 2]) for k in range(len(sure))]
+    assert 0.2 < expected.mean() < 0.9
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_joint_that_only_trembles_does_not_count():
+    """Between two changes of its direction it moves by less than what a joint may creep while it sticks."""
+    robot = robot_models.load("planar2")
+    q, v = reversing((1.0, 1.0))
+    share = np.array([1.0, 0.4 * REST])
+    found = Regressor(robot, Terms(slow=0.1)).certain(moving(share * q, share * v))
+    assert found[:, 0].any()
+    assert not found[:, 1].any()
+
+
+def test_coupled_joints_take_power_as_their_friction_and_their_inertia_do():
+    """Dry friction takes |v1 + v2|, viscous friction 2 v1 v2 of what both have, a common inertia d/dt v1 v2."""
+    robot = robot_models.load("planar2")
+    regressor = Regressor(robot, Terms(coupled=(tuple(robot.joint_names),)))
+    q, v, a = np.random.default_rng(0).normal(size=(3, 50, 2))
+    W = regressor.rows(q, v, a)
+    power = {
+        name.split("_")[1]: np.einsum("tj,tj->t", v, W[:, :, k])
+        for k, name in enumerate(regressor.names)
+        if name.startswith("coupled_")
+    }
+    np.testing.assert_allclose(power["dry"], np.abs(v.sum(axis=1)), atol=1e-13)
+    np.testing.assert_allclose(power["viscous"], 2.0 * v[:, 0] * v[:, 1], atol=1e-13)
+    np.testing.assert_allclose(power["inertia"], v[:, 0] * a[:, 1] + v[:, 1] * a[:, 0], atol=1e-13)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.5])
+def test_what_is_held_out_is_the_end_of_each_of_ten_pieces(share):
+    """So many runs of windows, that share of all, the last window among them and the first not."""
+    held = _pieces(1000, share)
+    runs = [(value, len(list(group))) for value, group in itertools.groupby(held)]
+    assert [value for value, _ in runs] == [False, True] * PIECES
+    assert all(length == pytest.approx(100 * (share if value else 1.0 - share), abs=1.0) for value, length in runs)
+    assert not _pieces(1000, 0.0).any()
+
+
+def swinging(frequency, duration=20.0, step=0.002):
+    """A log of two joints that swing, without noise."""
+    t = np.arange(0.0, duration, step)
+    q = np.sin(2.0 * np.pi * frequency * t)[:, None] * [1.0, 0.5]
+    return cl.Log(t, q, np.zeros_like(q))
+
+
+def test_the_filter_halves_what_has_its_frequency_and_the_cutoff_is_ten_times_the_motions():
+    """Forwards and backwards: (1/√2)² at the cutoff, without a delay; 1/(1 + x⁸) of it at another frequency."""
+    log = swinging(5.0)
+    assert usual_cutoff(log) == pytest.approx(ABOVE_MOTION * 5.0, rel=0.06)
+    for cutoff in (5.0, 7.0):
+        x = motion(log, cutoff)
+        inner = slice(len(x.q) // 4, 3 * len(x.q) // 4)
+        # of the bilinear transform, whose frequencies are tan(π f h)
+        ratio = np.tan(np.pi * 5.0 * log.step) / np.tan(np.pi * cutoff * log.step)
+        share = 1.0 / (1.0 + ratio**8)
+        assert np.abs(x.q[inner]).max(axis=0) == pytest.approx([share, 0.5 * share], rel=5e-3)
+        assert np.abs(x.v[inner]).max(axis=0) == pytest.approx(10.0 * np.pi * np.array([share, 0.5 * share]), rel=5e-3)
+
+
+def test_intervals_of_few_windows_of_correlated_noise_cover():
+    """Of a line through 40 windows of an autoregression, 95 %, but for the spread of 120: 86 % as if s were known."""
+    rng, covered = np.random.default_rng(0), []
+    W = np.stack([np.ones(40), np.linspace(-1.0, 1.0, 40)], axis=1)[:, None]
+    for _ in range(60):
+        noise = signal.lfilter([1.0], [1.0, -0.7], rng.normal(size=240))[200:, None]
+        found = fit(W, noise, np.ones((40, 1), dtype=bool))
+        covered += (np.abs(found.value) < 1.96 * found.deviation).tolist()
+    assert np.mean(covered) > 0.91

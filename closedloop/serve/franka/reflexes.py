@@ -60,12 +60,14 @@ class Reflexes:
     contact, collision : arrays (13,)
         1 where a torque (7,) or a component of the wrench in K (6,) is above its lower threshold, and where it has been
         above its upper one since the last recovery.
+    watches : bool
+        Whether the client has set thresholds.
     """
 
     def __init__(self, arm: Arm, period: float) -> None:
         self._arm, self._h = arm, period
         self._share = -math.expm1(-2.0 * math.pi * CUTOFF * period)
-        self._lower, self._upper, self._set = np.full((2, 13), math.inf), np.full((2, 13), math.inf), False
+        self._lower, self._upper, self.watches = np.full((2, 13), math.inf), np.full((2, 13), math.inf), False
         self.torque, self.wrench, self.wrench_in_K = np.zeros(JOINTS), np.zeros(6), np.zeros(6)
         self.contact, self.collision = np.zeros(13), np.zeros(13)
         model = arm.robot.model
@@ -78,13 +80,13 @@ class Reflexes:
         """
         torques, forces = given[:28].reshape(4, 7), given[28:].reshape(4, 6)
         both = np.hstack((torques, forces))
-        self._lower, self._upper, self._set = both[[0, 2]], both[[1, 3]], True
+        self._lower, self._upper, self.watches = both[[0, 2]], both[[1, 3]], True
 
     def feel(self, torque: Array, T: Array, J: Array, accelerates: bool) -> None:
         """Take an external torque (7,) into the filter; T and J are those of `Arm.end_effector`."""
         self.torque += self._share * (torque - self.torque)
         self.wrench, self.wrench_in_K = self._arm.wrench(self.torque, T, J)
-        if not self._set:
+        if not self.watches:
             return
         felt = np.abs(np.concatenate((self.torque, self.wrench_in_K)))
         which = 0 if accelerates else 1

@@ -78,6 +78,7 @@ class Franka(Interface):
         self._message = 0
         self._clock = Clock(PERIOD)
         self._to: tuple[str, int] | None = None
+        self._n, self._reads = problem.robot.n, problem.scenario.reads_encoders
         self._torque = np.zeros(JOINTS)  # commanded, without gravity
         self._measured = np.zeros(JOINTS)
         self._errors: set[int] = set()
@@ -402,11 +403,13 @@ class Franka(Interface):
 
     def _look(self) -> None:
         """Take over the state of the simulation."""
-        state = self.session.state
-        q, v = state.measured_position[:JOINTS], state.measured_velocity[:JOINTS]
-        measured = state.torque[:JOINTS]
+        state, n = self.session.state, self._n
+        row = state.recorded
+        q, v, acceleration, measured = (row[at : at + JOINTS] for at in (0, n, 2 * n, 3 * n))
+        if self._reads:
+            q, v = state.measured_position[:JOINTS], state.measured_velocity[:JOINTS]
         T, J = self.arm.end_effector(q)
-        expected = self.arm.robot.inverse_dynamics(q, v, state.acceleration[:JOINTS])
+        expected = self.arm.robot.inverse_dynamics(q, v, acceleration)
         self.reflexes.feel(measured - expected, T, J, bool(self.motion.ddq.any()))
         self._rate = (measured - self._measured) / PERIOD
         self._q, self._v, self._measured, self._T = q, v, measured, T
@@ -415,23 +418,27 @@ class Franka(Interface):
         """Send the state over UDP, with the next number."""
         motion, reflexes, q = self.motion, self.reflexes, self._q
         moves = self._move is not None
-        elbow = (q[2], 1.0 if q[3] > ELBOW_FLIP else -1.0)
         wanted = (motion.q[2], 1.0 if motion.q[3] > ELBOW_FLIP else -1.0)
-        if moves and self._generator != wire.NO_GENERATOR:
-            T_d, twist, acceleration = motion.pose, motion.twist, motion.acceleration
-            if self._generator in (wire.JOINT_POSITION, wire.JOINT_VELOCITY):
-                T_d = self.arm.end_effector(motion.q)[0]
-        else:
-            T_d, twist, acceleration = self._T, np.zeros(6), np.zeros(6)
         self._state.write(
-            O_T_EE=self._T, O_T_EE_d=T_d, O_T_EE_c=T_d, O_dP_EE_d=twist, O_dP_EE_c=twist, O_ddP_EE_c=acceleration,
-            elbow=elbow, elbow_d=wanted, elbow_c=wanted, delbow_c=(motion.dq[2], 0.0), ddelbow_c=(motion.ddq[2], 0.0),
-            tau_J=self._measured, tau_J_d=self._torque, dtau_J=self._rate, q=q, q_d=motion.q, dq=self._v,
-            dq_d=motion.dq, ddq_d=motion.ddq, joint_contact=reflexes.contact[:JOINTS],
-            cartesian_contact=reflexes.contact[JOINTS:], joint_collision=reflexes.collision[:JOINTS],
-            cartesian_collision=reflexes.collision[JOINTS:], tau_ext_hat_filtered=reflexes.torque,
-            O_F_ext_hat_K=reflexes.wrench, K_F_ext_hat_K=reflexes.wrench_in_K, theta=q, dtheta=self._v,
+            O_T_EE=self._T, elbow=(q[2], 1.0 if q[3] > ELBOW_FLIP else -1.0), elbow_d=wanted, tau_J=self._measured,
+            tau_J_d=self._torque, dtau_J=self._rate, q=q, q_d=motion.q, dq=self._v, dq_d=motion.dq, theta=q,
+            dtheta=self._v, tau_ext_hat_filtered=reflexes.torque, O_F_ext_hat_K=reflexes.wrench,
+            K_F_ext_hat_K=reflexes.wrench_in_K,
         )  # fmt: skip
+        if not moves or self._generator != wire.NO_GENERATOR:  # else what was wanted last stays
+            T_d = self._T if not moves else motion.pose
+            if moves and self._generator in (wire.JOINT_POSITION, wire.JOINT_VELOCITY):
+                T_d = self.arm.end_effector(motion.q)[0]
+            self._state.write(
+                O_T_EE_d=T_d, O_T_EE_c=T_d, O_dP_EE_d=motion.twist, O_dP_EE_c=motion.twist,
+                O_ddP_EE_c=motion.acceleration, elbow_c=wanted, delbow_c=(motion.dq[2], 0.0),
+                ddelbow_c=(motion.ddq[2], 0.0), ddq_d=motion.ddq,
+            )  # fmt: skip
+        if reflexes.watches:
+            self._state.write(
+                joint_contact=reflexes.contact[:JOINTS], cartesian_contact=reflexes.contact[JOINTS:],
+                joint_collision=reflexes.collision[:JOINTS], cartesian_collision=reflexes.collision[JOINTS:],
+            )  # fmt: skip
         generator = wire.GENERATOR_IDLE if not moves else _SHOWN[self._generator]
         controller = self._controller if moves else wire.CONTROLLER_OTHER
         rate = 0.0 if not moves else sum(self._recent) / len(self._recent) if self._recent else 1.0

@@ -85,12 +85,7 @@ class Command(NamedTuple):
     motion_finished: bool
     torque: Array
     torque_finished: bool
-
-    @property
-    def sensible(self) -> bool:
-        """Whether all its numbers are finite and smaller than `HUGE`."""
-        given = (*self.q, *self.dq, *self.twist, *(self.elbow or ()), *self.torque, *self.pose.ravel())
-        return all(-HUGE < value < HUGE for value in given)
+    sensible: bool  # whether all its numbers are finite and smaller than `HUGE`
 
 
 def command_of(message: bytes) -> Command | None:
@@ -98,9 +93,12 @@ def command_of(message: bytes) -> Command | None:
     if len(message) != _COMMAND.size:
         return None
     found = _COMMAND.unpack(message)
+    torque = np.array(found[41:48])
+    sensible = np.abs(np.frombuffer(message, "<f8", 38, 8)).max() < HUGE and np.abs(torque).max() < HUGE
     return Command(
         found[0], found[1:8], found[8:15], pose_of(found[15:31]), found[31:37],
-        (found[37], found[38]) if found[39] else None, found[40], np.array(found[41:48]), found[48],
+        (found[37], found[38]) if found[39] else None, found[40], torque, found[48],
+        bool(sensible),
     )  # fmt: skip
 
 

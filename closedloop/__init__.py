@@ -78,9 +78,9 @@ if TYPE_CHECKING:
     from closedloop.mechanics.closure.solve import solve_closure as solve_closure
     from closedloop.mechanics.robot.pinocchio import Robot as Robot
     from closedloop.mechanics.robot.pinocchio import Terms as Terms
-    from closedloop.mechanics.surface.compliance import Compliance as Compliance
     from closedloop.mechanics.surface.motion import SurfaceMotion as SurfaceMotion
-    from closedloop.mechanics.surface.plane import Plane as Plane
+    from closedloop.mechanics.surface.placed import Plane as Plane
+    from closedloop.mechanics.surface.surface import Compliance as Compliance
     from closedloop.mechanics.surface.surface import Surface as Surface
     from closedloop.record.columns.record import Event as Event
     from closedloop.record.load import load_run as load_run
@@ -103,7 +103,7 @@ if TYPE_CHECKING:
     from closedloop.studies.comparison.with_log import compare_log as compare_log
     from closedloop.studies.gradient.gradient import gradient as gradient
     from closedloop.studies.gradient.gradient import gradients as gradients
-    from closedloop.studies.gradient.sensitivities import sensitivities as sensitivities
+    from closedloop.studies.gradient.gradient import sensitivities as sensitivities
     from closedloop.studies.identify.contact.identify_contact import identify_contact as identify_contact
     from closedloop.studies.identify.excite import excite as excite
     from closedloop.studies.identify.identify import identify as identify
@@ -115,7 +115,7 @@ _HOME = {
     "ChatterError": "base.errors",
     "ClosedLoopError": "base.errors",
     "ClusterError": "base.errors",
-    "Compliance": "mechanics.surface.compliance",
+    "Compliance": "mechanics.surface.surface",
     "ControlLaw": "control.law",
     "DivergenceError": "base.errors",
     "Event": "record.columns.record",
@@ -128,7 +128,7 @@ _HOME = {
     "NoNormalError": "base.errors",
     "OutputError": "base.errors",
     "PainleveError": "base.errors",
-    "Plane": "mechanics.surface.plane",
+    "Plane": "mechanics.surface.placed",
     "Problem": "simulation.engines.problem",
     "Recording": "studies.comparison.recording",
     "Robot": "mechanics.robot.pinocchio",
@@ -157,7 +157,7 @@ _HOME = {
     "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",
-    "sensitivities": "studies.gradient.sensitivities",
+    "sensitivities": "studies.gradient.gradient",
     "serve": "serve.serve",
     "shipped_scenarios": "scenario.load",
     "simulate": "simulation.simulate",

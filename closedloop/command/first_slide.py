@@ -15,7 +15,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.mechanics.surface.placed import contact_frame
 from closedloop.scenario.gains import gains_fault
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.scenario import Scenario

@@ -100,8 +100,8 @@ def _loops(kernel: str) -> None:
     """Compile one of the kernels of mechanisms with loops."""
     import robot_models
     from closedloop.figures.scene.solids import compile_rows
+    from closedloop.mechanics.loops.assemble import closed_to
     from closedloop.mechanics.loops.bind import loop_memory
-    from closedloop.mechanics.loops.close import closed_to
     from closedloop.mechanics.robot.pinocchio import Robot
 
     robot = Robot(robot_models.load("five_bar"))
@@ -123,17 +123,16 @@ def _members() -> Iterable[tuple[str, Any]]:
     """Return the entries of all members that ship, and what each is."""
     from closedloop.control.law import COMPENSATIONS, LAWS
     from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
-    from closedloop.loop.step.soft_contact import compliance_entry
+    from closedloop.loop.step.solve_contact import compliance_entry
     from closedloop.mechanics.contacts.friction import rub_entry
     from closedloop.mechanics.contacts.soft import depth_entry
     from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
     from closedloop.mechanics.friction.laws.none import NoFriction
-    from closedloop.mechanics.surface.compliance import COMPLIANCES
     from closedloop.mechanics.surface.compliances.none import Rigid
     from closedloop.mechanics.surface.contact import motion_entry, surface_entry
     from closedloop.mechanics.surface.motion import MOTIONS
     from closedloop.mechanics.surface.motions.none import NoMotion
-    from closedloop.mechanics.surface.surface import SURFACES
+    from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES
 
     families: tuple[tuple[Family[Any], Callable[[Any], Any], str], ...] = (
         (LAWS, law_entry, "law"),
@@ -155,7 +154,7 @@ def _members() -> Iterable[tuple[str, Any]]:
 def compile_these(names: Sequence[str]) -> None:
     """Compile these kernels, in this order."""
     from closedloop.jit import cache_folder
-    from closedloop.jit.drafts import written_first
+    from closedloop.jit.buffers import written_first
 
     cache_folder.make_folders, known = False, [*_kernels()]
     if any(name.startswith("entry_of_") for name in names):

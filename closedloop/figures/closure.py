@@ -23,7 +23,7 @@ from closedloop.figures.style import (
     position_rounding,
 )
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import contact_frame, unit
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from closedloop.base.arrays import Array, IntArray
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.parameters import parameter_block
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.together.records import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
+from closedloop.simulation.together.member import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
 
 AXES = ("n", "t1", "t2")
 WORDS = "torque, force, tip, tip.n, tip.t1, tip.t2, joint, joint.NAME, or law.KEY"

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit import background
+from closedloop.jit.buffers import at_hand as has_draft
+from closedloop.jit.buffers import draft_address
 from closedloop.jit.calls import NOT_WITH_BUFFERS, Entry, NeedsArraysError, entry_address, function_at
-from closedloop.jit.drafts import at_hand as has_draft
-from closedloop.jit.drafts import draft_address
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.jit.kernel import direct, needs_compiling
 
@@ -34,7 +34,7 @@ class Interim:
 
     After the first calls, and at each look, it is known what is sooner. Where compiling is, it is waited for; else a
     process in the background does it (`closedloop.jit.background`), and this one goes over to the compiled form as
-    soon as that is on the disk, and before it to a draft (`closedloop.jit.drafts`). Each call begins from what the last
+    soon as that is on the disk, and before it to a draft (`closedloop.jit.buffers`). Each call begins from what the last
     one left, so nothing depends on when that is.
 
     Parameters

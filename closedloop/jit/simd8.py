@@ -43,7 +43,7 @@ def nearest(x: Any) -> Any:
     return x if abs(x) <= MANY_TURNS else math.atan2(math.sin(x), math.cos(x))
 
 
-# Beyond this an angle's multiple of π/2 is no longer subtracted exactly, see `closedloop.mechanics.robot.tree.angles`.
+# Beyond this an angle's multiple of π/2 is not subtracted exactly, see `closedloop.mechanics.robot.tree.kinematics`.
 MANY_TURNS = 1e6
 
 

@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 from closedloop.base.families import Family, OneOf
 from closedloop.base.sections import Section, field_units
 from closedloop.lab.curves import USUAL, nearest_round, span
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import contact_frame, unit
 from closedloop.scenario.messages import variants
 from closedloop.scenario.overrides import toml_value
 from closedloop.scenario.scenario import Scenario, families

@@ -34,7 +34,7 @@ from closedloop.figures.scene.ground import Ground
 from closedloop.figures.scene.solids import errors_in
 from closedloop.figures.style import length_unit, position_rounding
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.loops.wrench import parts_of
+from closedloop.mechanics.loops.reactions import parts_of
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.record.clearance import passing_note
 from closedloop.record.report.control_verdict import told

@@ -23,8 +23,7 @@ from closedloop.record.report.measures import MEASURES
 from closedloop.scenario.messages import typeset
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
-from closedloop.simulation.engines.lane_loop import run_in_lanes
-from closedloop.simulation.engines.lanes import can_use_lanes
+from closedloop.simulation.engines.lanes import can_use_lanes, run_in_lanes
 from closedloop.studies.analysis.stability import Range, Stability
 
 USUAL, WITHOUT_LAW = "rms_force_error", "energy_lost_to_friction"

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
-from closedloop.mechanics.surface.plane import unit
+from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import placed_frame
 from closedloop.scenario.collision import hull_of, parts_of

@@ -21,7 +21,7 @@ from closedloop.base.files import reason_of
 from closedloop.loop.events.phases import INSTANT
 from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.mechanics.surface.plane import unit
+from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.derived import from_text
 from closedloop.record.columns.record import (
     ALL_COLUMNS,

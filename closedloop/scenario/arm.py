@@ -12,7 +12,7 @@ from closedloop.base.errors import ModelError, ScenarioError
 from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.mechanics.surface.plane import unit
+from closedloop.mechanics.surface.placed import unit
 from closedloop.scenario.robot_sections import ToolSection
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel, Tool

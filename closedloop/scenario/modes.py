@@ -29,9 +29,8 @@ from closedloop.control.transmission import transmission_constants
 from closedloop.mechanics.closure.baumgarte import linear_step
 from closedloop.mechanics.closure.contact_force import PRESSED
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.friction.law import JointFriction
-from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
-from closedloop.mechanics.friction.presliding import bristle
+from closedloop.mechanics.friction.bristle import bristle
+from closedloop.mechanics.friction.law import JointFriction, joint_parameters, surface_parameters
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.arm import joint_friction_of

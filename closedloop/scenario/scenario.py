@@ -23,9 +23,8 @@ from closedloop.control.sensor import SensorSection
 from closedloop.control.transmission import TransmissionSection
 from closedloop.mechanics.contacts.sections import ContactSection, ImpactSection
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
-from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
-from closedloop.mechanics.surface.surface import SURFACES, Surface
+from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES, Compliance, Surface
 from closedloop.scenario.robot_sections import BodySection, ModelErrorSection, RobotSection, ToolSection
 from closedloop.scenario.time_sections import BaumgarteSection, Stabiliser, StartSection, TimeSection
 

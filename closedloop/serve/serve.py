@@ -14,9 +14,8 @@ from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.serve.franka.server import Franka
-from closedloop.serve.interface import Interface
-from closedloop.serve.plain import Plain
-from closedloop.serve.session import Session
+from closedloop.serve.messages import Plain
+from closedloop.serve.session import Interface, Session
 from closedloop.serve.sockets import Say
 
 # The interfaces, and how long a run may be at least where the scenario's own duration is shorter, s.

@@ -1,12 +1,57 @@
-"""The simulation that is served, and its record."""
+"""The simulation that is served: its record, in real time or in lock-step, and its interface.
+
+Real time: instants at equal distances on the wall clock.
+
+The simulation that is served, and its record.
+
+What every interface is: ports, and a loop that serves their clients.
+"""
 
 from __future__ import annotations
+
+import time
+from typing import ClassVar
 
 from closedloop.base.arrays import Array
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
+from closedloop.serve.sockets import Port, Ports, Say
 from closedloop.simulation.simulator import Simulator
 from closedloop.simulation.state import StepState
+
+# A server that is later than this does not catch up: the simulation stands still meanwhile, s.
+LATEST = 0.02
+
+
+class Clock:
+    """Instants that are one period apart.
+
+    Attributes
+    ----------
+    late : int
+        Instants that were skipped because the server came more than `LATEST` late.
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period, self.late = period, 0
+        self._next = 0.0
+
+    def begin(self) -> None:
+        """Let the next instant be one period from now."""
+        self._next = time.perf_counter() + self.period
+
+    def left(self) -> float:
+        """Return how long it is until the next instant, s; 0 if it has passed."""
+        return max(0.0, self._next - time.perf_counter())
+
+    def tick(self) -> None:
+        """Go on to the instant after this one."""
+        self._next += self.period
+        behind = time.perf_counter() - self._next
+        if behind > LATEST:
+            skipped = int(behind / self.period)
+            self.late += skipped
+            self._next += skipped * self.period
 
 
 class Session:
@@ -19,7 +64,7 @@ class Session:
     cycles, lost : int
         Steps since the last reset during which a client drove, and those of them for which no command came in time.
     late : int
-        Instants of real time that this computer was too late for; see `closedloop.serve.clock`.
+        Instants of real time that this computer was too late for; see `closedloop.serve.session`.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -50,3 +95,64 @@ class Session:
     def run(self) -> Run:
         """Return the record so far."""
         return self.simulator.run()
+
+
+class Interface:
+    """An interface to a session; a subclass answers clients in `serve`, in a thread of its own.
+
+    Attributes
+    ----------
+    ports : tuple of Port
+        Where it listens.
+    numbers : tuple of int
+        The ports that its real counterpart has, 0: any that is free.
+
+    Parameters
+    ----------
+    session : Session
+        The simulation.
+    host, port : str and int or None
+        Where it listens: `port` and those after it, None: `numbers`, 0: any that are free.
+    lock_step : bool
+        Whether time goes on only with each command; else it goes on with the wall clock.
+    limits : bool
+        Whether limits act as on the real arm, where the interface has such.
+    say : callable
+        Is given a line about each client that comes, goes or is refused.
+    """
+
+    numbers: ClassVar[tuple[int, ...]] = (0,)
+
+    def __init__(
+        self, session: Session, *, host: str, port: int | None, lock_step: bool, limits: bool, say: Say
+    ) -> None:
+        self.session, self.lock_step, self.limits, self.say = session, lock_step, limits, say
+        wanted = self.numbers if port is None else tuple(port + k if port else 0 for k in range(len(self.numbers)))
+        opened: list[Port] = []
+        try:
+            for number in wanted:
+                opened.append(Port(host, number, say))
+        except BaseException:
+            for door in opened:
+                door.close()
+            raise
+        self.ports = tuple(opened)
+        self.waiting = Ports(*self.ports)
+
+    def serve(self) -> None:
+        """Serve clients until `stop`, or until the record is full.
+
+        Raises
+        ------
+        SimulationError
+            If the simulation cannot go on.
+        """
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Let `serve` end: for another thread."""
+        self.waiting.stop()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.waiting.close()

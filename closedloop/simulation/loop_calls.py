@@ -16,8 +16,8 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, start, takes_long
+from closedloop.jit.buffers import draft_address
 from closedloop.jit.calls import address_of
-from closedloop.jit.drafts import draft_address
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead
 from closedloop.jit.kernel import direct
 from closedloop.loop.events.impacts import collide
@@ -25,11 +25,10 @@ from closedloop.loop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
-from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.solve import LAW_FAILED
-from closedloop.mechanics.loops.along_path import along_path
-from closedloop.mechanics.loops.close import closed_to
+from closedloop.mechanics.loops.assemble import along_path, closed_to
 from closedloop.mechanics.loops.reactions import rows_along
 from closedloop.mechanics.robot.tree import Tree, potential_energies
 from closedloop.mechanics.surface.contact import normals_on_surface, put_on_surface
@@ -38,11 +37,10 @@ from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import entries_of_contacts
 from closedloop.simulation.engines.failures import failure_of, raised_by_member
-from closedloop.simulation.engines.loops import COMPILED, kernels_of
-from closedloop.simulation.engines.needs import entries_of
-from closedloop.simulation.engines.pace import Pace
+from closedloop.simulation.engines.loops import COMPILED, Pace, kernels_of
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, proceed_at, set_events
+from closedloop.simulation.engines.scenario_numbers import entries_of
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 

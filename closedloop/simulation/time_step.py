@@ -14,12 +14,12 @@ from closedloop.mechanics.closure.baumgarte import baumgarte_gains, largest_stab
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.mechanics.surface.compliance import largest_mobility
 from closedloop.mechanics.surface.placed import Touching
+from closedloop.mechanics.surface.surface import largest_mobility
 from closedloop.record.columns.derived import recorded_states
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
-from closedloop.simulation.engines.needs import arm_columns
+from closedloop.simulation.engines.scenario_numbers import arm_columns
 
 # A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
 MOST_NUMBERS = 200_000_000

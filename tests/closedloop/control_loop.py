@@ -18,10 +18,10 @@ from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import parameter_block, state_block
 from closedloop.loop.step.entries import RATES, RESTART, START, TORQUE, law_entry, law_input
-from closedloop.loop.step.make_loop import make_loop
+from closedloop.loop.step.memory import make_loop
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
-from closedloop.mechanics.surface.plane import contact_frame
-from closedloop.simulation.engines.packed import pack_law
+from closedloop.mechanics.surface.placed import contact_frame
+from closedloop.simulation.engines.scenario_numbers import pack_law
 
 # Where the arms press, and how their surface lies.
 NORMALS = {

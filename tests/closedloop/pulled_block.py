@@ -15,8 +15,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.mechanics.friction.contact import Contact
-from closedloop.mechanics.friction.law import SurfaceFriction
-from closedloop.mechanics.friction.packing import surface_parameters
+from closedloop.mechanics.friction.law import SurfaceFriction, surface_parameters
 
 
 @dataclass(frozen=True)

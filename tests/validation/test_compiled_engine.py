@@ -6,7 +6,7 @@ import pytest
 import closedloop as cl
 import robot_models
 from closedloop.mechanics.robot.tree import tree_of
-from closedloop.simulation.engines.needs import needs_general_form
+from closedloop.simulation.engines.scenario_numbers import needs_general_form
 from validation.engines import CannotBuild, available
 from validation.engines.compiled import Compiled
 from validation.engines.compiled_runs import compare_runs, faulty_tree, record, shipped, twin

@@ -15,13 +15,13 @@ from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.kernel import entry_kernel
 from closedloop.loop.events.phases import DONE
 from closedloop.loop.events.table import EVENT_WIDTH
-from closedloop.loop.step.make_loop import make_loop
+from closedloop.loop.step.memory import make_loop
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Terms
 from closedloop.mechanics.robot.tree import Tree, tree_of, tree_terms, work_size
-from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.mechanics.surface.placed import contact_frame
 from closedloop.simulation.engines.compiled import compiled_terms, compiled_work, run_compiled
 from closedloop.simulation.engines.proceed import addresses_of, proceed_at
 from robot_models import RobotModel

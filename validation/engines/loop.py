@@ -19,7 +19,7 @@ from closedloop.mechanics.closure.contact_force import (
 )
 from closedloop.mechanics.closure.solve import OK, solve_closure
 from closedloop.mechanics.robot.pinocchio import Robot as LoopRobot
-from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.mechanics.surface.placed import contact_frame
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.oracle.spatial import Array
 

@@ -28,7 +28,7 @@ from closedloop.control.reference.orientation import orientation_of, refuse_tool
 from closedloop.control.reference.path import Path, path_on
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.jit.blocks import Block, Count
-from closedloop.mechanics.surface.plane import unit
+from closedloop.mechanics.surface.placed import unit
 
 if TYPE_CHECKING:
     from closedloop.mechanics.robot.pinocchio import Robot

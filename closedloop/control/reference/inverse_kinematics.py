@@ -21,7 +21,7 @@ from closedloop.base.arrays import Array
 from closedloop.control.reference.joint_path import cubic
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, plain
-from closedloop.mechanics.loops.along_path import NEAREST, TANGENT
+from closedloop.mechanics.loops.assemble import NEAREST, TANGENT
 from closedloop.mechanics.loops.memory import loops_at as loops_memory
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_turning, work_size
 
@@ -210,7 +210,7 @@ def walk(tree: Tree, work: Array, way: Way, outcome: Array, loops: int, loops_at
     outcome : (OUTCOMES,) array
         Written: `ENDED` and `MIDWAY`.
     loops, loops_at : int
-        Addresses of the entry of the mechanism's loops, `closedloop.mechanics.loops.along_path`, and of their memory;
+        Addresses of the entry of the mechanism's loops, `closedloop.mechanics.loops.assemble`, and of their memory;
         0: none.
     """
     w = _scratch(work, tree.n, way.rows)

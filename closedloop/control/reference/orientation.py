@@ -24,8 +24,7 @@ from closedloop.base.sections import Number, Size
 from closedloop.control.reference.inverse_kinematics import AXIS, FRAME, POSITION, RANK_TOLERANCE
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.mechanics.surface.along import shape_at
-from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame
 
 if TYPE_CHECKING:
     from closedloop.mechanics.robot.pinocchio import Robot

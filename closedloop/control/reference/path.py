@@ -19,8 +19,7 @@ from closedloop.control.reference.on_surface import on_surface
 from closedloop.control.reference.orientation import Held
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.jit.user_code import of_users
-from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
 from closedloop.mechanics.surface.surface import Surface
 
 # Tolerance of the start of a user's path, m: rounding, with no effect on the closure.

@@ -36,7 +36,7 @@ from closedloop.base.optional import missing_line
 from closedloop.control.laws.none import NoLaw
 from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import quaternions, scene_of
-from closedloop.mechanics.loops.wrench import named_side, parts_of
+from closedloop.mechanics.loops.reactions import named_side, parts_of
 from closedloop.record.columns.derived import loop_positions
 from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of

@@ -41,8 +41,7 @@ from closedloop.mechanics.surface.kinds.ellipsoid import Ellipsoid
 from closedloop.mechanics.surface.kinds.height_field import HeightField
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.kinds.sphere import Sphere
-from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.mechanics.surface.plane import unit
+from closedloop.mechanics.surface.placed import PlacedSurface, unit
 from closedloop.record.columns.touching import placed_frame
 from closedloop.record.run import Run
 from robot_models.loop_joint import LoopJoint

@@ -14,8 +14,7 @@ from closedloop.figures.scene.solids import solids_mesh
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.motion import SurfaceMotion
-from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
 from closedloop.mechanics.surface.surface import Surface
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario

@@ -10,7 +10,7 @@ Bodies with flat faces that links touch, as far as they lie near the contacts: t
 The loop joints of a mechanism in space: a mark for each where it is, and the force that it carries.
 
 A mark's place follows from the rows of the closure (`closedloop.mechanics.loops.bind`), its force from the joint's
-reaction (`closedloop.mechanics.loops.wrench`), so that a later kind of loop joint is drawn as well: as a ball.
+reaction (`closedloop.mechanics.loops.reactions`), so that a later kind of loop joint is drawn as well: as a ball.
 
 A second body beside those of a run, which a drawing shows through: a measured one, or that of another run.
 """
@@ -32,16 +32,14 @@ from closedloop.base.arrays import Array
 from closedloop.mechanics.contacts.surfaces import surface_of
 from closedloop.mechanics.loops.bind import bound_by_loops, link_poses, loop_memory
 from closedloop.mechanics.loops.memory import GEAR
-from closedloop.mechanics.loops.reactions import loop_rows, rows_along
-from closedloop.mechanics.loops.wrench import named_side, parts_of
+from closedloop.mechanics.loops.reactions import loop_rows, named_side, parts_of, rows_along
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.kinds.polyhedron import Polyhedron
 from closedloop.record.columns.derived import reactions_of
 from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache
-from closedloop.simulation.prepare import robot_key
+from closedloop.simulation.prepare import Cache, robot_key
 from robot_models import RobotModel
 from robot_models.collision import collision_shapes
 from robot_models.loop_joint import WORLD

@@ -37,8 +37,8 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.mechanics.contacts.modes import TOUCHING, open_margin, touches
+from closedloop.mechanics.contacts.rolling import leave_seats
 from closedloop.mechanics.contacts.soft import stored_in
-from closedloop.mechanics.contacts.standing import leave_seats
 
 # A contact that is further off its surface after an event is put onto it, m.
 OFF_SURFACE = 1e-10

@@ -76,19 +76,17 @@ from closedloop.loop.events.substep import (
     take_in_halves,
 )
 from closedloop.loop.events.transitions import apply_event, resume_after_event
-from closedloop.loop.step.advance import advance
+from closedloop.loop.step.advance import advance, advance_decaying, advance_on_manifold, keep_decays
 from closedloop.loop.step.closed_loops import CLOSE
 from closedloop.loop.step.contacts import NO_FORCES, WATCH
-from closedloop.loop.step.decay import advance_decaying, keep_decays
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work
+from closedloop.loop.step.entries import lead_motors
 from closedloop.loop.step.evaluate import evaluate, evaluate_law
 from closedloop.loop.step.joint_friction import stick_or_slip_joints
 from closedloop.loop.step.locate import locate_tip
 from closedloop.loop.step.memory import Constants, State, Work, ask_contacts, ask_loops
 from closedloop.loop.step.record_row import record
 from closedloop.loop.step.seen import back_to_true, read_joints
-from closedloop.loop.step.transmission import lead_motors
-from closedloop.loop.step.turn import advance_on_manifold
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import OK
 
@@ -110,7 +108,7 @@ def proceed(
     w, constants, state
         See `closedloop.loop.step.memory`.
     table : (P, 2 n + 11) array
-        The reference at the instants of the stages, see `closedloop.loop.step.reference_row`.
+        The reference at the instants of the stages, see `closedloop.loop.step.entries`.
     tableau : (S + 1, S) array
         See `closedloop.mechanics.integrators.Scheme.tableau`.
     rows : (N, width) array

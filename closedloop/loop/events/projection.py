@@ -6,11 +6,11 @@ from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.phases import AFTER_EVENT, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
+from closedloop.loop.step.advance import move
 from closedloop.loop.step.closed_loops import factorise_tip
 from closedloop.loop.step.contacts import CLOSE_GAPS, CLOSE_RATES, CLOSED
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts
-from closedloop.loop.step.turn import move
 from closedloop.mechanics.closure.contact_force import STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.memory import OFF, ContactLinks, Contacts, contacts_at

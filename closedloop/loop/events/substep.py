@@ -59,8 +59,7 @@ from closedloop.loop.step.singular import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at
-from closedloop.mechanics.contacts.shapes import shapes_at
-from closedloop.mechanics.contacts.standing import some_stand
+from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
 
 
 @kernel_inlined

@@ -38,8 +38,7 @@ from closedloop.loop.step.entries import LIMIT, SLIDE
 from closedloop.loop.step.entries import STICK as END_OF_SLIP
 from closedloop.loop.step.locate import set_anchor
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
-from closedloop.loop.step.soft_contact import rub_softly, spring_energy
-from closedloop.loop.step.solve_contact import rubbed_force
+from closedloop.loop.step.solve_contact import rub_softly, rubbed_force, spring_energy
 from closedloop.loop.step.tip_friction import delayed_speed
 from closedloop.mechanics.closure.contact_force import (
     FREE,

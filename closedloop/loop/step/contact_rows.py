@@ -12,10 +12,9 @@ from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at, integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.user_code import RAISED
-from closedloop.loop.step.joint_limits import joint_limits
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import Constants, State, Work
-from closedloop.loop.step.tendons import part_of, rate_along, stops_of
+from closedloop.loop.step.tendons import joint_limits, part_of, rate_along, stops_of
 from closedloop.mechanics.closure.contact_force import FREE, baumgarte_acceleration
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute, forward_substitute_three
 from closedloop.mechanics.contacts.edges import write_edge_rows
@@ -25,10 +24,17 @@ from closedloop.mechanics.contacts.mobility import own_mobilities, write_mobilit
 from closedloop.mechanics.contacts.modes import HOVERING, near, touches
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
-from closedloop.mechanics.contacts.rolling import roll_on_plane, roll_on_surface
-from closedloop.mechanics.contacts.shapes import has_edge, rolls, shapes_at
+from closedloop.mechanics.contacts.rolling import (
+    APART,
+    OWN_STEP,
+    has_edge,
+    is_idle,
+    roll_on_plane,
+    roll_on_surface,
+    rolls,
+    shapes_at,
+)
 from closedloop.mechanics.contacts.soft import write_soft_forces
-from closedloop.mechanics.contacts.standing import APART, OWN_STEP, is_idle
 from closedloop.mechanics.loops.memory import loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.mechanics.loops.solve import leave_free

@@ -59,13 +59,10 @@ from closedloop.mechanics.contacts.memory import (
 )
 from closedloop.mechanics.contacts.modes import HOVERING, RESTING, decide, open_margin, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
-from closedloop.mechanics.contacts.shapes import rolls, shapes_at
-from closedloop.mechanics.contacts.slips_end import stop_slips
-from closedloop.mechanics.contacts.soft import soft_margin
-from closedloop.mechanics.contacts.soft_friction import some_share
-from closedloop.mechanics.contacts.standing import longest_roll, rest_on_feet, rim_margin
+from closedloop.mechanics.contacts.rolling import longest_roll, rest_on_feet, rim_margin, rolls, shapes_at
+from closedloop.mechanics.contacts.soft import soft_margin, some_share
 from closedloop.mechanics.contacts.time_step import begin_time_step
-from closedloop.mechanics.contacts.turning import turn_and_solve
+from closedloop.mechanics.contacts.turning import stop_slips, turn_and_solve
 from closedloop.mechanics.impact import energy_lost
 
 # What the contacts are asked for.
@@ -305,7 +302,7 @@ STICK_SPEED, FADED = 1e-7, 0.5
 def margin_of(links: ContactLinks, c: Contacts, k: int, slow: float, rest: float, h: float) -> float:
     """Return what is left until the mode of a contact ends: a gap, m, a force, N, or a speed of slip, m/s.
 
-    Or until a disc stands, or rolls, which steps of h, s, resolve (`closedloop.mechanics.contacts.standing`).
+    Or until a disc stands, or rolls, which steps of h, s, resolve (`closedloop.mechanics.contacts.rolling`).
 
     Slip ends at the speed `rest`, m/s: 0 with steps of fixed length, if no dry friction of joints stops it. An
     integrator that chooses its steps would need endlessly many for the turns of the direction at the very end. One that

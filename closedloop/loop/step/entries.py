@@ -1,4 +1,10 @@
-"""Entries: the functions by which the loop calls the plug-ins of a scenario, compiled separately, all of one signature.
+"""The entries of plug-ins, and what is desired at an instant.
+
+What is desired at an instant, from the table that the reference is prepared as.
+
+The motors behind elastic joints: their angles and rates are the last of z, see `closedloop.control.transmission`.
+
+Entries: the functions by which the loop calls the plug-ins of a scenario, compiled separately, all of one signature.
 
     call_at(state.law.entry, address, TORQUE)        see `closedloop.jit.calls`
 
@@ -10,7 +16,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+from closedloop.base.arrays import Array
 from closedloop.control.law import Compensation, ControlLaw, LawInput, Seen
+from closedloop.control.reference.joint_path import cubic
 from closedloop.jit.calls import Entry, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.parameters import one_joint_block, parameter_block, state_block
@@ -18,6 +26,101 @@ from closedloop.jit.user_code import function_of, member_entry
 from closedloop.loop.step.memory import Constants, State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, length_of
+
+# The sum of two slopes, rad/s² (m/s²), that are rounding: their signs say nothing, but they may have derivatives.
+STILL = 1e-11
+
+
+@kernel_inlined
+def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
+    """Write the reference at time t: between the table's rows positions are cubics and the rest is linear.
+
+    Parameters
+    ----------
+    t, spacing : float
+        Time, and time between two rows of the table, s.
+    table : (P, >= 2 n + 10) array
+        q_des, q̇_des, then r_des, ṙ_des and r̈_des of the tip in base axes, then f_des.
+    row : (2 n + 10,) array
+        Written.
+    """
+    x = t / spacing
+    at = nearest_row(t, spacing, table.shape[0])
+    width = row.shape[0]
+    if abs(x - at) < 1e-6 or round(x) > at:
+        for j in range(width):
+            row[j] = table[at, j]
+        return
+    at = min(int(x), table.shape[0] - 2)
+    s = x - at
+    for j in range(width):
+        row[j] = (1.0 - s) * table[at, j] + s * table[at + 1, j]
+    for block in range(2):
+        begin = 0 if block == 0 else 2 * n
+        size = n if block == 0 else 3
+        for j in range(begin, begin + size):
+            row[j], _, _ = cubic(
+                table[at, j], table[at + 1, j], table[at, j + size], table[at + 1, j + size], spacing, s
+            )
+
+
+@kernel_inlined
+def nearest_row(t: float, spacing: float, count: int) -> int:
+    """Return which of the table's rows is nearest to time t, s."""
+    return min(round(t / spacing), count - 1)
+
+
+@kernel
+def desired_acceleration(t: float, spacing: float, table: Array, qdd: Array) -> None:
+    """Write q̈_des (n,) at the table's row nearest to t, s, of the rates q̇_des on either side of it.
+
+    It is the smaller of the two slopes, and zero where they differ in sign: so a velocity that jumps, as at the start
+    of a line, asks for no acceleration, and a smooth one for its own, to first order in the spacing.
+    """
+    n, at = qdd.shape[0], nearest_row(t, spacing, table.shape[0])
+    for j in range(n):
+        qdd[j] = 0.0
+        if 0 < at < table.shape[0] - 1:
+            before = (table[at, n + j] - table[at - 1, n + j]) / spacing
+            after = (table[at + 1, n + j] - table[at, n + j]) / spacing
+            if before * after > 0.0 or abs(before) + abs(after) <= STILL:
+                qdd[j] = before if abs(before) < abs(after) else after
+
+
+@kernel
+def transmit(w: Work, constants: Constants) -> None:
+    """Write the torque that the transmissions pass on to the links, `transmitted` (n,), N m."""
+    n = w.q.shape[0]
+    at = w.z.shape[0] - 2 * n
+    for j in range(n):
+        spring = constants.stiffness[j] * (w.z[at + j] - w.q[j])
+        w.drives.transmitted[j] = spring + constants.shaft_damping[j] * (w.z[at + n + j] - w.v[j])
+
+
+@kernel
+def motor_rates(w: Work, constants: Constants) -> None:
+    """Write the rates of the motors' states, from the torque and what the transmissions pass on."""
+    n = w.q.shape[0]
+    at = w.z.shape[0] - 2 * n
+    for j in range(n):
+        w.dz[at + j] = w.z[at + n + j]
+        if constants.motor_inertia[j] > 0.0:
+            w.dz[at + n + j] = (w.torque[j] - w.drives.transmitted[j]) / constants.motor_inertia[j]
+        else:  # a joint without a drive
+            w.dz[at + n + j] = 0.0
+
+
+@kernel
+def lead_motors(w: Work, tau: float, substep: bool) -> None:
+    """For the semi-implicit scheme, let the motors' angles advance with their new rates, as the joints do.
+
+    In a substep after an event it is the mean of the old and the new rate, see `closedloop.loop.step.advance.advance`.
+    """
+    n = w.q.shape[0]
+    at = w.z.shape[0] - 2 * n
+    for j in range(n):
+        w.dz[at + j] = w.z[at + n + j] + (0.5 * tau if substep else tau) * w.dz[at + n + j]
+
 
 # Calls to a control law or a compensation, and to a law of friction.
 TORQUE, START, RESTART, RATES, SLIDE, HOLD, ADVANCE_STATES, LIMIT, STICK = range(9)

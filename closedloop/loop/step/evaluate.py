@@ -21,16 +21,22 @@ from closedloop.jit.parameters import parameter_block
 from closedloop.jit.simd8 import every
 from closedloop.loop.step.closed_loops import DRIVE, factorise_tip
 from closedloop.loop.step.contacts import FRICTION_RATES
-from closedloop.loop.step.entries import RATES, START, TORQUE
+from closedloop.loop.step.entries import (
+    RATES,
+    START,
+    TORQUE,
+    desired_acceleration,
+    motor_rates,
+    reference_row,
+    transmit,
+)
 from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.loop.step.locate import in_contact_frame, locate_tip
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
-from closedloop.loop.step.reference_row import desired_acceleration, reference_row
 from closedloop.loop.step.seen import keep_terms, see
 from closedloop.loop.step.share_friction import share_friction
 from closedloop.loop.step.solve_contact import contact_force
 from closedloop.loop.step.tip_friction import surface_friction
-from closedloop.loop.step.transmission import motor_rates, transmit
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK
 

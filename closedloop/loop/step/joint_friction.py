@@ -16,7 +16,6 @@ from closedloop.loop.step.closed_loops import BIND_ANSWER
 from closedloop.loop.step.contacts import ANSWER
 from closedloop.loop.step.entries import ADVANCE_STATES, LIMIT, SLIDE
 from closedloop.loop.step.entries import STICK as END_OF_SLIP
-from closedloop.loop.step.joint_limits import joint_limits
 from closedloop.loop.step.memory import (
     RIGID_STICK,
     SMOOTH,
@@ -27,7 +26,7 @@ from closedloop.loop.step.memory import (
     ask_contacts,
     ask_loops,
 )
-from closedloop.loop.step.tendons import add_along, part_of, rate_along
+from closedloop.loop.step.tendons import add_along, joint_limits, part_of, rate_along
 from closedloop.mechanics.closure.contact_force import (
     FREE,
     PRESSED,

@@ -1,4 +1,12 @@
-"""Where the tip is to the surface: contact frame, gap, and the tip's motion in that frame.
+"""Where the tip is to the surface, and the round end of a tool.
+
+The round end of a tool, `tool.radius`: the tip is the centre of a ball, and its contact where the ball touches.
+
+The gap of the surface is that of the ball already (`closedloop.mechanics.surface.placed`). The material at the contact
+moves with ṙ + ω × (−ρ n), so that friction has a lever about the centre: the rows t1 and t2 of Eq. 24 have it, and n is
+the same. With the tip as a point nothing of this is called.
+
+Where the tip is to the surface: contact frame, gap, and the tip's motion in that frame.
 
 Of a plane at rest the frame is constant; any other surface is asked, by address
 (`closedloop.mechanics.surface.contact`).
@@ -10,14 +18,50 @@ from typing import Any
 
 from closedloop.base.arrays import Array
 from closedloop.control.reference.desired import Reference
-from closedloop.jit.calls import call_at
-from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.blocks import Block
+from closedloop.jit.calls import call_at, integers_at
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.user_code import RAISED
-from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.loop.step.memory import Constants, State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, into_contact_frame
 from closedloop.mechanics.closure.solve import NO_NORMAL, OK
+from closedloop.mechanics.contacts.rolling import RADIUS, move_to_ball, shapes_at, turn_against, turn_on_surface
+from closedloop.mechanics.loops.memory import loops_at
+from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at, edge_distance
 from closedloop.mechanics.surface.geometry import Touch
+
+
+class BallTip(Block):
+    """Whole numbers, int64: its own address, and those of the loop, of the rows of the tip and of its shape."""
+
+    address: int
+    loop: int
+    rows: int  # n, t1, t2 of a plane at rest, or x, y, z of the base
+    shapes: int  # of which the first is the ball
+
+
+BALL_TIP = BallTip.count()
+
+
+@entry_kernel
+def ball_tip(address: int, what: int) -> int:
+    """Move the rows of the tip, which has been located as a point, to where its ball touches."""
+    ball = BallTip(integers_at(address, BALL_TIP))
+    state, _, w = loop_at(ball.loop)
+    joints, rows = loops_at(ball.rows)
+    shapes = shapes_at(ball.shapes)
+    for j in range(joints.n):
+        rows.q[j], rows.v[j] = w.q[j], w.v[j]
+    locate_rows(joints, rows)
+    turn_against(joints, rows, 0, shapes)
+    if state.surface.entry != 0:
+        turn_on_surface(shapes, ask_at(state.surface.at)[1])
+    else:
+        for a in range(3):
+            shapes.carried[a], shapes.turning[a] = 0.0, 0.0
+    move_to_ball(shapes, shapes.shape[0, RADIUS], w.tip.A, w.tip.u, w.tip.carried, w.tip.turning, w.tip.drift_c)
+    return 0
 
 
 @kernel_inlined

@@ -18,8 +18,7 @@ from closedloop.jit.simd8 import every, select
 from closedloop.loop.step.closed_loops import REACTION, missing_torque
 from closedloop.loop.step.contact_rows import asked
 from closedloop.loop.step.energy_supplied import driving_torque
-from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_loops, loop_at
-from closedloop.loop.step.records import K, N
+from closedloop.loop.step.memory import RIGID_STICK, Constants, K, N, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.conditioning import (
     BATCH,
     LONG_ARM,
@@ -28,11 +27,11 @@ from closedloop.mechanics.closure.conditioning import (
     condition_numbers_of_batch,
 )
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
-from closedloop.mechanics.closure.residuals import residuals
+from closedloop.mechanics.closure.solve import residuals
 from closedloop.mechanics.contacts.friction import remember_speed
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.resistance import resistance_of
-from closedloop.mechanics.contacts.soft_friction import rests
+from closedloop.mechanics.contacts.soft import rests
 from closedloop.mechanics.surface.contact import ask_at
 from closedloop.mechanics.surface.geometry import turned_back
 

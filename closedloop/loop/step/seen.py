@@ -1,4 +1,13 @@
-"""What the law sees of a state: by its own model of arm and surface, and as the encoders read it.
+"""What the law sees of a state: by its own model, and as the encoders read it.
+
+The controller's model of the arm, where it is wrong: its H and C, from those of the arm.
+
+    H' = κ (H − m JᵣᵀJᵣ − D) + D        C' = κ (C − m Jᵣᵀ(J̇ᵣq̇ − g))
+
+with m a payload at the tip that it does not know of, κ the factor by which it is wrong about all masses, and D the
+drives' inertia. Both are exact: C is linear in the masses, and m JᵣᵀJᵣ and m Jᵣᵀ(J̇ᵣq̇ − g) are what a point mass adds.
+
+What the law sees of a state: by its own model of arm and surface, and as the encoders read it.
 
 With encoders the terms are requested twice a row: at the state that they read, for the law, and at the true one, for
 Eq. 24. See `closedloop.loop.events.proceed`, phase MEASURED. Of a mechanism with loops the controller knows that they
@@ -13,12 +22,29 @@ from closedloop.control.law import Seen
 from closedloop.control.reference.desired import DrawnRow
 from closedloop.jit.calls import call_at, integers_at, row_of
 from closedloop.jit.kernel import kernel
-from closedloop.loop.step.belief import believe
 from closedloop.loop.step.closed_loops import BIND_SEEN, CLOSE
 from closedloop.loop.step.locate import in_contact_frame
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import factorise, into_contact_frame
 from closedloop.mechanics.closure.solve import OK
+
+
+@kernel
+def believe(w: Work, constants: Constants) -> None:
+    """Overwrite H and C, which the control law reads, by those of the controller's model."""
+    k, m = constants.believed_masses, constants.unknown_payload
+    for i in range(w.q.shape[0]):
+        carried = 0.0
+        for a in range(3):
+            carried += w.J[a, i] * (w.drift[a] - constants.gravity[a])
+        w.C[i] = k * (w.C[i] - m * carried)
+        for j in range(w.q.shape[0]):
+            moved = 0.0
+            for a in range(3):
+                moved += w.J[a, i] * w.J[a, j]
+            drive = constants.armature[i] if i == j else 0.0
+            w.H[i, j] = k * (w.H[i, j] - m * moved - drive) + drive
+
 
 # Of `Settings.elastic`: the encoders are on the motors.
 MOTORS_MEASURED = 2

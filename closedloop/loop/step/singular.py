@@ -25,8 +25,7 @@ from closedloop.jit.blocks import Block
 from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
-from closedloop.loop.step.memory import Constants, State, Work
-from closedloop.loop.step.records import N
+from closedloop.loop.step.memory import Constants, N, State, Work
 from closedloop.mechanics.closure.contact_force import accelerate
 from closedloop.mechanics.closure.solve import OK, PUSHED, SINGULAR, SINGULAR_MOBILITY, forward_substitute
 

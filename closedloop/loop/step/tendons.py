@@ -1,11 +1,19 @@
-"""Joints, and the tendons that rub or have stops, in one row: joint r for r < n, then tendon r − n."""
+"""Dry friction of joints and tendons, and the rows of both.
+
+Joints, and the tendons that rub or have stops, in one row: joint r for r < n, then tendon r − n.
+
+The largest torques of dry friction in the joints, and forces of that in tendons.
+"""
 
 from __future__ import annotations
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.loop.step.memory import Constants
-from robot_models.tendon import ROUGH, STOPS
+from closedloop.loop.step.entries import LIMIT
+from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.mechanics.friction.law import AT_REST
+from robot_models.tendon import FRICTION, ROUGH, STOPS
 
 
 @kernel
@@ -47,3 +55,14 @@ def stops_of(constants: Constants, r: int) -> tuple[float, float]:
     if r < n:
         return float(constants.lower_stop[r]), float(constants.upper_stop[r])
     return float(constants.tendons[r - n, STOPS]), float(constants.tendons[r - n, STOPS + 1])
+
+
+@kernel
+def joint_limits(w: Work, constants: Constants, state: State) -> None:
+    """Write the limits, N m (N): of a joint at rest what holds it at most, of another its dry friction; of tendons."""
+    call_at(state.joint_friction.entry, state.address, LIMIT)
+    for j in range(w.q.shape[0]):
+        if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], AT_REST):
+            w.joint_friction.limit[j] = abs(w.joint_friction.dry[j])
+    for t in range(state.tendons):
+        w.joint_friction.limit[w.q.shape[0] + t] = constants.tendons[t, FRICTION]

@@ -28,9 +28,9 @@ from closedloop.base.arrays import Array
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.continuation import follow_path, force_size
-from closedloop.mechanics.contacts.linear import DEPENDENT, solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
-from closedloop.mechanics.contacts.packed import pack, unpack
+from closedloop.mechanics.contacts.mobility import pack, unpack
+from closedloop.mechanics.contacts.shortest import DEPENDENT, solve_any_rank
 
 # The residual, of the largest force, at which a problem is solved; what it must have been in the end, of the force that
 # is asked for: feet of one body contradict each other by as much as they are off their surface, so that there may be no

@@ -24,8 +24,8 @@ import math
 
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, Contacts
+from closedloop.mechanics.contacts.shortest import solve_any_rank
 
 # Where the path ends, of τ0, and where it may, if rounding stops it; force and τ, of τ0, from which it will not return.
 END, NEAR_END, MOST_FORCE, MOST_TAU = 1e-7, 1e-3, 1e6, 50.0

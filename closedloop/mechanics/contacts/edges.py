@@ -25,9 +25,8 @@ from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.memory import Contacts
-from closedloop.mechanics.contacts.rolling import turn_against
+from closedloop.mechanics.contacts.rolling import EDGE, EDGE_2, OF_EDGE_2, Shapes, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.contacts.shapes import EDGE, EDGE_2, OF_EDGE_2, Shapes
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 
 # Numbers of edge 1: e1, L1, its two sides, ρ1, ρ2, whether the last crossing is meant, how many edges 2 there are, and

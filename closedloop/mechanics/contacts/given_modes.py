@@ -15,7 +15,6 @@ from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.mechanics.contacts.friction import slide, write_limits
 from closedloop.mechanics.contacts.least_norm import least_norm
-from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import (
@@ -25,8 +24,14 @@ from closedloop.mechanics.contacts.resistance import (
     mode_of_resistance,
     moved_by_turning,
 )
-from closedloop.mechanics.contacts.shortest import CONTRADICTS, SAME_ROW, independent_rows, shortest_solutions
-from closedloop.mechanics.contacts.soft_friction import write_shared
+from closedloop.mechanics.contacts.shortest import (
+    CONTRADICTS,
+    SAME_ROW,
+    independent_rows,
+    shortest_solutions,
+    solve_any_rank,
+)
+from closedloop.mechanics.contacts.soft import write_shared
 from closedloop.mechanics.contacts.sticking import all_stick, shortest_sticking
 from closedloop.mechanics.loops.solve import orthonormal_rows
 

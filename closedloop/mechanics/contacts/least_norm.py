@@ -16,10 +16,10 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.complementarity import into_cone
-from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shared_cone import add_shared_slope, nearest_shared
+from closedloop.mechanics.contacts.shortest import solve_any_rank
 
 # Newton steps; what may be left of the sum, of its size, when it is found, and if that was all that could be had.
 STEPS, FOUND, NEAR, HALVINGS = 60, 1e-14, 1e-11, 30

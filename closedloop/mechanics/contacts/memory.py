@@ -42,7 +42,7 @@ class ContactLinks(Block):
     joints: int  # number of the first that stands for the friction of a joint, while modes are sought alone
     surfaces: int  # address of the entry and the memory of the surface of each, 0 of a plane at rest; 0: all are such
     compliances: int  # address of the same of the compliance of each, 0 of a rigid one; 0: all are rigid
-    shapes: int  # address of the memory of their shapes, see `closedloop.mechanics.contacts.shapes`; 0: all are points
+    shapes: int  # address of the memory of their shapes, see `closedloop.mechanics.contacts.rolling`; 0: all are points
     frictions: int  # and of the law of friction of each, 0 of Coulomb's μ; 0: all have that
     past: int  # speeds of slip that are kept of each, see `closedloop.mechanics.contacts.friction.delayed_speed`
     moved: int  # 1 if a projection found something to move
@@ -130,7 +130,7 @@ class Path(Block, sizes=("k",)):
 
 
 class Packed(Block, sizes=("k",)):
-    """What `closedloop.mechanics.contacts.packed` has overwritten, and which contacts it has put in front."""
+    """What `closedloop.mechanics.contacts.mobility` has overwritten, and which contacts it has put in front."""
 
     contact: Annotated[Array, K]
     mu: Annotated[Array, K]

@@ -18,7 +18,7 @@ from closedloop.mechanics.contacts.given_modes import LITTLE, energy_gained, sto
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
-from closedloop.mechanics.contacts.soft_friction import write_shared
+from closedloop.mechanics.contacts.soft import write_shared
 
 # Within the first gap a contact touches, m; after it has parted, until it has been clear by the second. At the start
 # the second counts: a posture is given in few digits.

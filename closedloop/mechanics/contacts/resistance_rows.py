@@ -6,8 +6,7 @@ from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import near
-from closedloop.mechanics.contacts.rolling import turn_against, turn_on_surface
-from closedloop.mechanics.contacts.shapes import Shapes
+from closedloop.mechanics.contacts.rolling import Shapes, turn_against, turn_on_surface
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 from closedloop.mechanics.surface.contact import ask_at
 

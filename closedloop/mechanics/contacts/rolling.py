@@ -1,24 +1,399 @@
-"""The rows of contacts at which a round shape touches: those of its centre, moved to the place that touches.
+"""Round shapes that touch: where, the rows of such contacts, and a disc that lies nearly flat.
+
+Round shapes that touch a plane: where on a body the contact is, and how that place wanders while the body rolls.
+
+About a point of its link a shape is given by half axes h_i, at most three, and a radius ρ: all points Σ a_i h_i with
+Σ a_i² <= 1, and what is within ρ of them. A radius alone is a ball, three half axes an ellipsoid, two a disc, whose
+edge is a cylinder's rim. With M = Σ h_i h_iᵀ the lowest point along a unit normal n is
+
+    r = −M n/√(nᵀM n) − ρ n          (R. T. Rockafellar, Convex Analysis, Princeton 1970, §13: the support function)
+
+n is fixed in the body of the plane. Relative to that body the shape turns with ω, so that M turns with it, and
+
+    ṙ = ω × r + D (ω × n),     D = M/s − (M n)(M n)ᵀ/s³ + ρ 1,     s = √(nᵀM n)
+
+The material of the shape at the contact has u = u_c + ω × r, of its centre's velocity u_c, and
+u̇ = u̇_c + ω̇ × r + ω × ṙ.
+
+A disc that lies nearly flat: its edge rolls on the lowest point, or stands on one that is fixed to it.
+
+With a the unit axis, t = a − (a·n) n its part along the plane, |t| the sine of the tilt, and ṫ its rate, the lowest
+point is R t/|t| from the centre. Where t changes by about itself within a step it goes anywhere: it turns by |ṫ|/|t|,
+without bound, and where t passes zero it jumps to the other side, with another velocity. Rows that go with it would do
+work that nothing supplies. A disc with
+
+    X |t| < h |ṫ| + X t0
+
+stands: what was its lowest point is a point of the body, as its feet are (`closedloop.scenario.collision`). Where
+another has come to be deeper it goes on, with an impact, to the next corner of a polygon in the edge: to a point as
+high as the one it stood on, beyond the lowest. It rolls where the tilt is resolved and the lowest point is the one it
+stands on. A foot is a point of the edge, and no contact while the edge rolls.
+
+The rows of contacts at which a round shape touches: those of its centre, moved to the place that touches.
 
 The centre's rows come along axes of the body that has the surface, see `closedloop.mechanics.loops.rows`. Velocity and
 acceleration of the material at the contact differ from the centre's by ω × r and ω̇ × r + ω × ṙ, with ω relative to the
-surface (`closedloop.mechanics.contacts.shapes`).
+surface (`closedloop.mechanics.contacts.rolling`).
 """
 
 from __future__ import annotations
 
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
 from closedloop.base.arrays import Array
-from closedloop.jit.calls import integers_at, row_of, vector_at
+from closedloop.jit.blocks import Block, Count
+from closedloop.jit.calls import address_of, integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.contacts.memory import Contacts
-from closedloop.mechanics.contacts.shapes import RADIUS, Shapes, lowest_point, wandering
-from closedloop.mechanics.contacts.standing import left_of_rolling, see_tilt, stand, take_seat
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
+from closedloop.mechanics.contacts.sections import THIN, ContactSection
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import ALONG, turn_direction
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.surface.contact import Ask
 from closedloop.mechanics.surface.geometry import Pose, Touch, normal_rate, tangent_rates
+
+N, K = Count.of("n"), Count.of("k")
+# Numbers of a shape: M (xx, xy, xz, yy, yz, zz), m², in the link's axes, and ρ, m.
+SHAPE = 7
+RADIUS = 6
+# Numbers of a contact of edges, see `closedloop.mechanics.contacts.edges`: of its own edge, and of 12 others.
+EDGE_2, OF_EDGE_2, COUNT_OF_EDGES = 16, 13, 13
+EDGE = EDGE_2 + 12 * OF_EDGE_2
+# A disc whose axis is tilted from the normal by less than this, rad, lies flat: its edge has no lowest point.
+FLAT = 1e-9
+
+
+class ShapeLinks(Block):
+    """Whole numbers, int64: where the memory is, its own address first."""
+
+    address: int
+    numbers: int  # address of the `Shapes`
+    total: int  # of its numbers
+    n: int  # joints
+    k: int  # contacts, as many as those of `closedloop.mechanics.contacts.memory`
+
+
+class Rims(Block, sizes=("k",)):
+    """The shapes that are discs: how each is tilted, and on which point of its edge it stands, in axes of its link."""
+
+    radius: Annotated[Array, K]  # the largest half axis, m; zero of other shapes
+    axis: Annotated[Array, K, 3]
+    foot_of: Annotated[Array, K]  # of a point of a disc's edge: the contact of that edge; 0 of other points
+    stands: Annotated[Array, K]  # 1 while the disc stands on the point `seat`
+    seat: Annotated[Array, K, 3]  # from its centre, m
+    tilt: Annotated[Array, K]  # sine of the angle between axis and normal
+    tilt_rate: Annotated[Array, K]  # of the axis' part along the plane, 1/s
+    lowest: Annotated[Array, K, 3]  # while it stands, the lowest point, from its centre, m
+    apart: Annotated[Array, K]  # and the cosine of the angle between the two
+
+
+class Shapes(Block, sizes=("n", "k")):
+    """The shapes of k contacts, and where each touches; then what the contact asked about last is made of.
+
+    All but `shape` is in axes of the plane, n, t1, t2, or in axes x, y, z of the frame that carries another surface.
+    """
+
+    shape: Annotated[Array, K, SHAPE]  # zeros of a point
+    edge: Annotated[Array, K, EDGE]  # zeros of what is no edge
+    frame: Annotated[Array, K, 3, 3]  # of edges: n, t1, t2
+    chosen: Annotated[Array, K]  # and which of the others it crosses
+    crossing: Annotated[Array, 4]  # gap, m, how far inside, m, s1, m, and |e1 × e2| of the crossing asked about last
+    reach: Annotated[Array, K, 3]  # r, from the centre to the contact, m
+    spins: Annotated[Array, N]  # 1 of a joint that turns what is symmetric about its axis, a wheel
+    rim: Rims  # what of the shapes is flat, see `closedloop.mechanics.contacts.rolling`
+    turns: Annotated[Array, 3, N]  # rows of ω relative to the frame that carries the surface: ω = turns q̇
+    spin: Annotated[Array, 3]  # ω, rad/s
+    spin_rate: Annotated[Array, 3]  # its rate at q̈ = 0, rad/s²
+    carried: Annotated[Array, 3]  # of ω what a surface that turns by itself has, and what its turning adds to the rate
+    turning: Annotated[Array, 3]
+    wander: Annotated[Array, 3]  # ṙ, m/s
+    normal: Annotated[Array, 3]
+    axes: Annotated[Array, 3, 3]  # of the link that has the shape, as columns
+    directions: Annotated[Array, 3, 3]  # the rows' directions, in base axes
+
+
+SHAPE_LINKS = ShapeLinks.count()
+
+
+@kernel
+def shapes_at(address: int) -> Shapes:
+    """Return the memory of the shapes of contacts, by the address of its `ShapeLinks`."""
+    links = ShapeLinks(integers_at(address, SHAPE_LINKS))
+    return Shapes(vector_at(links.numbers, links.total), links.n, links.k)
+
+
+class ShapeMemory(NamedTuple):
+    """The memory of the shapes of contacts, made in Python: kept as long as its address is used."""
+
+    links: ShapeLinks
+    shapes: Shapes
+
+    @property
+    def address(self) -> int:
+        """Return what `shapes_at` takes."""
+        return int(self.links.address)
+
+
+def make_shape_memory(n: int, shapes: Array, edges: Array | None = None) -> ShapeMemory:
+    """Return the memory of the shapes (k, SHAPE) of k contacts of a tree of n joints, and of their edges (k, EDGE)."""
+    k = len(shapes)
+    links, found = ShapeLinks(np.zeros(SHAPE_LINKS, dtype=np.int64)), Shapes(np.zeros(Shapes.count(n, k)), n, k)
+    links.address, links.numbers, links.total = address_of(links.memory), address_of(found.memory), found.memory.size
+    links.n, links.k = n, k
+    found.shape[:], found.edge[:] = shapes, 0.0 if edges is None else edges
+    for i, shape in enumerate(shapes):
+        squares, axes = np.linalg.eigh(square_of(shape))
+        if np.sum(squares > THIN * THIN * squares[-1]) == 2:
+            found.rim.radius[i], found.rim.axis[i] = math.sqrt(squares[-1]), axes[:, 0]
+    return ShapeMemory(links, found)
+
+
+def square_of(shape: Array) -> Array:
+    """Return M (3, 3), m², of a shape (7,)."""
+    M = np.zeros((3, 3))
+    M[np.triu_indices(3)] = shape[:RADIUS]
+    return M + np.triu(M, 1).T
+
+
+@kernel
+def rolls(shapes: Shapes, i: int) -> bool:
+    """Whether at contact i a round shape touches, and not a point."""
+    s = shapes.shape
+    return bool(s[i, RADIUS] > 0.0 or s[i, 0] + s[i, 3] + s[i, 5] > 0.0)
+
+
+@kernel
+def has_edge(shapes: Shapes, i: int) -> bool:
+    """Whether contact i is of edges."""
+    return bool(shapes.edge[i, COUNT_OF_EDGES] > 0.0)
+
+
+def shape_of(section: ContactSection, rotation: Array) -> Array:
+    """Return the shape (7,) of a contact, in the axes of which those of its frame are the columns of `rotation`."""
+    shape, M = np.zeros(SHAPE), np.zeros((3, 3))
+    for half in section.half_axes or ():
+        turned = rotation @ np.array(half)
+        M += np.outer(turned, turned)
+    shape[:RADIUS] = M[np.triu_indices(3)]
+    shape[RADIUS] = section.radius
+    return shape
+
+
+@kernel
+def lowest_point(shape: Array, axes: Array, n: Array, r: Array) -> float:
+    """Write r (3,), from the shape's centre to its lowest point along the unit normal n (3,), m, and return s, m.
+
+    Parameters
+    ----------
+    shape : (7,) array
+    axes : (3, 3) array
+        Those of the link that has the shape, as columns, in the axes of n and r.
+    """
+    m0 = axes[0, 0] * n[0] + axes[1, 0] * n[1] + axes[2, 0] * n[2]
+    m1 = axes[0, 1] * n[0] + axes[1, 1] * n[1] + axes[2, 1] * n[2]
+    m2 = axes[0, 2] * n[0] + axes[1, 2] * n[1] + axes[2, 2] * n[2]
+    p0 = shape[0] * m0 + shape[1] * m1 + shape[2] * m2
+    p1 = shape[1] * m0 + shape[3] * m1 + shape[4] * m2
+    p2 = shape[2] * m0 + shape[4] * m1 + shape[5] * m2
+    square = m0 * p0 + m1 * p1 + m2 * p2
+    widest = shape[0] + shape[3] + shape[5]
+    s = math.sqrt(square) if square > FLAT * FLAT * widest else 0.0
+    share = 1.0 / s if s > 0.0 else 0.0
+    for i in range(3):
+        r[i] = -share * (axes[i, 0] * p0 + axes[i, 1] * p1 + axes[i, 2] * p2) - shape[RADIUS] * n[i]
+    return s
+
+
+@kernel
+def wandering(shape: Array, axes: Array, n: Array, s: float, r: Array, spin: Array, rate: Array) -> None:
+    """Write ṙ (3,), m/s, of the lowest point of a shape that turns with `spin` (3,), rad/s; see `lowest_point`."""
+    k0 = spin[1] * n[2] - spin[2] * n[1]
+    k1 = spin[2] * n[0] - spin[0] * n[2]
+    k2 = spin[0] * n[1] - spin[1] * n[0]
+    c0 = axes[0, 0] * k0 + axes[1, 0] * k1 + axes[2, 0] * k2
+    c1 = axes[0, 1] * k0 + axes[1, 1] * k1 + axes[2, 1] * k2
+    c2 = axes[0, 2] * k0 + axes[1, 2] * k1 + axes[2, 2] * k2
+    p0 = shape[0] * c0 + shape[1] * c1 + shape[2] * c2
+    p1 = shape[1] * c0 + shape[3] * c1 + shape[4] * c2
+    p2 = shape[2] * c0 + shape[4] * c1 + shape[5] * c2
+    radius = shape[RADIUS]
+    rate[0] = spin[1] * r[2] - spin[2] * r[1] + radius * k0
+    rate[1] = spin[2] * r[0] - spin[0] * r[2] + radius * k1
+    rate[2] = spin[0] * r[1] - spin[1] * r[0] + radius * k2
+    if s == 0.0:
+        return
+    # M n is −s (r + ρ n), and nᵀM (ω × n) its product with ω × n
+    along = 0.0
+    for i in range(3):
+        k = k0 if i == 0 else (k1 if i == 1 else k2)
+        along -= s * (r[i] + radius * n[i]) * k
+    for i in range(3):
+        turned = axes[i, 0] * p0 + axes[i, 1] * p1 + axes[i, 2] * p2
+        rate[i] += turned / s + (r[i] + radius * n[i]) * along / (s * s)
+
+
+# X: t may change by this share of itself in a step; a step is divided so that it changes by no more than the second.
+RESOLVED, IN_A_PART = 0.8, 0.1
+# t0: what is tilted less is flat, but for rounding. What stands rolls again from so many times the limit on, where the
+# lowest point is no further than this share of R |t| below that which it stands on; from the third on, wherever it is.
+LEAST_TILT, AGAIN, NEAR, SURELY = 1e-6, 2.0, 1e-4, 8.0
+# Of an integrator that chooses its steps: as if they were so long, s.
+OWN_STEP = 1e-3
+# How deep another point of the edge may be, as a share of R |t|, and beside it, m: a polygon of some 31 corners. The
+# next corner is beyond the lowest point by this share of the angle of the last; from further away, the lowest point.
+SHARE_DEEPER, DEEPER, BEYOND, FAR = 0.005, 1e-10, 0.95, 0.9
+# A foot that is no contact is so far, m.
+APART = 1.0
+
+
+@kernel
+def see_tilt(shapes: Shapes, i: int) -> None:
+    """Write tilt and tilt_rate of contact i, of a disc; its axes and its spin against the plane are written."""
+    rim, axes, w = shapes.rim, shapes.axes, shapes.spin
+    a0 = axes[0, 0] * rim.axis[i, 0] + axes[0, 1] * rim.axis[i, 1] + axes[0, 2] * rim.axis[i, 2]
+    a1 = axes[1, 0] * rim.axis[i, 0] + axes[1, 1] * rim.axis[i, 1] + axes[1, 2] * rim.axis[i, 2]
+    a2 = axes[2, 0] * rim.axis[i, 0] + axes[2, 1] * rim.axis[i, 1] + axes[2, 2] * rim.axis[i, 2]
+    rim.tilt[i] = math.hypot(a1, a2)
+    rim.tilt_rate[i] = math.hypot(w[2] * a0 - w[0] * a2, w[0] * a1 - w[1] * a0)
+
+
+@kernel
+def stand(shapes: Shapes, i: int, r: Array, wander: Array) -> None:
+    """Write r and ṙ of the point that contact i stands on, in place of its lowest, and where that is."""
+    rim, axes, w, radius = shapes.rim, shapes.axes, shapes.spin, shapes.shape[i, RADIUS]
+    lowest = r[0] + radius
+    for a in range(3):
+        rim.lowest[i, a] = axes[0, a] * lowest + axes[1, a] * r[1] + axes[2, a] * r[2]
+    for a in range(3):
+        r[a] = axes[a, 0] * rim.seat[i, 0] + axes[a, 1] * rim.seat[i, 1] + axes[a, 2] * rim.seat[i, 2]
+    for a in range(3):
+        b, d = (a + 1) % 3, (a + 2) % 3
+        wander[a] = w[b] * r[d] - w[d] * r[b]
+    rim.apart[i] = r[0] / lowest if lowest < 0.0 else 1.0
+    r[0] -= radius
+
+
+@kernel
+def take_seat(shapes: Shapes, i: int, r: Array) -> None:
+    """Let contact i stand on its lowest point r."""
+    rim, axes = shapes.rim, shapes.axes
+    for a in range(3):
+        at = r[0] + shapes.shape[i, RADIUS]
+        rim.seat[i, a] = axes[0, a] * at + axes[1, a] * r[1] + axes[2, a] * r[2]
+    rim.stands[i] = 1.0
+
+
+@kernel
+def left_of_rolling(shapes: Shapes, i: int, h: float) -> float:
+    """Return what is left of the tilt until contact i cannot roll in steps of h, s: negative where it cannot."""
+    return float(RESOLVED * (shapes.rim.tilt[i] - LEAST_TILT) - h * shapes.rim.tilt_rate[i])
+
+
+@kernel
+def left_of_standing(shapes: Shapes, i: int, h: float) -> float:
+    """Return what is left until contact i, which stands, rolls or stands on another point: negative once it does."""
+    rim = shapes.rim
+    size, deeper = rim.radius[i] * rim.tilt[i], rim.radius[i] * rim.tilt[i] * (1.0 - rim.apart[i])
+    limit, tilt = h * rim.tilt_rate[i] + RESOLVED * LEAST_TILT, RESOLVED * rim.tilt[i]
+    rolls = max(AGAIN * limit - tilt, deeper - NEAR * size - DEEPER)
+    return float(min(rolls, SURELY * limit - tilt, DEEPER + SHARE_DEEPER * size - deeper))
+
+
+@kernel
+def is_idle(shapes: Shapes, c: Contacts, j: int, h: float) -> bool:
+    """Whether contact j is a foot of a disc whose edge rolls; those of soft contacts are springs of their own."""
+    i = int(shapes.rim.foot_of[j])
+    rolls = i > 0 and c.mode[i] != FREE and shapes.rim.stands[i] == 0.0 and left_of_rolling(shapes, i, h) >= 0.0
+    return bool(rolls and c.soft[i] == 0.0)
+
+
+@kernel
+def rim_margin(links: ContactLinks, c: Contacts, h: float) -> float:
+    """Return the least of what is left to discs that are closed until they stand, or stand otherwise."""
+    shapes, least = shapes_at(links.shapes), math.inf
+    for i in range(1, links.points):
+        if shapes.rim.radius[i] > 0.0 and c.mode[i] != FREE:
+            stands = shapes.rim.stands[i] != 0.0
+            least = min(least, left_of_standing(shapes, i, h) if stands else left_of_rolling(shapes, i, h))
+    return float(least)
+
+
+@kernel
+def some_stand(links: ContactLinks, c: Contacts) -> bool:
+    """Whether a disc stands on its edge or on its feet."""
+    shapes, stands = shapes_at(links.shapes), False
+    for i in range(1, links.points):
+        on_foot = shapes.rim.foot_of[i] > 0.0 and c.mode[i] != FREE
+        stands = stands or on_foot or (shapes.rim.stands[i] != 0.0 and c.mode[i] != FREE)
+    return stands
+
+
+@kernel
+def longest_roll(links: ContactLinks, c: Contacts) -> float:
+    """Return how long the next substep may be, s, for discs that roll."""
+    shapes, longest = shapes_at(links.shapes), math.inf
+    for i in range(1, links.points):
+        turns = shapes.rim.radius[i] > 0.0 and c.mode[i] != FREE and shapes.rim.stands[i] == 0.0
+        if turns and shapes.rim.tilt_rate[i] > 0.0:
+            longest = min(longest, IN_A_PART * shapes.rim.tilt[i] / shapes.rim.tilt_rate[i])
+    return float(longest)
+
+
+@kernel
+def leave_seats(links: ContactLinks, c: Contacts, h: float) -> bool:
+    """Let discs stand on the next point, or roll, where they do no longer stand as they did; whether there are any.
+
+    What rolls again has no feet.
+    """
+    shapes, left = shapes_at(links.shapes), False
+    rim = shapes.rim
+    for i in range(1, links.points):
+        if rim.stands[i] == 0.0 or c.mode[i] == FREE or left_of_standing(shapes, i, h) >= 0.0:
+            continue
+        left = True
+        size = rim.radius[i] * rim.tilt[i]
+        if DEEPER + SHARE_DEEPER * size < (1.0 - rim.apart[i]) * size:
+            seat_next(shapes, i)
+            continue
+        rim.stands[i] = 0.0
+        for j in range(1, links.points):
+            if rim.foot_of[j] == i and c.mode[j] != FREE and c.soft[i] == 0.0:
+                c.mode[j], c.cleared[j], c.floor[j] = FREE, 0.0, min(c.located[3 * j], 0.0)
+    return left
+
+
+@kernel
+def seat_next(shapes: Shapes, i: int) -> None:
+    """Let contact i stand on the next point: in coordinates in which the edge is a circle, beyond the lowest."""
+    rim, of_lowest, of_last = shapes.rim, 1.0, 0.0
+    if FAR < rim.apart[i] < 1.0:
+        angle = math.acos(rim.apart[i])
+        of_lowest, of_last = math.sin((1.0 + BEYOND) * angle), math.sin(BEYOND * angle)
+        of_lowest, of_last = of_lowest / math.sin(angle), of_last / math.sin(angle)
+    for a in range(3):
+        rim.seat[i, a] = of_lowest * rim.lowest[i, a] - of_last * rim.seat[i, a]
+
+
+@kernel
+def rest_on_feet(links: ContactLinks, c: Contacts) -> None:
+    """Open the edge of a disc that stands on its feet: it is a fourth point of the same plane.
+
+    Not of a soft one: what its springs carry does not go elsewhere at once.
+    """
+    shapes = shapes_at(links.shapes)
+    for i in range(1, links.points):
+        if shapes.rim.stands[i] == 0.0 or c.mode[i] == FREE or c.soft[i] != 0.0:
+            continue
+        feet = 0
+        for j in range(1, links.points):
+            feet += 1 if shapes.rim.foot_of[j] == i and c.mode[j] != FREE else 0
+        if feet >= 3:
+            c.mode[i], c.cleared[i], c.floor[i] = FREE, 0.0, min(c.located[3 * i], 0.0)
 
 
 @kernel

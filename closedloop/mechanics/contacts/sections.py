@@ -21,10 +21,9 @@ from closedloop.base.sections import (
     Size,
 )
 from closedloop.mechanics.friction.law import SURFACE_LAWS, SurfaceFriction
-from closedloop.mechanics.impact.restitution import RESTITUTIONS
-from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
+from closedloop.mechanics.impact.single import RESTITUTIONS
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
-from closedloop.mechanics.surface.surface import SURFACES, Surface
+from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES, Compliance, Surface
 
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
 AS_IMPACT = "impact"

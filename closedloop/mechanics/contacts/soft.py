@@ -1,4 +1,6 @@
-"""Contacts whose surface gives way: f is a function of depth and speed (`closedloop.mechanics.surface.compliance`).
+"""Soft contacts: f as a function of depth and speed, and their friction beside others.
+
+Contacts whose surface gives way: f is a function of depth and speed (`closedloop.mechanics.surface.surface`).
 
 In the problems of several contacts such a contact is like any other, but that its normal row is its own: with f known,
 its part of all other rows is in their free acceleration, and
@@ -6,11 +8,17 @@ its part of all other rows is in their free acceleration, and
     u̇_n = −w f_known + w f
 
 so that every method finds f = f_known, with friction in the cone of that f. There is no impulse along its normal.
-Beside other contacts it has no mode of sticking, see `closedloop.mechanics.contacts.soft_friction`.
+Beside other contacts it has no mode of sticking, see `closedloop.mechanics.contacts.soft`.
+
+Friction of soft contacts beside others, which has no mode of sticking: against the slip that is left after a step.
+
+The normal force f of a soft contact is known from its depth. Its friction, |F_t| <= μ f against u_t + h u̇_t, is then
+determined, but for how feet of one body share it; `closedloop.mechanics.contacts.turning` solves for it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
@@ -22,11 +30,13 @@ from closedloop.jit.calls import Entry, address_of, call_at, integers_at, vector
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import pack, parameter_block
 from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
-from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub
+from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.contacts.friction import stops_slipping
+from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts, joints_rub
 from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.contacts.shortest import solve_any_rank
 from closedloop.mechanics.contacts.surfaces import Called
-from closedloop.mechanics.surface.compliance import POINTS, WEIGHTS, Compliance
+from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 
 # What stands before the parameters of a compliance: depth, m, its rate, m/s, and the force, N, that the entry writes.
 ASKED = 3
@@ -128,7 +138,7 @@ def soft_force(links: ContactLinks, i: int, asked: Array) -> float:
 
 @kernel
 def stored_in(links: ContactLinks, c: Contacts, i: int) -> float:
-    """Return what the spring of a soft contact has stored, J; see `closedloop.mechanics.surface.compliance`."""
+    """Return what the spring of a soft contact has stored, J; see `closedloop.mechanics.surface.surface`."""
     asked = vector_at(integers_at(links.compliances, 2 * links.k)[2 * i + 1], ASKED)
     gap, stored = c.located[3 * i], 0.0
     for k in range(4):
@@ -147,3 +157,83 @@ def soft_margin(c: Contacts, i: int) -> float:
     """
     left = -AS_FORCE * c.located[3 * i]
     return float(left if c.u[3 * i] > 0.0 else max(left, 0.0))
+
+
+# Friction is at its limit within the first share. Of the accelerations that bodies have, the second is taken with those
+# that they have not.
+AT_EDGE, SHARE = 1e-9, 1e-5
+
+
+@kernel
+def write_shared(links: ContactLinks, c: Contacts) -> None:
+    """Write of each soft contact beside other closed ones the largest |F_t|/f, as `along` has it, or μ.
+
+    With f known, friction that points to where the slips are at the end of a step is determined, but for how feet of
+    one body share it. Such contacts have no mode of sticking: their slips end by themselves, in a step or a few.
+    Joints with dry friction stop at an instant, and what moves them with it: beside them contacts stick as others do.
+    """
+    closed, k, dry = 0, links.k, joints_rub(links)
+    for i in range(k):
+        closed += 1 if c.problem.form[i] != OFF else 0
+    for i in range(k):
+        ends = c.soft[i] != 0.0 and stops_slipping(c, i) and c.friction.sticks[i] != SPRING_STICK
+        level = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
+        c.friction.shared[i] = 0.0
+        if closed > 1 and ends and not dry and c.problem.form[i] != OFF:
+            c.friction.shared[i] = level if c.problem.form[i] in (RAY, LINE) else c.mu[i]
+
+
+@kernel
+def some_share(c: Contacts, k: int) -> bool:
+    """Whether a soft contact is closed beside others, see `write_shared`."""
+    most = 0.0
+    for i in range(k):
+        most = max(most, c.friction.shared[i])
+    return bool(most > 0.0)
+
+
+@kernel
+def rests(c: Contacts, i: int) -> bool:
+    """Whether contact i sticks, or as a soft one beside others is held by less than its friction can."""
+    size, most = math.hypot(c.F[3 * i + 1], c.F[3 * i + 2]), c.friction.shared[i] * abs(c.F[3 * i])
+    return bool(c.mode[i] == STUCK or size < (1.0 - AT_EDGE) * most)
+
+
+@kernel
+def shared_friction(c: Contacts) -> float:
+    """Return the largest friction of all contacts that share it together, N."""
+    most = 0.0
+    for i in range(c.friction.shared.shape[0]):
+        most += c.friction.shared[i] * abs(c.F[3 * i])
+    return float(most)
+
+
+@kernel
+def drop_contradictions(c: Contacts, k: int, largest: float) -> None:
+    """Take from the accelerations of packed soft contacts what no motion of their bodies has.
+
+    Feet of one body that turns accelerate towards its axis, with the square of its speed. They do not slip by that,
+    but friction that is to stop it would be as large as it can be.
+    """
+    S, unknown, p, contact = c.scratch.system, c.scratch.unknown, 0, c.scratch.packed.contact
+    for i in range(k):
+        j = int(contact[i])
+        if c.scratch.turned[j] != 0.0:
+            unknown[p], unknown[p + 1] = 3 * i + 1, 3 * i + 2
+            p += 2
+    for r in range(p):
+        row = int(unknown[r])
+        for s in range(p):
+            S[r, s] = c.W[row, int(unknown[s])]
+        S[r, r] += SHARE * largest
+        S[r, p] = c.drift[3 * int(contact[row // 3]) + row % 3]
+    solve_any_rank(S, p, 1, c.scratch.column_order, c.scratch.solution, 0.0)
+    for r in range(p):
+        row = int(unknown[r])
+        j = int(contact[row // 3])
+        left = -c.drift[3 * j + row % 3]
+        if c.friction.shared[j] > 0.0:
+            left -= CREEP * c.W[row - row % 3, row - row % 3] * c.scratch.solution[0, r]
+        for s in range(p):
+            left += c.W[row, int(unknown[s])] * c.scratch.solution[0, s]
+        c.scratch.sought[row] += left

@@ -17,8 +17,7 @@ from closedloop.base.families.family import Member
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.surface.contact import SurfaceMemory
 from closedloop.mechanics.surface.motion import MOTIONS
-from closedloop.mechanics.surface.placed import PlacedSurface, Touching
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import PlacedSurface, Touching, contact_frame, unit
 from closedloop.mechanics.surface.surface import SURFACES, Surface
 
 

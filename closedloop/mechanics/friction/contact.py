@@ -15,8 +15,7 @@ from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel_of
 from closedloop.jit.parameters import state_block
-from closedloop.mechanics.friction.law import FrictionLaw, Slip
-from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
+from closedloop.mechanics.friction.law import FrictionLaw, Slip, joint_parameters, surface_parameters
 
 
 class Contact:
@@ -123,5 +122,5 @@ def surface_contact(section: FrictionLaw) -> Contact:
 
 
 def joint_contacts(section: FrictionLaw, n: int | None = None) -> list[Contact]:
-    """Return the contacts in joints, see `closedloop.mechanics.friction.packing.joint_parameters`."""
+    """Return the contacts in joints, see `closedloop.mechanics.friction.law.joint_parameters`."""
     return [Contact(type(section), par, 1) for par in joint_parameters(section, n)]

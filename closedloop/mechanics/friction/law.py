@@ -1,4 +1,8 @@
-"""What every law of friction is: a section of the scenario, its states, how it sticks, and its functions.
+"""What every law of friction is, with the parameters it has.
+
+The types of the parameters of friction, of a surface and of joints: units, sizes and signs.
+
+What every law of friction is: a section of the scenario, its states, how it sticks, and its functions.
 
     F_t = −f c − w        friction of the surface on the tip, N, along d = 2 tangents; c (d,) without unit, w (d,) in N
     τ   = −c − w          friction of one joint, N m: d = 1 and f = 1
@@ -20,20 +24,99 @@ typed fields. Those that ship are in `closedloop.mechanics.friction.laws`, one f
 
 The functions are compiled: they take arrays and numbers, call functions of numpy, math and numba's own, and write into
 the arrays that they are given.
+
+The parameters of a section of friction, by name: of the surface, or of each joint.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import ValidationInfo, field_validator
+from pydantic import AfterValidator, ValidationInfo, field_validator
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters
+from closedloop.base.sections import (
+    COEFFICIENT,
+    JOINT_SPEED_SCALE,
+    PERIOD,
+    SPEED_SCALE,
+    TORQUE,
+    Gain,
+    NotNegative,
+    Positive,
+    Size,
+    stiffness_in,
+    viscous_in,
+)
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.friction.quantities import Figure, refuse_below
+from closedloop.jit.parameters import Named, one_joint_block, pack, pack_each_joint, parameter_block
+
+Figure = float | tuple[float, ...]
+
+# A joint no faster than this, rad/s (m/s), rests: more than the rounding of a velocity that friction has stopped.
+AT_REST = 1e-9
+
+
+def entries(value: Figure) -> tuple[float, ...]:
+    """Return one number, or one per joint, as a tuple."""
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _each(value: Figure, least: float, cure: str) -> Figure:
+    """Refuse an entry below `least`, or at it if `least` is the smallest number above 0."""
+    for index, entry in enumerate(entries(value)):
+        if not entry >= least:
+            raise ValueError(f"entry {index} is {entry:g}: {cure}" if isinstance(value, tuple) else cure)
+    return value
+
+
+def _none_negative(value: Figure) -> Figure:
+    return _each(value, 0.0, "must not be negative")
+
+
+def _all_positive(value: Figure) -> Figure:
+    return _each(value, 5e-324, "must be greater than 0")
+
+
+EXPONENT = Size(1e3, "", "the curve is a step", 1e-3, "the curve is flat")
+JointNotNegative = Annotated[Gain, AfterValidator(_none_negative)]
+JointPositive = Annotated[Gain, AfterValidator(_all_positive)]
+
+Coefficient = Annotated[NotNegative, COEFFICIENT]
+# Of a law with one level: the functions of the law have it as `kinetic`, as a joint's.
+Level = Annotated[Coefficient, Named("kinetic")]
+PositiveCoefficient = Annotated[Positive, COEFFICIENT]
+PositiveLevel = Annotated[PositiveCoefficient, Named("kinetic")]
+Viscous = Annotated[NotNegative, viscous_in("N s/m")]
+Damping = Annotated[NotNegative, viscous_in("s/m")]
+SlipSpeed = Annotated[Positive, SPEED_SCALE]
+Stiffness = Annotated[Positive, stiffness_in("1/m")]
+Exponent = Annotated[Positive, EXPONENT]
+Span = Annotated[NotNegative, PERIOD]
+Torque = Annotated[JointNotNegative, TORQUE]
+PositiveTorque = Annotated[JointPositive, TORQUE]
+JointViscous = Annotated[JointNotNegative, viscous_in("N m s/rad")]
+JointSpeed = Annotated[JointPositive, JOINT_SPEED_SCALE]
+JointStiffness = Annotated[JointPositive, stiffness_in("N m/rad")]
+JointExponent = Annotated[JointPositive, EXPONENT]
+JointSpan = Annotated[JointNotNegative, PERIOD]
+
+
+def refuse_below(static: Figure, kinetic: Figure) -> None:
+    """Refuse a static level below the kinetic one; lists must be of one length."""
+    levels, floors = entries(static), entries(kinetic)
+    count = max(len(levels), len(floors))
+    if len(levels) not in (1, count) or len(floors) not in (1, count):
+        raise ValueError(f"must have as many entries as kinetic, {len(floors)}")
+    for index in range(count):
+        a, b = levels[index % len(levels)], floors[index % len(floors)]
+        if a < b:
+            place = f"entry {index} is {a:g}: " if count > 1 else ""
+            raise ValueError(f"{place}must not be below kinetic, {b:g}: static friction is the larger")
+
 
 # Slip below this speed, m/s or rad/s, has no direction of its own: it is rounding.
 STILL = 1e-12
@@ -219,3 +302,25 @@ class JointFriction(FrictionLaw):
 
 
 SURFACE_LAWS, JOINT_LAWS = Family(SurfaceFriction, usual="none"), Family(JointFriction, usual="none")
+
+
+def surface_parameters(section: FrictionLaw) -> Any:
+    """Return what the functions of a law of the surface's friction read."""
+    return parameter_block(type(section))(pack(section, 1, "friction"), 1)
+
+
+def joint_parameters(section: FrictionLaw, n: int | None = None) -> list[Any]:
+    """Return what the functions of a law of the joints' friction read, for each joint.
+
+    Parameters
+    ----------
+    section : FrictionLaw
+        A section of friction.
+    n : int, optional
+        The number of joints; left out, it is that of the longest list in the section.
+    """
+    kind = type(section)
+    if n is None:
+        given = (getattr(section, name) for name in kind.model_fields)
+        n = max((len(value) for value in given if isinstance(value, tuple)), default=1)
+    return [one_joint_block(kind)(row, n) for row in pack_each_joint(section, n, "joint_friction")]

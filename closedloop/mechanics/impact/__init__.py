@@ -37,14 +37,14 @@ compression follows; the two phases then sum up all that happens while u_n < 0 a
 A tip that can only move along one line (rank of S one) and that friction can hold does not rebound (WEDGE): no impulse
 moves it. NEWTON and STRONGE then end the impact at rest; POISSON adds its impulse, which changes nothing.
 
-The laws are a family, `closedloop.mechanics.impact.restitution`, with a file for each in `laws`. They differ in the
+The laws are a family, `closedloop.mechanics.impact.single`, with a file for each in `laws`. They differ in the
 ratio alone, so the numbers of the three ratios are all that the kernel knows of them; a law of one's own takes one of
 the ratios and may let ε depend on the speed of approach.
 
 `impact` is the kernel; `two_phase_impact` checks its input and returns an `Impact`.
 """
 
-from closedloop.mechanics.impact.modes import CUT, MODE_NAMES, RATIOS
+from closedloop.mechanics.impact.begin import CUT, MODE_NAMES, RATIOS
 from closedloop.mechanics.impact.phases import energy_lost, impact
 from closedloop.mechanics.impact.single import Impact, two_phase_impact
 from closedloop.mechanics.impact.taylor import ImpactWork

@@ -12,8 +12,22 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.solve import DIVERGED, OK, SINGULAR
-from closedloop.mechanics.impact.begin import RESTING, STILL, TURNING, begin_piece, to_extremum
-from closedloop.mechanics.impact.modes import CUT, JAM, NEWTON, POISSON, RECOMPRESSION, REVERSAL, SLIP, STRONGE, WEDGE
+from closedloop.mechanics.impact.begin import (
+    CUT,
+    JAM,
+    NEWTON,
+    POISSON,
+    RECOMPRESSION,
+    RESTING,
+    REVERSAL,
+    SLIP,
+    STILL,
+    STRONGE,
+    TURNING,
+    WEDGE,
+    begin_piece,
+    to_extremum,
+)
 from closedloop.mechanics.impact.taylor import ORDER, ImpactWork, first_reach, value
 
 # Normal mobility below this share of S_nn is none: the tip is wedged (as
@@ -52,7 +66,7 @@ def impact(
         Coulomb coefficient μ >= 0 of the circle |P_t| <= μ P_n.
     work : (ImpactWork.count(),) array
         Scratch. Written: `ImpactWork.happened`, what happened, a sum of the bits of
-        `closedloop.mechanics.impact.modes`.
+        `closedloop.mechanics.impact.begin`.
     phases : two (3,) arrays
         Written: impulse on the robot while u_n < 0, of compression, and while u_n > 0, of decompression, N s, in the
         contact frame.

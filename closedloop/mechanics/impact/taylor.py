@@ -44,7 +44,7 @@ class ImpactWork(Block):
     work: Annotated[Array, ORDER + 1]  # ... to the work of the normal impulse, J
     energy: Annotated[Array, ORDER + 1]  # ... to the kinetic energy, J
     turned: Annotated[Array, ORDER + 1]  # slip velocity across a direction, m/s
-    happened: float  # a sum of the bits of `closedloop.mechanics.impact.modes`
+    happened: float  # a sum of the bits of `closedloop.mechanics.impact.begin`
 
 
 @kernel

@@ -38,9 +38,9 @@ class Scheme(Member):
     b : tuple of float
         Weights of the stages in the step, whose sum is one.
     first : tuple of rows
-        Where states that decay take two exponentials one after the other (`closedloop.loop.step.decay`), the weights of
-        the first, the rows of `a` and then `b`; the second has the rest. Left out there is one: it has all, and those
-        states then are of order 2 at most.
+        Where states that decay take two exponentials one after the other (`closedloop.loop.step.advance`), the weights
+        of the first, the rows of `a` and then `b`; the second has the rest. Left out there is one: it has all, and
+        those states then are of order 2 at most.
     semi_implicit : bool
         Whether the position advances with the new velocity; such a scheme has one stage.
     source : str

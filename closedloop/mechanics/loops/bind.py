@@ -24,8 +24,7 @@ from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree, work_size
 from closedloop.mechanics.robot.tree import layout as at
-from closedloop.mechanics.robot.tree.angles import sines
-from closedloop.mechanics.robot.tree.kinematics import motion
+from closedloop.mechanics.robot.tree.kinematics import motion, sines
 from robot_models.loop_joint import BINDS, LoopJoint
 
 # A row that is no longer than this, and open by no more, m or rad, at every one of so many postures is so everywhere.

@@ -77,7 +77,7 @@ class LoopRows(Block, sizes=("n", "m")):
     wanted: Annotated[Array, N]
     tip: Annotated[
         Array, 6, N
-    ]  # in and out: rows of the tip and its turning, see `closedloop.mechanics.loops.along_path`
+    ]  # in and out: rows of the tip and its turning, see `closedloop.mechanics.loops.assemble`
     still: Annotated[Array, N]  # scratch: a velocity of none
     motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.mechanics.loops.rows`, as the next
     directions: Annotated[Array, 3, 9]  # of the rows of a point, with their first and second derivatives

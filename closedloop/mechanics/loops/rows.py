@@ -22,8 +22,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.loops.memory import DISTANCE, GEAR, IDLE, POSITION, ROTATION, LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.mechanics.robot.tree import layout as at
-from closedloop.mechanics.robot.tree.angles import sines
-from closedloop.mechanics.robot.tree.kinematics import motion
+from closedloop.mechanics.robot.tree.kinematics import motion, sines
 
 # Of a point and a direction fixed to a link, in base axes: position, velocity and acceleration at q̈ = 0 of the point,
 # then the direction with its first and second derivative.

@@ -17,8 +17,8 @@ from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
+from closedloop.mechanics.robot.tree.energy import add_springs, spring_energy
 from closedloop.mechanics.robot.tree.model import last_velocity
-from closedloop.mechanics.robot.tree.springs import add_springs, spring_energy
 from robot_models import RobotModel
 from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions, with_rotation_vectors
 from robot_models.loop_joint import WORLD

@@ -30,7 +30,7 @@ from closedloop.jit.parameters import state_block
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.loops.reactions import LoopReactions, loop_reactions, loop_rows, share_of_rows
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.mechanics.surface.plane import unit
+from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.record import CONTACT_COLUMNS, RESISTANCE_COLUMNS, Column, Record
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.arm import acting_tendons, has_stops, robot_of, stop_limits, without_tools

@@ -130,7 +130,7 @@ _BY_TIME: dict[str, Column] = {
 }
 
 
-# What a run has if its scenario asks for it, see `closedloop.simulation.engines.needs.arm_columns`.
+# What a run has if its scenario asks for it, see `closedloop.simulation.engines.scenario_numbers.arm_columns`.
 ARM_COLUMNS: dict[str, Column] = {
     "torque_limited": Column(
         ("time", "joint"),

@@ -9,10 +9,9 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.contacts.edges import E1, ROUND1, choose_crossing, edges_of
-from closedloop.mechanics.contacts.shapes import SHAPE, lowest_point, make_shape_memory, shape_of
+from closedloop.mechanics.contacts.rolling import SHAPE, lowest_point, make_shape_memory, shape_of
 from closedloop.mechanics.contacts.surfaces import surface_of
-from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of
 from robot_models.loop_joint import WORLD
@@ -22,7 +21,7 @@ class Touching(NamedTuple):
     """A contact of links: its name; the number of the frame that has the point, 0 the base, and the point (3,), m,
     in it; the number of the frame that has the surface, and there the normal and tangents of a plane, the rows of a
     (3, 3) array. Of any other surface these are the axes that it is in, from an origin (3,), m, in that frame. Last the
-    shape about the point, see `closedloop.mechanics.contacts.shapes`, in axes of the frame that has it.
+    shape about the point, see `closedloop.mechanics.contacts.rolling`, in axes of the frame that has it.
     """
 
     name: str

@@ -94,7 +94,7 @@ def measure_rows(
     rows : (N, width) array
         The record, N >= 1 of `closedloop.loop.step.record_row.Row`s, `h` seconds apart.
     wanted : (P, >= 2 n + 10) array, int
-        The table of what is desired, see `closedloop.loop.step.reference_row`, and how many of its rows there are to
+        The table of what is desired, see `closedloop.loop.step.entries`, and how many of its rows there are to
         each of the record's.
     limits : (4 n,) array
         See `closedloop.record.report.row_sample.joint_limits`.

@@ -12,7 +12,7 @@ from closedloop.base.plain import plain
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.loops.wrench import parts_of
+from closedloop.mechanics.loops.reactions import parts_of
 from closedloop.record.clearance import clearance_of
 from closedloop.record.columns.record import Record
 from closedloop.record.report.assumptions import assumptions

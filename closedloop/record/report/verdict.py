@@ -44,7 +44,7 @@ from closedloop.base.arrays import Array
 from closedloop.control.drives import AS_ASKED
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
 from closedloop.mechanics.friction.contact import joint_contacts
-from closedloop.mechanics.friction.quantities import AT_REST
+from closedloop.mechanics.friction.law import AT_REST
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.mechanics.loops.drives import torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -165,7 +165,7 @@ STEPS_TO_AN_EVENT = 20
 NOMINAL_STEP = 1e-3
 # The repeatability of such arms is ±0.03 to ±0.1 mm: a tip that is farther than that from the surface it is on is not
 # on it. With Baumgarte's stabiliser shipped scenarios keep 1e-8 m, without one 2e-6 m. A closure may start farther off
-# (`closedloop.simulation.start.START_GAP`) and comes to it from there.
+# (`closedloop.simulation.prepare.START_GAP`) and comes to it from there.
 CLOSURE_BOUND = 1e-4
 
 # A limit of the drives may cut a torque as the tip strikes, or as a motion starts; where it acts in most of the rows it

@@ -27,9 +27,17 @@ from closedloop.mechanics.contacts.friction import (
 )
 from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING
-from closedloop.mechanics.contacts.rolling import roll_on_plane, turn_against
+from closedloop.mechanics.contacts.rolling import (
+    EDGE,
+    SHAPE,
+    Shapes,
+    make_shape_memory,
+    roll_on_plane,
+    shape_of,
+    square_of,
+    turn_against,
+)
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.contacts.shapes import EDGE, SHAPE, Shapes, make_shape_memory, shape_of, square_of
 from closedloop.mechanics.contacts.soft import compliances_of, depth_entry, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.mechanics.friction.contact import Contact
@@ -54,8 +62,8 @@ from closedloop.mechanics.robot.tree.layout import (
     XZ,
     YZ,
 )
-from closedloop.mechanics.surface.compliance import largest_mobility
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import contact_frame, unit
+from closedloop.mechanics.surface.surface import largest_mobility
 from closedloop.scenario.arm import acting_tendons, joint_friction_of, stop_limits
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of

@@ -21,14 +21,12 @@ from closedloop.jit.simd8 import WIDE, aligned
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH
-from closedloop.loop.step.make_loop import Loop
-from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.loop.step.memory import Constants, Loop, State, Work
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.report.measured import CONTROL, Tally, Values
 from closedloop.record.report.row_sample import joint_limits
-from closedloop.simulation.engines.at_addresses import Parts, measure_at, run_at, run_varied_at
-from closedloop.simulation.engines.compiled import compiled_work
-from closedloop.simulation.engines.pace import Pace
+from closedloop.simulation.engines.compiled import Parts, compiled_work, measure_at, run_at, run_varied_at
+from closedloop.simulation.engines.loops import Pace
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import Addresses, proceed_at
 
@@ -112,7 +110,7 @@ class DualRun:
     events : (M, EVENT_WIDTH, 8) array
         The table of events.
     table : (P, columns, 8) array
-        What is desired, see `closedloop.loop.step.reference_row`.
+        What is desired, see `closedloop.loop.step.entries`.
     """
 
     def __init__(

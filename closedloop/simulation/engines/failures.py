@@ -27,7 +27,7 @@ from closedloop.jit.user_code import of_users
 from closedloop.loop.events.phases import MAX_IN_STEP, OUTPACED
 from closedloop.loop.step.entries import CALLS
 from closedloop.loop.step.evaluate import SPEED_LIMIT
-from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.memory import Loop
 from closedloop.mechanics.closure.solve import (
     CHATTER,
     CROWDED,
@@ -39,8 +39,8 @@ from closedloop.mechanics.closure.solve import (
     SINGULAR,
 )
 from closedloop.mechanics.contacts.surfaces import Called
+from closedloop.mechanics.friction.law import surface_parameters
 from closedloop.mechanics.friction.laws.lugre import LuGre, is_passive, passive_damping_speed
-from closedloop.mechanics.friction.packing import surface_parameters
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.verdict import DIVERGES
 from closedloop.scenario.gains import feedbacks, gains_fault

@@ -17,11 +17,10 @@ from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import twin_address
 from closedloop.jit.user_code import why_member_not_compiled
 from closedloop.loop.events.phases import STEP_END
-from closedloop.loop.step.ball_tip import ball_tip
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
-from closedloop.loop.step.make_loop import Loop, make_loop
-from closedloop.loop.step.memory import Constants
+from closedloop.loop.step.locate import ball_tip
+from closedloop.loop.step.memory import Constants, Loop, make_loop
 from closedloop.loop.step.record_row import ContactRow
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.sections import AS_IMPACT
@@ -29,17 +28,20 @@ from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.contacts.turning import SETTLING
 from closedloop.mechanics.friction.law import Slip
 from closedloop.mechanics.impact import RATIOS
-from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
+from closedloop.mechanics.impact.single import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
 from closedloop.record.columns.derived import Recorded
 from closedloop.record.run import Run
-from closedloop.simulation.engines.bind_ball import ball_memory
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
-from closedloop.simulation.engines.loop_start import read_encoders
-from closedloop.simulation.engines.needs import entries_of
 from closedloop.simulation.engines.proceed import proceed_at
-from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
-from closedloop.simulation.engines.start_memory import write_constants, write_start, write_state
+from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, entries_of
+from closedloop.simulation.engines.start_memory import (
+    ball_memory,
+    read_encoders,
+    write_constants,
+    write_start,
+    write_state,
+)
 
 
 def as_it_is(entry: Any) -> Any:
@@ -178,7 +180,7 @@ class Problem(ScenarioNumbers):
         form : callable
             Returns the form of an entry that is called, see `closedloop.jit.dual.dual`.
         machine : callable
-            Returns the address of an entry's machine code, see `closedloop.jit.drafts`.
+            Returns the address of an entry's machine code, see `closedloop.jit.buffers`.
         loop_compiled : bool
             Whether the loop itself is machine code too; interpreted, it can call what is.
         """

@@ -14,8 +14,7 @@ from closedloop.jit.calls import address_of, fortran_at, integers_at, known_matr
 from closedloop.jit.kernel import brief_entry, kernel_inlined
 from closedloop.loop.events.proceed import proceed
 from closedloop.loop.events.table import EVENT_WIDTH
-from closedloop.loop.step.make_loop import Loop
-from closedloop.loop.step.memory import loop_at
+from closedloop.loop.step.memory import Loop, loop_at
 from closedloop.mechanics.robot.tip import tip_kinematics
 
 # Where Jᵣ, r and J̇ᵣq̇ come from: they are in the loop's memory, or follow from Pinocchio's data.

@@ -1,29 +1,141 @@
-"""The numbers of a scenario, and what follows from them directly."""
+"""A scenario's numbers, laws as numbers, and what it needs of the loop.
+
+Laws as numbers: what the loop and the entries of plug-ins read of their parameters.
+
+What a scenario needs of the loop: a law at its address, columns of the record, readings of encoders.
+
+The numbers of a scenario, and what follows from them directly.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.control.compensation.none import NoCompensation
+from closedloop.control.drives import DrivesSection
+from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
+from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.reference.desired import Desired
-from closedloop.control.sensor import PackedSensor
-from closedloop.jit.parameters import per_joint
+from closedloop.control.sensor import PackedSensor, SensorSection
+from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_block
+from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
+from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
 from closedloop.loop.step.record_row import row_width
-from closedloop.mechanics.impact.restitution import RESTITUTIONS, Restitution
+from closedloop.loop.step.solve_contact import compliance_entry
+from closedloop.mechanics.friction.law import FrictionLaw
+from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.impact.single import RESTITUTIONS, Restitution
 from closedloop.mechanics.integrators import Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.mechanics.surface.plane import Plane
+from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.mechanics.surface.placed import PlacedSurface, Plane
+from closedloop.mechanics.surface.surface import Compliance
 from closedloop.record.columns.derived import recorded_states
-from closedloop.scenario.arm import acting_tendons
+from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of
+from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.simulation.engines.bind_contacts import ContactPlaces
-from closedloop.simulation.engines.needs import arm_columns, calls_law
-from closedloop.simulation.engines.packed import PackedLaw
+from robot_models import RobotModel
+
+STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
+
+
+class PackedLaw(NamedTuple):
+    """A law as the loop reads it: of control, of compensation, of friction, or of a soft surface."""
+
+    member: Any  # its class
+    # its parameters, see `closedloop.jit.parameters.parameter_block`; of friction in joints a row for each, (n, ...),
+    # see `closedloop.jit.parameters.one_joint_block`
+    numbers: Array
+    states: int  # how many states it has; of friction in joints, each of them
+
+
+def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[str] = ()) -> PackedLaw:
+    """Turn a law or a compensation into numbers for n joints."""
+    where = "law" if isinstance(section, ControlLaw) else "compensation"
+    type(section).check_functions(f"{where}.kind")
+    return PackedLaw(type(section), pack(section, n, where, joint_names), state_block(type(section)).count(n))
+
+
+def pack_friction(section: FrictionLaw, n: int, joints: bool = False) -> PackedLaw:
+    """Turn a law of the surface's friction, or of the joints', into numbers for n joints."""
+    member, where = type(section), "joint_friction" if joints else "friction"
+    if member is not NoFriction:
+        member.check_functions(f"{where}.kind")
+    numbers = pack_each_joint(section, n, where) if joints else pack(section, n, where)
+    return PackedLaw(member, numbers, state_block(member).count(1 if joints else 2))
+
+
+def pack_compliance(section: Compliance, n: int) -> PackedLaw:
+    """Turn a soft surface into numbers for n joints."""
+    return PackedLaw(type(section), pack(section, n, "compliance"), 0)
+
+
+def sticking(friction: PackedLaw) -> int:
+    """Return how a law of friction holds what it has stopped, see `closedloop.loop.step.memory`."""
+    return SMOOTH if friction.member is NoFriction else STICKING[friction.member.sticks]
+
+
+# Sections that ask for nothing.
+_DRIVES, _SENSOR, _MODEL_ERROR = DrivesSection(), SensorSection(), ModelErrorSection()
+
+
+def needs_general_form(scenario: Scenario) -> bool:
+    """Whether a scenario is more than the paper's law on a smooth surface, see `closedloop.loop.step.evaluate`."""
+    return (
+        scenario.law.kind != "paper"
+        or scenario.law.force_feedback > 0.0
+        or scenario.law.force_integral > 0.0
+        or scenario.compensation.kind != "none"
+        or scenario.friction.kind != "none"
+        or scenario.rubs_in_joints
+        or scenario.sensor != _SENSOR
+        or scenario.model_error != _MODEL_ERROR
+        or bool(arm_columns(scenario))
+        or bool(scenario.contact)
+    )
+
+
+def calls_law(scenario: Scenario, model: RobotModel) -> bool:
+    """Whether the law is called by address: see `needs_general_form`."""
+    undriven = not model.loops and not all(model.driven)
+    return needs_general_form(scenario) or has_stops(scenario, model) or undriven
+
+
+def entries_of(scenario: Scenario, model: RobotModel, user_law: bool = False) -> dict[str, Any]:
+    """Return what the loop calls by address of the members of a scenario, by the names that `State` has for it."""
+    found: dict[str, Any] = {}
+    if calls_law(scenario, model) and not user_law:
+        found["law"] = law_entry(type(scenario.law))
+        if not isinstance(scenario.compensation, NoCompensation):
+            found["compensation"] = law_entry(type(scenario.compensation))
+    if not isinstance(scenario.compliance, Rigid):
+        found["compliance"] = compliance_entry(type(scenario.compliance))
+    if not isinstance(scenario.friction, NoFriction):
+        found["friction"] = friction_entry(type(scenario.friction))
+    if not isinstance(joints := joint_friction_of(scenario, model), NoFriction):
+        found["joint_friction"] = joint_friction_entry(type(joints))
+    return found
+
+
+def arm_columns(scenario: Scenario) -> tuple[str, ...]:
+    """Return the columns beyond `closedloop.loop.step.record_row.RECORDED` that a run of a scenario has."""
+    drives = ("torque_limited",) if scenario.drives != _DRIVES else ()
+    encoder = ("measured_position", "measured_velocity") if scenario.reads_encoders else ()
+    motors = ("motor_position", "motor_velocity", "transmitted_torque") if scenario.transmission.elastic else ()
+    return drives + encoder + motors
+
+
+def reading_kind(scenario: Scenario) -> int:
+    """Return whether the controller reads encoders, see `closedloop.control.encoder.encoder_kind`."""
+    kind = encoder_kind(scenario.encoder)
+    return MEASURED_VELOCITY if kind == NO_ENCODER and scenario.transmission.on_motors else kind
 
 
 @dataclass(frozen=True)
@@ -51,7 +163,7 @@ class ScenarioNumbers:
     sensor : PackedSensor
         The force sensor.
     table : (steps · nodes + 1, 2 n + 11) array
-        The reference at every instant at which a stage is evaluated, see `closedloop.loop.step.reference_row`, and
+        The reference at every instant at which a stage is evaluated, see `closedloop.loop.step.entries`, and
         a standard normal number for the force sensor.
     nodes : int
         Rows of the table to a step.

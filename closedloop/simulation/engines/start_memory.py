@@ -1,28 +1,93 @@
-"""The loop's memory at t = 0: its constants, its whole-number state, and where the run starts."""
+"""The memory of the loop at t = 0, of a tool's round end and of encoders.
+
+The memory of the round end of a tool, as `closedloop.loop.step.locate` reads it.
+
+The first reading of encoders, before a run begins or where it goes on.
+
+The loop's memory at t = 0: its constants, its whole-number state, and where the run starts.
+"""
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
+from closedloop.base.arrays import Array
 from closedloop.control.drives import DrivesSection
 from closedloop.control.reference.desired import Reference
 from closedloop.control.sensor import start_sensor
+from closedloop.jit.calls import address_of
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import one_joint_block, parameter_block
 from closedloop.jit.user_code import of_users
-from closedloop.loop.events.phases import PROJECTION, STEP_END, TOUCHING
-from closedloop.loop.step.memory import SPRING_STICK, Constants, State, Work
+from closedloop.loop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHING
+from closedloop.loop.step.locate import BALL_TIP, BallTip
+from closedloop.loop.step.memory import SPRING_STICK, Constants, Loop, State, Work
 from closedloop.loop.step.record_row import Row
-from closedloop.loop.step.seen import MOTORS_MEASURED
+from closedloop.loop.step.seen import MOTORS_MEASURED, read_joints
 from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.contacts.rolling import RADIUS, SHAPE, make_shape_memory
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.impact import RATIOS
+from closedloop.mechanics.loops.assemble import close_state, factor_rows
+from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.drives import torque_of_drives
+from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
+from closedloop.mechanics.loops.rows import locate_rows
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.scenario.arm import stop_limits
 from closedloop.scenario.robot_sections import ModelErrorSection
-from closedloop.simulation.engines.needs import arm_columns, reading_kind
-from closedloop.simulation.engines.packed import sticking
-from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
+from closedloop.simulation.engines.bind_contacts import placed_on_link
+from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, arm_columns, reading_kind, sticking
+
+
+class BallMemory(NamedTuple):
+    """The memory of a tip with a round end, kept as long as its address is used."""
+
+    links: BallTip
+    kept: tuple[Any, ...]
+
+
+def ball_memory(robot: Robot, surface: PlacedSurface, radius: float, loop: int) -> BallMemory:
+    """Return a new memory of a tip with an end of this radius, m, on a surface; `loop` is the address of the loop."""
+    poses = link_poses(robot.tree, robot.model.loop_home)
+    link, _, point = placed_on_link(robot, poses, robot.tip, (0.0, 0.0, 0.0), "robot.tip")
+    kinds = np.array([POSITION] * 3 + [link] * 3 + [-1] * 3 + [0, 1, 1], dtype=np.int64)
+    along, none = surface.frame if surface.fixed_plane else np.eye(3), np.zeros((3, 3))
+    bound = Bound(kinds, np.tile(point, (3, 1)), none, none, along, np.zeros((3, 5)), np.ones(3), np.zeros(robot.n))
+    shape = np.zeros((1, SHAPE))
+    shape[0, RADIUS] = radius
+    rows, shapes = make_loop_memory(robot.tree, bound), make_shape_memory(robot.n, shape)
+    links = BallTip(np.zeros(BALL_TIP, dtype=np.int64))
+    links.address, links.loop, links.rows, links.shapes = address_of(links.memory), loop, rows.address, shapes.address
+    return BallMemory(links, (rows, shapes))
+
+
+def read_encoders(loop: Loop, table: Array) -> None:
+    """Read the joints in the state of a loop, as the law sees them: the loops of the mechanism are closed there too."""
+    state, entry = loop.state, loop.state.loops.entry
+    state.loops.entry = 0  # compiled code, which interpreted code cannot call
+    interpreted(read_joints)(loop.w, loop.constants, state, table)
+    state.loops.entry, state.phase = entry, MEASURED
+    if state.loops.seen_at != 0:
+        _close_reading(loop.w, loop.w.kept["seen_loops"])
+
+
+def _close_reading(w: Work, memory: LoopMemory) -> None:
+    """Move the first reading of encoders, in place of q and q̇, to the nearest state that the loops allow.
+
+    Their rank is that at the true state, before it is found in the course of a run.
+    """
+    links, rows = memory
+    rows.q[:], rows.v[:] = w.encoders.true_q, w.encoders.true_v
+    interpreted(locate_rows)(links, rows)
+    interpreted(factor_rows)(links, rows, rows.error, links.m)
+    links.known = links.rank
+    interpreted(close_state)(links, rows, w.q, w.v)
+
 
 # Slip slower than this, m/s, is none: a tip that starts with it sticks, one that slows down to it may.
 STICK_SPEED = 1e-7

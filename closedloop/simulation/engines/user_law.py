@@ -30,7 +30,7 @@ from closedloop.jit.calls import callback, compiled_address, forget_entry, inter
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import jit_disabled
 from closedloop.loop.step.entries import START, TORQUE, law_input
-from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.memory import Loop
 from closedloop.mechanics.robot.pinocchio import Terms
 from closedloop.simulation.engines.failures import not_finite, when
 from closedloop.simulation.engines.law_source import NUMBERS, RAISED, Arguments, arguments_of, law_failure

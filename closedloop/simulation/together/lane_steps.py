@@ -1,26 +1,33 @@
-"""Eight members at a time in SIMD lanes, from control instant to control instant; see `closedloop.jit.simd8`.
+"""Eight members at a time in SIMD lanes, and which may be.
+
+Eight members at a time in SIMD lanes, from control instant to control instant; see `closedloop.jit.simd8`.
 
 Members may be stepped so whose torque is held by an action, whose tip slides or sticks on a plane, and of which no part
-has a memory of its own that acts on the motion, as `closedloop.simulation.together.lanes` decides. The kernels are
+has a memory of its own that acts on the motion, as `closedloop.simulation.together.lane_steps` decides. The kernels are
 those of a step by itself, so every number is the same to the last bit. Friction is asked member by member, by its
 address.
 
 A lane in which something else may happen (liftoff, the end of slip or of sticking, a slip so slow that friction turns
 with it) is left as it was, and its member is stepped by itself. What is tested for here may be less than an event,
 never more.
+
+Which simulations may be stepped in SIMD lanes, and memory: see `closedloop.simulation.together.lane_steps`.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.control.reference.desired import TableRow
 from closedloop.control.sensor import SensorParameters, sense, sensor_rates
-from closedloop.jit.calls import call_at, integers_at, matrix_at, row_of, vector_at
-from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.jit.calls import address_of, call_at, entry_address, integers_at, matrix_at, row_of, vector_at
+from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel, kernel_inlined, plain
 from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
-from closedloop.jit.simd8 import WIDE, every, select
+from closedloop.jit.simd8 import WIDE, aligned, every, select
 from closedloop.loop.events.locate import slip_margin
 from closedloop.loop.events.phases import OUTPACED
 from closedloop.loop.events.substep import save_slip
@@ -29,7 +36,7 @@ from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, sa
 from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.evaluate import bounded
 from closedloop.loop.step.locate import locate_on_plane
-from closedloop.loop.step.memory import RIGID_STICK, Work, loop_at
+from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, Constants, State, Work, loop_at
 from closedloop.loop.step.record_row import Row, write_row
 from closedloop.loop.step.singular import near_singular
 from closedloop.loop.step.tip_friction import surface_friction
@@ -44,9 +51,9 @@ from closedloop.mechanics.closure.contact_force import (
 )
 from closedloop.mechanics.closure.solve import OK, SINGULAR
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms, work_size
+from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import ADDRESSES, Addresses
-from closedloop.simulation.together.member import write_wanted
-from closedloop.simulation.together.records import (
+from closedloop.simulation.together.member import (
     AT_MARK,
     BETWEEN,
     GROUP,
@@ -57,6 +64,7 @@ from closedloop.simulation.together.records import (
     Kept,
     LaneConstants,
     Member,
+    write_wanted,
 )
 
 # A square is compared with a square, to leave out what is nearer to a bound than this share: its rounding.
@@ -164,7 +172,7 @@ def step_in_lanes(address: int, count: int) -> int:
     Parameters
     ----------
     address : int
-        Of `closedloop.simulation.together.records.Group`.
+        Of `closedloop.simulation.together.member.Group`.
     count : int
         How many there are; other lanes repeat the first.
     """
@@ -288,3 +296,55 @@ def put_back(g: Group, w: Work, row: Row, forces: Array, i: int) -> None:
     write_wanted(m, a, told, wanted, between.memory)
     m.marked, m.known, m.request, m.first = AT_MARK, 0, WAITING, m.target
     a.rows = m.window - 8 * m.target * width
+
+
+def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: Work) -> bool:
+    """Whether a simulation whose torque is held may be stepped in lanes while its tip is on the surface."""
+    settings, friction = state.settings, state.friction
+    called = (state.surface, state.ball, state.compliance, state.loops, state.contacts, state.joint_friction)
+    # The states of a law that is not asked act on nothing, unless they are recorded or its functions may raise.
+    has_memory = bool(friction.states or constants.lag > 0.0 or settings.states_at)
+    members = problem.friction.member, problem.law.member
+    asked = (
+        settings.stages != 1, not settings.semi_implicit, settings.adaptive, settings.project, settings.encoder,
+        settings.elastic, settings.drives, settings.arm_at, settings.balls,
+    )  # fmt: skip
+    return (
+        not jit_disabled()
+        and not any(each.entry for each in called)
+        and not any(asked)
+        and not has_memory
+        and friction.sticking in (SMOOTH, RIGID_STICK)
+        and all(each.__module__.startswith("closedloop.") for each in members)
+        and not np.isfinite(w.tip.inside)
+    )
+
+
+class Lanes:
+    """The memory of one thread for members of one mode; see `closedloop.simulation.together.member.Group`.
+
+    Parameters
+    ----------
+    problem : Problem
+        One of the members, for the sizes.
+    mode : int
+        PRESSED or STUCK.
+    steps : int
+        Between two control instants.
+    arrays : dict of arrays
+        By name those that `Group` has the addresses of, of all members.
+    """
+
+    def __init__(self, problem: Problem, mode: int, steps: int, arrays: dict[str, NDArray[Any]]) -> None:
+        n, tree = problem.robot.n, problem.robot.tree
+        parts = {
+            "work": aligned(Work.count(n, 0, 1, 1, 0)), "constants": aligned(LaneConstants.count()),
+            "terms": aligned(n * n + n + plain(work_size)(n)), "tree": aligned(tree.constants.size),
+            "row": aligned(Row.count(n)), "forces": aligned(steps + 1), "before": aligned(Kept.count()),
+        }  # fmt: skip
+        self.group = Group(np.zeros(GROUP, dtype=np.int64))
+        for name, part in (parts | arrays).items():
+            setattr(self.group, name, address_of(part))
+        self.group.mode, self.group.entry = mode, entry_address(step_in_lanes)
+        self.group.keep_alive(parts=parts, arrays=arrays)
+        self.address = address_of(self.group.memory)

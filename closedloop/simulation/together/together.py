@@ -19,8 +19,7 @@ from closedloop.jit.background import make_ready
 from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.phases import FAILED, MEASURED, STEP_END, TERMS
-from closedloop.loop.step.make_loop import Loop
-from closedloop.loop.step.memory import Work
+from closedloop.loop.step.memory import Loop, Work
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -30,10 +29,8 @@ from closedloop.simulation.engines.loops import COMPILED, kernels_of
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import addresses_of, set_events
 from closedloop.simulation.loop_calls import Answers
-from closedloop.simulation.together.lane_steps import step_in_lanes
-from closedloop.simulation.together.lanes import Lanes, may_step_in_lanes
-from closedloop.simulation.together.member import step_members, strike
-from closedloop.simulation.together.records import BETWEEN, MEMBER, WAITING, Member
+from closedloop.simulation.together.lane_steps import Lanes, may_step_in_lanes, step_in_lanes
+from closedloop.simulation.together.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
 
 # Rows that the window of a member has beside those that it must keep: it moves them once in so many.
 SPARE = 64
@@ -137,7 +134,7 @@ class Together:
     wanted : (count, 2 n + 10) array
         What is desired there, see `closedloop.loop.step.memory.Reference`.
     between : (count, BETWEEN) array
-        What happened since the control instant before, see `closedloop.simulation.together.records.Between`.
+        What happened since the control instant before, see `closedloop.simulation.together.member.Between`.
     actions : (count, k) array
         To be written before `step`, SI units.
     failures, failed : list, (count,) array of bool

@@ -32,9 +32,8 @@ from closedloop.base.errors import ScenarioError
 from closedloop.mechanics.integrators import ADAPTIVE, AdaptiveIntegrator, Scheme, scheme_of
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.prepare import prepare
+from closedloop.simulation.prepare import Cache, prepare
 from closedloop.studies.analysis.here import Instant, refuse_outside, row_at, run_to, without_event
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from closedloop.studies.analysis.reduced import Reduced
@@ -83,7 +82,7 @@ def step_of(
 def _stages(scheme: type[Scheme], within: Array, first: Array, h: float, decays: Array, k: int) -> tuple[Array, Array]:
     """Return Φ and Γ of a scheme of Runge and Kutta, with exponentials of the states that decay.
 
-    About states at rest, g = a z, the E of `closedloop.loop.step.decay` is E δz = e^(−s) δz + (1 − e^(−s))/s p, with
+    About states at rest, g = a z, the E of `closedloop.loop.step.advance` is E δz = e^(−s) δz + (1 − e^(−s))/s p, with
     p = h Σ wᵢ (δżᵢ + a δzᵢ).
     """
     states, slopes = [np.eye(within.shape[0])], list[Array]()

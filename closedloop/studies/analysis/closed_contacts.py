@@ -13,7 +13,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import SimulationError
-from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.memory import Loop
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.memory import ContactMemory
 from closedloop.scenario.tables import names_of

@@ -27,18 +27,18 @@ from closedloop.jit.background import make_ready
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.loop.events.table import KINDS
-from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.advance import turn
+from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.record_row import Row, complete_record
-from closedloop.loop.step.turn import turn
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.loops.close import closed_to
+from closedloop.mechanics.loops.assemble import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.engines.loop_start import read_encoders
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.start_memory import read_encoders
 from closedloop.simulation.loop_calls import Answers, single_calls
 from closedloop.simulation.stepper import Stepper
 from closedloop.studies.analysis.closed_contacts import ClosedContacts, contacts_of, put_contacts

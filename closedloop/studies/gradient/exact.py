@@ -1,4 +1,12 @@
-"""Derivatives of whole runs by dual numbers: one run gives the values and their derivatives in seven directions.
+"""Derivatives by dual numbers, and where forces that are not unique make them less exact.
+
+Where the forces of several contacts are not unique and decide over an event: derivatives beyond it are less exact.
+
+Four feet of a box that slides have one normal force more than a rigid body determines, and two points that stick bear
+any force along the line between them. Forces of least norm are smooth functions of the scenario while contacts last as
+they are. Where a slip ends, or a time step finds the modes of the contacts, the solver's way decides which they are.
+
+Derivatives of whole runs by dual numbers: one run gives the values and their derivatives in seven directions.
 
 A step of the plain run calculates with dual numbers, see `closedloop.jit.dual8`; instants of events get their
 derivatives by a Newton step at the instant found, so that what an event does to a derivative needs no formula. Two
@@ -24,26 +32,75 @@ from closedloop.jit.background import start as start_compiling
 from closedloop.jit.cache_folder import why_not_kept
 from closedloop.jit.dual import NotCompiledError, NotDualError
 from closedloop.jit.kernel import jit_disabled, needs_compiling
-from closedloop.loop.events.table import event_columns
+from closedloop.loop.events.table import KINDS, STICK, TANGENTIAL_IMPACT, TIME_STEP, event_columns
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.mechanics.robot.tree import energies_of_rows
 from closedloop.record.columns.record import POSITIONS
 from closedloop.record.report.measured import Values
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.report.run_values import shares_at
 from closedloop.record.run import Run
-from closedloop.simulation.as_run import columns_of_rows, positions_told
-from closedloop.simulation.cache import Cache
+from closedloop.scenario.tables import names_of
 from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepared, kernels, prepared
-from closedloop.simulation.prepare import prepare
-from closedloop.studies.gradient.differences import Along
-from closedloop.studies.gradient.extrapolate import LEVELS, LOCATED, ROUNDING, Estimate, two_sided
-from closedloop.studies.gradient.guard import NOISE, agreeing, rounded
+from closedloop.simulation.prepare import Cache, prepare
+from closedloop.simulation.simulate import columns_of_rows, positions_told
+from closedloop.studies.gradient.differences import LEVELS, LOCATED, ROUNDING, Along, Estimate, two_sided
+from closedloop.studies.gradient.guard import AGREE, NOISE, agreeing, rounded
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys
-from closedloop.studies.gradient.outputs import Output, slices_of, values_of
+from closedloop.studies.gradient.outputs import EVENTS, Output, slices_of, values_of
 from closedloop.studies.gradient.seeds import Seeds, seeds_of
-from closedloop.studies.gradient.several import SHARE_OFF, not_unique
 from closedloop.studies.gradient.variants import Sample
 from robot_models import RobotModel
+
+# Events that such forces decide over.
+DECIDED = (KINDS[STICK], KINDS[TIME_STEP], KINDS[TANGENTIAL_IMPACT])
+
+
+# What follows is as exact as the runs beside a run tell, and they scatter by as much.
+SHARE_OFF = 2.0 * AGREE
+
+
+class NotUnique(NamedTuple):
+    """The first event over which forces that are not unique decide: its instant, s, and what it is, in words."""
+
+    instant: float
+    event: str
+
+    @property
+    def problem(self) -> str:
+        """What is to be said of derivatives."""
+        return (
+            f"not smooth at {self.instant:.6g} s ({self.event}): forces of contacts are not unique there; derivatives "
+            f"of what follows may be off by {SHARE_OFF:g} of their size"
+        )
+
+    def follows(self, output: Output, run: Run) -> NDArray[np.bool_]:
+        """Return which entries of an output, flat, are of what a run comes to at the event or later."""
+        if not output.column:
+            return np.ones(output.of(run).size, dtype=bool)
+        column = np.asarray(getattr(run, output.column))
+        times = run.event_time if output.column.startswith(EVENTS) else run.time
+        late = np.broadcast_to((times >= self.instant).reshape(-1, *(1,) * (column.ndim - 1)), column.shape)
+        as_it_is: Any = SimpleNamespace(**{output.column: late})
+        return np.ravel(output.read(as_it_is))
+
+
+def not_unique(run: Run) -> NotUnique | None:
+    """Return the first event of a run that forces which are not unique decide over; None if there is none."""
+    sections = run.scenario.contact
+    if not sections:
+        return None
+    rubs = np.array([c.compliance is None and (c.friction > 0.0 or c.friction_law is not None) for c in sections])
+    seen = set[bytes]()
+    for event in run.events:
+        if event.contact > 0 and event.kind in DECIDED:
+            row = int(np.searchsorted(run.time, event.time, side="right")) - 1
+            modes = run.link_modes[row].tobytes()
+            if modes not in seen and np.any(shares_at(run, row)[0] & rubs):
+                return NotUnique(event.time, f"{event.kind} of {names_of(sections)[event.contact - 1]}")
+            seen.add(modes)
+    return None
+
 
 notices = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.jit.dual import NotDualError
 from closedloop.record.run import Run
-from closedloop.studies.gradient.extrapolate import LOCATED, ROUNDING
+from closedloop.studies.gradient.differences import LOCATED, ROUNDING
 from closedloop.studies.gradient.keys import SHARE, Direction, Keys
 from closedloop.studies.gradient.outputs import Output, slices_of, values_of
 from closedloop.studies.gradient.variants import Sample, difference, samples

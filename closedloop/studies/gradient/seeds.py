@@ -14,11 +14,10 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import Prepared, prepared, structure
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.prepare import prepare
-from closedloop.studies.gradient.extrapolate import LEVELS, two_sided
+from closedloop.simulation.prepare import Cache, prepare
+from closedloop.studies.gradient.differences import LEVELS, two_sided
 from closedloop.studies.gradient.keys import Direction, Keys
 from robot_models import RobotModel
 

@@ -13,13 +13,11 @@ from closedloop.base.errors import ClosedLoopError
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.as_run import as_run
 from closedloop.simulation.batch.simulate_batch import threads_for
-from closedloop.simulation.batch.threads import Done, side_by_side
-from closedloop.simulation.cache import Cache
+from closedloop.simulation.batch.worker import Done, side_by_side
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
-from closedloop.simulation.prepare import prepare
-from closedloop.simulation.simulate import check_engine, run_loop
+from closedloop.simulation.prepare import Cache, prepare
+from closedloop.simulation.simulate import as_run, check_engine, run_loop
 from robot_models import RobotModel
 
 # What `difference` says of runs that differ in nothing but that an event is between other rows.

@@ -165,7 +165,7 @@ def write(found: Identification, folder: Path, source: str) -> list[Path]:
     """Write all that was found into a folder that is there; return the paths.
 
     report.txt, identified.json, friction.toml, torque and intervals as figures; and, of a URDF, robot.urdf and
-    robot.toml, whose inertia is that of bodies that can be (`closedloop.studies.identify.physical`).
+    robot.toml, whose inertia is that of bodies that can be (`closedloop.studies.identify.base_parameters`).
     """
     from closedloop.figures.files import write_figure
     from closedloop.figures.style import styled

@@ -19,9 +19,8 @@ from closedloop.control.law import COMPENSATIONS, LAWS
 from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.compile_cache import KernelCache
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
-from closedloop.mechanics.surface.compliance import COMPLIANCES
 from closedloop.mechanics.surface.motion import MOTIONS
-from closedloop.mechanics.surface.surface import SURFACES
+from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES
 
 ROOT = Path(closedloop.__file__).parent.parent
 

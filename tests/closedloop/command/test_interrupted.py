@@ -15,7 +15,7 @@ from closedloop.base.interrupts import Terminated, held_back, terminable
 from closedloop.loop.events.phases import TERMS
 from closedloop.loop.step import entries
 from closedloop.record.columns.record import COLUMNS
-from closedloop.simulation.engines import pace
+from closedloop.simulation.engines import loops
 from closedloop.simulation.engines.user_law import UserLaw
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")
@@ -135,15 +135,15 @@ def test_a_run_that_crawls_returns_to_python_soon(monkeypatch):
         calls.append((evaluations, evaluations * time_of_one))
         return TERMS
 
-    monkeypatch.setattr(pace.clock, "perf_counter", lambda: clock[0])
-    taken = pace.Pace()
+    monkeypatch.setattr(loops.clock, "perf_counter", lambda: clock[0])
+    taken = loops.Pace()
     for _ in range(20):
         assert taken.take(evaluate) == TERMS
-    assert calls[-1][0] == pace.MOST, "it returns more often than need be"
+    assert calls[-1][0] == loops.MOST, "it returns more often than need be"
     time_of_one = 1e-2
     for _ in range(20):
         taken.take(evaluate)
-    assert [seconds for _, seconds in calls[21:] if seconds > 2.0 * pace.MOMENT] == []
+    assert [seconds for _, seconds in calls[21:] if seconds > 2.0 * loops.MOMENT] == []
     assert min(evaluations for evaluations, _ in calls) > 0
 
 
@@ -152,8 +152,8 @@ def test_how_often_a_run_returns_to_python_changes_no_bit(engine, monkeypatch):
     """Every evaluation, every seventh, or as many as there are."""
     whole = cl.simulate(scenario(), engine=engine)
     for count in (1, 7):
-        monkeypatch.setattr(pace, "FEW", count)
-        monkeypatch.setattr(pace, "MOST", count)
+        monkeypatch.setattr(loops, "FEW", count)
+        monkeypatch.setattr(loops, "MOST", count)
         assert begins_as(cl.simulate(scenario(), engine=engine), whole)
 
 

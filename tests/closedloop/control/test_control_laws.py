@@ -22,7 +22,7 @@ from closedloop.jit.calls import address_of, matrix_of
 from closedloop.jit.kernel import numba_ready, plain
 from closedloop.jit.numba_dual8 import dual_vector_at
 from closedloop.jit.simd8 import WIDE, aligned
-from closedloop.simulation.engines.packed import pack_law
+from closedloop.simulation.engines.scenario_numbers import pack_law
 
 LAWS = {
     "paper": PaperLaw(kp=400.0, kd=30.0),

@@ -23,7 +23,7 @@ from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.laws.servo_admittance import ServoAdmittanceLaw
 from closedloop.control.sensor import SensorSection
 from closedloop.jit.parameters import parameter_block
-from closedloop.simulation.engines.packed import pack_law
+from closedloop.simulation.engines.scenario_numbers import pack_law
 
 LAWS = (
     PaperLaw(kp=400.0, kd=30.0),

@@ -16,7 +16,7 @@ from closedloop.control.reference.orientation import turned_by
 from closedloop.control.reference.tip_path import Straight
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
-from closedloop.loop.step.reference_row import desired_acceleration
+from closedloop.loop.step.entries import desired_acceleration
 from closedloop.mechanics.surface.kinds.height_field import HeightField
 from closedloop.mechanics.surface.surface import Surface
 from closedloop.simulation.engines.problem import Problem

@@ -6,8 +6,8 @@ from rounding import within
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.step.make_loop import make_loop
-from closedloop.loop.step.transmission import lead_motors, motor_rates, transmit
+from closedloop.loop.step.entries import lead_motors, motor_rates, transmit
+from closedloop.loop.step.memory import make_loop
 
 # A mass of 2 kg on three slides, held to a plane: in x and y nothing acts on it but its motors.
 M, B, K, Q = 2.0, 0.5, 300.0, 3.0

@@ -9,7 +9,7 @@ import scipy.linalg
 
 import closedloop as cl
 from closedloop.jit.kernel import plain
-from closedloop.loop.step.reference_row import reference_row
+from closedloop.loop.step.entries import reference_row
 from closedloop.loop.step.tip_friction import turn_with_slip
 
 

@@ -21,8 +21,7 @@ from closedloop.lab.messages import from_text, in_text, pack, unpack
 from closedloop.lab.server import LONG, Newest
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
-from closedloop.simulation.cache import Cache
-from closedloop.simulation.prepare import prepare
+from closedloop.simulation.prepare import Cache, prepare
 
 SECTIONS = [section for tab in TABS.values() for section in tab]
 
@@ -212,8 +211,8 @@ def test_an_answer_is_a_run_or_the_one_line_that_says_why_not():
 def test_a_run_that_has_begun_is_finished_and_its_first_part_is_shown(integrator, monkeypatch):
     """However long it takes, to the bits of a run without looking; the parts grow, and are rows of the whole."""
     monkeypatch.setattr("closedloop.lab.answers.SLOW", 0.0)
-    monkeypatch.setattr("closedloop.simulation.engines.pace.MOST", 40)
-    monkeypatch.setattr("closedloop.simulation.engines.pace.FEW", 40)
+    monkeypatch.setattr("closedloop.simulation.engines.loops.MOST", 40)
+    monkeypatch.setattr("closedloop.simulation.engines.loops.FEW", 40)
     base, parts = cl.load_scenario("wam_slide", {"time.integrator": integrator, "time.duration": 0.2}), []
     said = []
     answers = Answers(History(base, "wam_slide"), say=said.append, part=parts.append)
@@ -239,8 +238,8 @@ def test_a_run_that_is_about_to_end_shows_no_part(monkeypatch):
     ticks = itertools.count()
     clock = SimpleNamespace(perf_counter=lambda: 0.02 * next(ticks), thread_time=lambda: 0.0)  # of each look at it
     monkeypatch.setattr("closedloop.lab.answers.clock", clock)
-    monkeypatch.setattr("closedloop.simulation.engines.pace.MOST", 40)
-    monkeypatch.setattr("closedloop.simulation.engines.pace.FEW", 40)
+    monkeypatch.setattr("closedloop.simulation.engines.loops.MOST", 40)
+    monkeypatch.setattr("closedloop.simulation.engines.loops.FEW", 40)
     base, parts = cl.load_scenario("wam_slide", {"time.duration": 2.0}), []
     answers = Answers(History(base, "wam_slide"), part=parts.append)
     for slow, least in ((0.0, 0.97), (0.4, 0.3)):
@@ -255,8 +254,8 @@ def test_the_first_part_is_shown_as_soon_as_a_run_is_known_to_be_slow(monkeypatc
     ticks = itertools.count()
     clock = SimpleNamespace(perf_counter=lambda: 0.02 * next(ticks), thread_time=lambda: 0.0)  # of each look at it
     monkeypatch.setattr("closedloop.lab.answers.clock", clock)
-    monkeypatch.setattr("closedloop.simulation.engines.pace.MOST", 200)
-    monkeypatch.setattr("closedloop.simulation.engines.pace.FEW", 200)
+    monkeypatch.setattr("closedloop.simulation.engines.loops.MOST", 200)
+    monkeypatch.setattr("closedloop.simulation.engines.loops.FEW", 200)
     parts, said = [], []
     for duration, shown in ((2.0, 1), (0.4, 0)):
         parts.clear()

@@ -7,13 +7,12 @@ from random_loop import loop_at_random
 import closedloop as cl
 from closedloop.control.law import Seen
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.step.belief import believe
 from closedloop.loop.step.closed_loops import BIND_LOAD, REACTION, closed_loops, factorise_tip
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.loop.step.joint_friction import _delayed, add_joint_friction, hold_joints, stick_or_slip_joints
 from closedloop.loop.step.locate import locate_tip, off_anchor, set_anchor
-from closedloop.loop.step.seen import MOTORS_MEASURED, read_joints, see
-from closedloop.loop.step.soft_contact import soft_contact_force, spring_energy
+from closedloop.loop.step.seen import MOTORS_MEASURED, believe, read_joints, see
+from closedloop.loop.step.solve_contact import soft_contact_force, spring_energy
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.loops.rows import locate_rows
 

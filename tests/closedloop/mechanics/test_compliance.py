@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
 from closedloop.mechanics.surface.compliances.hunt_crossley import HuntCrossley
+from closedloop.mechanics.surface.surface import COMPLIANCES, Compliance
 
 G, MASS = 9.81, 2.0
 

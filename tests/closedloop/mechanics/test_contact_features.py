@@ -11,9 +11,8 @@ from pydantic import Field
 
 import closedloop as cl
 from closedloop.mechanics.friction.law import SurfaceFriction
-from closedloop.mechanics.surface.compliance import Compliance
 from closedloop.mechanics.surface.motion import SurfaceMotion
-from closedloop.mechanics.surface.surface import Surface
+from closedloop.mechanics.surface.surface import Compliance, Surface
 
 G = 9.81
 FAR = {"kind": "plane", "offset": "start", "gap": 50.0, "contact": "unilateral"}

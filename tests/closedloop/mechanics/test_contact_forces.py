@@ -16,8 +16,8 @@ from closedloop.mechanics.contacts.given_modes import (
     stopping_impulses,
 )
 from closedloop.mechanics.contacts.least_norm import least_norm, project_all, write_slope
-from closedloop.mechanics.contacts.linear import solve_any_rank
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, make_contact_memory
+from closedloop.mechanics.contacts.shortest import solve_any_rank
 
 K = 4
 

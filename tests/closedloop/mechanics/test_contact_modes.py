@@ -34,8 +34,7 @@ from closedloop.mechanics.contacts.modes import (
     happened_to,
     mode_after,
 )
-from closedloop.mechanics.contacts.tangential_impact import TANGENTIAL_IMPACT
-from closedloop.mechanics.contacts.time_step import SPAN, TIME_STEP, begin_time_step
+from closedloop.mechanics.contacts.time_step import SPAN, TANGENTIAL_IMPACT, TIME_STEP, begin_time_step
 
 NOTHING = 1e-9
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.simulation.start import START_RATE
+from closedloop.simulation.prepare import START_RATE
 
 REFUSED = [
     ("wam_bounce", {"impact.restitution": 1.2}, r"impact\.restitution = 1\.2.*1"),

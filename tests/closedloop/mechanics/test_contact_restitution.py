@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.mechanics.impact.restitution import Restitution
+from closedloop.mechanics.impact.single import Restitution
 
 
 class Viscous(Restitution):

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from test_friction_examples import EXAMPLES, PUBLISHED, angles, contact, patient, pointing, some_states
 
 import closedloop as cl
+from closedloop.mechanics.friction.bristle import largest_step, presliding_motion
 from closedloop.mechanics.friction.laws.dahl import SurfaceDahl
-from closedloop.mechanics.friction.presliding import largest_step, presliding_motion
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ from test_friction_examples import (
     speeds,
 )
 
+from closedloop.mechanics.friction.law import surface_parameters
 from closedloop.mechanics.friction.laws.lugre import SurfaceLuGre, is_passive, passive_damping_speed, passive_viscous
-from closedloop.mechanics.friction.packing import surface_parameters
 
 
 def gained(law, u, stuck, f, delayed_speed=None):

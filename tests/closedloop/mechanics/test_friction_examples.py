@@ -7,7 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from closedloop.mechanics.friction.contact import Contact
-from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
+from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, surface_parameters
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.coulomb_viscous import SurfaceCoulombViscous
 from closedloop.mechanics.friction.laws.dahl import SurfaceDahl
@@ -16,7 +16,6 @@ from closedloop.mechanics.friction.laws.lugre import SurfaceLuGre
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.friction.laws.seven_parameter import SurfaceSevenParameter
 from closedloop.mechanics.friction.laws.stribeck import SurfaceStribeck
-from closedloop.mechanics.friction.packing import surface_parameters
 
 patient = settings(deadline=None, max_examples=40)
 

@@ -35,12 +35,11 @@ from closedloop.loop.step.entries import (
     friction_entry,
     joint_friction_entry,
 )
-from closedloop.loop.step.make_loop import make_loop
+from closedloop.loop.step.memory import make_loop
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
 from closedloop.mechanics.friction.contact import Contact
-from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, length_of
+from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, joint_parameters, length_of, surface_parameters
 from closedloop.mechanics.friction.laws.stribeck import SurfaceStribeck
-from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

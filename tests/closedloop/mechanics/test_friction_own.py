@@ -18,7 +18,7 @@ MASS = 2.0  # kg, of pointmass3
 OWN = '''
 import math
 
-from closedloop.mechanics.impact.restitution import Restitution
+from closedloop.mechanics.impact.single import Restitution
 from closedloop.base.sections import Positive, stiffness_in
 
 
@@ -299,7 +299,7 @@ REFUSED = {
     ),
     "a friction": (
         {"impact.law": "my_friction:Drag"},
-        "derived from closedloop.mechanics.impact.restitution.Restitution",
+        "derived from closedloop.mechanics.impact.single.Restitution",
     ),
     "depends on the step": (
         {"joint_friction.kind": "my_friction:Dry", "time.integrator": "dop853"},

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 import closedloop as cl
 from closedloop.figures.friction_laws import draw
 from closedloop.jit.parameters import pack_each_joint
-from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
+from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, joint_parameters, surface_parameters
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
 from closedloop.mechanics.friction.laws.dahl import JointDahl
@@ -18,7 +18,6 @@ from closedloop.mechanics.friction.laws.lugre import JointLuGre, SurfaceLuGre, p
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.friction.laws.seven_parameter import JointSevenParameter
 from closedloop.mechanics.friction.laws.stribeck import JointStribeck, SurfaceStribeck
-from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
 
 # A unit stands between commas or at the end; 1 is that of numbers without.
 UNIT = r", (1|s|m/s|rad/s|1/m|s/m|N s/m|N m|N m/rad|N m s/rad)(,|;|$)"

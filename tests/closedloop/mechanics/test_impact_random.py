@@ -11,7 +11,7 @@ import pytest
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.solve import DIVERGED, OK, SINGULAR
 from closedloop.mechanics.impact import ImpactWork, impact
-from closedloop.mechanics.impact.modes import (
+from closedloop.mechanics.impact.begin import (
     CUT,
     JAM,
     NEWTON,

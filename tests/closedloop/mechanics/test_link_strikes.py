@@ -13,7 +13,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.mechanics.impact import Impact, two_phase_impact
-from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.mechanics.surface.placed import contact_frame
 from robot_models import load
 
 ARMS = {name: cl.Robot(load(name)) for name in ("wam4", "panda")}

@@ -6,8 +6,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.mechanics.loops.reactions import loop_rows, share_of_rows
-from closedloop.mechanics.loops.wrench import labels_of
+from closedloop.mechanics.loops.reactions import labels_of, loop_rows, share_of_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops.mechanisms import MECHANISMS, joint, loop, point
 

@@ -24,7 +24,6 @@ from closedloop.mechanics.closure.contact_force import (
     pressed_force,
     stuck_force,
 )
-from closedloop.mechanics.closure.residuals import residuals
 from closedloop.mechanics.closure.solve import (
     NOT_POSITIVE_DEFINITE,
     OK,
@@ -32,8 +31,9 @@ from closedloop.mechanics.closure.solve import (
     SINGULAR,
     SINGULAR_MOBILITY,
     bordered_matrix,
+    residuals,
 )
-from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.mechanics.surface.placed import contact_frame
 
 EPS = np.finfo(float).eps
 # Both solutions carry rounding times the condition of Eq. 24. Away from singular poses (`WELL` below) that is

@@ -8,7 +8,7 @@ from rounding import within
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
-from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.mechanics.surface.placed import contact_frame
 
 COMPONENTS = st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3).filter(lambda n: max(map(abs, n)) > 1e-3)
 

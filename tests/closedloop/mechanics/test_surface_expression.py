@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.mechanics.surface.expression import instructions
-from closedloop.mechanics.surface.second_order import FUNCTIONS, evaluate
+from closedloop.mechanics.surface.expression import FUNCTIONS, evaluate, instructions
 
 FORMULAS = (
     "x**2 + y**2 + (z/2)**2 - 1",

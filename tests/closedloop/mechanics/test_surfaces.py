@@ -19,8 +19,7 @@ from closedloop.mechanics.surface.geometry import Pose
 from closedloop.mechanics.surface.gradient import gradients
 from closedloop.mechanics.surface.kinds.height_field import HeightField
 from closedloop.mechanics.surface.motion import MOTIONS, Move, begin_move, displace
-from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
 from closedloop.mechanics.surface.surface import SURFACES
 
 KINDS = {

@@ -11,7 +11,7 @@ import robot_models
 from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.robot.tree import layout, tree_of, tree_potential_energy, tree_turning, work_size
-from closedloop.mechanics.robot.tree.angles import sines
+from closedloop.mechanics.robot.tree.kinematics import sines
 from robot_models.planar2 import closed_form
 
 # name and tip; solo12 has four legs, ur5 and panda come from example-robot-data

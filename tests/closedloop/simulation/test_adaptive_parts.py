@@ -5,8 +5,7 @@ import pytest
 from rounding import within
 
 import closedloop as cl
-from closedloop.simulation.engines.adaptive.crossing import first_crossing, root
-from closedloop.simulation.engines.adaptive.smooth import interval_from, jumps
+from closedloop.simulation.engines.adaptive.smooth import first_crossing, interval_from, jumps, root
 
 
 def wanted(name, **changes):

@@ -286,7 +286,7 @@ def test_singular_begins_well_below_what_arithmetic_can_tell():
 def test_running_into_a_singular_pose_stops_there(integrator, monkeypatch):
     """An arm that straightens along the normal stops as singular, and what ran until then is kept and finite."""
     # Only a tip that starts through its closure gets there: such a start is refused otherwise.
-    monkeypatch.setattr("closedloop.simulation.start.START_RATE", 1.0)
+    monkeypatch.setattr("closedloop.simulation.prepare.START_RATE", 1.0)
     stretch = {"start.q": [-0.1, 0.2], "start.v": [1.0, -2.0], "stabiliser.kind": "none"}
     with pytest.raises(cl.SimulationError) as caught:
         cl.simulate(straight(**stretch, **{"time.duration": 0.5, "time.integrator": integrator, "law.pd_start": 9.0}))

@@ -6,7 +6,7 @@ import pytest
 import closedloop as cl
 from closedloop.loop.step.record_row import Row
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.together.records import FORCE, PARAMETER, SHIFT, TORQUE, Between
+from closedloop.simulation.together.member import FORCE, PARAMETER, SHIFT, TORQUE, Between
 from closedloop.simulation.together.together import Together
 
 SCENARIOS = {

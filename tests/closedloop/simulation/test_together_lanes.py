@@ -7,7 +7,7 @@ import closedloop as cl
 import closedloop.gym
 from closedloop.loop.step.record_row import Row
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.together.records import AT_MARK, TORQUE, Member
+from closedloop.simulation.together.member import AT_MARK, TORQUE, Member
 from closedloop.simulation.together.together import Together
 
 SLIDE = str(closedloop.gym.TASKS["slide"].scenario)

@@ -56,7 +56,7 @@ def test_a_sensor_is_told_from_its_force(run):
     force = lively.force + 2.0 * np.sin(9.0 * log.time)
     scenario = run.scenario
     rate = np.gradient(force, log.time)
-    from closedloop.studies.comparison.audit import force_hypotheses
+    from closedloop.studies.comparison.recording import force_hypotheses
 
     sensed = 1.1 * force + 0.3 - 0.02 * rate
     reasons = {r.name: r for r in explain(sensed - force, force_hypotheses(force, rate), 10.0)}

@@ -12,15 +12,14 @@ from scipy.linalg import expm
 import closedloop as cl
 from closedloop.loop.events.table import EventRow
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
-from closedloop.simulation.prepare import prepare
+from closedloop.simulation.prepare import Cache, prepare
 from closedloop.studies.gradient import differences, exact, guard
-from closedloop.studies.gradient.extrapolate import ROUNDING, Estimate, one_sided, two_sided
+from closedloop.studies.gradient.differences import ROUNDING, Estimate, one_sided, two_sided
+from closedloop.studies.gradient.exact import SHARE_OFF, not_unique
 from closedloop.studies.gradient.keys import SHARE, Keys
 from closedloop.studies.gradient.outputs import output
 from closedloop.studies.gradient.seeds import seeds_of
-from closedloop.studies.gradient.several import SHARE_OFF, not_unique
 from closedloop.studies.gradient.variants import Happening, Sample
 from tests.closedloop.linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 

@@ -10,8 +10,8 @@ import closedloop as cl
 import robot_models
 from closedloop.base.errors import ModelError
 from closedloop.command.identify import main
+from closedloop.studies.identify.contact.found import touch_of
 from closedloop.studies.identify.contact.restitution import impacts_of
-from closedloop.studies.identify.contact.touch import touch_of
 from closedloop.studies.identify.log import LogError
 
 STEP = 0.001

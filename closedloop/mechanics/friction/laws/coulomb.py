@@ -15,8 +15,15 @@ from typing import Any, ClassVar
 from pydantic import Field
 
 from closedloop.base.arrays import Array
-from closedloop.mechanics.friction.law import FrictionLaw, JointFriction, Slip, SurfaceFriction, against_slip
-from closedloop.mechanics.friction.quantities import Level, Torque
+from closedloop.mechanics.friction.law import (
+    FrictionLaw,
+    JointFriction,
+    Level,
+    Slip,
+    SurfaceFriction,
+    Torque,
+    against_slip,
+)
 
 
 class Coulomb(FrictionLaw):

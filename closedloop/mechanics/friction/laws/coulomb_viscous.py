@@ -16,9 +16,18 @@ from typing import Any
 from pydantic import Field
 
 from closedloop.base.arrays import Array
-from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip, viscous_part
+from closedloop.mechanics.friction.law import (
+    JointFriction,
+    JointViscous,
+    Level,
+    Slip,
+    SurfaceFriction,
+    Torque,
+    Viscous,
+    against_slip,
+    viscous_part,
+)
 from closedloop.mechanics.friction.laws.coulomb import Coulomb
-from closedloop.mechanics.friction.quantities import JointViscous, Level, Torque, Viscous
 
 
 class CoulombViscous(Coulomb):

@@ -28,14 +28,18 @@ from pydantic import Field
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.bristle import advance, relax, stored
-from closedloop.mechanics.friction.law import FrictionLaw, JointFriction, Slip, SurfaceFriction, viscous_part
-from closedloop.mechanics.friction.quantities import (
+from closedloop.mechanics.friction.law import (
+    FrictionLaw,
+    JointFriction,
     JointStiffness,
     JointViscous,
     PositiveLevel,
     PositiveTorque,
+    Slip,
     Stiffness,
+    SurfaceFriction,
     Viscous,
+    viscous_part,
 )
 
 

@@ -20,9 +20,17 @@ from typing import Any
 
 from pydantic import Field
 
-from closedloop.mechanics.friction.law import JointFriction, SurfaceFriction
+from closedloop.mechanics.friction.law import (
+    Coefficient,
+    JointFriction,
+    JointSpeed,
+    JointViscous,
+    SlipSpeed,
+    SurfaceFriction,
+    Torque,
+    Viscous,
+)
 from closedloop.mechanics.friction.laws.coulomb_viscous import CoulombViscous
-from closedloop.mechanics.friction.quantities import Coefficient, JointSpeed, JointViscous, SlipSpeed, Torque, Viscous
 
 
 class Karnopp(CoulombViscous):

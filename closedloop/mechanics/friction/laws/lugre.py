@@ -45,23 +45,27 @@ from pydantic import Field
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.bristle import advance, relax
-from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, viscous_part
-from closedloop.mechanics.friction.laws.dahl import Dahl
-from closedloop.mechanics.friction.laws.stribeck import level
-from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
-from closedloop.mechanics.friction.quantities import (
+from closedloop.mechanics.friction.law import (
     Damping,
     Exponent,
     JointExponent,
+    JointFriction,
     JointSpeed,
     JointStiffness,
     JointViscous,
     PositiveCoefficient,
     PositiveTorque,
+    Slip,
     SlipSpeed,
     Stiffness,
+    SurfaceFriction,
     Viscous,
+    joint_parameters,
+    surface_parameters,
+    viscous_part,
 )
+from closedloop.mechanics.friction.laws.dahl import Dahl
+from closedloop.mechanics.friction.laws.stribeck import level
 
 
 @kernel

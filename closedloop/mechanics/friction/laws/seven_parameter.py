@@ -37,25 +37,23 @@ from pydantic import Field
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.friction.law import (
+    Coefficient,
     FrictionLaw,
     JointFriction,
-    Slip,
-    SurfaceFriction,
-    against_slip,
-    length_of,
-    viscous_part,
-)
-from closedloop.mechanics.friction.quantities import (
-    Coefficient,
     JointSpan,
     JointSpeed,
     JointStiffness,
     JointViscous,
+    Slip,
     SlipSpeed,
     Span,
     Stiffness,
+    SurfaceFriction,
     Torque,
     Viscous,
+    against_slip,
+    length_of,
+    viscous_part,
 )
 
 

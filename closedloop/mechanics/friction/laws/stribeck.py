@@ -21,18 +21,22 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip, viscous_part
-from closedloop.mechanics.friction.laws.coulomb_viscous import CoulombViscous
-from closedloop.mechanics.friction.quantities import (
+from closedloop.mechanics.friction.law import (
     Coefficient,
     Exponent,
     JointExponent,
+    JointFriction,
     JointSpeed,
     JointViscous,
+    Slip,
     SlipSpeed,
+    SurfaceFriction,
     Torque,
     Viscous,
+    against_slip,
+    viscous_part,
 )
+from closedloop.mechanics.friction.laws.coulomb_viscous import CoulombViscous
 
 
 @kernel

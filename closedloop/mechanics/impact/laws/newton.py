@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from closedloop.mechanics.impact.restitution import Restitution
+from closedloop.mechanics.impact.single import Restitution
 
 
 class Newton(Restitution):

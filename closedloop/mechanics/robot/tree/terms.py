@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.robot.tree.angles import sines
 from closedloop.mechanics.robot.tree.dynamics import bodies, matrix_and_bias
-from closedloop.mechanics.robot.tree.kinematics import jacobian, motion, tip, turning
+from closedloop.mechanics.robot.tree.energy import add_springs
+from closedloop.mechanics.robot.tree.kinematics import jacobian, motion, sines, tip, turning
 from closedloop.mechanics.robot.tree.layout import Tree
-from closedloop.mechanics.robot.tree.springs import add_springs
 
 
 @kernel

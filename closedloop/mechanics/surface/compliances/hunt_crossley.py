@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from closedloop.base.sections import NotNegative, Positive, Size
-from closedloop.mechanics.surface.compliance import Compliance
+from closedloop.mechanics.surface.surface import Compliance
 
 HERTZ = Size(10.0, "", "no bodies touch so", 0.1, "no bodies touch so")
 STIFFNESS = Size(1e18, "N/mⁿ", "nothing is so stiff", 1e-9)

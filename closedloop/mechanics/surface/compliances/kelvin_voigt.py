@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from closedloop.base.sections import NotNegative, Positive, stiffness_in, viscous_in
-from closedloop.mechanics.surface.compliance import Compliance
+from closedloop.mechanics.surface.surface import Compliance
 
 
 class KelvinVoigt(Compliance):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from closedloop.mechanics.surface.compliance import Compliance
+from closedloop.mechanics.surface.surface import Compliance
 
 
 class Rigid(Compliance):

@@ -11,7 +11,7 @@ from pydantic import Field
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Direction, Flag, Positive
-from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.placed import contact_frame, unit
 from closedloop.mechanics.surface.surface import RADIUS, Placed
 
 # Sine of the angle by which the axis may deviate from the tangent plane.

@@ -11,8 +11,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import AS_RESOLVED
-from closedloop.mechanics.surface.expression import instructions
-from closedloop.mechanics.surface.second_order import evaluate
+from closedloop.mechanics.surface.expression import evaluate, instructions
 from closedloop.mechanics.surface.surface import Coordinate, Placed
 
 # Newton steps from `at` to the surface, and the step, of 1 m + |at|, after which it is there.

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field
 
 from closedloop.base.sections import PLACE, Direction, Number, Positive, Size
 from closedloop.mechanics.surface.motion import SurfaceMotion, moving
-from closedloop.mechanics.surface.plane import unit
+from closedloop.mechanics.surface.placed import unit
 
 FREQUENCY = Size(1e6, "Hz", "no arm follows it", 1e-9, "no run lasts long enough to show it")
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field
 
 from closedloop.base.sections import PLACE, Direction, Number, Size
 from closedloop.mechanics.surface.motion import SurfaceMotion, moving
-from closedloop.mechanics.surface.plane import unit
+from closedloop.mechanics.surface.placed import unit
 
 TURNING = Size(1e4, "rad/s", "nothing turns so fast")
 Place = Annotated[Number, PLACE]

@@ -28,9 +28,9 @@ from closedloop.loop.events.phases import (
     TERMS,
 )
 from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.advance import turn_rate
 from closedloop.loop.step.closed_loops import CLOSE, closed_loops
 from closedloop.loop.step.memory import RIGID_STICK
-from closedloop.loop.step.turn import turn_rate
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK
 from closedloop.simulation.engines.adaptive.smooth import Interval

@@ -18,12 +18,17 @@ from closedloop.base.plain import plain
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording, checked, read_recording
-from closedloop.studies.identify.contact.compliance import NAMES, compliance_of
-from closedloop.studies.identify.contact.found import Part, unknown
-from closedloop.studies.identify.contact.friction import friction_of
+from closedloop.studies.identify.contact.compliance import NAMES, compliance_of, friction_of
+from closedloop.studies.identify.contact.found import (
+    Part,
+    Sensor,
+    Windows,
+    beside_torques,
+    of_free_rows,
+    touch_of,
+    unknown,
+)
 from closedloop.studies.identify.contact.restitution import restitution_of
-from closedloop.studies.identify.contact.sensor import Sensor, beside_torques, of_free_rows
-from closedloop.studies.identify.contact.touch import Windows, touch_of
 from closedloop.studies.identify.identify import Estimate
 from closedloop.studies.identify.log import LogError, check_positions
 

@@ -34,8 +34,8 @@ class Interim:
 
     After the first calls, and at each look, it is known what is sooner. Where compiling is, it is waited for; else a
     process in the background does it (`closedloop.jit.background`), and this one goes over to the compiled form as
-    soon as that is on the disk, and before it to a draft (`closedloop.jit.buffers`). Each call begins from what the last
-    one left, so nothing depends on when that is.
+    soon as that is on the disk, and before it to a draft (`closedloop.jit.buffers`). Each call begins from what the
+    last one left, so nothing depends on when that is.
 
     Parameters
     ----------

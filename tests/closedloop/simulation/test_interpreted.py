@@ -10,7 +10,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.control.reference.follow import follow
-from closedloop.jit import background, cache_folder, calls, compile_cache, drafts, interim
+from closedloop.jit import background, buffers, cache_folder, calls, compile_cache, interim
 from closedloop.jit.calls import address_of, call_at, forget_entry, interpreted_address, matrix_at
 from closedloop.jit.interim import PROBE, Interim
 from closedloop.jit.interpreted import interpreted
@@ -336,7 +336,7 @@ def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypat
     cache_folder.claim(mine)
     problems = list(map(prepare, scenarios))
     entries = {entry for problem in problems for entry in problem.called(problem.loop())} | {proceed_at}
-    with drafts.written_first(), monkeypatch.context() as unfinished:
+    with buffers.written_first(), monkeypatch.context() as unfinished:
         unfinished.setattr(compile_cache.KernelCache, "save_overload", lambda *_: None)
         for entry in entries:  # anew, as nobody has compiled it yet
             calls.entry_address(type(entry)(entry.py_func, entry.make))
@@ -350,7 +350,7 @@ def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypat
     monkeypatch.setattr(interim, "direct", lambda function, *_: pytest.fail(f"{function.__name__} is compiled"))
     for scenario, expected in zip(scenarios, sound, strict=True):
         assert bits(cl.simulate(scenario)) == expected
-    assert set(drafts._loaded) >= entries
+    assert set(buffers._loaded) >= entries
 
 
 def test_a_run_asks_again_until_its_loop_is_compiled(monkeypatch):

@@ -345,7 +345,7 @@ def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypat
     monkeypatch.setattr(background, "start", lambda functions: None)
     monkeypatch.setattr(interim, "PROBE", 3)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.0)
-    for module in (interim, background, drafts):
+    for module in (interim, background, buffers):
         monkeypatch.setattr(module, "needs_compiling", lambda function: function in entries)
     monkeypatch.setattr(interim, "direct", lambda function, *_: pytest.fail(f"{function.__name__} is compiled"))
     for scenario, expected in zip(scenarios, sound, strict=True):
@@ -408,7 +408,7 @@ def test_the_same_run_goes_over_to_the_compiled_form(monkeypatch):
     monkeypatch.setattr(background, "start", lambda functions: None)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.01)
     lacking = lambda function: function is proceed_at and not (loops and loops[0]._done >= 2 * PROBE)  # noqa: E731
-    for module in (interim, drafts):
+    for module in (interim, buffers):
         monkeypatch.setattr(module, "needs_compiling", lacking)
     init = Interim.__init__
 

@@ -38,7 +38,7 @@ def why_no_settings() -> str:
     if not os.path.lexists(FILE):
         return ""
     try:
-        import yaml  # type: ignore[import-untyped]
+        import yaml
     except ImportError:  # numba then reads no such file
         return ""
     try:

@@ -74,7 +74,7 @@ class Run:
     engine : "pinocchio" or "compiled"
         The source of the terms; the last bits of a run depend on it.
     law_digest : str
-        SHA-256 of the text of the user's law, see `closedloop.simulation.engines.user_law.law_digest`; "" if it is
+        SHA-256 of the text of the user's law, see `closedloop.simulation.engines.law_source.law_digest`; "" if it is
         not known.
     member_digests : mapping of str to str
         For each user's class that the scenario names, MODULE:CLASS, the SHA-256 of its text.

@@ -153,7 +153,9 @@ def _check_links(root: ET.Element, where: str) -> None:
                 for key in keys:
                     if element is None or key not in element.attrib:
                         raise ModelError(f"{at}: <inertial> lacks <{tag} {key}=…>")
-                    numbers(element.attrib[key], 1, f"{at}: {tag} {key}")
+                    (value,) = numbers(element.attrib[key], 1, f"{at}: {tag} {key}")
+                    if tag == "mass" and value < 0.0:  # before Pinocchio divides by sums of masses
+                        raise ModelError(f"{at} has a mass of {value:g} kg: it must be positive")
 
 
 def _check_joints(root: ET.Element, where: str) -> None:
@@ -292,7 +294,7 @@ def inspect(text: str, where: str, locked: Collection[str]) -> list[str]:
     Raises
     ------
     ModelError
-        A mass is negative, a tensor is not positive definite, or yourdfpy cannot read the file.
+        A tensor is not positive definite, or yourdfpy cannot read the file.
     """
     robot = _typed(text, where)
     children: dict[str, list[yourdfpy.Joint]] = {joint.parent: [] for joint in robot.joints}
@@ -308,8 +310,6 @@ def inspect(text: str, where: str, locked: Collection[str]) -> list[str]:
             continue
         mass, tensor = link.inertial.mass, link.inertial.inertia
         at = f"{where}: link {link.name!r}"
-        if mass < 0.0:
-            raise ModelError(f"{at} has a mass of {mass:g} kg: it must be positive")
         if mass == 0.0 and link.name in moved:
             warnings.append(f"link {link.name!r} moves and has a mass of 0 kg")
         if link.name in beyond:

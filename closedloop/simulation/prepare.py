@@ -30,10 +30,11 @@ from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps, encoder_draws
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.control.reference.desired import Desired, DrawnRow, Reference, TableRow, desired
+from closedloop.control.reference.desired import Desired, desired
 from closedloop.control.reference.force import force_at
 from closedloop.control.reference.on_surface import edge_key
 from closedloop.control.reference.orientation import refuse_narrow
+from closedloop.control.reference.table import DrawnRow, Reference, TableRow
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
 from closedloop.control.transmission import transmission_constants

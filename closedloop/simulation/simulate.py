@@ -22,7 +22,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
 from closedloop.base.interrupts import held_back
 from closedloop.base.progress import reporting
-from closedloop.control.reference.desired import Reference
+from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.interim import Interim, at_hand, call_now, not_compiled_first
 from closedloop.jit.kernel import plain

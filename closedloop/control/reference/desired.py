@@ -1,115 +1,25 @@
-"""The desired motion and force, and the table of them that the loop reads.
-
-The rows of the table that the loop reads: what is desired, and what sensors draw, at each of its instants.
-
-`table[:, Reference.place("force", n)]` is a column of it.
-
-Checks of several fields together, shared by several kinds of reference.
-
-The desired motion and force of a scenario, and the table of them that the loop reads.
-"""
+"""The desired motion and force of a scenario, and the table of them that the loop reads."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.base.errors import ScenarioError
-from closedloop.base.sections import Size
 from closedloop.control.reference.follow import follow
 from closedloop.control.reference.force import ConstantForceSection, ForceProfile, force_at
 from closedloop.control.reference.joint_path import JointPath
 from closedloop.control.reference.on_surface import refuse_beyond_edge, refuse_without_normal
 from closedloop.control.reference.orientation import orientation_of, refuse_tool_too_large
 from closedloop.control.reference.path import Path, path_on
+from closedloop.control.reference.table import Reference
 from closedloop.control.reference.tip_path import TipPath
-from closedloop.jit.blocks import Block, Count
-from closedloop.mechanics.surface.placed import unit
 
 if TYPE_CHECKING:
     from closedloop.mechanics.robot.pinocchio import Robot
     from closedloop.mechanics.surface.placed import PlacedSurface
-
-
-N = Count.of("n")
-
-
-class Reference(Block, sizes=("n",)):
-    """What is desired of n joints, and of the tip in base axes; see `closedloop.loop.step.locate.in_contact_frame`."""
-
-    q: Annotated[Array, N]  # rad (m)
-    v: Annotated[Array, N]  # rad/s (m/s)
-    position: Annotated[Array, 3]  # m
-    velocity: Annotated[Array, 3]  # m/s
-    acceleration: Annotated[Array, 3]  # m/s²
-    force: float  # N
-
-
-class TableRow(Block, sizes=("n",)):
-    """A row of the table."""
-
-    reference: Reference
-    noise: float  # of the force sensor, N
-
-
-class DrawnRow(TableRow, sizes=("n",)):
-    """A row of the table of an arm whose encoders are noisy."""
-
-    draws: Annotated[Array, 2 * N]  # see `closedloop.control.encoder.encoder_draws`
-
-
-TURNS = Size(1e6, "", "no path goes round so often", 1e-9)
-
-# Sine of the angle by which a direction may point out of the surface: 1e-9 of the way, a nanometre in a metre.
-OUT_OF_SURFACE = 1e-9
-
-
-class Between(Protocol):
-    """A section that has a start and a stop, s."""
-
-    @property
-    def start(self) -> float: ...  # noqa: D102
-    @property
-    def stop(self) -> float: ...  # noqa: D102
-
-
-def direction_along(direction: Sequence[float], normal: Array) -> Array:
-    """Return the unit vector (3,) of reference.direction, which must be along the surface with this unit normal (3,).
-
-    Raises
-    ------
-    ScenarioError
-        If it has no direction, or points out of the surface; names the nearest that does not.
-    """
-    along = unit(direction, "reference.direction")
-    out = float(normal @ along)
-    if abs(out) > OUT_OF_SURFACE:
-        inside = along - out * normal
-        size = float(np.linalg.norm(inside))
-        near = (inside / size).round(12) + 0.0 if size > 1e-9 else None
-        hint = "" if near is None else f"; the nearest direction along it is {near.tolist()}"
-        raise ScenarioError(f"reference.direction = {list(direction)}: must lie in the surface{hint}")
-    return along
-
-
-def interval(section: Between) -> tuple[float, float]:
-    """Return reference.start and reference.stop, s."""
-    if not section.stop > section.start:
-        raise ScenarioError(
-            f"reference.stop = {section.stop:g}: must be later than reference.start = {section.start:g}"
-        )
-    return section.start, section.stop
-
-
-def not_zero(value: float, key: str) -> float:
-    """Return the value; refuse zero."""
-    if value == 0.0:
-        raise ScenarioError(f"{key} = 0: must not be zero")
-    return value
 
 
 OUTWARDS = np.array([0.0, 0.0, 1.0])

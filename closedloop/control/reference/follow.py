@@ -39,8 +39,8 @@ from closedloop.control.reference.on_surface import seams
 from closedloop.control.reference.orientation import ASKEW, FREE_ORIENTATION, Orientation
 from closedloop.control.reference.tip_path import Segment, TipPath
 from closedloop.jit.interim import call_once
-from closedloop.mechanics.loops.assemble import along_path
 from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.loops.close import along_path
 from closedloop.mechanics.robot.pinocchio import Robot
 
 FIRST_SPACING = 5e-4  # m of path between knots before any halving

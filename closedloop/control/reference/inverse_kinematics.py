@@ -21,7 +21,7 @@ from closedloop.base.arrays import Array
 from closedloop.control.reference.joint_path import cubic
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, plain
-from closedloop.mechanics.loops.assemble import NEAREST, TANGENT
+from closedloop.mechanics.loops.close import NEAREST, TANGENT
 from closedloop.mechanics.loops.memory import loops_at as loops_memory
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_turning, work_size
 

@@ -19,7 +19,7 @@ from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.memory import Constants, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.contact_force import factorise
 from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, forward_substitute
-from closedloop.mechanics.loops.assemble import close_state
+from closedloop.mechanics.loops.close import close_state
 from closedloop.mechanics.loops.drives import through_drives
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.mechanics.loops.passing import find_required_on_the_way

@@ -17,7 +17,7 @@ from __future__ import annotations
 from typing import Any
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.desired import Reference
+from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, integers_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined

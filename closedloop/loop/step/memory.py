@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters
 from closedloop.control.law import Seen
-from closedloop.control.reference.desired import Reference
+from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, call_at, integers_at, vector_at

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.desired import TableRow
+from closedloop.control.reference.table import TableRow
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import integers_at, row_of

@@ -19,7 +19,7 @@ from __future__ import annotations
 from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters, read_encoder
 from closedloop.control.law import Seen
-from closedloop.control.reference.desired import DrawnRow
+from closedloop.control.reference.table import DrawnRow
 from closedloop.jit.calls import call_at, integers_at, row_of
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.closed_loops import BIND_SEEN, CLOSE

@@ -12,7 +12,7 @@ import math
 
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.loops.assemble import TOLERANCE, close_state
+from closedloop.mechanics.loops.close import TOLERANCE, close_state
 from closedloop.mechanics.loops.factor import factor, smallest_share
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 from closedloop.mechanics.loops.rows import locate_rows

@@ -11,7 +11,7 @@ from types import new_class
 from typing import Annotated, Any
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.desired import Reference
+from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select

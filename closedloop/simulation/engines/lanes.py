@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.desired import Reference
+from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import address_of, integers_at, matrix_at

@@ -15,7 +15,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.control.drives import DrivesSection
-from closedloop.control.reference.desired import Reference
+from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import start_sensor
 from closedloop.jit.calls import address_of
 from closedloop.jit.interpreted import interpreted
@@ -31,8 +31,8 @@ from closedloop.mechanics.contacts.rolling import RADIUS, SHAPE, make_shape_memo
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.impact import RATIOS
-from closedloop.mechanics.loops.assemble import close_state, factor_rows
 from closedloop.mechanics.loops.bind import link_poses
+from closedloop.mechanics.loops.close import close_state, factor_rows
 from closedloop.mechanics.loops.drives import torque_of_drives
 from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.desired import TableRow
+from closedloop.control.reference.table import TableRow
 from closedloop.control.sensor import SensorParameters, sense, sensor_rates
 from closedloop.jit.calls import address_of, call_at, entry_address, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel, kernel_inlined, plain

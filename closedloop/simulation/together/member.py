@@ -17,7 +17,7 @@ from typing import Annotated
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.desired import Reference
+from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel

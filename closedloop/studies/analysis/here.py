@@ -21,7 +21,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.encoder import DIFFERENCE, NO_ENCODER, EncoderParameters
-from closedloop.control.reference.desired import Reference
+from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.background import make_ready
 from closedloop.loop.events.impacts import collide
@@ -31,7 +31,7 @@ from closedloop.loop.step.advance import turn
 from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.record_row import Row, complete_record
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.loops.assemble import closed_to
+from closedloop.mechanics.loops.close import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot

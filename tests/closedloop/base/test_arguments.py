@@ -58,8 +58,8 @@ GOOD = {
     "Robot": {"model": robot_models.load("planar2"), "tip": None},
     "Run": {"scenario": SCENARIO, "model": RUN.model, "columns": RUN.columns},
 }  # fmt: skip
-# What a step or a run hands over, and what users derive their classes from; `figures` is a module.
-MADE = {"Event", "LawInput", "Problem", "StepState", "Terms", "figures", "shipped_scenarios", "Law",
+# What a step or a run hands over, and what users derive their classes from; `figures` is a module, `serve` a server.
+MADE = {"Event", "LawInput", "Problem", "StepState", "Terms", "figures", "shipped_scenarios", "Law", "serve",
         "Compliance", "ControlLaw", "Scenario", "Surface", "SurfaceMotion"}  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def test_wrong_arguments_are_answered_in_one_line(name, tmp_path, monkeypatch):
 def test_the_line_says_what_where_and_what_would_be_right():
     """In the words of the caller."""
     for call, said in (
-        (lambda: cl.load_scenario(3), "name = 3: must be text or a path"),
+        (lambda: cl.load_scenario(3), "name = 3: must be text or a path or a dictionary from keys to a value"),
         (lambda: cl.simulate(3), "scenario = 3: must be a Scenario, as load_scenario('wam_slide') returns"),
         (lambda: cl.linearise(SCENARIO, at=math.nan), "at = nan: must be a number or None"),
         (lambda: cl.gradient(SCENARIO, [3], ["rms_force_error"]), "keys = [3]: must be a list of keys"),

@@ -19,7 +19,7 @@ from closedloop.loop.events.impacts import collide
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.loop.step.entries import law_entry
-from closedloop.mechanics.loops.assemble import along_path
+from closedloop.mechanics.loops.close import along_path
 from closedloop.mechanics.loops.reactions import rows_along
 from closedloop.simulation.engines.lanes import run_in_lanes
 from closedloop.simulation.engines.proceed import proceed_at

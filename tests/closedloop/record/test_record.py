@@ -332,15 +332,15 @@ def test_a_disk_that_is_full_ends_saving_and_not_the_process(tmp_path):
     assert (tmp_path / "whole.nc").stat().st_size < 3 * 8 * 9000 + 20_000, "what was not needed is given back"
 
 
-@pytest.mark.parametrize("place", ["missing/run.nc", "file/run.nc", "folder"])
+@pytest.mark.parametrize("place", ["missing/run.nc", "file/run.nc", "folder.nc"])
 def test_place_that_cannot_be_written_is_an_output_error(place, run, tmp_path):
     """A missing folder, a file in the way and a folder in the file's place are OutputErrors of one short line."""
     (tmp_path / "file").write_text("in the way")
-    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.nc").mkdir()
     with pytest.raises(cl.OutputError, match="cannot be written") as caught:
         run.save(tmp_path / place)
     message = str(caught.value)
     assert "\n" not in message
     assert place in message
     assert "errno" not in message  # the words of the operating system, not the inside of a library
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.nc"]

@@ -36,9 +36,9 @@ class Remembers:
 
 
 COMPILED = {
-    unknown_function: ["test_own_mistakes.py:19: ", "numpy.einsum", "loop"],
-    misspelt: ["test_own_mistakes.py:24: ", "x has no 'q_dess'; did you mean 'q_des'?"],
-    wrong_arguments: ["test_own_mistakes.py:29: ", "'cross'", "array, 3, banana=2"],
+    unknown_function: ["test_own_mistakes.py:18: ", "numpy.einsum", "loop"],
+    misspelt: ["test_own_mistakes.py:23: ", "x has no 'q_dess'; did you mean 'q_des'?"],
+    wrong_arguments: ["test_own_mistakes.py:28: ", "'cross'", "array, 3, banana=2"],
     Remembers(): ["Remembers is a Python object", "closedloop.ControlLaw", "`states`", "torque(x, par, z, torque)"],
 }
 

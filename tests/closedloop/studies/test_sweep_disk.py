@@ -31,7 +31,7 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch
     """A write that fails in the parts, or in the table: what was done is kept, nothing else, and it goes on."""
     sweeps = "closedloop.studies.sweep"
     modules = {
-        "store": (f"{sweeps}.store", f"{sweeps}.part_file"),
+        "store": (f"{sweeps}.store",),
         "join": (f"{sweeps}.join", "closedloop.record.netcdf_file"),
     }[where]
     calls, memory = [], []

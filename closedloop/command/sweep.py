@@ -290,7 +290,7 @@ def _ended_at_once_by_a_signal(words: Sequence[str]) -> Iterator[None]:
 
 def _leave_if_still_at_work(status: int) -> None:
     """End the process at once if a run was abandoned, which would keep it waiting."""
-    from closedloop.simulation.batch.worker import still_at_work
+    from closedloop.simulation.batch.threads import still_at_work
 
     if still_at_work():
         for output in (sys.stdout, sys.stderr):

@@ -22,7 +22,8 @@ from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.simulation.batch.table import kept_columns, key_type, schema, table_of
-from closedloop.simulation.batch.worker import Done, Outcome, Worker, failed, side_by_side
+from closedloop.simulation.batch.threads import Done, side_by_side
+from closedloop.simulation.batch.worker import Outcome, Worker, failed
 from closedloop.simulation.engines.lanes import FEWEST, uses_lanes
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.user_law import Law

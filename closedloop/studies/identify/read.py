@@ -28,7 +28,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.files import kind_of, reason_of
 from closedloop.base.optional import missing_line, needs
 from closedloop.figures.export.mcap_file import DEFINITIONS
-from closedloop.simulation.batch.worker import Done, uninterrupted
+from closedloop.simulation.batch.threads import Done, uninterrupted
 from closedloop.studies.identify.log import Log, LogError
 
 if TYPE_CHECKING:

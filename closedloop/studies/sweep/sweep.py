@@ -29,7 +29,8 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import import_law
 from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.batch.table import kept_columns
-from closedloop.simulation.batch.worker import Done, Worker, side_by_side
+from closedloop.simulation.batch.threads import Done, side_by_side
+from closedloop.simulation.batch.worker import Worker
 from closedloop.simulation.engines.law_source import law_digest
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.prepare import Cache

@@ -10,7 +10,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.figures.export.mcap_file import write_mcap
-from closedloop.simulation.batch.worker import Done
+from closedloop.simulation.batch.threads import Done
 from closedloop.studies.comparison.recording import read_recording
 from closedloop.studies.identify import read as bag_module
 from closedloop.studies.identify.log import LogError

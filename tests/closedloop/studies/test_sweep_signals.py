@@ -13,8 +13,8 @@ from budget import budget
 from pyarrow import parquet
 from sweep_runs import Forked, here, process, sweep
 
-from closedloop.simulation.batch import worker
-from closedloop.simulation.batch.worker import Done, Ended, side_by_side, uninterrupted
+from closedloop.simulation.batch import threads
+from closedloop.simulation.batch.threads import Done, Ended, side_by_side, uninterrupted
 from closedloop.studies.sweep.store import Store
 
 # Some tenths of a second of runs, and as long to join: 200 runs of 400 steps in 100 parts, 6 MB of columns.
@@ -177,7 +177,7 @@ def test_threads_end_between_two_runs_when_one_fails():
 
     with pytest.raises(ZeroDivisionError):
         side_by_side(one, 2, 2, object, lambda: None, done)
-    assert not worker.still_at_work() or len(ran) < 1000
+    assert not threads.still_at_work() or len(ran) < 1000
     with pytest.raises(Ended):
         done.add()
 
@@ -185,7 +185,7 @@ def test_threads_end_between_two_runs_when_one_fails():
 @pytest.mark.parametrize("several", [False, True])
 def test_a_signal_while_a_thread_starts_ends_the_thread(monkeypatch, several):
     """It waits until the thread is known: else nothing would end it, and what it writes would be left unfinished."""
-    submit, ended = worker.ThreadPoolExecutor.submit, []
+    submit, ended = threads.ThreadPoolExecutor.submit, []
 
     def interrupted(pool, *arguments):
         future = submit(pool, *arguments)
@@ -201,7 +201,7 @@ def test_a_signal_while_a_thread_starts_ends_the_thread(monkeypatch, several):
             ended.append(done)
             raise
 
-    monkeypatch.setattr(worker.ThreadPoolExecutor, "submit", interrupted)
+    monkeypatch.setattr(threads.ThreadPoolExecutor, "submit", interrupted)
     done = Done()
 
     def start():

@@ -119,7 +119,8 @@ def _columns(of: Problem, run: Recorded) -> dict[str, tuple[slice, float]]:
     n, rows = of.robot.n, run.rows
     terms = of.robot.terms(of.q, of.v)
     A = of.plane.normal @ terms.jacobian
-    mass = 1.0 / float(A @ np.linalg.solve(terms.mass_matrix, A))
+    mobility = float(A @ np.linalg.solve(terms.mass_matrix, A))
+    mass = 1.0 / mobility if mobility > 0.0 else 0.0  # a tip that does not move along n has no contact force
     # A stabiliser turns the rounding of r, of a metre, into this much of f, and of Q where the law hears of f.
     answer = EPS * of.stabiliser[1] * mass
 
@@ -130,10 +131,10 @@ def _columns(of: Problem, run: Recorded) -> dict[str, tuple[slice, float]]:
 
     return {
         "q": part_of("q"),
-        "v": part_of("v", answer * of.h / mass),
+        "v": part_of("v", EPS * of.stabiliser[1] * of.h),
         "Q": part_of("torque", answer),
         "r": part_of("position"),
-        "ṙ": part_of("velocity", answer * of.h / mass),
+        "ṙ": part_of("velocity", EPS * of.stabiliser[1] * of.h),
         "f": part_of("contact_force", answer),
         "e": part_of("closure_error"),
     }

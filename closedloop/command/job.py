@@ -20,7 +20,6 @@ from closedloop.base.errors import (
     printable,
 )
 from closedloop.base.second_process import Beside
-from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -96,9 +95,7 @@ def without_stabiliser(job: Job, wanted: bool) -> Iterator[Callable[[], Any] | N
     if not is_papers(job.scenario.name):
         yield None
         return
-    plain = parse_scenario(
-        job.scenario.to_toml(), where=job.scenario.name, overrides={"stabiliser.kind": "none"}
-    )  # fmt: skip
+    plain = job.scenario.replace({"stabiliser.kind": "none"})
 
     def again() -> Run | None:
         try:

@@ -37,10 +37,10 @@ def main(arguments: list[str]) -> int:
                 _say(f"warning: --host {options.host} lets every computer that reaches this one drive the simulation")
             return _until_ended(served, results)
     finally:
-        with_failure_of(served)
+        ended_with(served)
 
 
-def with_failure_of(served: Served) -> SimulationError | None:
+def ended_with(served: Served) -> SimulationError | None:
     """End the serving and return why the simulation could not go on, None if it could."""
     try:
         served.close()
@@ -58,7 +58,7 @@ def _until_ended(served: Served, results: Results) -> int:
             pass
     except KeyboardInterrupt as came:
         stop = came
-    failure = with_failure_of(served)
+    failure = ended_with(served)
     run = served.close() if failure is None else failure.run
     paths = results.save(run, None)
     session = served.session
@@ -82,7 +82,9 @@ def _results(served: Served, out: str | None, overwrite: bool) -> Results:
     simulator = served.session.simulator
     scenario = simulator.problem.scenario
     digest = "" if out else uuid.uuid4().hex  # the record depends on the client: no earlier run is the same
-    inputs = question(scenario, served.session.run().model, FROM_OUTSIDE, digest, "pinocchio", member_digests(scenario))
+    inputs = question(
+        scenario, simulator.problem.robot.model, FROM_OUTSIDE, digest, "pinocchio", member_digests(scenario)
+    )
     if out:
         del inputs["law"], inputs["law_digest"]
         return Results(Path(out), inputs, overwrite)

@@ -1,7 +1,5 @@
 """The base classes of laws and compensations, and the input of a law at one instant.
 
-The input of a control law at one instant.
-
 What a law sees where that is not the state itself: measured, and through a model of its own.
 
 Base classes of control laws and compensations: a section of the scenario, its states, and up to four functions.

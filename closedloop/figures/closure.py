@@ -1,8 +1,6 @@
 """The pictures of a run in its own rooms: closure error, and the errors along and across the path.
 
 The closure error, Figs. 6 and 7 of the paper, and the gap of a tip that is off the surface.
-
-Errors of a run along the path, across it, and along the surface's normal.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Figures of a run as files, and as Jupyter shows it.
 
 A run as Jupyter shows it: a small picture beside the numbers of its report.
-
-The figures of a run as files.
 """
 
 from __future__ import annotations

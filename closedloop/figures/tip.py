@@ -1,7 +1,5 @@
 """The tip of a run, Fig. 4 of the paper, and the tool on it.
 
-The tip position, Fig. 4 of the paper.
-
 The tool of a run: what a sensor at the wrist reads, and how the tool is turned to the surface.
 """
 

@@ -1,7 +1,5 @@
 """Interpreted loops: arrays as Python's own buffers, and drafts of machine code for a run that waits.
 
-Arrays of an interpreted loop as Python's own buffers: their elements are Python's numbers.
-
 An element of a numpy array is a numpy number, and to take it, to calculate with it and to put it back costs twice what
 a float costs that comes from a memoryview. The arithmetic is the same, IEEE's in double precision. But buffers cannot
 do all that arrays can (a row of a matrix, a number assigned to a slice), and dividing a float by zero raises where

@@ -3,9 +3,8 @@
 Numbers of eight lanes in compiled code: what `float64x8` and `dual8` share.
 
 Both are a register of eight float64. They differ in what each operation does with the lanes: each lane for itself
-(`closedloop.jit.numba_simd8`), or lane 0 the value and the others its derivatives (`closedloop.jit.numba_dual8`).
-
-The number of eight lanes, `float64x8`, in compiled code; see `closedloop.jit.simd8`.
+(`float64x8`, see `closedloop.jit.simd8`), or lane 0 the value and the others its derivatives
+(`closedloop.jit.numba_dual8`).
 """
 
 from __future__ import annotations

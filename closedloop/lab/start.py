@@ -114,7 +114,7 @@ def _begin(
         return load_scenario(scenario, changes), str(scenario), model
     held = scenario.scenario if isinstance(scenario, Run) else scenario
     model = scenario.model if isinstance(scenario, Run) and model is None else model
-    base = parse_scenario(held.to_toml(), where=held.name, overrides=changes) if changes else held
+    base = held.replace(changes) if changes else held
     return base, base.name, model
 
 

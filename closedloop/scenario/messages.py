@@ -2,8 +2,6 @@
 
 What others call the sections and the keys of a scenario: the one table from which a refusal says what was meant.
 
-The kinds of a scenario's sections, and the one-line messages about faults in one.
-
 The unit, the meaning and the type of a scenario's key, for labels and tables.
 """
 

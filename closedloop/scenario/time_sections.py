@@ -1,8 +1,6 @@
 """[start], [time] and [stabiliser]: when a run begins and ends, and what keeps its closure error small.
 
 When a run begins and ends: [start], the state at t = 0, and [time], how far and in what steps.
-
-[stabiliser]: what keeps the closure error small, one section a kind.
 """
 
 from __future__ import annotations

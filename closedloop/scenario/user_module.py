@@ -6,8 +6,6 @@ A function or a class from a user's module, named on the command line as MODULE:
 
 The module, and what it imports, may be in the current folder. That folder is searched last, and a module with the name
 of an installed one is refused.
-
-The users' classes that a scenario selects, and whether they are known in this process.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
 """Our own messages between a controller and a served simulation, and their interface.
 
-Our own messages between a controller and a served simulation, as lines of JSON or binary.
-
 A client that begins with "{" writes JSON: one object a line, and gets one a line. A client that begins with the four
 bytes `MAGIC` writes binary messages: two little-endian 32-bit whole numbers, kind and length, then as many bytes. Each
 message of the client has one answer. docs/serve.md has the table of both.
-
-The interface of our own: each message has one answer; see `closedloop.serve.messages`.
 
 In lock-step a torque is one step, and its answer the state after it. In real time the clock runs from the first torque
 on: a torque acts from the next instant, one period long and until the next one comes, and the answer is the state one

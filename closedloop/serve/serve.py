@@ -11,7 +11,7 @@ from typing import Any
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.record.run import Run
-from closedloop.scenario.load import load_scenario, parse_scenario
+from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.serve.franka.server import Franka
 from closedloop.serve.messages import Plain
@@ -138,15 +138,11 @@ def serve(
         raise ScenarioError(f"serve: as {as_!r}: must be one of {', '.join(INTERFACES)}")
     if port is not None and not 0 <= port < 65_535:
         raise ScenarioError(f"serve: port {port}: must be from 0 to 65534")
-    changes = dict(overrides or {})
+    changes = overrides or {}
     interface, least = INTERFACES[as_]
-    base = load_scenario(scenario) if not isinstance(scenario, Scenario) else scenario
+    base = scenario.replace(changes) if isinstance(scenario, Scenario) else load_scenario(scenario, changes)
     if "time.duration" not in changes and base.time.duration < least:
-        changes["time.duration"] = least
-    if not isinstance(scenario, Scenario):
-        base = load_scenario(scenario, changes)
-    elif changes:
-        base = parse_scenario(base.to_toml(), where=base.name, overrides=changes)
+        base = base.replace({"time.duration": least})
     opened = interface(
         Session(base), host=host, port=port, lock_step=lock_step, limits=limits, say=_log.info if say is None else say
     )

@@ -1,10 +1,7 @@
 """The simulation that is served: its record, in real time or in lock-step, and its interface.
 
-Real time: instants at equal distances on the wall clock.
-
-The simulation that is served, and its record.
-
-What every interface is: ports, and a loop that serves their clients.
+An interface is ports, and a loop that serves their clients. Real time has instants at equal distances on the wall
+clock.
 """
 
 from __future__ import annotations
@@ -64,7 +61,7 @@ class Session:
     cycles, lost : int
         Steps since the last reset during which a client drove, and those of them for which no command came in time.
     late : int
-        Instants of real time that this computer was too late for; see `closedloop.serve.session`.
+        Instants of real time that this computer was too late for, see `Clock`.
     """
 
     def __init__(self, scenario: Scenario) -> None:

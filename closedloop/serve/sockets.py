@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import select
 import socket
-from collections.abc import Callable, Iterable
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 from closedloop.base.errors import OutputError, printable
 
@@ -27,6 +28,14 @@ class Stopped(Exception):
 
 class Gone(Exception):
     """The client is no longer there, or is not to be served further: the argument says why."""
+
+
+class Request(NamedTuple):
+    """A request of a client: what it asks for, the number that its answer has, and its values."""
+
+    command: int
+    number: int
+    given: tuple[Any, ...]
 
 
 class Client:
@@ -78,6 +87,27 @@ class Client:
         part = bytes(self.received[:count])
         del self.received[:count]
         return part
+
+    def requests(self, head: struct.Struct, bodies: Mapping[int, struct.Struct], of: str) -> Iterator[Request]:
+        """Return the whole requests that have come, each begun by a head: command, number, length with the head.
+
+        `of` names in messages whose commands they are.
+
+        Raises
+        ------
+        Gone
+            If there is no such command, or its length is another.
+        """
+        while len(self.received) >= head.size:
+            command, number, size = head.unpack_from(self.received)
+            body = bodies.get(command)
+            if body is None:
+                raise Gone(f"sent what is no command of {of} ({command}, {size} bytes): the connection is closed")
+            if size != head.size + body.size:
+                raise Gone(f"sent command {command} with {size} bytes, not {head.size + body.size}: it is closed")
+            if len(self.received) < size:
+                return
+            yield Request(command, number, body.unpack(self.take(size)[head.size :]))
 
     def send(self, message: bytes) -> None:
         """Send a message whole.

@@ -14,7 +14,6 @@ import numpy as np
 import closedloop as cl
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.simd8 import WIDE
-from closedloop.scenario.load import parse_scenario
 from closedloop.simulation.engines.compiled import compiled_tree
 from closedloop.simulation.engines.lanes import LaneRuns, kind_of
 from closedloop.simulation.engines.problem import Problem
@@ -32,7 +31,7 @@ def compiled_batch(arm: str, problem: Problem, runs: int, threads: int) -> Conte
     forces = [10.0 + 0.1 * i for i in range(runs)]
 
     def alone(force: float) -> float:
-        scenario = parse_scenario(problem.scenario.to_toml(), overrides={"law.force": force})
+        scenario = problem.scenario.replace({"law.force": force})
         return float(cl.simulate(scenario, engine="compiled").contact_force.min())
 
     def lap() -> tuple[float | None, Array | None]:

@@ -6,8 +6,6 @@ The refusal of a user's class that only a file names.
 
 The functions of a user's class against those of the class that it is derived from: their arguments.
 
-A family: its members by name, and the validation of a section by its `kind`.
-
 A key whose value is the name of a member, without parameters.
 """
 

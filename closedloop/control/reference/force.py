@@ -1,7 +1,5 @@
 """The desired contact force over time, and lists of instants, points and forces in a section.
 
-Lists of instants, of points and of forces in a section, checked entry by entry.
-
 The desired contact force f_des(t): law.force, or a profile over time that starts from it.
 """
 

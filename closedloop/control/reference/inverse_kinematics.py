@@ -1,7 +1,5 @@
 """The joint velocity of least norm, and inverse kinematics along the tip's path by it.
 
-The joint velocity of least norm for a given velocity of the tip, with its turning or without.
-
 Least-norm inverse kinematics along the tip's path as a kernel; see `closedloop.control.reference.follow`.
 
 Between knots q̇ = Jᵣ⁺ ṙ_des is integrated with one step of RK4, and the error of the tip is removed by least-norm

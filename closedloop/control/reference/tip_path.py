@@ -8,10 +8,8 @@ is the speed as a multiple of the mean speed.
 
 Curves of the tip, as displacements from its start.
 
-A curve is any smooth function that begins at the origin. Its parameter s, in seconds, is that of
-`closedloop.control.reference.tip_path`: the time of a motion at constant speed.
-
-A path of the tip: consecutive segments of smooth motion, at rest before and after.
+A curve is any smooth function that begins at the origin. Its parameter s, in seconds, is that of a
+timing.
 
 Straight segments through points, used by several paths.
 """

@@ -1,7 +1,5 @@
 """A run as MCAP with standard ROS 2 messages.
 
-The definitions of the standard ROS 2 messages that a run is written as.
-
 A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
 
     /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law; of what turns freely the

@@ -10,8 +10,6 @@ A point is a `connect`, a hinge two on its axis, a weld a `weld`, a gear a `join
 The point of a contact is a small ball, and its plane lies lower by its radius: they are as far apart as the point
 is from the plane, in every posture. Nothing but these pairs touches.
 
-The scene of a run as MJCF: the arm with its tool, and the surface, for MuJoCo and what reads its files.
-
 The bodies are those of the dynamics: a link with a joint each, what is fixed to it included, in the frames in which the
 run computes, with the drives' inertia as `armature`. The shapes carry no mass and touch nothing; the surface can be
 touched, and the links where the scenario has contacts of them; loops are closed by equalities (`mjcf_joined`). There

@@ -1,9 +1,5 @@
 """The memory of the loop: settings, state, and the records that a part of a step works on.
 
-The records of `closedloop.loop.step.memory.Work`, each with its owner: what a part of a step works on.
-
-The memory of the loop: settings and whole-number state, constants, and the state it works on.
-
 Each is a `Block`, one array whose parts have names: passing an array from Python to compiled code costs about 60 ns,
 so all memory of the loop is passed as three.
 

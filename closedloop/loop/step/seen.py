@@ -7,8 +7,6 @@ The controller's model of the arm, where it is wrong: its H and C, from those of
 with m a payload at the tip that it does not know of, κ the factor by which it is wrong about all masses, and D the
 drives' inertia. Both are exact: C is linear in the masses, and m JᵣᵀJᵣ and m Jᵣᵀ(J̇ᵣq̇ − g) are what a point mass adds.
 
-What the law sees of a state: by its own model of arm and surface, and as the encoders read it.
-
 With encoders the terms are requested twice a row: at the state that they read, for the law, and at the true one, for
 Eq. 24. See `closedloop.loop.events.proceed`, phase MEASURED. Of a mechanism with loops the controller knows that they
 are closed: what it sees is the state nearest to the readings at which they are.

@@ -1,8 +1,6 @@
 """Eq. 24 in the present contact mode, and contact with a soft surface.
 
 Contact with a soft surface: f is a function of the depth, and Eq. 24 has no row along the normal.
-
-Eq. 24 in the present contact mode: the contact force and the acceleration.
 """
 
 from __future__ import annotations

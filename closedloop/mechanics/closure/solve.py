@@ -1,7 +1,5 @@
 """Eq. 24, the one linear solve of a step, and how well a solution meets it.
 
-How well a solution of Eq. 24 meets it.
-
 Eq. 24, the one linear solve of a step: acceleration and contact force together.
 
     [ H   Aᵀ ] [ q̈ ]   [ Q − C ]

@@ -29,11 +29,9 @@ another has come to be deeper it goes on, with an impact, to the next corner of 
 high as the one it stood on, beyond the lowest. It rolls where the tilt is resolved and the lowest point is the one it
 stands on. A foot is a point of the edge, and no contact while the edge rolls.
 
-The rows of contacts at which a round shape touches: those of its centre, moved to the place that touches.
-
 The centre's rows come along axes of the body that has the surface, see `closedloop.mechanics.loops.rows`. Velocity and
 acceleration of the material at the contact differ from the centre's by ω × r and ω̇ × r + ω × ṙ, with ω relative to the
-surface (`closedloop.mechanics.contacts.rolling`).
+surface.
 """
 
 from __future__ import annotations
@@ -105,7 +103,7 @@ class Shapes(Block, sizes=("n", "k")):
     crossing: Annotated[Array, 4]  # gap, m, how far inside, m, s1, m, and |e1 × e2| of the crossing asked about last
     reach: Annotated[Array, K, 3]  # r, from the centre to the contact, m
     spins: Annotated[Array, N]  # 1 of a joint that turns what is symmetric about its axis, a wheel
-    rim: Rims  # what of the shapes is flat, see `closedloop.mechanics.contacts.rolling`
+    rim: Rims  # what of the shapes is flat
     turns: Annotated[Array, 3, N]  # rows of ω relative to the frame that carries the surface: ω = turns q̇
     spin: Annotated[Array, 3]  # ω, rad/s
     spin_rate: Annotated[Array, 3]  # its rate at q̈ = 0, rad/s²

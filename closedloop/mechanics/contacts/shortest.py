@@ -2,8 +2,6 @@
 
 A square system of any rank: elimination with complete pivots.
 
-Equations of which some depend on others: which of them do not, and the shortest forces that obey these.
-
 Loops go along the rows of an array, and over what is not zero: contacts that share no body do not move each other.
 """
 

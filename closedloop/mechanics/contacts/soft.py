@@ -8,7 +8,6 @@ its part of all other rows is in their free acceleration, and
     u̇_n = −w f_known + w f
 
 so that every method finds f = f_known, with friction in the cone of that f. There is no impulse along its normal.
-Beside other contacts it has no mode of sticking, see `closedloop.mechanics.contacts.soft`.
 
 Friction of soft contacts beside others, which has no mode of sticking: against the slip that is left after a step.
 

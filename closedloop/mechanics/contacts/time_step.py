@@ -15,8 +15,7 @@ One time step at the level of impulses, where no modes are found with which forc
 the step of time-stepping schemes (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; D. E. Stewart
 and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996) for the contacts that touch, without restitution. It has a
 solution where accelerations have none. Where a contact slides so that pressing harder pulls it in (P. Painlevé, 1895) a
-tangential impact is tried first (`closedloop.mechanics.contacts.time_step`). The forces are P/h until the step
-has ended; then the modes are sought anew.
+tangential impact is tried first. The forces are P/h until the step has ended; then the modes are sought anew.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
 """The friction of contacts that slip slowly, and the instant at which the first slip ends.
 
-The friction of contacts that slip slowly, solved with the forces: it points to where their slips go within the step.
+It is solved with the forces, and points to where the slips go within the step.
 
 See `closedloop.mechanics.friction.turning`, which does it for one contact. The friction of each moves the slips of the
 others, so that all directions are those of one problem, with u⁺ what is left of each slip after the step h:
 
     u_t⁺ = u_t + h u̇_t,    F_t = −μ|f| u_t⁺/|u_t⁺|,    u̇_n = b_n where contacts are closed, u̇ = b where they stick
 
-Where a slip ends within the step, so does the step, with constant forces (`closedloop.mechanics.contacts.turning`).
+Where a slip ends within the step, so does the step, with constant forces: the problem is then solved for
+steps τ of other lengths, until the first slip ends just then.
 Soft contacts beside others go on: their friction is then within its limit, F_t with u_t⁺ = 0, and their slips become
 less by e in a step. An integrator that chooses its steps has none that could say where a slip goes. It follows a slow
 slip through its turns, and so friction is against the slip as it is. Only soft contacts beside others, which have no
@@ -15,10 +16,6 @@ mode of sticking, have a u⁺ there, after the time SETTLING.
 
 The work is bounded: so many turns, so many steps of Newton's method in all. What is not found by then is left: friction
 is then against the slip as it is.
-
-The instant at which the first of several slow slips ends within a step.
-
-All are those of the problem of `closedloop.mechanics.contacts.turning`, which is solved for steps τ of other lengths.
 """
 
 from __future__ import annotations

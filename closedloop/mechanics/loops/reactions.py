@@ -1,7 +1,5 @@
 """What the loop joints of a mechanism carried: reactions, and wrenches in axes that a user names.
 
-Reactions of loop joints as wrenches in axes that a user can name, from the forces of their rows.
-
 Of every kind between two frames: on the first side, in the axes of the second frame, about the joint's point on the
 second side. The rows have axes of their own (`closedloop.mechanics.loops.bind`), which nothing outside needs to know.
 

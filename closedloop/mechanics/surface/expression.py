@@ -9,7 +9,7 @@ Each result carries ten numbers, u, ∇u and the upper triangle of ∇∇u, and 
 
 (A. Griewank and A. Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, ch. 13.)
 
-A formula φ(x, y, z) as text, and as a list of numbers for `closedloop.mechanics.surface.expression` to evaluate.
+A formula φ(x, y, z) as text, and as the list of numbers that is evaluated.
 
 The text is read by Python's own grammar, and of that nothing is taken but numbers, x, y, z, pi, + - * / **, parentheses
 and the functions named here: a file that holds a formula can make no code run. The formula becomes a list of

@@ -1,7 +1,5 @@
 """The columns that a run records, row by row and event by event.
 
-The events of a run, one by one, from the columns that have them.
-
 The columns that a run records: dimensions, unit and meaning of each.
 
 The record of a run: its columns, what made them, and what was computed from them.

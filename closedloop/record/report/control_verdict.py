@@ -1,11 +1,7 @@
 """The second verdict of a run: whether the controlled arm did what was commanded, and by which signals.
 
-Regular swings of a signal: growing, or a limit cycle; noise, drifts and decaying oscillations are not.
-
-Whether the controlled arm did what was commanded: the second verdict of a run, beside that of its numbers.
-
 `closedloop.record.report.verdict` says whether the numbers can be trusted; this says whether the control is good. Force
-counts while contact is commanded (`closedloop.record.report.control_verdict`); with F, the root of the mean square of
+counts while contact is commanded; with F, the root of the mean square of
 f_des there:
 
 ==================  ===========================================================================================
@@ -16,7 +12,8 @@ f_des there:
 ``bouncing``        `BOUNCES` touchdowns and more in the later half of that time; or free for so long after an impact
 ``force_error``     f is far from f_des: RMS over the later half, or the mean of the last tenth
 ``not_settled``     the mean error of the last tenth is too large and still changes
-``oscillation``     force or path swings regularly: growing over all of that time, or a limit cycle in its later half
+``oscillation``     force or path swings regularly: growing over all of that time, or a limit cycle in its later half;
+                    noise, drifts and decaying oscillations are no regular swings
 ``path_error``      the tip is off its path along the surface
 ``unstable``        a gain of the law is negative: it drives the arm away from where it should be
 ``saturated``       a limit of `[drives]` cuts a joint's torque in a tenth of the rows and more

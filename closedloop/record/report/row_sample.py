@@ -1,7 +1,5 @@
 """What a recorded row says to the summary, and whether the paper's assumptions hold in it.
 
-Whether each of the paper's assumptions holds in a row of the record.
-
 What a recorded row has to say to the summary: the definition of each value, once for every way to go over the rows.
 
 `sample_row` works on one row in a compiled batch, on the rows of eight runs side by side (`closedloop.jit.simd8`), and,

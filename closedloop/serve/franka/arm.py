@@ -13,6 +13,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario
 from closedloop.serve.franka.description import JOINTS, describe
 from closedloop.simulation.prepare import load_model
+from robot_models.mechanism import transform
 from robot_models.tool import Tool
 
 FLANGE = "link8"
@@ -65,7 +66,7 @@ class Arm:
         self.urdf = describe(self.robot, self._flange)
         axes, origin = (part[0] for part in self.robot.frame_poses(self._flange, np.zeros((1, JOINTS))))
         tip_axes, tip, _ = self.robot.tip_frame(np.zeros(JOINTS))
-        self.F_T_NE = pose(axes.T @ tip_axes, axes.T @ (tip - origin))
+        self.F_T_NE = transform(axes.T @ tip_axes, axes.T @ (tip - origin))
         self.set_frames(np.eye(4), np.eye(4))
         self.load: tuple[float, Array, Array] = (0.0, np.zeros(3), np.zeros(9))
 
@@ -97,7 +98,7 @@ class Arm:
     def end_effector(self, q: Array) -> tuple[Array, Array]:
         """Return the pose of EE in O (4, 4) and its Jacobian (6, 7), velocity above angular velocity, base axes."""
         axes, origin, J = self.robot.tip_frame(q)
-        T = pose(axes, origin)
+        T = transform(axes, origin)
         return (T, J) if self._at_tip else (T @ self.NE_T_EE, moved(J, axes @ self.NE_T_EE[:3, 3]))
 
     def gravity(self, q: Array) -> Array:
@@ -118,13 +119,6 @@ class Arm:
         if wrong or size.min() < SINGULAR * size.max():
             return np.zeros(6), np.zeros(6)
         return F, (F.reshape(2, 3) @ R).ravel()
-
-
-def pose(axes: Array, origin: Array) -> Array:
-    """Return axes, columns (3, 3), and an origin (3,) as a pose (4, 4)."""
-    found = np.eye(4)
-    found[:3, :3], found[:3, 3] = axes, origin
-    return found
 
 
 def moved(J: Array, arm: Array) -> Array:

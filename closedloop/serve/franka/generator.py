@@ -25,6 +25,7 @@ from closedloop.base.arrays import Array
 from closedloop.serve.franka.arm import Arm, turned
 from closedloop.serve.franka.description import JOINTS
 from closedloop.serve.franka.wire import CARTESIAN_POSE, JOINT_POSITION, JOINT_VELOCITY, NO_GENERATOR, Command
+from robot_models.mechanism import turned as rotation_about
 
 # Steps of Newton's method for a pose: a cycle moves it by millimetres, and each step squares the error.
 NEWTON_STEPS = 3
@@ -42,7 +43,7 @@ class Generator:
     q, dq, ddq, jerk : (7,) arrays
         Wanted positions, rad, and their rates.
     pose : (4, 4) array
-        Commanded pose of the end effector; where joints are commanded, the pose that they give.
+        Commanded pose of the end effector; where joints are commanded that of the start, see `wanted_pose`.
     twist, acceleration, twist_jerk : (6,) arrays
         Its velocity, m/s and rad/s, and the rates of that, base axes.
     """
@@ -58,6 +59,10 @@ class Generator:
         self.dq, self.ddq, self.jerk = np.zeros(JOINTS), np.zeros(JOINTS), np.zeros(JOINTS)
         self.pose = self._arm.end_effector(q)[0]
         self.twist, self.acceleration, self.twist_jerk = np.zeros(6), np.zeros(6), np.zeros(6)
+
+    def wanted_pose(self, kind: int) -> Array:
+        """Return the pose (4, 4) that is wanted of the end effector: the commanded one, or that of commanded joints."""
+        return self._arm.end_effector(self.q)[0] if kind in (JOINT_POSITION, JOINT_VELOCITY) else self.pose
 
     def follow(self, kind: int, command: Command) -> None:
         """Take over a command for the present cycle."""
@@ -101,7 +106,8 @@ class Generator:
         self._commanded(twist)
         moved = self.pose.copy()
         moved[:3, 3] += self._h * twist[:3]
-        moved[:3, :3] = _rotation(self._h * twist[3:]) @ moved[:3, :3]
+        if (speed := float(np.linalg.norm(twist[3:]))) > 0.0:
+            moved[:3, :3] = rotation_about(twist[3:] / speed, self._h * speed) @ moved[:3, :3]
         self.pose = moved
         self._reach(elbow)
 
@@ -115,17 +121,6 @@ class Generator:
                 J, e = np.vstack((J, np.eye(JOINTS)[2])), np.append(e, elbow[0] - q[2])
             q += np.linalg.lstsq(J, e, rcond=SINGULAR)[0]
         self._joints(q, (q - self.q) / self._h)
-
-
-def _rotation(vector: Array) -> Array:
-    """Return the rotation (3, 3) about a vector by its length, rad (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-8:
-        return np.eye(3) + W
-    found: Array = np.eye(3) + np.sin(angle) / angle * W + (1.0 - np.cos(angle)) / (angle * angle) * W @ W
-    return found
 
 
 # How far a joint may move, rad, and a stiffness change, as a share, until the modes are found anew.

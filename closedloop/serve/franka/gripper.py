@@ -117,14 +117,7 @@ class Gripper:
     def receive(self, client: Client) -> None:
         """Read what a client has sent, and obey."""
         client.receive()
-        while len(client.received) >= wire.GRIPPER_HEAD.size:
-            command, number, size = wire.GRIPPER_HEAD.unpack_from(client.received)
-            body = wire.GRIPPER_REQUESTS.get(command)
-            if body is None or size != wire.GRIPPER_HEAD.size + body.size:
-                raise Gone(f"sent what is no command of a gripper ({command}, {size} bytes): the connection is closed")
-            if len(client.received) < size:
-                return
-            given = body.unpack(client.take(size)[wire.GRIPPER_HEAD.size :])
+        for command, number, given in client.requests(wire.GRIPPER_HEAD, wire.GRIPPER_REQUESTS, "a gripper"):
             if self._to is None and command != wire.GRIPPER_CONNECT:
                 raise Gone("sent a command before it connected: the connection is closed")
             self._obey(client, command, number, given)

@@ -213,16 +213,7 @@ class Franka(Interface):
 
     def _receive(self, client: Client) -> None:
         client.receive()
-        while len(client.received) >= wire.HEAD.size:
-            command, number, size = wire.HEAD.unpack_from(client.received)
-            if command not in wire.REQUESTS or size > wire.LONGEST:
-                raise Gone(f"sent what is no command of libfranka ({command}, {size} bytes): the connection is closed")
-            body = wire.REQUESTS[command]
-            if size != wire.HEAD.size + body.size:
-                raise Gone(f"sent command {command} with {size} bytes, not {wire.HEAD.size + body.size}: it is closed")
-            if len(client.received) < size:
-                return
-            given = body.unpack(client.take(size)[wire.HEAD.size :])
+        for command, number, given in client.requests(wire.HEAD, wire.REQUESTS, "libfranka"):
             if self._to is None and command != wire.CONNECT:
                 raise Gone("sent a command before it connected: the connection is closed")
             self._obey(client, command, number, given)
@@ -370,11 +361,7 @@ class Franka(Interface):
             torque = self.springs.at_joints(self._q, self._v, motion.q, motion.dq)
             self._torque = torque - self.arm.gravity(self._q)
         else:
-            T_d = (
-                motion.pose
-                if generator in (wire.CARTESIAN_POSE, wire.CARTESIAN_VELOCITY)
-                else self.arm.end_effector(motion.q)[0]
-            )
+            T_d = motion.wanted_pose(generator)
             torque = self.springs.at_end_effector(self._q, self._v, motion.q, motion.dq, T_d)
             self._torque = torque - self.arm.gravity(self._q)
         if self._controller == wire.EXTERNAL:
@@ -424,9 +411,7 @@ class Franka(Interface):
             K_F_ext_hat_K=reflexes.wrench_in_K,
         )  # fmt: skip
         if not moves or self._generator != wire.NO_GENERATOR:  # else what was wanted last stays
-            T_d = self._T if not moves else motion.pose
-            if moves and self._generator in (wire.JOINT_POSITION, wire.JOINT_VELOCITY):
-                T_d = self.arm.end_effector(motion.q)[0]
+            T_d = motion.wanted_pose(self._generator) if moves else self._T
             self._state.write(
                 O_T_EE_d=T_d, O_T_EE_c=T_d, O_dP_EE_d=motion.twist, O_dP_EE_c=motion.twist,
                 O_ddP_EE_c=motion.acceleration, elbow_c=wanted, delbow_c=(motion.dq[2], 0.0),

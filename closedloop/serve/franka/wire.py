@@ -18,8 +18,6 @@ ROBOT_PORT, GRIPPER_PORT = 1337, 1338
 
 # The head of a command and of its answer: command, number of the request, length with the head.
 HEAD, GRIPPER_HEAD = struct.Struct("<III"), struct.Struct("<HII")
-# The longest request of a client is that of `SET_COLLISION`, 428 bytes.
-LONGEST = 1024
 
 (
     CONNECT, MOVE, STOP_MOVE, SET_COLLISION, SET_JOINT_IMPEDANCE, SET_CARTESIAN_IMPEDANCE, SET_GUIDING, SET_EE_TO_K,

@@ -1,14 +1,11 @@
 """Eight runs at a time in SIMD lanes, and their loop.
 
-The loop of eight runs in SIMD lanes, from start to end: see `closedloop.simulation.engines.lanes`.
-
-It calls the kernels of a single run, in the order of `closedloop.loop.events` without events.
-
-Eight runs at a time in SIMD lanes: runs of a batch with the paper's law and the tip on a smooth surface.
+They are runs of a batch with the paper's law and the tip on a smooth surface. The loop calls the kernels of a single
+run, in the order of `closedloop.loop.events` without events.
 
 Such a run has no events, impacts or friction, so its steps have no branches. Eight of them take each step together in
-float64x8 (`closedloop.jit.simd8`), by the same kernels as a single run, with the same result to the last bit. This
-loop, `closedloop.simulation.engines.lanes`, only calls them. The summary of a run is accumulated row by
+float64x8 (`closedloop.jit.simd8`), by the same kernels as a single run, with the same result to the last bit. The
+summary of a run is accumulated row by
 row (`closedloop.record.report.measured`); the rows are kept only on request.
 
 If one of the eight needs an event (liftoff), comes near a singular pose or diverges, the loop returns a status, and

@@ -1,17 +1,13 @@
 """Eight members at a time in SIMD lanes, and which may be.
 
-Eight members at a time in SIMD lanes, from control instant to control instant; see `closedloop.jit.simd8`.
-
-Members may be stepped so whose torque is held by an action, whose tip slides or sticks on a plane, and of which no part
-has a memory of its own that acts on the motion, as `closedloop.simulation.together.lane_steps` decides. The kernels are
-those of a step by itself, so every number is the same to the last bit. Friction is asked member by member, by its
-address.
+They go from control instant to control instant, see `closedloop.jit.simd8`. Members may be stepped so whose torque is
+held by an action, whose tip slides or sticks on a plane, and of which no part has a memory of its own that acts on the
+motion. The kernels are those of a step by itself, so every number is the same to the last bit. Friction is asked member
+by member, by its address.
 
 A lane in which something else may happen (liftoff, the end of slip or of sticking, a slip so slow that friction turns
 with it) is left as it was, and its member is stepped by itself. What is tested for here may be less than an event,
 never more.
-
-Which simulations may be stepped in SIMD lanes, and memory: see `closedloop.simulation.together.lane_steps`.
 """
 
 from __future__ import annotations

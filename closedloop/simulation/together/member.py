@@ -1,9 +1,5 @@
 """One of several simulations side by side: its memory, and the kernels that step it.
 
-The memory of simulations that are stepped side by side; see `closedloop.simulation.together.member`.
-
-The memory of one of several simulations that are stepped side by side, and the kernels that step it.
-
 A member goes from one control instant to the next in one call: what the action sets is held until then, events within
 are located as in any run. At the end the row of the record is there, but the step after it begins with the next action.
 So the loop's memory is copied just before that row is evaluated (the mark), and put back once the action is known, as

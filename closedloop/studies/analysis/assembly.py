@@ -9,8 +9,6 @@ lets positions advance with the new velocities, and an integrator that chooses i
 exact. B₀ is that of the first stage: what a sampled sensor reads changes at a row, between the law's evaluation there
 and those within the step. Of schemes of one stage it is the whole step, of the exponential no part.
 
-The loop from one sample of the law to the next, put together from what is reduced to free coordinates.
-
 The force loop as a linear system about the motion at an instant.
 
 Of the equation of motion the derivatives are taken at one state of a run, by the kernels of that run (`here`,

@@ -1,9 +1,5 @@
 """The equation of motion beside the state of a run at an instant.
 
-A run at an instant: the state at a row, and the run from there on.
-
-Evaluations of the equation of motion beside the state of a run at an instant.
-
 An evaluation is one call of the loop's own kernel at a row: law, friction, contact and Eq. 24 are those of a run, and
 nothing is written twice. White noise and quantisation, which have no derivative, are left out of it.
 """

@@ -1,12 +1,8 @@
 """Derivatives of whole runs by differences, with Richardson's extrapolation.
 
-Derivatives from differences, by Richardson's extrapolation, each with an estimate of its error.
-
 Three steps h, h/2, h/4 on either side. Central differences have errors in h², h⁴ ..., one-sided ones in h, h², h³ ...;
 the extrapolation removes all but the last. The estimate is by how much the last extrapolation changed the result. It is
 that of the result before, so it is on the safe side.
-
-Derivatives of whole runs by central differences with Richardson's extrapolation.
 
 A run is a smooth function of its scenario as long as the same events happen in the same order: they are located to
 rounding. What is counted in rows is one as long as each event stays between the same two rows. So the steps are

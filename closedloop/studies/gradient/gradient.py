@@ -1,7 +1,5 @@
 """`cl.gradient` and `cl.sensitivities`: derivatives of runs with respect to numbers of the scenario.
 
-`cl.gradient`: derivatives of what comes out of a run, or of several, with respect to numbers of the scenario.
-
 `cl.sensitivities`: derivatives of whole columns of a run, over time.
 """
 

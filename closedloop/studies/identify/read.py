@@ -196,7 +196,7 @@ def read_log(
     ----------
     path : str or Path
         .csv, .parquet, or .nc: a run of this simulator, or variables over the first dimension, (N,) or (N, n); .mcap,
-        .db3 or a folder of rosbag2, see `closedloop.studies.identify.read`.
+        .db3 or a folder of rosbag2.
     columns : mapping, optional
         Of "time", "q", "v", "torque" to a name with {} for the joint, its name or its number, from 1 or 0:
         ``{"torque": "effort_{}"}``; or to the names of all columns, in the robot's order, with commas between.

@@ -10,7 +10,7 @@ Whole columns of a sweep as a NetCDF-4 file, on a disk that may be full: see `cl
 From the parts of a sweep to its table, in order of the runs, part by part.
 
 The table is a Parquet file: typed columns, compressed, widely readable, also by row groups. Whole columns of the runs
-go into a NetCDF-4 file (`closedloop.studies.sweep.join`), as those of a single run do, so that MATLAB, xarray and
+go into a NetCDF-4 file, as those of a single run do, so that MATLAB, xarray and
 h5py open both. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more
 package to be read. HDF5, which a kill during a write would corrupt, is written here only, from the parts, under another
 name until it is complete.

@@ -4,8 +4,6 @@ The file of a part: its content, its name, and a line with the SHA-256 of both (
 
 A part of a sweep: some runs one after the other, as rows of the table and, if kept, whole columns.
 
-The parts of a sweep on disk, written atomically.
-
 Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
 
     sweep.json           what the sweep is: nothing else may put parts here

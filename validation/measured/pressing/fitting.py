@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -55,6 +56,7 @@ class Fit:
     simulations: int
 
 
+@cache
 def measured_figures(test: Touchdown) -> Figures:
     """Return the figures of what was measured."""
     return figures(test.time, test.measured, test.force, test.rest)

@@ -1,8 +1,6 @@
 """Potential energy of a tree, and its springs.
 
 Springs of joints and tendons: their forces, as part of C, and their energy; see `robot_models.tendon`.
-
-Potential energy of a tree of joints.
 """
 
 from __future__ import annotations

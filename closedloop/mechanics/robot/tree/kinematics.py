@@ -1,7 +1,5 @@
 """Positions, velocities and accelerations of the links, from sine and cosine of all joint angles.
 
-Sine and cosine of all joint angles at once.
-
 The library's sine takes one angle at a time. This one takes four, without a branch, as accurately: the angle
 less its nearest multiple of π/2, which is subtracted in three parts (W. J. Cody and W. Waite, Software Manual for the
 Elementary Functions, 1980), then the polynomials for |x| <= π/4 of fdlibm (Sun Microsystems 1993, k_sin.c, k_cos.c).

@@ -22,8 +22,6 @@ A tip that is braked to rest has a large λ too, but briefly: the speed falls as
 needs a step or two for each halving of it.
 
 Intervals, steps, events and rows of a run by scipy's DOP853.
-
-A run by scipy's DOP853 to its end, or to where it fails.
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 The first instant at which an event function falls below zero within a step.
 
-The reference between its discontinuities, as Chebyshev polynomials.
-
 An integrator of high order must not step over a discontinuity, and needs the reference at any instant. So the run is
 divided where the reference, its derivatives or the law are discontinuous. On each interval the desired motion and force
 are interpolated at Chebyshev nodes inside it: at the end of an interval they have the left limit, at its beginning the

@@ -10,6 +10,8 @@ import time
 from typing import ClassVar
 
 from closedloop.base.arrays import Array
+from closedloop.jit.kernel import direct
+from closedloop.loop.events.impacts import collide
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.serve.sockets import Port, Ports, Say
@@ -68,6 +70,7 @@ class Session:
         self.simulator = Simulator(scenario)
         self.period = self.simulator.problem.h
         self.cycles = self.lost = self.late = 0
+        direct(collide, 0)  # compile it now: an impact must not while a client waits
         self.simulator.reset()
 
     @property

@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.jit.kernel import jit_disabled
+from closedloop.loop.events.impacts import collide
 from closedloop.serve.messages import ASKED, ERROR, HEAD, MAGIC, NUMBERS
 
 SCENARIO = "panda_slide"
@@ -265,3 +267,9 @@ def test_the_page_s_controller_in_cpp_gives_the_run_of_python(tmp_path):
 def test_the_example_of_ros_is_python():
     """The node of the page can be read; ROS 2 itself is not there."""
     compile((PAGE / "ros2_node.py").read_text(encoding="utf-8"), "ros2_node.py", "exec")
+
+
+def test_an_impact_does_not_compile_while_a_client_waits():
+    """What computes impacts is compiled, or read, before the first client can connect."""
+    with cl.serve("fr3_press", "franka", port=0, lock_step=True):
+        assert jit_disabled() or getattr(collide, "dispatcher", collide).signatures

@@ -73,6 +73,7 @@ class Problem(Block, sizes=("k",)):
     residual: float  # of the last problem, N or N s
     steps: float  # of the methods that solve it, counted where there is a limit to their number
     inner: float  # N, see `closedloop.mechanics.contacts.complementarity.solve_from_here`
+    points: float  # 1 if only points touch
     ends: float  # 1 if a slow slip ends within the step, see `closedloop.mechanics.contacts.turning`
     whole: float  # 1 once W is written beside its diagonal
 

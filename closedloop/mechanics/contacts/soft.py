@@ -209,7 +209,7 @@ def shared_friction(c: Contacts) -> float:
 
 @kernel
 def drop_contradictions(c: Contacts, k: int, largest: float) -> None:
-    """Take from the accelerations of packed soft contacts what no motion of their bodies has.
+    """Take from the accelerations of packed soft contacts, and of points, what no motion of their bodies has.
 
     Feet of one body that turns accelerate towards its axis, with the square of its speed. They do not slip by that,
     but friction that is to stop it would be as large as it can be.
@@ -217,7 +217,7 @@ def drop_contradictions(c: Contacts, k: int, largest: float) -> None:
     S, unknown, p, contact = c.scratch.system, c.scratch.unknown, 0, c.scratch.packed.contact
     for i in range(k):
         j = int(contact[i])
-        if c.scratch.turned[j] != 0.0:
+        if c.scratch.turned[j] != 0.0 and (c.friction.shared[j] > 0.0 or c.problem.points > 0.0):
             unknown[p], unknown[p + 1] = 3 * i + 1, 3 * i + 2
             p += 2
     for r in range(p):

@@ -85,7 +85,7 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, points: bool = F
         return int(OK)
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
-    c.problem.inner = force_size(c.rigid, 3 * k) if points else 0.0
+    c.problem.points, c.problem.inner = (1.0, force_size(c.rigid, 3 * k)) if points else (0.0, 0.0)
     c.problem.steps, last, stalled, longest, most = 0.0, math.inf, 0, h, MOST_GROWTH * force_size(c.rigid, 3 * k)
     for _ in range(TURNS):
         change = turn_slips(c, k, h, begins)
@@ -271,7 +271,10 @@ def solve_within(c: Contacts, k: int, rate: float) -> bool:
             u1, u2 = slip_of(c, i)
             c.problem.q[3 * i + 1] += rate * u1
             c.problem.q[3 * i + 2] += rate * u2
-    harden(c, k, c.problem.inner)
+    if c.problem.points > 0.0:
+        # Contacts of shapes wander, and forces that follow the last ones follow them: the shortest
+        # change their directions from step to step, and contacts that have parted are pressed in again and again.
+        harden(c, k, c.problem.inner)
     # q has the slips divided by τ: a residual that is small beside it may be large beside the forces.
     if not solve_from_here(c, k, 0, ROUNDS, c.problem.inner) or not is_near(c, k):
         if not some_share(c, c.friction.shared.shape[0]):

@@ -91,13 +91,13 @@ def errors(memory: ContactMemory, answer: Answer) -> dict[str, float]:
     before = np.array(c.u).reshape(-1, 3)
     share = _restitution_given(memory, P, after)
     bounced = after[:, 0] + share * c.restitution * np.minimum(before[:, 0], 0.0)
-    slip, rub = np.hypot(after[:, 1], after[:, 2]), np.hypot(P[:, 1], P[:, 2])
+    slip, friction = np.hypot(after[:, 1], after[:, 2]), np.hypot(P[:, 1], P[:, 2])
     force, speed = float(np.max(np.abs(P))), float(np.max(np.abs(before)))
     against = np.sum(P[:, 1:] * after[:, 1:], axis=1) + c.mu * P[:, 0] * slip
     found = {
         "opening": float(np.max(-bounced)) / speed,
         "pull": float(np.max(-P[:, 0])) / force,
-        "cone": float(np.max(rub - c.mu * P[:, 0])) / force,
+        "cone": float(np.max(friction - c.mu * P[:, 0])) / force,
         "complementarity": float(np.max(np.abs(P[:, 0] * bounced))) / (force * speed),
         "friction": float(np.max(np.abs(against))) / (force * speed),
         "motion": float(np.max(np.abs(after.ravel() - c.u - c.W @ P.ravel()))) / speed,

@@ -68,8 +68,8 @@ def _kernels() -> tuple[Piece, ...]:
         _entry("loop.step.contacts", "contacts_in_step", "contacts of the links"),
         _entry("loop.step.locate", "ball_tip", "the round end of a tool"),
         Piece("step_members", "simulations side by side", _together, "run_compiled"),
-        _entry("simulation.together.member", "strike", "impacts in them"),
-        _entry("simulation.together.lane_steps", "step_in_lanes", "eight of them in SIMD lanes"),
+        _entry("simulation.ensemble.member", "strike", "impacts in them"),
+        _entry("simulation.ensemble.lane_steps", "step_in_lanes", "eight of them in SIMD lanes"),
     )
 
 
@@ -88,12 +88,12 @@ def _together() -> None:
     """Compile a step of simulations side by side."""
     import numpy as np
 
-    from closedloop.simulation.together.together import Together
+    from closedloop.simulation.ensemble.ensemble import Ensemble
 
-    together = Together(1, 1, np.zeros((0, 3), dtype=np.int64), 0)
-    together.begin(0, _problem())
-    together.start([0])
-    together.close()
+    ensemble = Ensemble(1, 1, np.zeros((0, 3), dtype=np.int64), 0)
+    ensemble.begin(0, _problem())
+    ensemble.start([0])
+    ensemble.close()
 
 
 def _loops(kernel: str) -> None:
@@ -124,7 +124,7 @@ def _members() -> Iterable[tuple[str, Any]]:
     from closedloop.control.law import COMPENSATIONS, LAWS
     from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
     from closedloop.loop.step.solve_contact import compliance_entry
-    from closedloop.mechanics.contacts.friction import rub_entry
+    from closedloop.mechanics.contacts.friction import contact_friction_entry
     from closedloop.mechanics.contacts.soft import depth_entry
     from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
     from closedloop.mechanics.friction.laws.none import NoFriction
@@ -142,7 +142,7 @@ def _members() -> Iterable[tuple[str, Any]]:
         (SURFACES, surface_entry, "surface"),
         (COMPLIANCES, compliance_entry, "soft surface"),
         (COMPLIANCES, depth_entry, "soft contact of a link"),
-        (SURFACE_LAWS, rub_entry, "friction of a contact of a link"),
+        (SURFACE_LAWS, contact_friction_entry, "friction of a contact of a link"),
         (MOTIONS, motion_entry, "surface that moves:"),
     )
     for family, entry_of, what in families:

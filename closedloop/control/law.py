@@ -119,7 +119,7 @@ class LawInput(NamedTuple):
 N = Count.of("n")
 
 
-class Seen(Block, sizes=("n",)):
+class Perceived(Block, sizes=("n",)):
     """The parts of a `closedloop.control.law.LawInput` of n joints that depend on the state, but H and C."""
 
     r: Annotated[Array, 3]

@@ -29,7 +29,7 @@ FLAT = 1e-3
 # Nor is a change below this share of all that the force does in the run.
 MINOR = 0.02
 # Nor is a change of the motion after which the force goes on in a line, to this share of what it does in contact.
-BENT = 0.05
+LEAST_BEND = 0.05
 # How much of the run is enlarged on either side of an instant, s, and in how many panels at most.
 SHORT, LONG = 0.02, 0.12
 MOST_PANELS = 3
@@ -110,7 +110,7 @@ def transients(run: Run) -> list[tuple[str, slice]]:
             wanted.append((event.time, f"{event.kind} at {event.time:.4g} s", long, short, run.contact_force))
     touching = run.contact_force[run.mode != FREE]
     least = MINOR * float(np.ptp(run.contact_force)) if len(run) else 0.0
-    least_bend = BENT * float(np.ptp(touching)) if touching.size else 0.0
+    least_bend = LEAST_BEND * float(np.ptp(touching)) if touching.size else 0.0
     found: list[_Moment] = []
     for t, text, before, after, what in wanted:
         rows = slice(*np.searchsorted(run.time, (t - before, t + after)).tolist())

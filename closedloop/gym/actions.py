@@ -11,7 +11,7 @@ from closedloop.base.arrays import Array, IntArray
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.parameters import parameter_block
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.together.member import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
+from closedloop.simulation.ensemble.member import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
 
 AXES = ("n", "t1", "t2")
 WORDS = "torque, force, tip, tip.n, tip.t1, tip.t2, joint, joint.NAME, or law.KEY"
@@ -39,7 +39,7 @@ class Actions:
     low, high : (k,) arrays
         SI units.
     plan : (l, 3) array
-        See `closedloop.simulation.together.member.act`.
+        See `closedloop.simulation.ensemble.member.act`.
     held : bool
         Whether it sets torques.
     """

@@ -19,10 +19,10 @@ from closedloop.scenario.arm import start_positions
 from closedloop.scenario.overrides import Variants
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.ensemble.ensemble import Ensemble
 from closedloop.simulation.prepare import Cache, prepare
 from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.time_step import whole_steps
-from closedloop.simulation.together.together import Together
 
 # An episode without on-target time at its end succeeds if the tip is so near to its path, m.
 NEAR = 0.005
@@ -83,10 +83,10 @@ class Core:
         )
         self.observation_names = self._observed.names
         self.privileged_names = (*self._truth.names, *self.drawn_keys)
-        self.together = Together(count, self.steps, self.actions.plan, numbers, held=self.actions.held, threads=threads)
-        self.together.rows = np.zeros((count, first.row_width))
-        self.together.wanted = np.zeros((count, 2 * n + 10))
-        both = self.together.rows, self.together.wanted, self.together.between
+        self.ensemble = Ensemble(count, self.steps, self.actions.plan, numbers, held=self.actions.held, threads=threads)
+        self.ensemble.rows = np.zeros((count, first.row_width))
+        self.ensemble.wanted = np.zeros((count, 2 * n + 10))
+        both = self.ensemble.rows, self.ensemble.wanted, self.ensemble.between
         self.now = Now(*both, n, numbers, self.period, contacts, first.row_states)
         self.now.steps = self.steps
         self._generators: list[np.random.Generator | None] = [None] * count
@@ -134,7 +134,7 @@ class Core:
                 self._worlds[world] = values, problem
         else:
             values, problem = self._worlds[world]
-        self.together.begin(i, problem)
+        self.ensemble.begin(i, problem)
         self.parameters[i] = values
         self._drawn[i] = [values[key] for key in self.drawn_keys]
         now, n = self.now, problem.robot.n
@@ -161,14 +161,14 @@ class Core:
     @property
     def now_width(self) -> int:
         """Numbers in a recorded row."""
-        return int(self.together.rows.shape[1])
+        return int(self.ensemble.rows.shape[1])
 
     def start(self, some: Sequence[int]) -> None:
         """Let the episodes of these environments begin."""
-        self.together.start(some)
+        self.ensemble.start(some)
         self.now.changed()
         for i in some:
-            failure = self.together.failures[i]
+            failure = self.ensemble.failures[i]
             if failure is not None:
                 raise failure
         self.now.touched[some] = self.now.contact[some]
@@ -198,20 +198,20 @@ class Core:
 
     def step(self, action: Array, some: IntArray) -> tuple[Array, Mask, Mask]:
         """Step these environments with the actions (N, k), and return rewards, terminated and truncated (N,)."""
-        now, together = self.now, self.together
+        now, ensemble = self.now, self.ensemble
         which: Any = some if some.size < self.count else slice(None)
         cut = np.minimum(np.maximum(action, -1.0), 1.0)
         self.cut[which] = (cut != action).sum(axis=1)[which]
         now.action_before[which] = now.action[which]
         now.action[which] = cut[which]
-        together.actions[:] = self.actions.physical(cut)
-        together.step(some)
+        ensemble.actions[:] = self.actions.physical(cut)
+        ensemble.step(some)
         now.changed()
         active = np.zeros(self.count, dtype=np.bool_)
         active[which] = True
-        stopped = together.failed & active
+        stopped = ensemble.failed & active
         for i in np.flatnonzero(stopped):
-            self.reasons[i] = str(together.failures[i])
+            self.reasons[i] = str(ensemble.failures[i])
         went = active & ~stopped
         self._advance(went)
         terminated = stopped.copy()
@@ -295,4 +295,4 @@ class Core:
 
     def close(self) -> None:
         """End the threads."""
-        self.together.close()
+        self.ensemble.close()

@@ -27,7 +27,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.table import Reference
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
-from closedloop.simulation.together.member import Between
+from closedloop.simulation.ensemble.member import Between
 
 # A tip is held if it is slower than this, m/s, and further from where it is wanted than this, m.
 SLOW, AWAY = 2e-3, 2e-3

@@ -83,7 +83,7 @@ class Picture:
 
     def _draw(self, i: int) -> None:
         core, axes, now = self._core, self._axes, self._core.now
-        problem = core.together.problem(i)
+        problem = core.ensemble.problem(i)
         arm = self._arm
         if arm is None or arm.model is not problem.robot.model:
             arm = self._arm = _Arm(problem)
@@ -93,7 +93,7 @@ class Picture:
         line = np.vstack([origins[1:], tip])
         axes.plot(*line.T, color="0.35", linewidth=5.0, marker="o", markersize=7.0, markerfacecolor="0.75")
         if problem.scenario.has_surface:
-            x, y, z = patch(problem, core.together.problem(i).robot.position(problem.q))
+            x, y, z = patch(problem, core.ensemble.problem(i).robot.position(problem.q))
             axes.plot_surface(x, y, z, color="0.8", alpha=0.45, edgecolor="0.6", linewidth=0.4)
         elif self._draw_walls(problem, arm, now.q[i]):
             line = line[-1:]  # what is seen is the tip between them
@@ -180,7 +180,7 @@ class Browser:
         """Bring the page up to date with environment `i`."""
         from closedloop.lab.curves import COLOURS
 
-        problem, now = self._core.together.problem(i), self._core.now
+        problem, now = self._core.ensemble.problem(i), self._core.now
         if problem is not self._problem:
             self._begin(problem, i)
         time = float(now.time[i])
@@ -260,7 +260,7 @@ def _surface(problem: Problem) -> tuple[Array, NDArray[np.uint32]]:
 
 def shown_forces(core: Core, i: int) -> tuple[list[str], Array]:
     """Return the names and forces (k,), N, that environment `i` shows: on the tip; without a surface on links."""
-    scenario, now = core.together.problem(i).scenario, core.now
+    scenario, now = core.ensemble.problem(i).scenario, core.now
     if scenario.has_surface or not scenario.contact:
         return ["f"], np.array([now.force[i]])
     return [contact.name or f"contact {k + 1}" for k, contact in enumerate(scenario.contact)], now.link_forces[i].copy()

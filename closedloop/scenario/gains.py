@@ -197,7 +197,7 @@ def _named(key: str, shape: Array, scenario: Scenario, robot: Robot) -> str:
     return f"law.kd[{joint}] (joint {robot.joint_names[joint]})"
 
 
-class Rubbing(NamedTuple):
+class Sliding(NamedTuple):
     """A tip that slips: posture (n,), unit normal and what the surface pushes with, 1 N along it, base axes (3,)."""
 
     q: Array
@@ -214,15 +214,15 @@ def without_normal(mobility: Array, normal: Array, push: Array) -> Array:
     return mobility - np.outer(mobility @ push, normal @ mobility) / along if along > 0.0 else mobility
 
 
-def feedbacks(scenario: Scenario, robot: Robot, rubbing: Rubbing | None = None) -> list[Feedback]:
+def feedbacks(scenario: Scenario, robot: Robot, sliding: Sliding | None = None) -> list[Feedback]:
     """Return the feedback of the scenario's law, in decoupled parts, at the start posture or where the tip slips."""
     law, n = scenario.law, robot.n
-    q = start_posture(scenario, robot.model) if rubbing is None else rubbing.q
+    q = start_posture(scenario, robot.model) if sliding is None else sliding.q
     terms = robot.terms(q, np.zeros(n))
     surface = PlacedSurface.of(scenario.surface, scenario.surface_motion, terms.position, radius=scenario.tool.radius)
     A = surface.touching(terms.position).frame @ terms.jacobian
-    held = scenario.surface.contact == "bilateral" or rubbing is not None
-    push = A[0] if rubbing is None else rubbing.push @ terms.jacobian
+    held = scenario.surface.contact == "bilateral" or sliding is not None
+    push = A[0] if sliding is None else sliding.push @ terms.jacobian
     try:
         motors = np.diag(transmission_constants(scenario.transmission, robot.model)[2])  # zero: they are in H
         mobility = closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix + motors))

@@ -34,7 +34,7 @@ from closedloop.mechanics.friction.law import JointFriction, joint_parameters, s
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.arm import joint_friction_of
-from closedloop.scenario.gains import Rubbing, closed_mobility, feedbacks, held_at, without_normal
+from closedloop.scenario.gains import Sliding, closed_mobility, feedbacks, held_at, without_normal
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import patches_of
 from robot_models.loop_joint import WORLD
@@ -184,19 +184,19 @@ def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
     return found
 
 
-def where_it_rubs(q: Array, normal: Array, force: Array, friction: Array, mode: NDArray[Any]) -> Rubbing | None:
+def where_it_slides(q: Array, normal: Array, force: Array, friction: Array, mode: NDArray[Any]) -> Sliding | None:
     """Return where a tip slips with the most friction for its normal force, of rows (N, ...); None if it never does."""
     slips = (mode == PRESSED) & (force != 0.0)
     level = np.linalg.norm(friction, axis=1) / np.where(slips, np.abs(force), np.inf)
     k = int(np.argmax(level)) if level.size else 0
     if not level.size or not level[k] > 0.0:
         return None
-    return Rubbing(q[k], normal[k], normal[k] + friction[k] / force[k])
+    return Sliding(q[k], normal[k], normal[k] + friction[k] / force[k])
 
 
 def unresolved(
     scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float,
-    rubbing: Callable[[], Rubbing | None] = lambda: None, own_law: bool = False,
+    sliding: Callable[[], Sliding | None] = lambda: None, own_law: bool = False,
     pressed: Callable[[], Pressed | None] = lambda: None,
 ) -> list[str]:  # fmt: skip
     """Return a line for each fast part that the step does not resolve, with a step that would; not of the law alone.
@@ -211,7 +211,7 @@ def unresolved(
         The unit normal of the surface there, base axes.
     depth : float
         How deep the tip is in the surface there, m.
-    rubbing : callable
+    sliding : callable
         Returns where the tip slips with the most friction; called only if there is viscous friction in joints.
     own_law : bool
         Whether the law is a user's, of whose feedback nothing is known.
@@ -220,11 +220,11 @@ def unresolved(
     """
     soft, elastic = scenario.compliance.kind != "none", scenario.transmission.elastic
     in_joints = joint_friction_of(scenario, robot.model)
-    rubs = any(hasattr(law, name) for law in (scenario.friction, in_joints) for name in ("stiffness", "viscous"))
+    slips = any(hasattr(law, name) for law in (scenario.friction, in_joints) for name in ("stiffness", "viscous"))
     lines = _of_contacts(scenario, robot, pressed)
-    if scenario.time.integrator not in INTEGRATORS or not (soft or elastic or rubs):
+    if scenario.time.integrator not in INTEGRATORS or not (soft or elastic or slips):
         return lines
-    slip = rubbing() if hasattr(in_joints, "viscous") else None
+    slip = sliding() if hasattr(in_joints, "viscous") else None
     for mode in _modes(scenario, in_joints, robot, q, normal, depth, slip):
         if np.all(np.isfinite(mode.stiffness)) and (np.any(mode.stiffness) or np.any(mode.damping)):
             law_too = mode.key == "joint_friction.viscous" and not own_law
@@ -268,7 +268,7 @@ def feedback_key(scenario: Scenario) -> Hashable:
     )  # fmt: skip
 
 
-def _of_feedback(scenario: Scenario, robot: Robot, rubbing: Rubbing | None = None) -> list[Mode]:
+def _of_feedback(scenario: Scenario, robot: Robot, sliding: Sliding | None = None) -> list[Mode]:
     """Return what a law's feedback makes the arm do, where it acts at every stage of the scheme."""
     name, start = scenario.time.integrator, getattr(scenario.law, "pd_start", 0.0)
     if name not in INTEGRATORS or scenario.law.sample_period or scenario.reads_encoders:
@@ -279,24 +279,24 @@ def _of_feedback(scenario: Scenario, robot: Robot, rubbing: Rubbing | None = Non
         return []
     return [
         Mode(f"{feedback.spring}, {feedback.damper}", feedback.stiffness, feedback.damping, name)
-        for feedback in feedbacks(scenario, robot, rubbing)
+        for feedback in feedbacks(scenario, robot, sliding)
         if all(np.all(np.isfinite(matrix)) for matrix in feedback[2:])
     ]
 
 
-def _with_feedback(rubs: Mode, scenario: Scenario, robot: Robot, rubbing: Rubbing | None) -> list[str]:
+def _with_feedback(slipping: Mode, scenario: Scenario, robot: Robot, sliding: Sliding | None) -> list[str]:
     """Return a line, in a list, where friction and a law damp joints too fast for the step, and the law alone not."""
-    for mode in _of_feedback(scenario, robot, rubbing):
+    for mode in _of_feedback(scenario, robot, sliding):
         acts = mode.key == "law.kp, law.kd" and np.any(mode.damping)
         if acts and not _line(mode, scenario, decays=True, least=WRONG_FEEDBACK):
-            both = Mode(f"{rubs.key}, {mode.key}", mode.stiffness, mode.damping + rubs.damping, mode.integrator)
+            both = Mode(f"{slipping.key}, {mode.key}", mode.stiffness, mode.damping + slipping.damping, mode.integrator)
             return _line(both, scenario, decays=True, least=WRONG_FEEDBACK)
     return []
 
 
 def _modes(
     scenario: Scenario, in_joints: JointFriction, robot: Robot, q: Array, normal: Array, depth: float,
-    rubbing: Rubbing | None,
+    sliding: Sliding | None,
 ) -> list[Mode]:  # fmt: skip
     """Return what of the arm and the surface moves by itself at a posture."""
     name, n = scenario.time.integrator, robot.n
@@ -332,16 +332,16 @@ def _modes(
         modes.append(Mode("joint_friction.stiffness", mobility * k, mobility * d, on_bristles))
     if hasattr(in_joints, "viscous"):
         d = np.array([par.viscous for par in of_joints]) * bearings
-        damped = mobility if rubbing is None else _while_slipping(robot, rubbing)
+        damped = mobility if sliding is None else _while_slipping(robot, sliding)
         modes.append(Mode("joint_friction.viscous", np.zeros((n, n)), damped * d, name))
     return modes
 
 
-def _while_slipping(robot: Robot, rubbing: Rubbing) -> Array:
+def _while_slipping(robot: Robot, sliding: Sliding) -> Array:
     """Return what a contact with friction leaves of H⁻¹ (n, n)."""
-    terms = robot.terms(np.array(rubbing.q), np.zeros(robot.n))
-    mobility = closed_mobility(robot, rubbing.q, np.linalg.inv(terms.mass_matrix))
-    return without_normal(mobility, rubbing.normal @ terms.jacobian, rubbing.push @ terms.jacobian)
+    terms = robot.terms(np.array(sliding.q), np.zeros(robot.n))
+    mobility = closed_mobility(robot, sliding.q, np.linalg.inv(terms.mass_matrix))
+    return without_normal(mobility, sliding.normal @ terms.jacobian, sliding.push @ terms.jacobian)
 
 
 def _line(mode: Mode, scenario: Scenario, decays: bool, least: float = 0.0) -> list[str]:

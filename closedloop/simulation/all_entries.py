@@ -38,14 +38,14 @@ def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
         if len(values) == count
     }
     held = ~model.of_bodies
-    rubbing = {
+    in_joints = {
         name: tuple(_filled(values, held).tolist())
         for name, values in lists_per_joint(scenario.joint_friction).items()
         if len(values) == held.sum() < model.n
     }
-    if not start and not lists and not rubbing:
+    if not start and not lists and not in_joints:
         return scenario
-    sections = ("start", start), ("law", lists), ("joint_friction", rubbing)
+    sections = ("start", start), ("law", lists), ("joint_friction", in_joints)
     return scenario.model_copy(
         update={name: getattr(scenario, name).model_copy(update=values) for name, values in sections if values}
     )

@@ -244,9 +244,9 @@ def add_pairs(root: ElementTree.Element, scene: Scene) -> None:
     pairs = element(root, "contact")
     for section, touching in zip(scene.run.scenario.contact or (), scene.touching, strict=True):
         mu = coulomb_of(section)
-        rubs = {"condim": 3, "friction": (mu, mu, 0.0, 0.0, 0.0)}
+        coefficients = {"condim": 3, "friction": (mu, mu, 0.0, 0.0, 0.0)}
         geoms = {"geom1": f"{touching.name} point", "geom2": f"{touching.name} plane"}
-        element(pairs, "pair", name=touching.name, **geoms, **(rubs if mu > 0.0 else {"condim": 1}))
+        element(pairs, "pair", name=touching.name, **geoms, **(coefficients if mu > 0.0 else {"condim": 1}))
 
 
 def _add_geom(

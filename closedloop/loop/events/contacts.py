@@ -1,6 +1,6 @@
 """Events of the contacts of the links: at one instant several may come together, part, slip or stick.
 
-The stops of joints are contacts, too. While all but the tip's are open the tip is solved by itself (`State.together` is
+The stops of joints are contacts, too. While all but the tip's are open the tip is solved by itself (`State.coupled` is
 0), and what is here begins once one of them closes. First contacts that come together strike each other; then, with
 the terms of the state after that, the modes of all contacts are found (`closedloop.mechanics.contacts`). Each contact
 to which something happened has its own row in the table.
@@ -51,10 +51,10 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
     if state.event.rows + 3 * links.k > events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
-    if state.together == 0:
+    if state.coupled == 0:
         if pass_beside(links, c):
             join_tip(w, c, state)
-        request_terms(state, AT_EVENT if state.together != 0 else AFTER_EVENT)
+        request_terms(state, AT_EVENT if state.coupled != 0 else AFTER_EVENT)
         return NEED_TERMS
     if links.shapes != 0 and leave_seats(links, c, resolution(constants, state)):
         request_terms(state, AT_EVENT)
@@ -204,7 +204,7 @@ def open_but_tip(links: ContactLinks, c: Contacts) -> bool:
 @kernel
 def join_tip(w: Work, c: Contacts, state: State) -> None:
     """Let the tip, as it is, take part where all contacts are solved together."""
-    state.together = 1
+    state.coupled = 1
     c.mode[0], c.cleared[0], c.friction.start_slip[0] = state.mode, state.cleared, w.start.slip_speed
     c.floor[0], c.event.turned[0] = min(w.tip.gap, 0.0), 0.0
     c.direction[0, 0], c.direction[0, 1] = w.friction.direction[0], w.friction.direction[1]
@@ -213,7 +213,7 @@ def join_tip(w: Work, c: Contacts, state: State) -> None:
 @kernel
 def leave_tip(w: Work, links: ContactLinks, c: Contacts, state: State) -> None:
     """Let the tip, as it is, be solved by itself: all other contacts are open."""
-    state.together, state.event.kind, state.cleared, links.stepped = 0, 0, int(c.cleared[0]), 0
+    state.coupled, state.event.kind, state.cleared, links.stepped = 0, 0, int(c.cleared[0]), 0
     w.contacts.power, w.contacts.power_rate = 0.0, 0.0
     w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
     for j in range(links.n):

@@ -81,7 +81,7 @@ def collide(address: int) -> None:
     `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
     state, constants, w = loop_at(address)
-    if state.together != 0:
+    if state.coupled != 0:
         links, c = contacts_at(state.contacts.at)
         own_mobility(c, state.striking, c.scratch.slope)
         mu, rest = friction_of_impact(links, c, state.striking), own_rest_speed(c, state.striking, constants.rest_speed)

@@ -44,7 +44,7 @@ def event_function(w: Work, constants: Constants, state: State) -> float:
     (`Trial.watched`): elsewhere they must not choose the instants that are tried. That of a tip which has just left
     the surface does not count then: it is rounding.
     """
-    if state.together != 0:
+    if state.coupled != 0:
         return float(w.contacts.margin)
     others = float(w.contacts.margin) if state.trial.watched != 0 else np.inf
     if state.mode == FREE:
@@ -138,7 +138,7 @@ def refine_bracket(w: Work, state: State) -> int:
         # An impact is applied just before penetration, every other event just after its mode has ended.
         state.trial.purpose = REACH_EVENT
         w.search.tau = (
-            w.search.low if state.mode == FREE and state.together == 0 and state.trial.watched == 0 else w.search.high
+            w.search.low if state.mode == FREE and state.coupled == 0 and state.trial.watched == 0 else w.search.high
         )
         if has_derivatives(tau):
             state.trial.purpose, state.trial.settling = LOCATE_EVENT, 1

@@ -9,7 +9,7 @@ from closedloop.loop.step.memory import State
 DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)
 
 # Phases: what the terms requested last are for, see `closedloop.loop.events.proceed`.
-STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION, MEASURED, PART_END, ASKED = range(10)
+STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION, MEASURED, PART_END, QUERY = range(10)
 
 # What a trial step is for. With STAGE_CHECKED a trial step has shown that a negative f at a stage was no event.
 NO_TRIAL, STAGE_CHECKED, CHECK_STAGE, LOCATE_EVENT, LOCATE_MINIMUM, REACH_EVENT = range(6)

@@ -31,7 +31,6 @@ from __future__ import annotations
 from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import inlined_kernel
-from closedloop.loop.events.asked import answer_asked
 from closedloop.loop.events.contacts import apply_contact_impulses
 from closedloop.loop.events.impacts import apply_impact
 from closedloop.loop.events.locate import event_function, note_stage, refine_bracket
@@ -40,7 +39,6 @@ from closedloop.loop.events.phases import (
     AFTER_EVENT,
     APPLY_EVENT,
     APPLY_IMPACT,
-    ASKED,
     AT_EVENT,
     BEGIN_SUBSTEP,
     DONE,
@@ -55,6 +53,7 @@ from closedloop.loop.events.phases import (
     PART_END,
     PROJECT,
     PROJECTION,
+    QUERY,
     RETRY_SUBSTEP,
     SOLVE_IMPACT,
     STAGE,
@@ -65,6 +64,7 @@ from closedloop.loop.events.phases import (
     request_terms,
 )
 from closedloop.loop.events.projection import project
+from closedloop.loop.events.query import answer_query
 from closedloop.loop.events.substep import (
     advance_friction,
     check_stage,
@@ -85,8 +85,8 @@ from closedloop.loop.step.evaluate import evaluate, evaluate_law
 from closedloop.loop.step.joint_friction import stick_or_slip_joints
 from closedloop.loop.step.locate import locate_tip
 from closedloop.loop.step.memory import Constants, State, Work, ask_contacts, ask_loops
+from closedloop.loop.step.perceived import back_to_true, read_joints
 from closedloop.loop.step.record_row import record
-from closedloop.loop.step.seen import back_to_true, read_joints
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import OK
 
@@ -126,21 +126,21 @@ def proceed(
         state.phase = STEP_END
         return TERMS
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
-    free = state.mode == FREE and state.together == 0
+    free = state.mode == FREE and state.coupled == 0
     state.begins = 1 if phase in (STEP_END, PART_END, AFTER_EVENT) else 0
-    if phase in (STEP_END, PART_END, STAGE, AFTER_EVENT, ASKED) or (phase in (TRIAL_END, AT_EVENT) and not free):
+    if phase in (STEP_END, PART_END, STAGE, AFTER_EVENT, QUERY) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
             state.status = status
             return FAILED
-        if phase == ASKED:
-            return answer_asked(H, C, w, constants, state, table, rows)
+        if phase == QUERY:
+            return answer_query(H, C, w, constants, state, table, rows)
     elif phase != IMPULSES_KNOWN:
         status = locate_tip(w, constants, state)
         if status != OK:
             state.status = status
             return FAILED
-    if state.together == 0 and phase in (STEP_END, PART_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
+    if state.coupled == 0 and phase in (STEP_END, PART_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
         state.status = ask_contacts(state, WATCH)
         if state.status != OK:
             return FAILED
@@ -174,7 +174,7 @@ def proceed(
         if has_derivatives(w.time) and state.trial.settling != 0:
             note_stage(w, constants, state)
         todo = check_stage(w, state) if state.settings.unilateral != 0 else ADVANCE
-        if state.together != 0 and w.contacts.margin <= NO_FORCES:
+        if state.coupled != 0 and w.contacts.margin <= NO_FORCES:
             todo = end_before_stage(w, state)
         elif todo == ADVANCE:
             todo = take_in_halves(w, constants, state, todo)
@@ -196,7 +196,7 @@ def proceed(
     if todo == APPLY_IMPACT:
         if state.status != OK:
             return FAILED
-        if state.together != 0:
+        if state.coupled != 0:
             todo = apply_contact_impulses(w, state, events)
         else:
             apply_impact(w, constants, state, events)

@@ -31,7 +31,7 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
     state.status = factorise_tip(H, w, constants, state)
     if state.status != OK:
         return FAIL
-    if state.together != 0:
+    if state.coupled != 0:
         return project_contacts(w, constants, state)
     stuck = state.mode == STUCK and state.friction.sticking == RIGID_STICK
     for level in range(2):

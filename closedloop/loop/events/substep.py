@@ -107,7 +107,7 @@ def divide_step(w: Work, constants: Constants, state: State) -> None:
     """Shorten a substep in which fast joints would turn, or change their speed, by too much, or slips end; note it."""
     fastest, change, left = 0.0, 0.0, w.length
     fast, most = (
-        (FAST, LARGEST_TURN) if state.together == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
+        (FAST, LARGEST_TURN) if state.coupled == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
     )
     links, c = contacts_at(state.contacts.at)
     wheels = links.shapes != 0 and not some_stand(links, c)  # nothing turns with a wheel, unless its feet stand
@@ -123,7 +123,7 @@ def divide_step(w: Work, constants: Constants, state: State) -> None:
     if parts > 1.0:
         w.length = left / np.ceil(parts)
         state.divided = 1
-    if state.together != 0 and c.step.span < w.length:
+    if state.coupled != 0 and c.step.span < w.length:
         w.length, state.divided = c.step.span, 1
 
 
@@ -140,7 +140,7 @@ def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> in
     At a stage, where `todo` is not BEGIN_SUBSTEP, only slips and forces count. Without a stabiliser contacts sink all
     the time, which does not count. Where forces multiply after all halvings a time step goes on.
     """
-    if state.together == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
+    if state.coupled == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
         return todo
     links, c = contacts_at(state.contacts.at)
     if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
@@ -171,7 +171,7 @@ def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> in
 def restore_state(w: Work, state: State) -> None:
     """Restore the saved state, for a step of another length, w.search.tau, from it."""
     n, extra = w.q.shape[0], w.z.shape[0]
-    if state.together != 0:
+    if state.coupled != 0:
         links, c = contacts_at(state.contacts.at)
         links.stepped = int(c.step.begun)
     for j in range(n):
@@ -188,10 +188,10 @@ def restore_state(w: Work, state: State) -> None:
 @kernel
 def advance_friction(w: Work, state: State, h: float) -> None:
     """Advance the states of friction by h at the velocity of the substep's beginning, exactly."""
-    if state.mode != FREE and state.friction.states > 0 and state.together == 0:
+    if state.mode != FREE and state.friction.states > 0 and state.coupled == 0:
         w.friction.slip[0], w.friction.slip[1], w.friction.span = w.start.slip[0], w.start.slip[1], h
         call_at(state.friction.entry, state.address, ADVANCE_STATES)
-    if state.together != 0:
+    if state.coupled != 0:
         w.friction.span = h
         ask_contacts(state, ADVANCE_FRICTION)
     advance_joint_friction(w, state, h)
@@ -214,7 +214,7 @@ def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
     else:
         w.time = state.row * h if state.divided == 0 else w.start.time + tau
         end = STEP_END if state.divided == 0 else PART_END
-        if state.settings.project != 0 and (state.mode != FREE or state.together != 0):
+        if state.settings.project != 0 and (state.mode != FREE or state.coupled != 0):
             state.projections, state.next_phase = 0, end
             request_terms(state, PROJECTION)
         else:
@@ -267,7 +267,7 @@ def check_stage(w: Work, state: State) -> int:
     """
     tau = w.time - w.start.time
     if (
-        state.together != 0
+        state.coupled != 0
         or state.trial.purpose != NO_TRIAL
         or state.mode == FREE
         or not w.tip.rigid_force < 0.0
@@ -303,7 +303,7 @@ def check_step(w: Work, drift: float, state: State) -> int:
     """Return the action at the end of a step: BEGIN_SUBSTEP, APPLY_EVENT here, or RETRY_SUBSTEP to locate an event."""
     here = nothing_earlier(state)
     trial = NO_TRIAL
-    if state.mode != FREE or state.together != 0:
+    if state.mode != FREE or state.coupled != 0:
         if w.search.value < 0.0:
             trial = REACH_EVENT if here else LOCATE_EVENT
     elif state.settings.unilateral != 0:
@@ -320,7 +320,7 @@ def check_step(w: Work, drift: float, state: State) -> int:
             trial = LOCATE_MINIMUM  # down and up again: locate the lowest point
         if w.tip.gap > leaving:
             state.cleared = 1
-    if state.together == 0 and w.contacts.margin < 0.0:
+    if state.coupled == 0 and w.contacts.margin < 0.0:
         trial, state.trial.watched = REACH_EVENT if here else LOCATE_EVENT, 1
         w.start.value = min(w.start.value, w.start.contact_margin)
         w.search.value = min(w.search.value, w.contacts.margin)

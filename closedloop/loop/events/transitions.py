@@ -65,7 +65,7 @@ def would_pull(w: Work, state: State) -> bool:
 @kernel
 def resume_after_event(C: Array, w: Work, constants: Constants, state: State, events: Array) -> int:
     """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
-    if state.together != 0:
+    if state.coupled != 0:
         return resume_with_contacts(w, constants, state, events)
     if state.mode == FREE:
         # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
@@ -97,7 +97,7 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         return ENLARGE_TABLE
     # The instant may be a rounding before the one at which a contact closes.
     closes = w.contacts.margin < 0.0 or (state.mode == FREE and w.contacts.margin <= min(w.tip.gap, TOUCHING))
-    if state.together != 0 or closes:
+    if state.coupled != 0 or closes:
         return apply_contact_event(w, constants, state, events)
     if state.mode == FREE and w.tip.inside < 0.0:  # there is no surface to touch
         state.past_edge = 1

@@ -12,7 +12,7 @@ tree. The loops take what they bind, whatever acts.
 from __future__ import annotations
 
 from closedloop.base.arrays import Array
-from closedloop.control.law import Seen
+from closedloop.control.law import Perceived
 from closedloop.jit.calls import integers_at, row_of
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.loop.step.energy_supplied import driving_torque
@@ -26,7 +26,7 @@ from closedloop.mechanics.loops.passing import find_required_on_the_way
 from closedloop.mechanics.loops.solve import leave_free, take_free
 
 # What the loops are asked for.
-BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, BIND_SEEN = range(7)
+BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, BIND_PERCEIVED = range(7)
 
 
 @kernel_inlined
@@ -51,7 +51,7 @@ def closed_loops(address: int, what: int) -> int:
     CLOSE           move q and q̇ to the nearest state that the loops allow
     REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
                     tip's drift what BIND_TIP has added
-    BIND_SEEN       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
+    BIND_PERCEIVED       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
@@ -59,11 +59,11 @@ def closed_loops(address: int, what: int) -> int:
         bind_tip(links, rows, w, w.L, w.tip.X, w.tip.S)
         for k in range(3):
             w.tip.drift_c[k] += rows.moved[k]
-    elif what == BIND_SEEN:
-        seen = Seen(w.seen, links.n)
-        bind_tip(links, rows, w, seen.L, seen.X, seen.S)
+    elif what == BIND_PERCEIVED:
+        perceived = Perceived(w.perceived, links.n)
+        bind_tip(links, rows, w, perceived.L, perceived.X, perceived.S)
         for k in range(3):
-            seen.drift_c[k] += rows.moved[k]
+            perceived.drift_c[k] += rows.moved[k]
     elif what == BIND_LOAD:
         leave_free(links, rows, w.y)
         for j in range(links.n):
@@ -123,7 +123,7 @@ def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
         s = C[i] - driving_torque(w, state, i) - w.joint_friction.torque[i]
         for k in range(3):
             s -= w.tip.A[k, i] * w.tip.F[k]
-        if state.together != 0:
+        if state.coupled != 0:
             s -= w.contacts.torque[i]
         for j in range(n):
             s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]

@@ -318,19 +318,19 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     write_mobility(c, links.k)
     joint_limits(w, constants, state)
     for i in range(first, links.k):
-        rubs, at = i - first, 3 * i
+        joint, at = i - first, 3 * i
         for r in range(at, at + 3):
             c.a[r], c.b[r], c.drift[r], c.viscous[r] = 0.0, 0.0, 0.0, 0.0
             for m in range(n):
                 c.X[r, m] = 0.0
         for m in range(n):
-            c.X[at + 1, m] = part_of(constants, rubs, m)
+            c.X[at + 1, m] = part_of(constants, joint, m)
         c.near[i], c.mu[i] = 1.0, 1.0
         forward_substitute(w.L, row_of(c.X, at + 1), 0, n)
         if state.loops.entry != 0:
             bound, loops = loops_at(state.loops.at)
             leave_free(bound, loops, row_of(c.X, at + 1))
-        c.a[at + 1], c.size[at + 1] = rate_along(constants, rubs, w.v) / constants.h, 0.0
+        c.a[at + 1], c.size[at + 1] = rate_along(constants, joint, w.v) / constants.h, 0.0
         for m in range(n):
             c.a[at + 1] += c.X[at + 1, m] * c.load[m]
             c.size[at + 1] += abs(c.X[at + 1, m] * c.load[m])

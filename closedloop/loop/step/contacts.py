@@ -103,7 +103,7 @@ def contacts_in_step(address: int, what: int) -> int:
         save_contacts(links, c)
         c.step.begun = 1.0 * links.stepped
         w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
-        if state.together != 0 and state.settings.unilateral != 0:
+        if state.coupled != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])
     elif what == PLACE:
         place_contacts(links, c, w)
@@ -228,7 +228,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             c.problem.along[0, 0], c.problem.along[0, 1] = (
                 -c.problem.along[0, 0],
                 -c.problem.along[0, 1],
-            )  # what pulls rubs with |f|
+            )  # of a contact that pulls friction is μ|f|
             status = solve_modes(c, k)
         begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
         points = fixed and links.shapes == 0

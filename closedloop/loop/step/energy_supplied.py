@@ -37,7 +37,7 @@ def power(w: Work, state: State) -> float:
     )
     for j in range(w.v.shape[0]):
         total += (driving_torque(w, state, j) + w.joint_friction.torque[j]) * w.v[j]
-    if state.together != 0:
+    if state.coupled != 0:
         total += w.contacts.power
     return total
 
@@ -56,7 +56,7 @@ def save_power(w: Work, state: State) -> None:
             )
         for j in range(w.v.shape[0]):
             growth += (driving_torque(w, state, j) + w.joint_friction.torque[j]) * w.qdd[j]
-        if state.together != 0:
+        if state.coupled != 0:
             growth += w.contacts.power_rate
         w.supply.power_rate = growth
 

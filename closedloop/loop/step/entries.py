@@ -17,7 +17,7 @@ from functools import cache
 from typing import Any
 
 from closedloop.base.arrays import Array
-from closedloop.control.law import Compensation, ControlLaw, LawInput, Seen
+from closedloop.control.law import Compensation, ControlLaw, LawInput, Perceived
 from closedloop.control.reference.joint_path import cubic
 from closedloop.jit.calls import Entry, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
@@ -137,9 +137,9 @@ def mark_raised(address: int) -> None:
 @kernel_inlined
 def law_input(state: State, constants: Constants, w: Work) -> LawInput:
     """Return the input of the law at the state evaluated last."""
-    if state.settings.seen != 0:
-        seen = Seen(w.seen, state.n)
-        return _input(state, w, seen, seen)
+    if state.settings.perceived != 0:
+        perceived = Perceived(w.perceived, state.n)
+        return _input(state, w, perceived, perceived)
     return _input(state, w, w, w.tip)
 
 

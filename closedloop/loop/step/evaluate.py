@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from closedloop.base.arrays import Array
 from closedloop.control.drives import cut_torque
-from closedloop.control.law import Seen
+from closedloop.control.law import Perceived
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
 from closedloop.jit.calls import call_at
@@ -33,7 +33,7 @@ from closedloop.loop.step.entries import (
 from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.loop.step.locate import in_contact_frame, locate_tip
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
-from closedloop.loop.step.seen import keep_terms, see
+from closedloop.loop.step.perceived import keep_terms, perceive
 from closedloop.loop.step.share_friction import share_friction
 from closedloop.loop.step.solve_contact import contact_force
 from closedloop.loop.step.tip_friction import surface_friction
@@ -87,7 +87,7 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
         status = ask_through_sensors(H, C, w, constants, state, table)
         if status != OK:
             return status
-        if state.together == 0:
+        if state.coupled == 0:
             surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
     status = contact_force(C, w, constants, state)
@@ -114,15 +114,15 @@ def ask_through_sensors(H: Array, C: Array, w: Work, constants: Constants, state
     """
     if state.settings.feed_forward != 0:
         desired_acceleration(w.time, constants.node, table, w.qdd_des)
-    if state.settings.seen == 0:
+    if state.settings.perceived == 0:
         in_contact_frame(w.tip.frame, w.tip.carried, w.tip.turning, w.reference)
         keep_terms(H, C, w)
     elif state.settings.encoder == 0:
-        if see(H, C, w, constants, state) != OK:
+        if perceive(H, C, w, constants, state) != OK:
             return NOT_POSITIVE_DEFINITE
     else:  # the law has been asked at the state that the encoders read, see `evaluate_law`
-        seen = Seen(w.seen, w.q.shape[0])
-        in_contact_frame(seen.frame, seen.carried, seen.turning, w.reference)
+        perceived = Perceived(w.perceived, w.q.shape[0])
+        in_contact_frame(perceived.frame, perceived.carried, perceived.turning, w.reference)
     if state.settings.encoder == 0 and ask_law(w, constants, state) != OK:
         return LAW_FAILED
     if state.settings.elastic != 0:
@@ -143,7 +143,7 @@ def write_rates(w: Work, constants: Constants, state: State) -> None:
     for i in range(at, w.z.shape[0]):
         w.dz[i] = w.decays.rate[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
     if state.settings.semi_implicit == 0:
-        if state.together != 0:
+        if state.coupled != 0:
             ask_contacts(state, FRICTION_RATES)
         elif state.mode != FREE and state.friction.states > 0:
             w.friction.slip[0], w.friction.slip[1] = w.tip.u[1], w.tip.u[2]
@@ -171,7 +171,7 @@ def evaluate_law(H: Array, C: Array, w: Work, constants: Constants, state: State
     reference_row(w.time, constants.node, table, w.q.shape[0], w.reference.memory)
     if state.settings.feed_forward != 0:
         desired_acceleration(w.time, constants.node, table, w.qdd_des)
-    if see(H, C, w, constants, state) != OK:
+    if perceive(H, C, w, constants, state) != OK:
         return NOT_POSITIVE_DEFINITE
     return ask_law(w, constants, state)
 
@@ -197,7 +197,7 @@ def drive_torque(w: Work, constants: Constants, state: State) -> int:
             w.drives.before[j] = w.torque[j]
     failed = call_law(state, TORQUE)
     if state.loops.entry != 0:
-        call_at(state.loops.entry, state.loops.seen_at if state.loops.seen_at != 0 else state.loops.at, DRIVE)
+        call_at(state.loops.entry, state.loops.perceived_at if state.loops.perceived_at != 0 else state.loops.at, DRIVE)
     else:
         for j in range(w.q.shape[0]):
             w.torque[j] *= constants.driven[j]

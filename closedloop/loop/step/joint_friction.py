@@ -102,7 +102,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
     F, y, a, target = w.scratch.force, w.scratch.column, w.scratch.acceleration, w.scratch.target
     limit, dry, none = w.joint_friction.limit, w.joint_friction.held, w.scratch.none
     none[0], none[1] = 0.0, 0.0
-    if state.together != 0:
+    if state.coupled != 0:
         links, _ = contacts_at(state.contacts.at)
         if links.undecided != 0:  # the modes and the friction of joints are sought together
             return
@@ -129,7 +129,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             a[i] = 0.0
             for m in range(n):
                 a[i] += w.tip.X[i, m] * y[m]
-        if state.together != 0:
+        if state.coupled != 0:
             ask_contacts(state, ANSWER)
         elif state.compliance.entry != 0:  # f follows the depth, which a torque does not change at once
             if state.mode == STUCK and state.friction.sticking == RIGID_STICK:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters
-from closedloop.control.law import Seen
+from closedloop.control.law import Perceived
 from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.blocks import Block, Count
@@ -218,7 +218,7 @@ class Called(Block):
 class Loops(Called):
     """The loops of a mechanism."""
 
-    seen_at: int  # address of the memory of the loops as the law sees them, 0: it sees the state itself
+    perceived_at: int  # address of the memory of the loops as the law sees them, 0: it sees the state itself
 
 
 class Sensor(Block):
@@ -255,7 +255,7 @@ class Settings(Block):
     nodes_per_step: int  # rows of the reference's table to a step
     model_error: int  # 1 if the controller is wrong about the arm
     encoder: int  # see `closedloop.control.encoder.encoder_kind`
-    seen: int  # 1 if the law sees `Work.seen`, not the state itself
+    perceived: int  # 1 if the law sees `Work.perceived`, not the state itself
     elastic: int  # 1 if the joints are; 2 if the motors are measured
     drives: int  # 1 if the drives have limits
     arm_at: int  # where in a row there is a `closedloop.loop.step.record_row.ArmRow`; 0: nowhere
@@ -308,7 +308,7 @@ class State(Block):
     # State of the loop; constants in `closedloop.loop.events.phases`.
     phase: int  # what the terms requested last are for
     begins: int  # 1 if a substep may begin at the state that is evaluated
-    asked: int  # what for, in the phase ASKED, see `closedloop.loop.events.asked`
+    query: int  # what for, in the phase QUERY, see `closedloop.loop.events.query`
     row: int  # the next to be recorded
     stage: int
     mode: int
@@ -323,7 +323,7 @@ class State(Block):
     after_event: int  # 1 in the remainder of a step after an event
     past_edge: int  # 1 while the tip is not above the surface because it has gone beyond its edge
     cleared: int  # 1 if the tip has been clear of the surface since it lifted off
-    together: int  # 1 while a contact of a link is closed, or strikes: all contacts are then solved together
+    coupled: int  # 1 while a contact of a link is closed, or strikes: all contacts are then one problem
     striking: int  # which contact strikes alone, 0 the tip; see `closedloop.loop.events.impacts.collide`
     started: int  # 1 once the law has been evaluated
     batched: int  # rows in `Work.batch`
@@ -345,7 +345,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     capture_speed: float  # up to which sticking is tried, m/s
     lag: float  # by which friction is behind the slip, s
     reach: float  # of the arm, squared
-    believed_masses: float  # see `closedloop.loop.step.seen`, as the next
+    mass_factor: float  # see `closedloop.loop.step.perceived`, as the next
     unknown_payload: float  # kg
     tip: Annotated[Array, 3]  # in the frame of the joint that carries it
     gravity: Annotated[Array, 3]
@@ -413,7 +413,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring", "tendons")):
     sensing: Sensing
     drives: Drives
     encoders: Encoders
-    seen: Annotated[Array, Seen.count(N)]
+    perceived: Annotated[Array, Perceived.count(N)]
     approach: Annotated[Array, N + 6]  # see `closedloop.loop.step.singular.Approach`
 
 
@@ -467,7 +467,7 @@ class Loop(NamedTuple):
     def written(self) -> list[NDArray[Any]]:
         """Return the memory that a call of the loop changes, that of loops and of contacts of links included."""
         kept = self.w.kept
-        others = (block for name in ("loops", "seen_loops", "contacts") for block in kept.get(name, ()))
+        others = (block for name in ("loops", "perceived_loops", "contacts") for block in kept.get(name, ()))
         return [block.memory for block in (self.state, self.w, *others)]
 
 

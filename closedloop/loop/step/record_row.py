@@ -247,7 +247,7 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
         ask_loops(state, REACTION)
         for j in range(n):
             w.scratch.column[j] += driving_torque(w, state, j) + w.joint_friction.torque[j]
-    if state.together != 0:
+    if state.coupled != 0:
         for j in range(n):
             w.scratch.column[j] += w.contacts.torque[j]
     trace = w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
@@ -289,7 +289,7 @@ def record_contacts(w: Work, state: State, part: Array) -> None:
     """Write the part of a row that is a `ContactRow`."""
     links, c = contacts_at(state.contacts.at)
     points = links.points
-    if state.together == 0:
+    if state.coupled == 0:
         for j in range(3):
             c.u[j] = w.tip.u[j]
     remember_speed(c, state.row)

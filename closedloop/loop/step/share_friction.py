@@ -46,7 +46,7 @@ def share_friction(w: Work, constants: Constants, state: State) -> None:
     """Replace F, and the friction of the joints, by those of least friction that hold the arm alike, where it rests."""
     n = w.q.shape[0]
     held = state.mode == STUCK and state.friction.sticking == RIGID_STICK
-    if state.mode == FREE or state.loops.entry != 0 or state.together != 0 or not at_rest(w, constants):
+    if state.mode == FREE or state.loops.entry != 0 or state.coupled != 0 or not at_rest(w, constants):
         return
     if not held and (state.compliance.entry != 0 or state.friction.sticking != SMOOTH):
         return

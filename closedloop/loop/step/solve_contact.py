@@ -132,7 +132,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         w.L, w.tip.X, w.tip.drift_c, w.scratch.column, C, w.y, w.tip.a, integers_at(state.addresses.group_ends, state.n)
     )
     ask_loops(state, BIND_LOAD)
-    if state.together != 0:
+    if state.coupled != 0:
         return ask_contacts(state, FORCE)
     w.tip.rigid_force = 0.0
     for i in range(3):
@@ -194,8 +194,8 @@ def rubbed_force(b: float, w: Work, state: State) -> tuple[int, float]:
     Where it pulls, friction is that of |f| on the other side, and there is no paradox if that solution exists.
     """
     status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)
-    rubbed = w.friction.c[0] != 0.0 or w.friction.c[1] != 0.0
-    if state.settings.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.tip.F[0] < 0.0)):
+    has_friction = w.friction.c[0] != 0.0 or w.friction.c[1] != 0.0
+    if state.settings.unilateral == 0 and has_friction and (status == PAINLEVE or (status == OK and w.tip.F[0] < 0.0)):
         w.friction.c[0], w.friction.c[1] = -w.friction.c[0], -w.friction.c[1]
         wedged = status == PAINLEVE
         status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)

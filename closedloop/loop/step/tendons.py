@@ -1,6 +1,6 @@
 """Dry friction of joints and tendons, and the rows of both.
 
-Joints, and the tendons that rub or have stops, in one row: joint r for r < n, then tendon r − n.
+Joints, and the tendons with dry friction or stops, in one row: joint r for r < n, then tendon r − n.
 
 The largest torques of dry friction in the joints, and forces of that in tendons.
 """

@@ -46,9 +46,9 @@ def into_contact_frame(arm: Any, tip: Any) -> None:
 
     Parameters
     ----------
-    arm : Work, Seen or the like
+    arm : Work, Perceived or the like
         `J` (3, n), `r` (3,), m, and `drift` (3,), J̇ᵣq̇, m/s², in base axes; `v` (n,), q̇.
-    tip : TipContact, Seen or the like
+    tip : TipContact, Perceived or the like
         In: `frame`, N (3, 3). Written: `A` (3, n), `p`, `u` and `drift_c` (3,).
     """
     frame, J, r, drift, v = tip.frame, arm.J, arm.r, arm.drift, arm.v

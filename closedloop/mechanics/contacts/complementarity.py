@@ -94,7 +94,7 @@ def largest_mobility(c: Contacts, k: int) -> float:
 
 
 @kernel
-def asked_of(c: Contacts, k: int) -> float:
+def size_of_q(c: Contacts, k: int) -> float:
     """Return the largest number of q of the contacts that take part: what open ones have does not count."""
     asked = 0.0
     for j in range(3 * k):
@@ -223,7 +223,7 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int, inner: float 
     largest, m, F, best, accepted = largest_mobility(c, k), 3 * k, c.F, math.inf, 0.0
     if not largest > 0.0:
         largest = 1.0
-    size = asked_of(c, k) / largest
+    size = size_of_q(c, k) / largest
     inner = min(max(inner, size), INNER * size)
     for j in range(m):
         c.scratch.best[j] = F[j]
@@ -283,7 +283,7 @@ def polish(c: Contacts, k: int) -> None:
     Where W is singular a step of the shorter ones along the line stops at 1e-10 of the force.
     """
     largest, m, best = largest_mobility(c, k), 3 * k, c.problem.residual
-    if not best * largest > ROUGH * asked_of(c, k):
+    if not best * largest > ROUGH * size_of_q(c, k):
         return
     for j in range(m):
         c.scratch.best[j] = c.F[j]
@@ -332,17 +332,17 @@ def harden(c: Contacts, k: int, inner: float) -> None:
     """
     softness, steps = SOFTEST * largest_mobility(c, k), c.problem.steps
     for i in range(3 * k):
-        c.problem.diagonal[i], c.problem.asked[i] = c.W[i, i], c.problem.q[i]
+        c.problem.diagonal[i], c.problem.given_q[i] = c.W[i, i], c.problem.q[i]
     for done in range(HARDER + PROXIMAL):
         for i in range(3 * k):
             c.W[i, i] = c.problem.diagonal[i] + softness
         solve_from_here(c, k, 0, ROUNDS, inner)
         softness *= LESS_SOFT if done < HARDER else 1.0
         for i in range(3 * k if done >= HARDER else 0):
-            c.problem.q[i] = c.problem.asked[i] - softness * c.F[i]
+            c.problem.q[i] = c.problem.given_q[i] - softness * c.F[i]
     c.problem.steps = steps  # which counts what this does once
     for i in range(3 * k):
-        c.W[i, i], c.problem.q[i] = c.problem.diagonal[i], c.problem.asked[i]
+        c.W[i, i], c.problem.q[i] = c.problem.diagonal[i], c.problem.given_q[i]
 
 
 @kernel

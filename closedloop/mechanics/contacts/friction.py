@@ -1,6 +1,6 @@
 """The laws of friction of several contacts: each contact's own, with its states, where it is not Coulomb's μ alone.
 
-They are those of `closedloop.mechanics.friction`, asked by address in a memory of their own (`Rub`). A law that sticks
+They are those of `closedloop.mechanics.friction`, called by address, each with a `FrictionQuery`. A law that sticks
 "rigid" has the cone of its `stick_limit` while a contact is at rest; one that sticks as a "spring", and an "elastic"
 one, give F_t = −c f − w in every state, so that their contacts slide for the problem of the forces. An impact takes no
 time: it has the cone of `kinetic_level`, as the tip's has.
@@ -46,8 +46,8 @@ AT_LIMIT = 1e-12
 STILL = 1e-9
 
 
-class Rub(Block, sizes=("states", "par")):
-    """What the law of a contact is asked, and what it answers."""
+class FrictionQuery(Block, sizes=("states", "par")):
+    """Arguments and results of the law of a contact."""
 
     delayed: float  # speed of slip of `lag` ago, m/s
     stuck: float  # 1 while it sticks
@@ -63,44 +63,44 @@ class Rub(Block, sizes=("states", "par")):
     par: Annotated[Array, Count.of("par")]
 
 
-# Numbers of a `Rub` before its states.
-RUB = Rub.count(0, 0)
+# Numbers of a `FrictionQuery` before its states.
+HEAD = FrictionQuery.count(0, 0)
 
 
 @cache
-def rub_entry(member: type[SurfaceFriction]) -> Entry:
-    """Return the entry of a law of friction at the address of a `Rub`, compiled when it is first needed."""
+def contact_friction_entry(member: type[SurfaceFriction]) -> Entry:
+    """Return the entry of a law of friction at the address of a `FrictionQuery`, compiled when it is first needed."""
     Parameters, States = parameter_block(member), state_block(member)
     slide, hold, rates, decay = (function_of(member, name) for name in ("slide", "hold", "rates", "decay"))
     advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
     states, count = States.count(2), Parameters.count(2)
-    size = RUB + 3 * states + count
+    size = HEAD + 3 * states + count
 
     def entry(address: int, what: int) -> int:
-        rub = Rub(vector_at(address, size), states, count)
-        par, stuck, z = Parameters(rub.par, 2), rub.stuck != 0.0, States(rub.z, 2)
-        x = Slip(rub.slip, length_of(rub.slip), rub.delayed, rub.direction)
+        query = FrictionQuery(vector_at(address, size), states, count)
+        par, stuck, z = Parameters(query.par, 2), query.stuck != 0.0, States(query.z, 2)
+        x = Slip(query.slip, length_of(query.slip), query.delayed, query.direction)
         if what in (SLIDE, HOLD):
             for k in range(2):
-                rub.c[k], rub.w[k] = 0.0, 0.0
+                query.c[k], query.w[k] = 0.0, 0.0
             if what == SLIDE:
-                slide(x, par, z, rub.c, rub.w)
+                slide(x, par, z, query.c, query.w)
             else:
-                hold(par, z, rub.c)
+                hold(par, z, query.c)
         elif what == RATES:
             for k in range(states):
-                rub.dz[k] = rub.decay[k] = 0.0
-            rates(x, par, z, stuck, States(rub.dz, 2))
-            decay(x, par, z, stuck, States(rub.decay, 2))
+                query.dz[k] = query.decay[k] = 0.0
+            rates(x, par, z, stuck, States(query.dz, 2))
+            decay(x, par, z, stuck, States(query.decay, 2))
         elif what == ADVANCE:
-            advance(x, par, z, stuck, rub.span)
+            advance(x, par, z, stuck, query.span)
         elif what == LIMIT:
-            rub.limit = stick_limit(par, z)
+            query.limit = stick_limit(par, z)
         else:
             stick(x, par, z)
         return 0
 
-    entry.__name__ = entry.__qualname__ = f"entry_of_rub_{member.__name__}"
+    entry.__name__ = entry.__qualname__ = f"entry_of_friction_{member.__name__}"
     return member_entry(entry, member)
 
 
@@ -130,14 +130,14 @@ class ContactFrictions(NamedTuple):
     def entries(self) -> list[Called]:
         """Return the entry kernels of the laws, and what they are of."""
         return [
-            Called(i, "friction_law", section, rub_entry(type(section)), address_of(memory))
+            Called(i, "friction_law", section, contact_friction_entry(type(section)), address_of(memory))
             for i, (section, memory) in self.members.items()
         ]
 
     def connect(self, address: Callable[[Any], int]) -> None:
         """Write where the entries are, by what gives the address of one."""
         for i, (section, memory) in self.members.items():
-            self.addresses[2 * i : 2 * i + 2] = address(rub_entry(type(section))), address_of(memory)
+            self.addresses[2 * i : 2 * i + 2] = address(contact_friction_entry(type(section))), address_of(memory)
 
 
 def contact_frictions(laws: dict[int, tuple[SurfaceFriction, str]], k: int) -> ContactFrictions:
@@ -154,9 +154,9 @@ def contact_frictions(laws: dict[int, tuple[SurfaceFriction, str]], k: int) -> C
         with of_users(section, f"{where}.kind"):
             par = pack(section, 2, where)
         states = state_block(type(section)).count(2)
-        rub = Rub(np.zeros(Rub.count(states, par.size)), states, par.size)
-        rub.par[:] = par
-        members[i] = section, rub.memory
+        query = FrictionQuery(np.zeros(FrictionQuery.count(states, par.size)), states, par.size)
+        query.par[:] = par
+        members[i] = section, query.memory
     return ContactFrictions(np.zeros(2 * k, dtype=np.int64), members)
 
 
@@ -173,10 +173,10 @@ def has_law(links: ContactLinks, i: int) -> bool:
 
 
 @kernel
-def rub_at(links: ContactLinks, c: Contacts, i: int) -> Rub:
+def query_at(links: ContactLinks, c: Contacts, i: int) -> FrictionQuery:
     """Return the memory of the law of contact i."""
     states, where = int(c.friction.states[i]), integers_at(links.frictions, 2 * links.k)
-    return Rub(vector_at(where[2 * i + 1], RUB + 3 * states), states, 0)
+    return FrictionQuery(vector_at(where[2 * i + 1], HEAD + 3 * states), states, 0)
 
 
 @kernel
@@ -206,7 +206,7 @@ def write_limits(links: ContactLinks, c: Contacts) -> None:
         if has_law(links, i):
             if c.friction.sticks[i] == RIGID_STICK or c.friction.sticks[i] == SPRING_STICK:
                 ask_law_of(links, i, LIMIT)
-                c.friction.limit[i] = rub_at(links, c, i).limit
+                c.friction.limit[i] = query_at(links, c, i).limit
             c.mu[i] = c.friction.limit[i] if c.friction.sticks[i] == RIGID_STICK else 0.0
 
 
@@ -239,27 +239,27 @@ def slide(links: ContactLinks, c: Contacts, i: int, held: bool = False) -> None:
             d1, d2 = u1 / speed, u2 / speed
         c.problem.along[i, 0], c.problem.along[i, 1] = c.mu[i] * d1, c.mu[i] * d2
         return
-    rub, what = rub_at(links, c, i), SLIDE
-    rub.delayed = c.friction.delayed[i] if c.friction.lag[i] > 0.0 else speed
-    rub.direction[0], rub.direction[1], rub.stuck = d1, d2, 0.0
-    rub.slip[0], rub.slip[1] = u1, u2
+    query, what = query_at(links, c, i), SLIDE
+    query.delayed = c.friction.delayed[i] if c.friction.lag[i] > 0.0 else speed
+    query.direction[0], query.direction[1], query.stuck = d1, d2, 0.0
+    query.slip[0], query.slip[1] = u1, u2
     if held:
-        what, rub.stuck = HOLD, 1.0
-        rub.w[0], rub.w[1] = 0.0, 0.0
+        what, query.stuck = HOLD, 1.0
+        query.w[0], query.w[1] = 0.0, 0.0
     elif not moves and c.friction.sticks[i] != ELASTIC_STICK and c.friction.sticks[i] != SMOOTH:
-        rub.slip[0], rub.slip[1] = speed * d1, speed * d2
+        query.slip[0], query.slip[1] = speed * d1, speed * d2
     ask_law_of(links, i, what)
-    c.problem.along[i, 0], c.problem.along[i, 1] = rub.c[0], rub.c[1]
-    c.viscous[at + 1], c.viscous[at + 2] = rub.w[0], rub.w[1]
+    c.problem.along[i, 0], c.problem.along[i, 1] = query.c[0], query.c[1]
+    c.viscous[at + 1], c.viscous[at + 2] = query.w[0], query.w[1]
 
 
 @kernel
 def stick_as_spring(links: ContactLinks, c: Contacts, i: int) -> None:
     """Let the slip of contact i along `direction` end, and its spring hold it: write its states."""
-    rub, speed = rub_at(links, c, i), math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
-    rub.delayed = c.friction.delayed[i] if c.friction.lag[i] > 0.0 else speed
-    rub.direction[0], rub.direction[1] = c.direction[i, 0], c.direction[i, 1]
-    rub.slip[0], rub.slip[1] = c.u[3 * i + 1], c.u[3 * i + 2]
+    query, speed = query_at(links, c, i), math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
+    query.delayed = c.friction.delayed[i] if c.friction.lag[i] > 0.0 else speed
+    query.direction[0], query.direction[1] = c.direction[i, 0], c.direction[i, 1]
+    query.slip[0], query.slip[1] = c.u[3 * i + 1], c.u[3 * i + 2]
     ask_law_of(links, i, STICK)
 
 
@@ -268,9 +268,9 @@ def take_states(links: ContactLinks, c: Contacts, z: Array) -> None:
     """Take the states of the laws of friction from z, those of the loop."""
     for i in range(links.k if links.frictions != 0 else 0):
         if c.friction.states[i] > 0.0:
-            rub, at = rub_at(links, c, i), int(c.friction.states_at[i])
-            for j in range(rub.z.shape[0]):
-                rub.z[j] = z[at + j]
+            query, at = query_at(links, c, i), int(c.friction.states_at[i])
+            for j in range(query.z.shape[0]):
+                query.z[j] = z[at + j]
 
 
 @kernel
@@ -278,11 +278,11 @@ def give_states(links: ContactLinks, c: Contacts, z: Array) -> None:
     """Write the states of the laws of friction into z, zero of a contact that is open, or that has been struck."""
     for i in range(links.k if links.frictions != 0 else 0):
         if c.friction.states[i] > 0.0:
-            rub, at = rub_at(links, c, i), int(c.friction.states_at[i])
+            query, at = query_at(links, c, i), int(c.friction.states_at[i])
             kept = c.mode[i] != FREE and c.event.struck[i] == 0.0
-            for j in range(rub.z.shape[0]):
-                rub.z[j] = rub.z[j] if kept else 0.0
-                z[at + j] = rub.z[j]
+            for j in range(query.z.shape[0]):
+                query.z[j] = query.z[j] if kept else 0.0
+                z[at + j] = query.z[j]
 
 
 @kernel
@@ -290,14 +290,14 @@ def write_rates(links: ContactLinks, c: Contacts, dz: Array, decay: Array) -> No
     """Write the rates of the states of the laws of friction, and of their decay, zero of a contact that is open."""
     for i in range(links.k if links.frictions != 0 else 0):
         if c.friction.states[i] > 0.0:
-            rub, at, closed = rub_at(links, c, i), int(c.friction.states_at[i]), c.mode[i] != FREE
+            query, at, closed = query_at(links, c, i), int(c.friction.states_at[i]), c.mode[i] != FREE
             if closed:
-                rub.slip[0], rub.slip[1] = c.u[3 * i + 1], c.u[3 * i + 2]
-                rub.stuck = 1.0 if c.mode[i] == STUCK else 0.0
+                query.slip[0], query.slip[1] = c.u[3 * i + 1], c.u[3 * i + 2]
+                query.stuck = 1.0 if c.mode[i] == STUCK else 0.0
                 ask_law_of(links, i, RATES)
-            for j in range(rub.z.shape[0]):
-                dz[at + j] = rub.dz[j] if closed else 0.0
-                decay[at + j] = rub.decay[j] if closed else 0.0
+            for j in range(query.z.shape[0]):
+                dz[at + j] = query.dz[j] if closed else 0.0
+                decay[at + j] = query.decay[j] if closed else 0.0
 
 
 @kernel
@@ -306,12 +306,12 @@ def advance_states(links: ContactLinks, c: Contacts, span: float, z: Array) -> N
     take_states(links, c, z)
     for i in range(links.k if links.frictions != 0 else 0):
         if c.friction.states[i] > 0.0 and c.mode[i] != FREE:
-            rub, at = rub_at(links, c, i), int(c.friction.states_at[i])
-            rub.slip[0], rub.slip[1], rub.span = c.friction.start_u[i, 0], c.friction.start_u[i, 1], span
-            rub.stuck = 1.0 if c.mode[i] == STUCK else 0.0
+            query, at = query_at(links, c, i), int(c.friction.states_at[i])
+            query.slip[0], query.slip[1], query.span = c.friction.start_u[i, 0], c.friction.start_u[i, 1], span
+            query.stuck = 1.0 if c.mode[i] == STUCK else 0.0
             ask_law_of(links, i, ADVANCE)
-            for j in range(rub.z.shape[0]):
-                z[at + j] = rub.z[j]
+            for j in range(query.z.shape[0]):
+                z[at + j] = query.z[j]
 
 
 @kernel

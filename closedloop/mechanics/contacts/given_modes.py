@@ -36,11 +36,11 @@ from closedloop.mechanics.contacts.sticking import all_stick, shortest_sticking
 from closedloop.mechanics.loops.solve import orthonormal_rows
 
 # What is outside its cone by no more than this share of `rounding` is at its edge; by no more than so many times
-# `rounding` it hardly is, or hardly pulls.
-ON_EDGE, HARDLY = 1e-3, 10.0
+# `rounding` it is neither outside nor pulls.
+ON_EDGE, NEARLY = 1e-3, 10.0
 # Impulses so many times those that are asked for are none: contacts are wedged, but for rounding. Speeds below the
 # second, m/s, may be left to the stabiliser.
-MOST_IMPULSE, LITTLE = 1e3, 1e-7
+MOST_IMPULSE, NEGLIGIBLE = 1e3, 1e-7
 
 
 @kernel
@@ -234,7 +234,7 @@ def share_inside(c: Contacts, i: int) -> float:
     n, mu = 3 * i, c.mu[i]
     f, grown = c.rigid[n], c.F[n] - c.rigid[n]
     if f < -c.problem.rounding:
-        return 0.0 if f > -HARDLY * c.problem.rounding else 1.0
+        return 0.0 if f > -NEARLY * c.problem.rounding else 1.0
     share = 1.0 if c.F[n] >= 0.0 else max(0.0, f) / (max(0.0, f) - c.F[n])
     # The shortest of forces that are not unique is often at the cone's edge, but for rounding.
     if c.problem.form[i] == RAY or mu * c.F[n] + ON_EDGE * c.problem.rounding >= math.hypot(c.F[n + 1], c.F[n + 2]):
@@ -244,7 +244,7 @@ def share_inside(c: Contacts, i: int) -> float:
     a, half = (mu * grown) * (mu * grown) - d1 * d1 - d2 * d2, mu * mu * f * grown - r1 * d1 - r2 * d2
     inside = (mu * f) * (mu * f) - r1 * r1 - r2 * r2
     if not inside > 0.0:
-        return 0.0 if math.hypot(r1, r2) <= mu * f + HARDLY * c.problem.rounding else 1.0
+        return 0.0 if math.hypot(r1, r2) <= mu * f + NEARLY * c.problem.rounding else 1.0
     below = math.sqrt(max(0.0, half * half - a * inside)) - half
     return min(share, inside / below) if below > 0.0 else share
 
@@ -267,19 +267,20 @@ def span_rows(c: Contacts, k: int, p: int) -> None:
     Forces with the same Yᵀ F give the rows the same acceleration. They move the tree alike too, unless a contact
     slides: the friction of contacts that share a normal force otherwise is another.
     """
-    n, rubbed = c.X.shape[1], False
+    n, has_friction = c.X.shape[1], False
     for i in range(k):
-        rubbed = rubbed or (c.problem.form[i] != OFF and (c.problem.along[i, 0] != 0.0 or c.problem.along[i, 1] != 0.0))
+        slides = c.problem.along[i, 0] != 0.0 or c.problem.along[i, 1] != 0.0
+        has_friction = has_friction or (c.problem.form[i] != OFF and slides)
     rank = n
-    if rubbed:
+    if has_friction:
         for r in range(p):
             for j in range(n):
                 c.scratch.basis[r, j] = c.X[int(c.scratch.unknown[r]), j]
         rank = orthonormal_rows(c.scratch.basis, p, c.scratch.column_order, c.scratch.unknowns, c.scratch.sought)
     for i in range(3 * k):
         for j in range(n):
-            c.scratch.Y[i, j] = 0.0 if rubbed else c.X[i, j]
-        for r in range(rank if rubbed else 0):
+            c.scratch.Y[i, j] = 0.0 if has_friction else c.X[i, j]
+        for r in range(rank if has_friction else 0):
             for j in range(n):
                 c.scratch.Y[i, r] += c.X[i, j] * c.scratch.basis[r, j]
 
@@ -310,7 +311,7 @@ def stop(links: ContactLinks, c: Contacts, k: int) -> bool:
             for r in range(3 * i, 3 * i + (3 if sticks(c, i) else 1)):
                 moves, largest = max(moves, abs(c.before[r])), max(largest, c.W[r, r])
                 most = max(most, abs(c.F[r]))
-    return bool(links.shapes == 0 or moves > LITTLE or largest * most <= MOST_IMPULSE * moves)
+    return bool(links.shapes == 0 or moves > NEGLIGIBLE or largest * most <= MOST_IMPULSE * moves)
 
 
 @kernel

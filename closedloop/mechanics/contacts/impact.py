@@ -17,7 +17,7 @@ import math
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.complementarity import STARTS, asked_of, largest_mobility, solve_impulses
+from closedloop.mechanics.contacts.complementarity import STARTS, largest_mobility, size_of_q, solve_impulses
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import cone_limit, take_kinetic
 from closedloop.mechanics.contacts.given_modes import MOST_IMPULSE, energy_gained, stop, write_after
@@ -54,13 +54,13 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
     for i in range(k):
         c.event.happened[i], c.event.struck[i] = 0.0, 0.0
         c.event.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.problem.rounding else 0.0
-        rub = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
-        left = cone_limit(c, i) * abs(c.rigid[3 * i]) - rub + c.problem.rounding
+        friction = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
+        left = cone_limit(c, i) * abs(c.rigid[3 * i]) - friction + c.problem.rounding
         c.event.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
         if (
-            c.event.outside[i] != 0.0 and c.friction.sticks[i] != SMOOTH and rub > 0.0
+            c.event.outside[i] != 0.0 and c.friction.sticks[i] != SMOOTH and friction > 0.0
         ):  # where it slips, if it begins to
-            c.direction[i, 0], c.direction[i, 1] = -c.rigid[3 * i + 1] / rub, -c.rigid[3 * i + 2] / rub
+            c.direction[i, 0], c.direction[i, 1] = -c.rigid[3 * i + 1] / friction, -c.rigid[3 * i + 2] / friction
     take_kinetic(links, c)
     for i in range(k):
         c.problem.form[i] = OFF
@@ -165,7 +165,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
     # Where all is at rest but for rounding that of the velocities is no small share of what is asked for.
     if not (solve_impulses(c, k, starts) or c.problem.residual * largest <= max(ROUNDING, contradiction(c, k))):
         return False
-    if share > 0.0 and largest * force_size(c.F, 3 * k) > MOST_IMPULSE * asked_of(c, k):
+    if share > 0.0 and largest * force_size(c.F, 3 * k) > MOST_IMPULSE * size_of_q(c, k):
         return False
     write_after(c, k)
     return True
@@ -178,7 +178,7 @@ def contradiction(c: Contacts, k: int) -> float:
     Where a face lies on another, or edges that cross, more contacts are closed than determine the motion along the
     normal. The errors of steps make them part or come together, each by a little, and no impulses stop all of them.
     """
-    most = NEARLY * asked_of(c, k)
+    most = NEARLY * size_of_q(c, k)
     for i in range(k):
         if c.mode[i] != FREE and c.event.struck[i] == 0.0 and c.problem.form[i] != OFF and not is_resistance(c, i):
             most = max(most, abs(c.before[3 * i]))

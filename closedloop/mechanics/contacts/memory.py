@@ -67,7 +67,7 @@ class Problem(Block, sizes=("k",)):
     q: Annotated[Array, 3 * K]
     after: Annotated[Array, 3 * K]  # u⁺
     diagonal: Annotated[Array, 3 * K]  # of W, where contacts give way
-    asked: Annotated[Array, 3 * K]  # and q
+    given_q: Annotated[Array, 3 * K]  # and q
     rounding: float  # force below which there is none, N
     penalty: float  # see `closedloop.mechanics.contacts.complementarity`
     residual: float  # of the last problem, N or N s

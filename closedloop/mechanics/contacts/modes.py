@@ -14,7 +14,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import solve_contacts
 from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
-from closedloop.mechanics.contacts.given_modes import LITTLE, energy_gained, stop
+from closedloop.mechanics.contacts.given_modes import NEGLIGIBLE, energy_gained, stop
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
@@ -38,7 +38,7 @@ STICKING_AGAIN = 1e-7
 NO_ACCELERATION = 1e-11
 # Where shapes touch, whose rows hardly differ, up to so many times that may be what a solution is off. Friction below
 # the second share of its limit is inside it.
-HARDLY, INSIDE = 1e5, 1.0 - 1e-6
+SHAPE_ROUNDING, INSIDE = 1e5, 1.0 - 1e-6
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 CAME, LEFT, STUCK_NOW, SLIPPED, TURNED_ROUND = 2.0, 3.0, 4.0, 5.0, 6.0
 
@@ -84,7 +84,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
         for j in range(3 * k):
             c.problem.q[i] -= c.W[i, j] * c.viscous[j]
     found = solve_contacts(c, k)
-    for i in range(k):  # what pulls rubs with |f|
+    for i in range(k):  # friction of a contact that pulls is μ |f|
         if (
             found
             and c.problem.form[i] == LINE
@@ -97,8 +97,8 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
         return PAINLEVE
     for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
-            hardly = HARDLY if links.shapes != 0 else 1.0
-            mode = mode_after(c, i, NO_ACCELERATION * size, links.chattering != 0, hardly)
+            margin = SHAPE_ROUNDING if links.shapes != 0 else 1.0
+            mode = mode_after(c, i, NO_ACCELERATION * size, links.chattering != 0, margin)
             if is_resistance(c, i):
                 mode = FREE if mode_of_resistance(c, i) == FREE else mode
             elif carries_nothing(links, c, i):
@@ -187,7 +187,7 @@ def carries_nothing(links: ContactLinks, c: Contacts, i: int) -> bool:
 
 
 @kernel
-def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False, hardly: float = 1.0) -> int:
+def mode_after(c: Contacts, i: int, nothing: float, repeated: bool = False, margin: float = 1.0) -> int:
     """Return the mode that goes with force and acceleration of contact i, and write that of a slip that begins.
 
     At the edge of the cone there is hardly any acceleration: a contact that is found to stick there again and again
@@ -202,15 +202,16 @@ def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False, hardly:
     a1, a2 = c.problem.after[at + 1], c.problem.after[at + 2]
     size = math.hypot(a1, a2)
     if c.problem.form[i] in (CONE, DOUBLE):
-        rub = math.hypot(c.F[at + 1], c.F[at + 2])
+        friction = math.hypot(c.F[at + 1], c.F[at + 2])
         if size <= nothing and c.friction.shared[i] != 0.0:
             return PRESSED
-        if size <= nothing and not (tired and c.event.outside[i] != 0.0 and rub > 0.0):
+        if size <= nothing and not (repeated and c.event.outside[i] != 0.0 and friction > 0.0):
             return STUCK
-        if size <= hardly * nothing and rub > 0.0:  # what the solution is off may be all of it: friction says where to
-            if size > nothing and rub < INSIDE * c.mu[i] * abs(c.F[at]) and c.friction.shared[i] == 0.0:
+        if size <= margin * nothing and friction > 0.0:
+            # All of it may be what the solution is off: it slips against its friction.
+            if size > nothing and friction < INSIDE * c.mu[i] * abs(c.F[at]) and c.friction.shared[i] == 0.0:
                 return STUCK
-            a1, a2, size = -c.F[at + 1], -c.F[at + 2], rub
+            a1, a2, size = -c.F[at + 1], -c.F[at + 2], friction
         c.event.turned[i] = 1.0 if a1 * c.direction[i, 0] + a2 * c.direction[i, 1] < 0.0 else 0.0
         c.direction[i, 0], c.direction[i, 1] = a1 / size, a2 / size
     else:
@@ -255,7 +256,7 @@ def remove_motion(links: ContactLinks, c: Contacts, k: int) -> int:
     stopped = stop(links, c, k)
     for i in range(k if links.shapes != 0 else 0):  # those that part are not pressed in
         parts = c.problem.form[i] == OFF and c.near[i] != 0.0 and c.located[3 * i] <= TOUCHING and c.past_edge[i] == 0.0
-        stopped = stopped and not (parts and -LITTLE < c.problem.after[3 * i] < -RESTING <= c.before[3 * i])
+        stopped = stopped and not (parts and -NEGLIGIBLE < c.problem.after[3 * i] < -RESTING <= c.before[3 * i])
     for r in range(0 if stopped else 3 * k):
         c.F[r], c.problem.after[r] = 0.0, c.before[r]
     c.event.energy_lost = c.event.energy_rested = -energy_gained(c, k)

@@ -38,7 +38,7 @@ from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 
 # What stands before the parameters of a compliance: depth, m, its rate, m/s, and the force, N, that the entry writes.
-ASKED = 3
+QUERY = 3
 # N/m by which a gap becomes a force, for the event function alone: its sign decides.
 AS_FORCE = 1e6
 # The share of its mobility that is added along the surface: contacts of one body then share their friction in one way.
@@ -48,13 +48,13 @@ CREEP, CREEP_BESIDE_DRY = 1e-8, 1e-5
 
 @cache
 def depth_entry(member: type[Compliance]) -> Entry:
-    """Return the entry of a compliance at an address of `ASKED` numbers and its parameters."""
+    """Return the entry of a compliance at an address of `QUERY` numbers and its parameters."""
     Parameters, force = parameter_block(member), function_of(member, "force")
-    size = ASKED + Parameters.count(1)
+    size = QUERY + Parameters.count(1)
 
     def entry(address: int, what: int) -> int:
-        asked = vector_at(address, size)
-        asked[2] = force(asked[0], asked[1], Parameters(asked[3:], 1))
+        query = vector_at(address, size)
+        query[2] = force(query[0], query[1], Parameters(query[3:], 1))
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_depth_{member.__name__}"
@@ -95,7 +95,7 @@ def compliances_of(
         if own is None or own.kind == "none":
             continue
         with of_users(own, f"{where}.kind"):
-            members[i] = own, np.concatenate([np.zeros(ASKED), pack(own, 1, where)])
+            members[i] = own, np.concatenate([np.zeros(QUERY), pack(own, 1, where)])
     return ContactCompliances(np.zeros(2 * k, dtype=np.int64), members)
 
 
@@ -113,9 +113,9 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
             continue
         n, f = 3 * i, 0.0
         if c.past_edge[i] == 0.0 and (c.mode[i] != FREE or c.located[n] <= 0.0):
-            asked = vector_at(where[2 * i + 1], ASKED)
-            asked[0], asked[1] = -c.located[n], -c.u[n]
-            f = soft_force(links, i, asked)
+            query = vector_at(where[2 * i + 1], QUERY)
+            query[0], query[1] = -c.located[n], -c.u[n]
+            f = soft_force(links, i, query)
             f = f if c.friction.pulls[i] != 0.0 else max(f, 0.0)
         own = max(c.W[n, n], c.W[n + 1, n + 1], c.W[n + 2, n + 2])
         for j in range(m):
@@ -127,24 +127,24 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
 
 
 @kernel
-def soft_force(links: ContactLinks, i: int, asked: Array) -> float:
-    """Return what the compliance of contact i gives at the depth and rate in `asked`, N."""
+def soft_force(links: ContactLinks, i: int, query: Array) -> float:
+    """Return what the compliance of contact i gives at the depth and rate in `query`, N."""
     where = integers_at(links.compliances, 2 * links.k)
     if call_at(where[2 * i], where[2 * i + 1], 0) == RAISED:
-        links.raised, asked[2] = 1, 0.0
-    return float(asked[2])
+        links.raised, query[2] = 1, 0.0
+    return float(query[2])
 
 
 @kernel
 def stored_in(links: ContactLinks, c: Contacts, i: int) -> float:
     """Return what the spring of a soft contact has stored, J; see `closedloop.mechanics.surface.surface`."""
-    asked = vector_at(integers_at(links.compliances, 2 * links.k)[2 * i + 1], ASKED)
+    query = vector_at(integers_at(links.compliances, 2 * links.k)[2 * i + 1], QUERY)
     gap, stored = c.located[3 * i], 0.0
     for k in range(4):
         for side in range(2):
             s = 0.5 * (1.0 + (POINTS[k] if side == 0 else -POINTS[k]))
-            asked[0], asked[1] = -gap * s * s, 0.0
-            stored -= WEIGHTS[k] * soft_force(links, i, asked) * gap * s
+            query[0], query[1] = -gap * s * s, 0.0
+            stored -= WEIGHTS[k] * soft_force(links, i, query) * gap * s
     return stored
 
 

@@ -26,9 +26,9 @@ from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import (
     LAST_ROUNDS,
     SOFTNESS,
-    asked_of,
     largest_mobility,
     polish,
+    size_of_q,
     solve_contacts,
     solve_from_here,
     sweep_long,
@@ -209,7 +209,7 @@ def find_impulses(c: Contacts, k: int) -> bool:
     found = solve_contacts(c, k)
     if not (found and bounded(c, k)):
         sweep_long(c, k)
-        largest, asked = largest_mobility(c, k), asked_of(c, k)
+        largest, asked = largest_mobility(c, k), size_of_q(c, k)
         found = largest * c.problem.residual <= NEAR * max(asked, largest * force_size(c.F, 3 * k))
     return bool(found and bounded(c, k))
 
@@ -217,4 +217,4 @@ def find_impulses(c: Contacts, k: int) -> bool:
 @kernel
 def bounded(c: Contacts, k: int) -> bool:
     """Whether the impulses are not those of contacts that are wedged."""
-    return bool(largest_mobility(c, k) * force_size(c.F, 3 * k) <= MOST_IMPULSE * asked_of(c, k))
+    return bool(largest_mobility(c, k) * force_size(c.F, 3 * k) <= MOST_IMPULSE * size_of_q(c, k))

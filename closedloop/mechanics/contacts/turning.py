@@ -180,7 +180,7 @@ def turn_slips(c: Contacts, k: int, h: float, begins: bool) -> float:
     if found and left_of_slips(c, count) < 0.0:
         c.problem.ends = 1.0
     for i in range(count if found else 0):
-        c.scratch.best[3 * i], c.scratch.best[3 * i + 1] = rub(c, i)
+        c.scratch.best[3 * i], c.scratch.best[3 * i + 1] = trial_friction(c, i)
     unpack_problem(c, k, count)
     if found:
         change = 0.0
@@ -300,7 +300,7 @@ def is_near(c: Contacts, k: int) -> bool:
 
 
 @kernel
-def rub(c: Contacts, i: int) -> tuple[float, float]:
+def trial_friction(c: Contacts, i: int) -> tuple[float, float]:
     """Return F_t − ρ u_t of packed contact i, N: longer than μ|f|, and along its friction, while it slips."""
     n = 3 * i
     rho = 1.0 / (c.W[n + 1, n + 1] + c.W[n + 2, n + 2])
@@ -315,14 +315,14 @@ def left_of_slips(c: Contacts, k: int) -> float:
         u1, u2 = slip_of(c, i)
         own = c.friction.shared[int(c.scratch.packed.contact[i])] == 0.0  # the others' slips end by themselves
         if own and is_turned(c, i) and math.hypot(u1, u2) > 0.0:
-            x1, x2 = rub(c, i)
+            x1, x2 = trial_friction(c, i)
             least = min(least, math.hypot(x1, x2) / (c.mu[i] * abs(c.F[3 * i]) + 1e-300) - 1.0)
     return float(least)
 
 
 @kernel
 def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
-    """Write `along` of contact i, with its `rub` x, and return its change, of μ.
+    """Write `along` of contact i, with its `trial_friction` x, and return its change, of μ.
 
     It stays where a slip that has only begun does not go on: friction is against what pulls. It stays too where slip
     turns by more than a right angle: friction is against the slip until that ends. The beginning of a step decides for

@@ -69,12 +69,12 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
         )
         report["single_point"] = {"held": False, "first_failed": 0.0, "measured": said}
         outside |= {"single_point"}
-        rub = np.hypot(run.link_frictions[:, ::2], run.link_frictions[:, 1::2])
-        if np.any(rub):
+        friction = np.hypot(run.link_frictions[:, ::2], run.link_frictions[:, 1::2])
+        if np.any(friction):
             before = report["frictionless"]
-            first = float(run.time[np.argmax(np.any(rub > 0.0, axis=1))])
+            first = float(run.time[np.argmax(np.any(friction > 0.0, axis=1))])
             first = first if before["first_failed"] is None else min(first, before["first_failed"])
-            said = f"friction at the contacts ≤ {np.max(rub):.3g} N"
+            said = f"friction at the contacts ≤ {np.max(friction):.3g} N"
             said = said if before["held"] else f"{before['measured']}; {said}"
             report["frictionless"] = {"held": False, "first_failed": first, "measured": said}
             outside |= {"frictionless"}

@@ -59,11 +59,11 @@ def contact_faults(run: Record) -> ContactFaults | None:
     sections = run.scenario.contact
     if not sections or not len(run):
         return None
-    f, rub = run.link_forces, run.link_frictions.reshape(len(run), len(sections), 2)
+    f, friction = run.link_forces, run.link_frictions.reshape(len(run), len(sections), 2)
     mu = np.array([coulomb_of(section) for section in sections])
     others = np.array([has_other_law(section) for section in sections])  # which have bounds of their own
     soft = np.array([is_soft(section) for section in sections])
-    outside = np.maximum(np.where(others, 0.0, np.hypot(rub[..., 0], rub[..., 1]) - mu * f), -f)
+    outside = np.maximum(np.where(others, 0.0, np.hypot(friction[..., 0], friction[..., 1]) - mu * f), -f)
     return ContactFaults(
         names_of(sections), np.max(np.maximum(outside, 0.0), axis=0), np.max(np.abs(f * run.link_gaps * ~soft), axis=0)
     )

@@ -23,8 +23,8 @@ from closedloop.record.report.row_sample import Scale, energy_left, torque_power
 from closedloop.record.report.run_values import columns_of, run_values
 from closedloop.record.report.verdict import Facts, friction_off_slip, judge, motions_without_drive, not_determined_from
 from closedloop.scenario.arm import robot_of
-from closedloop.scenario.gains import Rubbing, gains_fault
-from closedloop.scenario.modes import Pressed, unresolved, unresolved_feedback, where_it_rubs, where_they_press
+from closedloop.scenario.gains import Sliding, gains_fault
+from closedloop.scenario.modes import Pressed, unresolved, unresolved_feedback, where_it_slides, where_they_press
 
 
 def summarise(run: Record) -> dict[str, Any]:
@@ -74,13 +74,13 @@ def _unresolved(run: Record) -> list[str]:
     robot = robot_of(run.scenario, run.model)
     depth, own_law = -float(run.closure_error[0]), run.law != "scenario"
 
-    def rubbing() -> Rubbing | None:
-        return where_it_rubs(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode)
+    def sliding() -> Sliding | None:
+        return where_it_slides(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode)
 
     def pressed() -> Pressed | None:
         return where_they_press(run.q, run.link_forces)
 
-    lines = unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, rubbing, own_law, pressed)
+    lines = unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, sliding, own_law, pressed)
     return lines if own_law else lines + unresolved_feedback(run.scenario, robot)
 
 

@@ -75,11 +75,11 @@ def _contact_faults(run: Record) -> list[tuple[str, str | None]]:
 
 def _robot_notes(run: Record) -> tuple[str, ...]:
     """Return what the robot's file says and the run did not act on."""
-    model, limited, rubs = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
-    if not (limited or rubs):
+    model, limited, rough = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
+    if not (limited or rough):
         return model.notes
     effort = np.full(model.n, np.inf) if limited else model.effort_limit
-    return robot_notes(model.text, model.format, () if rubs else model.joint_names, model.velocity_limit, effort)
+    return robot_notes(model.text, model.format, () if rough else model.joint_names, model.velocity_limit, effort)
 
 
 def notes(run: Record) -> list[str]:

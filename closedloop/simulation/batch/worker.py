@@ -33,13 +33,13 @@ from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, 
 from closedloop.record.report.row_sample import NAMES, joint_limits
 from closedloop.record.report.run_values import lost_to_slips
 from closedloop.record.report.verdict import count_limited, forget_absent, verdict_of
-from closedloop.scenario.gains import Rubbing
+from closedloop.scenario.gains import Sliding
 from closedloop.scenario.modes import (
     Pressed,
     feedback_key,
     unresolved,
     unresolved_feedback,
-    where_it_rubs,
+    where_it_slides,
     where_they_press,
 )
 from closedloop.scenario.scenario import Scenario
@@ -226,9 +226,9 @@ class Worker:
                 joint_limits(problem.robot.model), events, values, signals,
             )  # fmt: skip
             if k := len(problem.scenario.contact or ()):
-                rubbed = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
+                slid = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
                 time = problem.h * np.arange(float(len(rows)))
-                Values(values, n).energy_lost_to_friction += lost_to_slips(time, *rubbed)
+                Values(values, n).energy_lost_to_friction += lost_to_slips(time, *slid)
             forget_absent(problem.scenario, values, self.law is not None)
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
@@ -281,13 +281,13 @@ def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
     n = problem.robot.n
     first = Row(rows[0], n)
 
-    def rubbing() -> Rubbing | None:
+    def sliding() -> Sliding | None:
         shape = len(problem.scenario.contact or ()), problem.row_states
         q, normal, f, friction, mode = (
             recorded(rows, n, name, *shape)
             for name in ("q", "surface_normal", "contact_force", "friction_force", "mode")
         )
-        return where_it_rubs(q, normal, f, friction, mode)
+        return where_it_slides(q, normal, f, friction, mode)
 
     def pressed() -> Pressed | None:
         shape = len(problem.scenario.contact or ()), problem.row_states
@@ -295,7 +295,7 @@ def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
 
     depth = -float(first.closure_error)
     scenario, robot = problem.scenario, problem.robot
-    return unresolved(scenario, robot, problem.q, first.surface_normal, depth, rubbing, own_law, pressed)
+    return unresolved(scenario, robot, problem.q, first.surface_normal, depth, sliding, own_law, pressed)
 
 
 def failed(error: Exception) -> Outcome:

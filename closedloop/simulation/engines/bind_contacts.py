@@ -19,11 +19,11 @@ from closedloop.loop.step.tendons import rate_along, stops_of
 from closedloop.mechanics.contacts.edges import PARTNER, choose_crossing, edges_of
 from closedloop.mechanics.contacts.friction import (
     STICKING,
+    contact_friction_entry,
     contact_frictions,
     coulomb_of,
     law_at,
     plain_friction,
-    rub_entry,
 )
 from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING
@@ -107,7 +107,7 @@ def entries_of_contacts(scenario: Scenario) -> list[Any]:
     return [
         *(entry for surface in surfaces for entry in surface.entries().values()),
         *(depth_entry(type(section)) for section, _ in compliances.members.values()),
-        *(rub_entry(type(section)) for section, _ in laws_of(scenario, names).values()),
+        *(contact_friction_entry(type(section)) for section, _ in laws_of(scenario, names).values()),
     ]
 
 

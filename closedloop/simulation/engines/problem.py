@@ -86,10 +86,10 @@ class Problem(ScenarioNumbers):
         own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
         surface, joints = self.friction.states, self.joint_friction.states
         motors = 2 * n if self.scenario.transmission.elastic else 0
-        rubbed = both + self.sensor.states + surface + n * joints
+        before = both + self.sensor.states + surface + n * joints
         contacts = contact_memory(self.scenario, self.robot, self.placed) if self.placed else None
         tip = both + self.sensor.states
-        extra = (rubbed if contacts is None else place_states(contacts.contacts, tip, rubbed)) + motors
+        extra = (before if contacts is None else place_states(contacts.contacts, tip, before)) + motors
         loop = make_loop(
             n,
             **self.sizes,
@@ -114,10 +114,10 @@ class Problem(ScenarioNumbers):
             loops = step_memory(self.robot)
             state.loops.at, loops.links.loop = loops.address, state.address
             loop.w.keep_alive(loops=loops)
-        if self.robot.model.loops and state.settings.seen != 0:
-            seen = step_memory(self.robot)
-            state.loops.seen_at, seen.links.loop = seen.address, state.address
-            loop.w.keep_alive(seen_loops=seen)
+        if self.robot.model.loops and state.settings.perceived != 0:
+            perceived = step_memory(self.robot)
+            state.loops.perceived_at, perceived.links.loop = perceived.address, state.address
+            loop.w.keep_alive(perceived_loops=perceived)
         write_constants(self, loop.constants)
         write_start(self, state, loop.w)
         if contacts is not None and self.placed is not None:
@@ -128,8 +128,8 @@ class Problem(ScenarioNumbers):
             contacts.contacts.step.settling = 0.0 if self.tolerance is None else SETTLING
             contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
             held = stops_at_start(contacts, loop.constants, self.q, self.v)
-            state.together = int(self.placed.starts_closed or held)
-            contacts.links.undecided = contacts.links.fresh = state.together
+            state.coupled = int(self.placed.starts_closed or held)
+            contacts.links.undecided = contacts.links.fresh = state.coupled
             loop.w.keep_alive(contacts=contacts)
         if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:
             read_encoders(loop, self.table)
@@ -227,7 +227,7 @@ class Problem(ScenarioNumbers):
     def _struck(self, loop: Loop) -> tuple[Any, float, str]:
         """Return the law of the impact at which a loop stands, what it is given, and the key that names it."""
         i = int(loop.state.striking)
-        if not (loop.state.together and i > 0):
+        if not (loop.state.coupled and i > 0):
             return self.restitution, self.scenario.impact.restitution, "impact.law"
         contact = (self.scenario.contact or ())[i - 1]
         if contact.restitution_law == AS_IMPACT:

@@ -24,8 +24,8 @@ from closedloop.jit.user_code import of_users
 from closedloop.loop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHING
 from closedloop.loop.step.locate import BALL_TIP, BallTip
 from closedloop.loop.step.memory import SPRING_STICK, Constants, Loop, State, Work
+from closedloop.loop.step.perceived import MOTORS_MEASURED, read_joints
 from closedloop.loop.step.record_row import Row
-from closedloop.loop.step.seen import MOTORS_MEASURED, read_joints
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.rolling import RADIUS, SHAPE, make_shape_memory
 from closedloop.mechanics.friction.contact import Contact
@@ -72,8 +72,8 @@ def read_encoders(loop: Loop, table: Array) -> None:
     state.loops.entry = 0  # compiled code, which interpreted code cannot call
     interpreted(read_joints)(loop.w, loop.constants, state, table)
     state.loops.entry, state.phase = entry, MEASURED
-    if state.loops.seen_at != 0:
-        _close_reading(loop.w, loop.w.kept["seen_loops"])
+    if state.loops.perceived_at != 0:
+        _close_reading(loop.w, loop.w.kept["perceived_loops"])
 
 
 def _close_reading(w: Work, memory: LoopMemory) -> None:
@@ -106,7 +106,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     )  # fmt: skip
     constants.law[:], constants.compensation[:] = problem.law.numbers, problem.compensation.numbers
     wrong = problem.scenario.model_error
-    constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
+    constants.mass_factor, constants.unknown_payload = wrong.masses, wrong.payload
     constants.armature[:], constants.driven[:] = robot.model.rigid_armature, robot.model.driven
     constants.turns[list(robot.model.balls)] = 1.0
     constants.measured[:] = robot.model.measured
@@ -149,7 +149,7 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
     to.states_at = problem.row_width - states if states > 0 else 0
     to.model_error = problem.scenario.model_error != ModelErrorSection()
-    to.seen = to.model_error or to.elastic or to.encoder
+    to.perceived = to.model_error or to.elastic or to.encoder
     state.mode, state.sampled, state.cleared = problem.mode, 1, 1
     if problem.project and problem.mode != FREE:
         state.phase, state.next_phase = PROJECTION, STEP_END

@@ -28,7 +28,7 @@ STATE = (
 
 def contacts_of(problem: Problem, loop: Loop, time: float) -> dict[str, Array]:
     """Return the state of the contacts of links if one is closed, else nothing; refuse what is not linearised."""
-    if loop.state.together == 0:
+    if loop.state.coupled == 0:
         return {}
     memory: ContactMemory = loop.w.kept["contacts"]
     links, c = memory.links, memory.contacts
@@ -63,7 +63,7 @@ def put_contacts(state: dict[str, Array], loop: Loop) -> None:
     for name, value in state.items():
         attrgetter(name)(memory.contacts)[:] = value
     memory.links.undecided = memory.links.fresh = memory.links.stepped = memory.links.chattering = 0
-    loop.state.together = 1
+    loop.state.coupled = 1
 
 
 class ClosedContacts:
@@ -102,7 +102,7 @@ class ClosedContacts:
 
     def read(self) -> tuple[Array, Array] | None:
         """Return the rates u of the rows that bind (m,), m/s, and the normal forces (k,), N; None in other modes."""
-        if self._loop.state.together == 0 or self._links.undecided != 0 or self._links.stepped != 0:
+        if self._loop.state.coupled == 0 or self._links.undecided != 0 or self._links.stepped != 0:
             return None
         if not np.array_equal(self._numbers.mode, self._modes):
             return None

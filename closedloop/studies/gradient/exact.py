@@ -90,13 +90,13 @@ def not_unique(run: Run) -> NotUnique | None:
     sections = run.scenario.contact
     if not sections:
         return None
-    rubs = np.array([c.compliance is None and (c.friction > 0.0 or c.friction_law is not None) for c in sections])
+    rough = np.array([c.compliance is None and (c.friction > 0.0 or c.friction_law is not None) for c in sections])
     seen = set[bytes]()
     for event in run.events:
         if event.contact > 0 and event.kind in DECIDED:
             row = int(np.searchsorted(run.time, event.time, side="right")) - 1
             modes = run.link_modes[row].tobytes()
-            if modes not in seen and np.any(shares_at(run, row)[0] & rubs):
+            if modes not in seen and np.any(shares_at(run, row)[0] & rough):
                 return NotUnique(event.time, f"{event.kind} of {names_of(sections)[event.contact - 1]}")
             seen.add(modes)
     return None

@@ -148,7 +148,7 @@ def test_an_episode_is_the_scenario_that_it_says():
         *_, info = env.step(np.zeros(1))
         assert info["force"] == run.contact_force[k]
     assert info["reason"] == "time is up"
-    assert np.array_equal(Row(env.core.together.rows[0], 4).q, run.q[500])
+    assert np.array_equal(Row(env.core.ensemble.rows[0], 4).q, run.q[500])
 
 
 @pytest.mark.parametrize(

@@ -157,7 +157,7 @@ def test_the_hole_is_drawn_where_the_peg_touches_it():
         assert placed.touching(np.array([0.0, 0.0, -0.01])).gap == pytest.approx(0.0101, abs=1e-6)
     env = gymnasium.make("closedloop/Insert-v0", render_mode="rgb_array").unwrapped
     env.reset(seed=4)
-    walls, triangles = _surface(env.core.together.problem(0))
+    walls, triangles = _surface(env.core.ensemble.problem(0))
     assert len(triangles) == len(faces)
     assert np.abs(walls).max() < 0.1
     env.step(np.zeros(3))

@@ -11,7 +11,7 @@ from closedloop.gym.terms import PARTS, TRUTH, Now, Observations, Range, as_rang
 from closedloop.gym.vector import ContactVectorEnv
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.simulation.together.member import Between
+from closedloop.simulation.ensemble.member import Between
 
 N, K, CONTACTS, STATES = 2, 3, 2, 1
 

@@ -5,13 +5,13 @@ import pytest
 from random_loop import loop_at_random
 
 import closedloop as cl
-from closedloop.control.law import Seen
+from closedloop.control.law import Perceived
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.closed_loops import BIND_LOAD, REACTION, closed_loops, factorise_tip
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.loop.step.joint_friction import _delayed, add_joint_friction, hold_joints, stick_or_slip_joints
 from closedloop.loop.step.locate import locate_tip, off_anchor, set_anchor
-from closedloop.loop.step.seen import MOTORS_MEASURED, believe, read_joints, see
+from closedloop.loop.step.perceived import MOTORS_MEASURED, apply_model_error, perceive, read_joints
 from closedloop.loop.step.solve_contact import soft_contact_force, spring_energy
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.loops.rows import locate_rows
@@ -53,12 +53,12 @@ def test_the_law_sees_the_surface_that_it_believes_in():
     """A frame that is tilted, with all that is told in it: velocities, the surface's motion and what is desired."""
     loop, H, rng = loop_at_random("wam_slide", SHORT | {"model_error.normal": 0.3, "model_error.normal_towards": 0.8})
     state, constants, w = loop.state, loop.constants, loop.w
-    tilt, wanted, seen = constants.tilt, w.reference, Seen(w.seen, 4)
+    tilt, wanted, seen = constants.tilt, w.reference, Perceived(w.perceived, 4)
     w.tip.frame[:] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     for array in (w.J, w.r, w.drift, w.tip.carried, w.tip.turning, wanted.memory):
         array[:] = rng.normal(size=array.shape)
     asked = np.array([wanted.position, wanted.velocity, wanted.acceleration])
-    assert interpreted(see)(H, rng.normal(size=4), w, constants, state) == 0
+    assert interpreted(perceive)(H, rng.normal(size=4), w, constants, state) == 0
     frame = tilt @ w.tip.frame
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(seen.frame, frame, atol=1e-14)
@@ -84,7 +84,7 @@ def test_what_the_controller_believes_is_the_arm_without_its_payload(masses):
     full = np.triu(true.mass_matrix) + np.triu(true.mass_matrix, 1).T
     own = np.triu(believed.mass_matrix) + np.triu(believed.mass_matrix, 1).T
     w.H[:], w.C[:], w.J[:], w.drift[:] = full, true.bias, true.jacobian, true.drift
-    interpreted(believe)(w, constants)
+    interpreted(apply_model_error)(w, constants)
     np.testing.assert_allclose(w.H, masses * (own - drives) + drives, atol=1e-12)
     np.testing.assert_allclose(w.C, masses * believed.bias, atol=1e-11)
     assert np.max(np.abs(full - own)) > 0.01
@@ -298,7 +298,7 @@ def test_what_encoders_read_of_a_mechanism_is_closed():
     w.q[:], w.v[:] = problem.q + 1e-3, 0.1
     interpreted(read_joints)(w, loop.constants, state, problem.table)
     assert np.max(np.abs(w.q - w.encoders.q)) > 1e-4
-    links, rows = w.kept["seen_loops"]
+    links, rows = w.kept["perceived_loops"]
     rows.q[:], rows.v[:] = w.q, w.v
     interpreted(locate_rows)(links, rows)
     np.testing.assert_allclose([rows.error, rows.rate], 0.0, atol=1e-9)

@@ -5,9 +5,9 @@ import pytest
 
 import closedloop as cl
 from closedloop.loop.step.record_row import Row
+from closedloop.simulation.ensemble.ensemble import Ensemble
+from closedloop.simulation.ensemble.member import FORCE, PARAMETER, SHIFT, TORQUE, Between
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.together.member import FORCE, PARAMETER, SHIFT, TORQUE, Between
-from closedloop.simulation.together.together import Together
 
 SCENARIOS = {
     "planar2_drop": {"time.duration": 0.6},  # impacts
@@ -27,7 +27,7 @@ def test_torques_act_as_in_a_simulator(name):
     scenario = cl.load_scenario(name, SCENARIOS[name])
     problem = prepare(scenario)
     n, steps = problem.robot.n, 4
-    together = Together(3, steps, torques(n), n, held=True, threads=2)
+    together = Ensemble(3, steps, torques(n), n, held=True, threads=2)
     for i in range(3):
         together.begin(i, prepare(scenario))
     together.start(range(3))
@@ -55,7 +55,7 @@ def test_torques_act_as_in_a_simulator(name):
 def test_the_law_acts_as_in_a_run():
     """With the force of the scenario as the action the rows are those of the scenario's run."""
     scenario = cl.load_scenario("wam_hybrid_friction", {"time.duration": 0.6})
-    together = Together(1, 5, np.array([(FORCE, 0, 0)]), 1)
+    together = Ensemble(1, 5, np.array([(FORCE, 0, 0)]), 1)
     together.begin(0, prepare(scenario))
     together.start([0])
     run = cl.simulate(scenario, engine="compiled")
@@ -73,7 +73,7 @@ def test_what_an_action_sets():
     scenario = cl.load_scenario("wam_hybrid_friction", {"time.duration": 0.4})
     problem = prepare(scenario)
     plan = np.array([(FORCE, 0, 0), (PARAMETER, problem.law.numbers.size - 1, 1), (SHIFT, 1, 2)])
-    together = Together(1, 100, plan, 3)
+    together = Ensemble(1, 100, plan, 3)
     together.begin(0, problem)
     together.start([0])
     together.actions[:] = 14.0, problem.law.numbers[-1], 0.004
@@ -93,7 +93,7 @@ def test_one_that_stops_stops_no_other():
     scenario = cl.load_scenario("planar2_drop", {"time.duration": 0.2})
     runs = []
     for wild in (1e7, 0.0):
-        together = Together(2, 10, torques(2), 2, held=True)
+        together = Ensemble(2, 10, torques(2), 2, held=True)
         for i in range(2):
             together.begin(i, prepare(scenario))
         together.start([0, 1])
@@ -113,7 +113,7 @@ def test_one_that_stops_stops_no_other():
 
 def test_the_end_is_the_end():
     """There is no step beyond the last control instant."""
-    together = Together(1, 100, torques(2), 2, held=True)
+    together = Ensemble(1, 100, torques(2), 2, held=True)
     together.begin(0, prepare(cl.load_scenario("planar2_drop", {"time.duration": 0.2})))
     together.start([0])
     assert together.left(0) == 2
@@ -133,4 +133,4 @@ def test_torques_that_cannot_act_are_refused():
         problem = prepare(cl.load_scenario(name, changes))
         n = problem.robot.n
         with pytest.raises(cl.ScenarioError, match=said):
-            Together(1, 1, torques(n), n, held=True).begin(0, problem)
+            Ensemble(1, 1, torques(n), n, held=True).begin(0, problem)

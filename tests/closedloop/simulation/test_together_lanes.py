@@ -6,9 +6,9 @@ import pytest
 import closedloop as cl
 import closedloop.gym
 from closedloop.loop.step.record_row import Row
+from closedloop.simulation.ensemble.ensemble import Ensemble
+from closedloop.simulation.ensemble.member import AT_MARK, TORQUE, Member
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.together.member import AT_MARK, TORQUE, Member
-from closedloop.simulation.together.together import Together
 
 SLIDE = str(closedloop.gym.TASKS["slide"].scenario)
 COUNT, STEPS = 19, 4  # two whole groups and three more
@@ -38,7 +38,7 @@ def played(name, changes, size, threads, alone):
     given, told = list(problems(name, changes)), []
     n, random = given[0].robot.n, np.random.default_rng(1)
     plan = np.array([(TORQUE, j, j) for j in range(n)])
-    together = Together(COUNT, STEPS, plan, n, held=True, threads=threads)
+    together = Ensemble(COUNT, STEPS, plan, n, held=True, threads=threads)
     for i, problem in enumerate(given):
         together.begin(i, problem)
         if alone:

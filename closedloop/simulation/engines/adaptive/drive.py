@@ -38,8 +38,8 @@ from scipy.integrate import DOP853, Radau
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, SimulationError
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.asked import BEGIN_STEP, EVENT_VALUE, RECORD
 from closedloop.loop.events.phases import INSTANT, OUTPACED, SHALLOW
+from closedloop.loop.events.query import BEGIN_STEP, EVENT_VALUE, RECORD
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, State, Work
 from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
@@ -76,27 +76,27 @@ class Slip(NamedTuple):
 
 def slips(w: Work, state: State) -> list[Slip]:
     """Return the contacts whose dry friction turns a slip: the tip while it is alone, else those of links with it."""
-    if state.together == 0:
+    if state.coupled == 0:
         if state.friction.sticking != RIGID_STICK or state.mode != PRESSED:
             return []
-        rub, tip = float(np.hypot(*w.friction.c) * abs(w.tip.F[0])), w.tip
-        return [_slip(tip.u[1:], rub, tip.S[1, 1] + tip.S[2, 2], tip.A[1:], tip.A[1:] @ w.qdd + tip.drift_c[1:])]
+        friction, tip = float(np.hypot(*w.friction.c) * abs(w.tip.F[0])), w.tip
+        return [_slip(tip.u[1:], friction, tip.S[1, 1] + tip.S[2, 2], tip.A[1:], tip.A[1:] @ w.qdd + tip.drift_c[1:])]
     links, c = w.kept["contacts"]
     found = []
     for i in range(int(links.joints)):
         t = slice(3 * i + 1, 3 * i + 3)
         if c.mode[i] == PRESSED and stops_slip(c, i):
             mobility, rows, shared = c.W[t, t].trace(), c.G[t], float(c.friction.shared[i])
-            rub = shared * abs(c.F[3 * i]) or float(np.hypot(*c.F[t]))
-            slip = _slip(c.u[t], rub, mobility, rows, rows @ w.qdd + c.drift[t])
+            friction = shared * abs(c.F[3 * i]) or float(np.hypot(*c.F[t]))
+            slip = _slip(c.u[t], friction, mobility, rows, rows @ w.qdd + c.drift[t])
             # friction that ends a slip within `settling` turns none faster
             found.append(slip._replace(speed=slip.speed + c.step.settling * slip.turning) if shared else slip)
     return [slip for slip in found if slip.speed > SETTLED]
 
 
-def _slip(u: Array, rub: float, mobility: float, rows: Array, acceleration: Array) -> Slip:
+def _slip(u: Array, friction: float, mobility: float, rows: Array, acceleration: Array) -> Slip:
     speed = float(np.hypot(*u))
-    return Slip(speed, rub * mobility, abs(float(u @ acceleration)) / max(speed, 1e-300), rows)
+    return Slip(speed, friction * mobility, abs(float(u @ acceleration)) / max(speed, 1e-300), rows)
 
 
 def choose_scheme(sliding: list[Slip], before: int) -> int:
@@ -176,7 +176,7 @@ class AdaptiveRun:
         self.memory = Memory(problem, law)
         state = self.memory.state
         sticking, several = state.friction.sticking, state.contacts.at != 0
-        self.may_rub = sticking != SMOOTH
+        self.may_slide = sticking != SMOOTH
         ends = problem.surface.ends or several
         self.has_events = state.settings.unilateral != 0 or sticking == RIGID_STICK or ends
         self.instants = problem.h * np.arange(problem.steps + 1, dtype=np.float64)
@@ -213,8 +213,8 @@ class AdaptiveRun:
 
     @property
     def has_dry_friction(self) -> bool:
-        """Whether the tip rubs, or contacts of links do."""
-        return self.may_rub or self.memory.state.together != 0
+        """Whether there is friction, at the tip or at contacts of links."""
+        return self.may_slide or self.memory.state.coupled != 0
 
     def interval(self) -> Interval:
         """Return the interval that begins at the present time."""
@@ -350,10 +350,10 @@ class AdaptiveRun:
 
         # After liftoff the gap grows with the cube of time at first, no faster than the error.
         leaving, closes = max(SHALLOW, 10.0 * self.tolerance), None
-        if state.contacts.entry != 0 and state.together == 0:
+        if state.contacts.entry != 0 and state.coupled == 0:
             closes = first_crossing(value("contacts.margin"), length)
             length = length if closes is None else closes
-        if state.mode != FREE or state.together != 0:
+        if state.mode != FREE or state.coupled != 0:
             event = first_crossing(value("search.value"), length)
             return closes if event is None else event
         event = first_crossing(

@@ -13,20 +13,20 @@ from closedloop.base.errors import DivergenceError
 from closedloop.jit.background import make_ready
 from closedloop.jit.calls import address_of
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.asked import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import (
     AFTER_EVENT,
-    ASKED,
     AT_EVENT,
     FAILED,
     IMPACT_LAW_WANTED,
     INITIAL_EVENTS,
     PROJECTION,
+    QUERY,
     STEP_END,
     TABLE_FULL,
     TERMS,
 )
+from closedloop.loop.events.query import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.advance import turn_rate
 from closedloop.loop.step.closed_loops import CLOSE, closed_loops
@@ -173,7 +173,7 @@ class Memory:
         acceleration are constant to 1e-12, so the stop is extrapolated; near rest the direction of slip is rounding.
         """
         self.evaluate(t, y, interval, EVENT_VALUE)
-        w, alone = self.w, self.state.together == 0
+        w, alone = self.w, self.state.coupled == 0
         rigid = alone and self.state.friction.sticking == RIGID_STICK and self.state.mode == PRESSED
         slip = w.tip.u[1:]
         if rigid and 0.0 < np.hypot(*slip) <= 2.0 * self.constants.stick_speed and w.tip.rigid_force > 0.0:
@@ -232,7 +232,7 @@ class Memory:
 
     def _evaluate_for(self, use: int) -> None:
         """Evaluate the state in the memory."""
-        phase, self.state.phase, self.state.asked = int(self.state.phase), ASKED, use
+        phase, self.state.phase, self.state.query = int(self.state.phase), QUERY, use
         if use == RECORD:
             self._wanted[0, -1] = self._problem.table[self.state.row * self._problem.nodes, -1]  # the sensor's noise
         self._terms()

@@ -97,9 +97,9 @@ NODES = 16
 _NODES = chebpts1(NODES)
 _DEGREES = np.arange(NODES, dtype=np.float64)
 # Points of −1 .. 1 at which the interpolation error is checked, and its bounds, relative to 1 or to the value. Halving
-# an interval divides the error by 2¹⁶; an error below LITTLE that does not fall is rounding.
+# an interval divides the error by 2¹⁶; an error below ROUNDING that does not fall is rounding.
 _CHECKS = np.array([-0.995, -0.3, 0.55, 0.999])
-MISFIT, LITTLE = 1e-13, 1e-10
+MISFIT, ROUNDING = 1e-13, 1e-10
 MOST_HALVINGS = 50
 
 
@@ -128,7 +128,7 @@ def interval_from(wanted: Desired, start: float, end: float) -> Interval:
         interval = Interval(start, end, coefficients)
         fitted = chebval(_CHECKS, coefficients).T
         off = float(np.max(np.abs(fitted - values[NODES:]) / (1.0 + np.abs(values[NODES:]))))
-        if off <= MISFIT or (off <= LITTLE and off > 0.5 * worst):
+        if off <= MISFIT or (off <= ROUNDING and off > 0.5 * worst):
             break
         worst, end = off, middle
     return interval

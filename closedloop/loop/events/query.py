@@ -1,4 +1,4 @@
-"""What an integrator that evaluates any state at any instant is told of one: the phase ASKED of `proceed`."""
+"""What an integrator that evaluates any state at any instant is told of one: the phase QUERY of `proceed`."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ DERIVE, BEGIN_STEP, EVENT_VALUE, RECORD = range(4)
 
 
 @kernel
-def answer_asked(
+def answer_query(
     H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array
 ) -> int:  # fmt: skip
-    """Write what `State.asked` wants of the state that was evaluated, and return TERMS, or FAILED with `State.status`.
+    """Write what `State.query` wants of the state that was evaluated, and return TERMS, or FAILED with `State.status`.
 
     The event function is in w.search.value, the row in `rows`; see `closedloop.loop.events.proceed` for the arguments.
     """
-    alone = state.together == 0
-    if alone and state.asked != DERIVE:
+    alone = state.coupled == 0
+    if alone and state.query != DERIVE:
         state.status = ask_contacts(state, WATCH)
         if state.status != OK:
             return FAILED
-    if state.asked == DERIVE:
+    if state.query == DERIVE:
         w.supply.power = power(w, state)
-    elif state.asked == BEGIN_STEP:
+    elif state.query == BEGIN_STEP:
         save_state(w, constants, state)
-    elif state.asked == EVENT_VALUE:
+    elif state.query == EVENT_VALUE:
         w.search.value = event_function(w, constants, state)
         if state.friction.sticking == RIGID_STICK and state.mode == PRESSED and alone:
             begun, band = w.start.slip_speed, constants.capture_speed

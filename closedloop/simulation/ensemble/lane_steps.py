@@ -49,7 +49,7 @@ from closedloop.mechanics.closure.solve import OK, SINGULAR
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms, work_size
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import ADDRESSES, Addresses
-from closedloop.simulation.together.member import (
+from closedloop.simulation.ensemble.member import (
     AT_MARK,
     BETWEEN,
     GROUP,
@@ -109,7 +109,7 @@ def put_in(g: Group, w: Work, c: LaneConstants, tree: Array, kept: Kept, i: int)
 
 
 @kernel
-def rub(g: Group, w: Work, i: int) -> None:
+def apply_friction(g: Group, w: Work, i: int) -> None:
     """Ask the friction of the member of lane `i` at the slip that its lane has."""
     m, a = member_at(g, i)
     state, constants, own = loop_at(a.loop)
@@ -168,7 +168,7 @@ def step_in_lanes(address: int, count: int) -> int:
     Parameters
     ----------
     address : int
-        Of `closedloop.simulation.together.member.Group`.
+        Of `closedloop.simulation.ensemble.member.Group`.
     count : int
         How many there are; other lanes repeat the first.
     """
@@ -200,7 +200,7 @@ def step_in_lanes(address: int, count: int) -> int:
             free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a, ends)
             if sticks or state.friction.entry != 0:
                 for i in range(WIDE if not stuck else 0):
-                    rub(g, w, i)
+                    apply_friction(g, w, i)
             status, stays = hold_on_surface(w, c, kept, stuck, sticks, h)
             goes_on = min(goes_on, stays)
             if unilateral:
@@ -249,7 +249,7 @@ def give_up(g: Group, kept: Kept, i: int) -> None:
 def put_back(g: Group, w: Work, row: Row, forces: Array, i: int) -> None:
     """Let the member of lane `i` stand where the lane does, at the end of the step before its next control instant.
 
-    That row is told, but recorded only with the next action, as after `closedloop.simulation.together.member.go_back`.
+    That row is told, but recorded only with the next action, as after `closedloop.simulation.ensemble.member.go_back`.
     """
     m, a = member_at(g, i)
     state, constants, own = loop_at(a.loop)
@@ -317,7 +317,7 @@ def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: W
 
 
 class Lanes:
-    """The memory of one thread for members of one mode; see `closedloop.simulation.together.member.Group`.
+    """The memory of one thread for members of one mode; see `closedloop.simulation.ensemble.member.Group`.
 
     Parameters
     ----------

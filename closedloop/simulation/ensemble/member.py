@@ -72,7 +72,7 @@ class Member(Block):
 class Group(Block):
     """Whole numbers, int64: members that are stepped together, and memory of float64x8 for it.
 
-    See `closedloop.simulation.together.lane_steps`.
+    See `closedloop.simulation.ensemble.lane_steps`.
     """
 
     entry: int  # address of what steps them

@@ -28,9 +28,9 @@ from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree
 from closedloop.simulation.engines.loops import COMPILED, kernels_of
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import addresses_of, set_events
+from closedloop.simulation.ensemble.lane_steps import Lanes, may_step_in_lanes, step_in_lanes
+from closedloop.simulation.ensemble.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
 from closedloop.simulation.loop_calls import Answers
-from closedloop.simulation.together.lane_steps import Lanes, may_step_in_lanes, step_in_lanes
-from closedloop.simulation.together.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
 
 # Rows that the window of a member has beside those that it must keep: it moves them once in so many.
 SPARE = 64
@@ -108,7 +108,7 @@ def may_strike_compiled(problem: Problem) -> bool:
     return not own and problem.restitution.__module__.startswith("closedloop.")
 
 
-class Together:
+class Ensemble:
     """Simulations of the same arm that are stepped side by side, on several threads.
 
     Parameters
@@ -118,7 +118,7 @@ class Together:
     steps : int
         Steps between two control instants.
     plan : (l, 3) array
-        What an action sets, see `closedloop.simulation.together.member.act`.
+        What an action sets, see `closedloop.simulation.ensemble.member.act`.
     numbers : int
         Numbers of an action.
     held : bool
@@ -134,7 +134,7 @@ class Together:
     wanted : (count, 2 n + 10) array
         What is desired there, see `closedloop.loop.step.memory.Reference`.
     between : (count, BETWEEN) array
-        What happened since the control instant before, see `closedloop.simulation.together.member.Between`.
+        What happened since the control instant before, see `closedloop.simulation.ensemble.member.Between`.
     actions : (count, k) array
         To be written before `step`, SI units.
     failures, failed : list, (count,) array of bool

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters, read_encoder
-from closedloop.control.law import Seen
+from closedloop.control.law import Perceived
 from closedloop.control.reference.table import DrawnRow
 from closedloop.jit.calls import call_at, integers_at, row_of
 from closedloop.jit.kernel import kernel
-from closedloop.loop.step.closed_loops import BIND_SEEN, CLOSE
+from closedloop.loop.step.closed_loops import BIND_PERCEIVED, CLOSE
 from closedloop.loop.step.locate import in_contact_frame
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import factorise, into_contact_frame
@@ -28,9 +28,9 @@ from closedloop.mechanics.closure.solve import OK
 
 
 @kernel
-def believe(w: Work, constants: Constants) -> None:
+def apply_model_error(w: Work, constants: Constants) -> None:
     """Overwrite H and C, which the control law reads, by those of the controller's model."""
-    k, m = constants.believed_masses, constants.unknown_payload
+    k, m = constants.mass_factor, constants.unknown_payload
     for i in range(w.q.shape[0]):
         carried = 0.0
         for a in range(3):
@@ -60,44 +60,41 @@ def keep_terms(H: Array, C: Array, w: Work) -> None:
 
 
 @kernel
-def see(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
+def perceive(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
     """Write what the law sees of the state in `w`, whose terms are given; return OK, or that its own H is no inertia.
 
     The normal that it believes in is the true one, turned by `constants.tilt`.
     """
     n, tilt = w.q.shape[0], constants.tilt
-    seen, wanted = Seen(w.seen, n), w.reference
+    perceived, wanted = Perceived(w.perceived, n), w.reference
     for i in range(3):
-        seen.r[i], seen.drift[i] = w.r[i], w.drift[i]
-        seen.carried[i], seen.turning[i] = 0.0, 0.0
+        perceived.r[i], perceived.drift[i] = w.r[i], w.drift[i]
+        perceived.carried[i], perceived.turning[i] = 0.0, 0.0
         for k in range(3):
-            seen.carried[i] += tilt[i, k] * w.tip.carried[k]
-            seen.turning[i] += tilt[i, k] * w.tip.turning[k]
-            seen.frame[i, k] = (
+            perceived.carried[i] += tilt[i, k] * w.tip.carried[k]
+            perceived.turning[i] += tilt[i, k] * w.tip.turning[k]
+            perceived.frame[i, k] = (
                 tilt[i, 0] * w.tip.frame[0, k] + tilt[i, 1] * w.tip.frame[1, k] + tilt[i, 2] * w.tip.frame[2, k]
             )
         for j in range(n):
-            seen.J[i, j] = w.J[i, j]
+            perceived.J[i, j] = w.J[i, j]
     for j in range(n):
-        seen.q[j], seen.v[j] = w.q[j], w.v[j]
-    into_contact_frame(seen, seen)
+        perceived.q[j], perceived.v[j] = w.q[j], w.v[j]
+    into_contact_frame(perceived, perceived)
     for i in range(3):
-        seen.u[i] -= seen.carried[i]
-        seen.drift_c[i] += seen.turning[i]
-    in_contact_frame(seen.frame, seen.carried, seen.turning, wanted)
+        perceived.u[i] -= perceived.carried[i]
+        perceived.drift_c[i] += perceived.turning[i]
+    in_contact_frame(perceived.frame, perceived.carried, perceived.turning, wanted)
     keep_terms(H, C, w)
     if state.settings.model_error != 0:
-        believe(w, constants)
+        apply_model_error(w, constants)
     if state.settings.elastic != 0:  # the controller takes the joints for rigid
         for j in range(n):
             w.H[j, j] += constants.motor_inertia[j]
-    status = int(
-        factorise(
-            w.H, seen.A, seen.L, seen.X, seen.S, constants.reach, integers_at(state.addresses.group_ends, state.n)
-        )
-    )
-    if status == OK and state.loops.seen_at != 0:
-        call_at(state.loops.entry, state.loops.seen_at, BIND_SEEN)
+    ends = integers_at(state.addresses.group_ends, state.n)
+    status = int(factorise(w.H, perceived.A, perceived.L, perceived.X, perceived.S, constants.reach, ends))
+    if status == OK and state.loops.perceived_at != 0:
+        call_at(state.loops.entry, state.loops.perceived_at, BIND_PERCEIVED)
     return status
 
 
@@ -126,8 +123,8 @@ def read_joints(w: Work, constants: Constants, state: State, table: Array) -> No
             position, velocity = q, v
         w.encoders.q[j], w.encoders.v[j] = position, velocity
         w.q[j], w.v[j] = position, velocity
-    if state.loops.entry != 0 and state.loops.seen_at != 0:
-        call_at(state.loops.entry, state.loops.seen_at, CLOSE)
+    if state.loops.entry != 0 and state.loops.perceived_at != 0:
+        call_at(state.loops.entry, state.loops.perceived_at, CLOSE)
 
 
 @kernel

@@ -1,8 +1,9 @@
-"""Robots by the command line: the list, one of them, and whether its H and C are those of other programs.
+"""Robots by the command line: the list, one of them, and whether its mechanics are those of other programs.
 
 The robots that a scenario can name as robot.model: ``closedloop robots``, and ``closedloop robots ur5``.
 
-Whether H and C of a robot are those of other programs on random states: ``closedloop robots FILE --check``.
+Whether H, C, potential energy, the tip's Jacobian and the rows of loops are those of other programs on random states:
+``closedloop robots FILE --check``.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ def main(words: list[str]) -> int:
         description="List what can be named as robot.model, or show one robot: joints, limits and frames.",
     )
     parser.add_argument("robot", nargs="?", help="a name of the list, or the path of a URDF or MJCF file")
-    parser.add_argument("--check", action="store_true", help="compare H and C with MuJoCo's and Pinocchio's")
+    parser.add_argument(
+        "--check", action="store_true", help="compare H, C, energy and Jacobians with MuJoCo's and Pinocchio's"
+    )
     options = parser.parse_args(words)
     from rich.console import Console
 
@@ -191,21 +194,23 @@ def _print_shapes(model: RobotModel, console: Console) -> None:
 
 
 def _print_checks(model: RobotModel, file: str, console: Console) -> int:
-    """Print whether H and C are those of other programs; return 1 if they are not."""
-
+    """Print whether the mechanics are those of other programs; return 1 if they are not."""
     if not model.n:
         console.print("nothing moves: there is nothing to check")
         return DONE
     wrong = False
     for check in checks(model, file):
-        if check.worst is None:
+        if check.apart is None:
             console.print(f"{check.program}: not compared: {check.why}", markup=False)
             continue
-        equal = check.worst <= check.most
-        wrong |= not equal
+        differ = [name for name, apart in check.apart.items() if not apart <= check.most]
+        wrong |= bool(differ)
+        listed = ", ".join(f"{name} {apart:.1e}" for name, apart in check.apart.items())
+        verdict = f"DIFFERENT: {', '.join(differ)};" if differ else "equal"
         console.print(
-            f"{check.program}: H and C {'are equal' if equal else 'DIFFER'} at {STATES} random states, "
-            f"by {check.worst:.1e} of their largest entry (rounding: {check.most:g})"
+            f"{check.program}: {verdict} at {STATES} random states, "
+            f"by these shares of the largest entry: {listed} (rounding: {check.most:g})",
+            markup=False,
         )
     return 1 if wrong else DONE
 
@@ -213,6 +218,17 @@ def _print_checks(model: RobotModel, file: str, console: Console) -> int:
 STATES, SEED = 20, 0
 #: Relative difference that is rounding: of Pinocchio, which sums in the same order, and of MuJoCo, which does not.
 PINOCCHIO, MUJOCO = 1e-12, 1e-9
+#: Names of what is compared.
+MATRIX, BIAS, ENERGY, TIP, LOOPS = "H", "C", "potential energy", "Jacobian of the tip", "rows of loops"
+# How far the postures at which loops are compared start from the home posture, rad (m), before they are closed.
+_AROUND = 0.05
+# Singular values that count as none, relative to the largest of the rows of loops.
+_DEPENDENT = 1e-9
+# MuJoCo's numbers of kinds.
+_EQUALITY, _SITE, _WELD = 0, 6, 1
+
+#: What one program says: of each name an array, states first.
+Said = dict[str, Array]
 
 
 class Check(NamedTuple):
@@ -221,8 +237,8 @@ class Check(NamedTuple):
     Attributes
     ----------
     program : str
-    worst : float, optional
-        Largest difference of H or C, relative to their largest entry; None if the program cannot be asked.
+    apart : dict of float, optional
+        Of each quantity the largest difference, relative to its largest entry; None if the program cannot be asked.
     most : float
         What is rounding.
     why : str
@@ -230,33 +246,37 @@ class Check(NamedTuple):
     """
 
     program: str
-    worst: float | None
+    apart: dict[str, float] | None
     most: float
     why: str = ""
 
 
 def checks(model: RobotModel, file: str) -> list[Check]:
-    """Return what Pinocchio and MuJoCo say of H and C as the simulator has them, at random states.
+    """Return how far what the simulator computes is from what Pinocchio and MuJoCo do, at random states.
 
-    MuJoCo reads an MJCF from its file, and a URDF from the model's own text.
+    MuJoCo reads an MJCF from its file, and a URDF from the model's own text. Energies are compared by their difference
+    from the first state's, and loops at closed postures: by the errors that are left, and by the projection on the
+    space of their rows, because the rows of one constraint can be written in several ways.
     """
-    from closedloop.jit.interpreted import interpreted
-    from closedloop.jit.kernel import plain
+    from closedloop.mechanics.loops.reactions import loop_rows
     from closedloop.mechanics.robot.pinocchio import Robot
-    from closedloop.mechanics.robot.tree import tree_terms, work_size
 
     robot, rng, n = Robot(model, model.tip or model.frames[-1]), np.random.default_rng(SEED), model.n
-    states = []
-    for _ in range(STATES):
-        q, v = _posture(model, rng), rng.normal(size=n)
-        H, C, work = np.zeros((n, n)), np.zeros(n), np.zeros(int(plain(work_size)(n)))
-        of_tip = np.zeros((3, n)), np.zeros(3), np.zeros(3)
-        interpreted(tree_terms)(robot.tree, robot.rotation_vectors(q), v, work, H, C, of_tip)
-        states.append((q, v, np.triu(H) + np.triu(H, 1).T, C))
-    theirs = [robot.terms(q, v) for q, v, _, _ in states]
-    found = [Check("Pinocchio", _worst(states, [(terms.mass_matrix, terms.bias) for terms in theirs]), PINOCCHIO)]
+    states = [(_posture(model, rng), rng.normal(size=n)) for _ in range(STATES)]
+    theirs, ours = [robot.terms(q, v) for q, v in states], _of_kernels(robot, states)
+    pinocchios = {
+        MATRIX: np.array([terms.mass_matrix for terms in theirs]),
+        BIAS: np.array([terms.bias for terms in theirs]),
+        TIP: np.array([terms.jacobian for terms in theirs]),
+        ENERGY: robot.potential_energy(robot.rotation_vectors(np.array([q for q, _ in states]))),
+    }
+    found = [Check("Pinocchio", _apart(robot, ours, pinocchios), PINOCCHIO)]
     try:
-        found.append(Check("MuJoCo", _worst(states, _of_mujoco(robot, file, states)), MUJOCO))
+        closed = _closed(robot, rng) if model.loops and model.format == "mjcf" else np.zeros((0, n))
+        if len(closed):
+            rows, errors = loop_rows(robot, closed, np.zeros_like(closed))
+            ours[LOOPS] = np.array([_held(*both) for both in zip(rows, errors, strict=True)])
+        found.append(Check("MuJoCo", _apart(robot, ours, _of_mujoco(robot, file, states, closed)), MUJOCO))
     except (ValueError, LookupError) as error:
         found.append(Check("MuJoCo", None, MUJOCO, one_line(str(error))))
     return found
@@ -269,16 +289,68 @@ def _posture(model: RobotModel, rng: np.random.Generator) -> Array:
     return normalised(rng.normal(size=len(model.home)), model.joint_types, "q")
 
 
-def _worst(states: list[Any], theirs: list[tuple[Array, Array]]) -> float:
-    return max(
-        float(np.max(np.abs(own - their)) / max(float(np.max(np.abs(their))), 1e-9))
-        for (_, _, *ours), both in zip(states, theirs, strict=True)
-        for own, their in zip(ours, both, strict=True)
-    )
+def _of_kernels(robot: Robot, states: list[tuple[Array, Array]]) -> Said:
+    """Return what the kernels of a run compute."""
+    from closedloop.jit.interpreted import interpreted
+    from closedloop.jit.kernel import plain
+    from closedloop.mechanics.robot.tree import tree_potential_energy, tree_terms, work_size
+
+    n, found = robot.n, []
+    for q, v in states:
+        q = robot.rotation_vectors(q)
+        H, C, J, work = np.zeros((n, n)), np.zeros(n), np.zeros((3, n)), np.zeros(int(plain(work_size)(n)))
+        energy = interpreted(tree_potential_energy)(robot.tree, q, work)
+        interpreted(tree_terms)(robot.tree, q, v, work, H, C, (J, np.zeros(3), np.zeros(3)))
+        found.append((np.triu(H) + np.triu(H, 1).T, C, J, energy))
+    return {
+        name: np.array(each) for name, each in zip((MATRIX, BIAS, TIP, ENERGY), zip(*found, strict=True), strict=True)
+    }
 
 
-def _of_mujoco(robot: Robot, file: str, states: list[Any]) -> list[tuple[Array, Array]]:
-    """Return H and C as MuJoCo has them.
+def _closed(robot: Robot, rng: np.random.Generator) -> Array:
+    """Return closed postures (N, n) about the home posture.
+
+    Raises
+    ------
+    ValueError
+        If none is found.
+    """
+    from closedloop.mechanics.loops.assemble import closed_start
+
+    model = robot.model
+    home, found = robot.rotation_vectors(np.asarray(model.loop_home)), []
+    low, high = model.position_lower, model.position_upper
+    for _ in range(STATES):
+        q = np.clip(home + _AROUND * rng.normal(size=robot.n), low, high)
+        found.append(closed_start(robot, q, np.zeros(robot.n), assemble=True)[0])
+    return np.array(found)
+
+
+def _held(rows: Array, errors: Array) -> Array:
+    """Return what rows (m, n) hold, however they are written, and by how much their errors (m,) say it does not.
+
+    The first is the orthogonal projection on their space, of n² numbers; some rows may depend on others.
+    """
+    return np.append(np.linalg.pinv(rows, rcond=_DEPENDENT) @ rows, np.max(np.abs(errors), initial=0.0))
+
+
+def _apart(robot: Robot, ours: Said, theirs: Said) -> dict[str, float]:
+    """Return of each quantity that both have how far it is apart, relative to its largest entry."""
+    found = {}
+    for name, their in theirs.items():
+        own, least = ours[name], 1e-9
+        if name == ENERGY:  # where the mass moves at one height alone, rounding is that of its weight times its reach
+            weight = sum(inertia.mass for inertia in robot.model.pinocchio_model().inertias[1:])
+            least = max(
+                weight * float(np.linalg.norm(robot.gravity)) * robot.reach, float(np.max(np.abs(their))), least
+            )
+            own, their = own - own[0], their - their[0]
+        found[name] = float(np.max(np.abs(own - their)) / max(float(np.max(np.abs(their))), least))
+    return found
+
+
+def _of_mujoco(robot: Robot, file: str, states: list[tuple[Array, Array]], closed: Array) -> Said:
+    """Return what MuJoCo computes; of loops, at closed postures.
 
     Raises
     ------
@@ -288,6 +360,8 @@ def _of_mujoco(robot: Robot, file: str, states: list[Any]) -> list[tuple[Array, 
         If it has other joints.
     """
     import mujoco
+
+    from robot_models.coordinates import with_quaternions
 
     model = robot.model
     if any(model.locked.values()) or (model.locked and model.format == "mjcf"):
@@ -308,15 +382,43 @@ def _of_mujoco(robot: Robot, file: str, states: list[Any]) -> list[tuple[Array, 
         order = np.array([compiled.joint(name).dofadr[0] for name in model.joint_names])
     compiled.opt.gravity[:] = model.gravity
     compiled.dof_armature[order] = model.rigid_armature
-    data, found = mujoco.MjData(compiled), []
-    for q, v, _, _ in states:
+    compiled.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    data = mujoco.MjData(compiled)
+    site, body = (
+        mujoco.mj_name2id(compiled, kind, robot.tip) for kind in (mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY)
+    )
+    found: dict[str, list[Any]] = {name: [] for name in (MATRIX, BIAS, ENERGY)}
+    for q, v in states:
         data.qpos[order if model.format == "urdf" else slice(None)] = q
         data.qvel[order] = v
         mujoco.mj_forward(compiled, data)
-        full = np.zeros((compiled.nv, compiled.nv))
+        full, J = np.zeros((compiled.nv, compiled.nv)), np.zeros((3, compiled.nv))
         mujoco.mj_fullM(compiled, data, full)
-        found.append((full[np.ix_(order, order)], (data.qfrc_bias - data.qfrc_spring)[order]))
-    return found
+        mujoco.mj_energyPos(compiled, data)
+        found[MATRIX].append(full[np.ix_(order, order)])
+        found[BIAS].append((data.qfrc_bias - data.qfrc_spring)[order])
+        found[ENERGY].append(data.energy[0])
+        if body >= 0:
+            mujoco.mj_jacBody(compiled, data, J, None, body)
+        elif site >= 0:
+            mujoco.mj_jacSite(compiled, data, J, None, site)
+        else:
+            continue  # a frame that the sidecar adds
+        found.setdefault(TIP, []).append(J[:, order])
+    for q in closed:
+        data.qpos[:], data.qvel[:] = with_quaternions(q, model.joint_types), 0.0
+        mujoco.mj_forward(compiled, data)
+        rows = [i for i in range(data.nefc) if data.efc_type[i] == _EQUALITY and _moves(compiled, int(data.efc_id[i]))]
+        jacobian = data.efc_J.reshape(-1, compiled.nv)
+        found.setdefault(LOOPS, []).append(_held(jacobian[rows], data.efc_pos[rows]))
+    return {name: np.array(each) for name, each in found.items()}
+
+
+def _moves(compiled: Any, k: int) -> bool:
+    """Tell whether an equality of MuJoCo is a loop here: those to mocap bodies are left out."""
+    ends, kind = (compiled.eq_obj1id[k], compiled.eq_obj2id[k]), compiled.eq_objtype[k]
+    bodies = [compiled.site_bodyid[i] if kind == _SITE else i for i in ends] if compiled.eq_type[k] <= _WELD else []
+    return all(compiled.body_mocapid[i] < 0 for i in bodies)
 
 
 def _bare(model: RobotModel) -> str:

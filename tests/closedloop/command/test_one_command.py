@@ -163,16 +163,47 @@ def test_robots_prints_and_checks_what_was_read(closedloop, tmp_path, monkeypatc
         "warning: sensors of the file are left out", "the limits are stops with robot.stops = true",
         "tendon: t: 0.5 l + -0.5 r: spring 30 1 about [-0.1, 0.2], friction 0.3, range [-0.5, 0.5]",
         "spring: e: 1 e: spring 2 about 0", "(damping and frictionloss; t) does not act",
-        "Pinocchio: H and C are equal", "MuJoCo: H and C are equal at 20 random states",
+        "Pinocchio: equal", "MuJoCo: equal at 20 random states", "potential energy ", "Jacobian of the tip ", "loops ",
     ):  # fmt: skip
         assert words in out, words
-    assert "MuJoCo: H and C are equal" in closedloop("robots", "panda", "--check")[1]
+    out = closedloop("robots", "panda", "--check")[1]
+    assert [line.split()[1] for line in out.splitlines() if "random states" in line] == ["equal", "equal"]
     tree_terms = "closedloop.mechanics.robot.tree.tree_terms"
     monkeypatch.setattr(tree_terms, lambda tree, q, v, work, H, C, of_tip: C.fill(1.0))  # a planted fault
     status, out, _ = closedloop("robots", str(tmp_path / "hand.xml"), "--check")
     assert status == 1
-    assert "Pinocchio: H and C DIFFER" in out
-    assert "MuJoCo: H and C DIFFER" in out
+    assert "Pinocchio: DIFFERENT: H, C, Jacobian of the tip;" in out
+    assert "MuJoCo: DIFFERENT: H, C, Jacobian of the tip;" in out
+
+
+@pytest.mark.parametrize(
+    ("fault", "differs"),
+    [
+        ("closedloop.mechanics.robot.tree.tree_potential_energy", "potential energy"),
+        ("closedloop.mechanics.loops.reactions.loop_rows", "rows of loops"),
+    ],
+)
+def test_robots_checks_energy_and_loops(closedloop, tmp_path, monkeypatch, fault, differs):
+    """A planted fault in the energy, or in the rows of a loop that a `connect` closes, is named."""
+    (tmp_path / "loop.xml").write_text(CLOSED_BY_CONNECT)
+    assert closedloop("robots", str(tmp_path / "loop.xml"), "--check")[0] == 0
+    whole = import_module(fault.rpartition(".")[0]).__dict__[fault.rpartition(".")[2]]
+    planted = {
+        "potential energy": lambda tree, q, work: whole(tree, 1.001 * q, work),
+        "rows of loops": lambda robot, q, v: (whole(robot, q, v)[0] * [1.0, 1.001, 1.0], whole(robot, q, v)[1]),
+    }
+    monkeypatch.setattr(fault, planted[differs])
+    status, out, _ = closedloop("robots", str(tmp_path / "loop.xml"), "--check")
+    assert status == 1
+    assert f"DIFFERENT: {differs};" in out
+
+
+CLOSED_BY_CONNECT = """<mujoco model="loop"><worldbody>
+<body name="a"><joint name="a" axis="0 1 0"/><geom type="box" size=".02 .02 .1" pos="0 0 .1"/>
+<body name="b" pos="0 0 .2"><joint name="b" axis="0 1 0"/><geom type="box" size=".1 .02 .02" pos=".1 0 0"/></body>
+</body><body name="c" pos=".2 0 0"><joint name="c" axis="0 1 0"/>
+<geom type="box" size=".02 .02 .1" pos="0 0 .1"/></body>
+</worldbody><equality><connect name="pin" body1="b" body2="c" anchor=".2 0 0"/></equality></mujoco>"""
 
 
 def test_completion_knows_commands_options_and_keys(closedloop):

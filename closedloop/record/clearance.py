@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,12 +46,18 @@ class Clearance(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """A shape of a link: the link's name, the joint that carries it, 0 the base, and its pose (4, 4) in that frame."""
+    """A shape of a link: the link's name, the joint that carries it, 0 the base, and its pose (4, 4) in that frame.
+
+    Of a mesh the vertices are the corners of its convex hull. `made` is the shape as coal has it, and `reach` the
+    radius of a ball about its origin that holds it, m.
+    """
 
     link: str
     joint: int
     place: Array
     shape: CollisionShape
+    made: Any
+    reach: float
 
 
 class Plane(NamedTuple):
@@ -78,8 +84,8 @@ def clearance(run: Record) -> Clearance | None:
     poses = _poses(run, mechanism, rows)
     planes = _planes(run, mechanism)
     found = [_from_plane(run, solids, plane, touching, mechanism, known) for plane, touching in planes]
-    pairs = _pairs(run, mechanism, solids)
-    pairs = [pair for pair in pairs if _distance(*pair, poses[0]) > TOUCHING][:MOST_PAIRS]
+    apart = (pair for pair in _pairs(run, mechanism, solids) if _distance(*pair, poses[0]) > TOUCHING)
+    pairs = list(islice(apart, MOST_PAIRS))
     nearest: tuple[float, int, int] | None = None
     for at, pose in enumerate(poses):
         for k, pair in enumerate(pairs):
@@ -125,8 +131,13 @@ def _solids(model: RobotModel) -> tuple[Solid, ...]:
                 shapes = collision_shapes(model, link, visual)
             except ModelError:
                 continue
-            solid = (shape for shape in shapes if shape.kind != "mesh" or len(_hull(shape.vertices.tobytes())))
-            found += [Solid(link, joint, place @ shape.place, shape) for shape in solid]
+            for shape in shapes:
+                if shape.kind == "mesh":
+                    hull = hull_of(shape.vertices)
+                    if hull is None:  # it is flat
+                        continue
+                    shape = replace(shape, vertices=shape.vertices[hull.vertices])
+                found.append(Solid(link, joint, place @ shape.place, shape, *_geometry(shape)))
         if found:
             return tuple(found)
     return ()
@@ -210,14 +221,14 @@ def _holds(solid: Solid, pose: Array, point: Array) -> bool:
     place = pose[solid.joint] @ solid.place
     there, at = coal.Transform3s(place[:3, :3], place[:3, 3]), coal.Transform3s(np.eye(3), point)
     ball, ask = coal.Sphere(TOUCHING), coal.DistanceRequest()
-    found = coal.distance(_made(solid.shape)[0], there, ball, at, ask, coal.DistanceResult())
+    found = coal.distance(solid.made, there, ball, at, ask, coal.DistanceResult())
     return float(found) < TOUCHING
 
 
 def _lowest(shape: CollisionShape, n: Array) -> Array:
     """Return how far along the normals n (N, 3), in its axes, the lowest point of a shape is from its origin, m."""
     if shape.kind == "mesh":
-        return np.min(n @ _hull(shape.vertices.tobytes()).T, axis=1)
+        return np.min(n @ shape.vertices.T, axis=1)
     found = []
     for part in parts_of(replace(shape, place=np.eye(4)), ""):
         H = np.array(part.get("half_axes") or np.zeros((1, 3)))
@@ -225,20 +236,11 @@ def _lowest(shape: CollisionShape, n: Array) -> Array:
     return np.min(found, axis=0)
 
 
-@lru_cache(maxsize=128)
-def _hull(vertices: bytes) -> Array:
-    """Return the corners of the convex hull of a mesh, m; none if it is flat."""
-    points = np.frombuffer(vertices).reshape(-1, 3)
-    hull = hull_of(points)
-    return points[:0] if hull is None else points[hull.vertices]
-
-
-@lru_cache(maxsize=512)
-def _geometry(kind: str, size: tuple[float, ...], vertices: bytes) -> Any:
+def _geometry(shape: CollisionShape) -> tuple[Any, float]:
     """Return a shape as coal has it, and the radius of a ball about its centre that holds it, m."""
     import coal
 
-    a, b, c = size
+    kind, (a, b, c) = shape.kind, shape.size.tolist()
     if kind == "box":
         return coal.Box(2 * a, 2 * b, 2 * c), float(np.sqrt(a * a + b * b + c * c))
     if kind == "sphere":
@@ -248,20 +250,16 @@ def _geometry(kind: str, size: tuple[float, ...], vertices: bytes) -> Any:
     if kind == "cylinder":
         return coal.Cylinder(a, 2 * b), float(np.hypot(a, b))
     if kind == "ellipsoid":
-        return coal.Ellipsoid(a, b, c), max(size)
-    points, listed = _hull(vertices), coal.StdVec_Vec3s()
+        return coal.Ellipsoid(a, b, c), max(a, b, c)
+    points, listed = shape.vertices, coal.StdVec_Vec3s()
     listed.extend(list(points))
     return coal.Convex.convexHull(listed, False, None), float(np.max(np.linalg.norm(points, axis=1)))
-
-
-def _made(shape: CollisionShape) -> Any:
-    return _geometry(shape.kind, tuple(shape.size.tolist()), np.ascontiguousarray(shape.vertices).tobytes())
 
 
 def _bound(a: Solid, b: Solid, pose: Array) -> float:
     """Return a distance that two shapes are not nearer than: that of balls about them, m."""
     between = (pose[a.joint] @ a.place)[:3, 3] - (pose[b.joint] @ b.place)[:3, 3]
-    return float(np.linalg.norm(between) - _made(a.shape)[1] - _made(b.shape)[1])
+    return float(np.linalg.norm(between) - a.reach - b.reach)
 
 
 def _distance(a: Solid, b: Solid, pose: Array) -> float:
@@ -271,7 +269,7 @@ def _distance(a: Solid, b: Solid, pose: Array) -> float:
     placed = []
     for solid in (a, b):
         place = pose[solid.joint] @ solid.place
-        placed += [_made(solid.shape)[0], coal.Transform3s(place[:3, :3], place[:3, 3])]
+        placed += [solid.made, coal.Transform3s(place[:3, :3], place[:3, 3])]
     return float(coal.distance(*placed, coal.DistanceRequest(), coal.DistanceResult()))
 
 

@@ -80,3 +80,25 @@ def test_a_link_that_begins_below_the_plane_of_the_surface_is_beside_it(tmp_path
     for name in ("wam_slide", "wam_bounce", "panda_slide", "planar2_slide"):
         short = cl.simulate(cl.load_scenario(name, {"time.duration": 0.2}), progress=False)
         assert passing_note(short.summary()["clearance"]) == ""
+
+
+def test_no_more_pairs_are_compared_than_the_most(tmp_path, monkeypatch):
+    """Of five balls side by side ten pairs are apart: with at most two pairs the others are not looked at."""
+    from closedloop.record import clearance as module
+
+    balls = "".join(
+        f'<body name="b{k}" pos="{k} 0 0"><joint type="slide"/><geom size="0.1" mass="1"/></body>' for k in range(5)
+    )
+    (tmp_path / "five.xml").write_text(f"<mujoco><worldbody>{balls}</worldbody></mujoco>")
+    (tmp_path / "run.toml").write_text('[robot]\nmodel = "five.xml"\ntip = "b0"\n[time]\nduration = 0.01\n')
+    run = cl.simulate(cl.load_scenario(tmp_path / "run.toml"), progress=False)
+    compared, distance = set(), module._distance
+
+    def noted(a, b, pose):
+        compared.add((a.link, b.link))
+        return distance(a, b, pose)
+
+    monkeypatch.setattr(module, "_distance", noted)
+    monkeypatch.setattr(module, "MOST_PAIRS", 2)
+    assert clearance(run).distance == pytest.approx(0.8)
+    assert compared == {("b0", "b1"), ("b0", "b2")}

@@ -76,7 +76,7 @@ class Simulator:
         check_engine(scenario, engine, None)
         self.problem = prepare(scenario, model)
         self._engine, self._n, self._h = engine, self.problem.robot.n, self.problem.h
-        self._reads = scenario.reads_encoders
+        self._reads, self._types = scenario.reads_encoders, self.problem.robot.model.joint_types
         self._now: _Now | None = None
         self._failure: SimulationError | None = None
         self._drivers: dict[str, str] = {}  # names of what has driven the run, and digests of users' laws
@@ -275,8 +275,7 @@ class Simulator:
         measured, count = stepper.seen()
         table = stepper.answers.events[since:count].copy() if count > since else None
         recorded = stepper.rows[row].copy()
-        types = self.problem.robot.model.joint_types
-        state = StepState(self._h * row, row, self._n, recorded, measured, table, self._reads, types)
+        state = StepState(self._h * row, row, self._n, recorded, measured, table, self._reads, self._types)
         self._now = _Now(stepper.mark, row, count, state)
 
     def _note(self, driver: object, law: Law | None) -> None:

@@ -21,6 +21,7 @@ from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.loop.step.memory import State, Work
 from closedloop.loop.step.record_row import complete_record
+from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.drives import torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -29,15 +30,20 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Answers, single_calls
 
-# A copy of the loop's memory, whole numbers and real ones, whether the scenario's law had started in it, and a copy of
-# the memory of the links' contacts. (A tuple with names would take longer to make, at every step, and arrays twice as
-# long to copy there and back as bytes.)
-Mark = tuple[bytes, bytes, bool, tuple[bytes, ...]]
+# A copy of the loop's memory: whole numbers, real ones before and behind the batch of rows that wait for their condition
+# numbers, that batch if the next row completes it, whether the scenario's law had started, and the memory of the links'
+# contacts. The batch is most of the memory, and the rows in it stay as they are until it begins anew. (A tuple with
+# names would take longer to make, at every step, and arrays twice as long to copy there and back as bytes.)
+Mark = tuple[bytes, bytes, bytes, bytes, bool, tuple[bytes, ...]]
 _REAL = Struct("d")
 
-# Places in the loop's numbers that are read at every step: an attribute of `State` takes three times as long.
-_ROW, _PHASE, _EVENTS, _MODE, _DRIVES = (
-    cast(int, State.place(name)) for name in ("row", "phase", "event.rows", "mode", "settings.drives")
+# Places in the loop's numbers that are used at every step: an attribute of `State` takes five times as long.
+_ROW, _PHASE, _EVENTS, _MODE, _DRIVES, _SAMPLED, _OFF, _BATCHED = (
+    cast(int, State.place(name))
+    for name in ("row", "phase", "event.rows", "mode", "settings.drives", "sampled", "trial.off", "batched")
+)
+_GENERAL, _LAW, _COMPENSATION = (
+    cast(int, State.place(name)) for name in ("settings.general", "law.entry", "compensation.entry")
 )
 
 
@@ -60,10 +66,14 @@ class Stepper:
         make_ready(*kernels_of(engine), *problem.called(self.loop))
         problem.connect(self.loop)
         state, w = self.loop.state, self.loop.w
-        self._numbers = state.memory
+        self._numbers: Any = state.memory.data
         # What is written through these is written as bytes, in a third of the time.
         self._all_numbers: Any = state.memory.data.cast("B")
-        self._all_values: Any = w.memory.data.cast("B")
+        values, batch = w.memory.data.cast("B"), cast(slice, Work.place("batch", *w.sizes))
+        begin, end = _REAL.size * batch.start, _REAL.size * batch.stop
+        self._before: Any = values[:begin]
+        self._batch: Any = values[begin:end]
+        self._behind: Any = values[end:]
         contacts = w.kept.get("contacts", ())
         self._of_contacts: tuple[Any, ...] = tuple(block.memory.data.cast("B") for block in contacts)
         self._own = int(state.settings.general), int(state.law.entry), int(state.compensation.entry)
@@ -78,7 +88,7 @@ class Stepper:
         self._begins = MEASURED if state.settings.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
-        self._measured = _REAL.size * cast(int, Work.place("sensing.measured", *w.sizes))
+        self._measured = _REAL.size * cast(int, Work.place("sensing.measured", *w.sizes)) - end
         self.mark: Mark = self._copied()
         # The mark whose terms have been evaluated last, and whether the loop is there.
         self._terms_of: Mark | None = None
@@ -86,26 +96,33 @@ class Stepper:
 
     def _copied(self) -> Mark:
         contacts = tuple(map(bytes, self._of_contacts)) if self._of_contacts else ()
-        return bytes(self._all_numbers), bytes(self._all_values), self._own_started, contacts
+        # The row after the next, which may be recorded too before the loop goes back, would be the first of a new batch.
+        batch = bytes(self._batch) if self._numbers[_BATCHED] == BATCH - 1 else b""
+        return bytes(self._all_numbers), bytes(self._before), bytes(self._behind), batch, self._own_started, contacts
+
+    def _put_back(self, mark: Mark) -> None:
+        self._all_numbers[:], self._before[:], self._behind[:], batch, self._own_started, contacts = mark
+        if batch:
+            self._batch[:] = batch
+        for block, before in zip(self._of_contacts, contacts, strict=True):
+            block[:] = before
 
     def back_to(self, mark: Mark) -> None:
         """Go back to just before the row of a mark was recorded; what the next torque ends, ends at this row."""
         numbers = self._numbers
-        self._all_numbers[:], self._all_values[:], self._own_started, contacts = mark
-        for block, before in zip(self._of_contacts, contacts, strict=True):
-            block[:] = before
+        self._put_back(mark)
         self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
-        if numbers.item(_ROW) > 0 and (numbers.item(_MODE) != FREE or contacts):
-            self.loop.state.trial.off = 1  # the step before has been searched, with the torque that acted in it
+        if numbers[_ROW] > 0 and (numbers[_MODE] != FREE or self._of_contacts):
+            numbers[_OFF] = 1  # the step before has been searched, with the torque that acted in it
 
     def hold(self, torque: Array) -> None:
         """Let a torque (n,), an array of doubles, act from the row on, to which the loop has gone back.
 
         Of what it asks of joints without a drive, what the drives can give through loops acts, as of a law's.
         """
+        numbers = self._numbers
         if self._held and self._own_started:  # the laws are as they were
-            state = self.loop.state
-            state.settings.general, state.law.entry, state.compensation.entry = self._own
+            numbers[_GENERAL], numbers[_LAW], numbers[_COMPENSATION] = self._own
         else:
             self._set_law(None)
             self._held = True
@@ -113,7 +130,7 @@ class Stepper:
             robot, model = self._problem.robot, self._problem.robot.model
             acts = np.where(model.driven, torque, 0.0)
             torque = torque_of_drives(robot, self.loop.w.q, torque)[0] if model.loops else acts
-        if not self._numbers.item(_DRIVES):
+        if not numbers[_DRIVES]:
             self._torque[:] = torque
             return
         acting = self.loop.w.torque
@@ -122,7 +139,7 @@ class Stepper:
         if not np.array_equal(torque, before):
             most, change = self._problem.drives
             plain(cut_torque)(
-                acting, before, change / max(1, self._problem.hold), most, self._numbers.item(_ROW) == 0,
+                acting, before, change / max(1, self._problem.hold), most, numbers[_ROW] == 0,
                 self.loop.w.drives.limited,
             )  # fmt: skip
 
@@ -169,20 +186,20 @@ class Stepper:
             If the loop cannot go on; an exception of a user's law is its cause.
         """
         numbers = self._numbers
-        row, before = numbers.item(_ROW), self.mark
+        row, before = numbers[_ROW], self.mark
         call = self._again if self._terms_there else self._once
         marked = self._at_mark or row == 0
         self._at_mark, self._terms_there, self._terms_of = False, False, None
         while True:
-            if not marked and numbers.item(_PHASE) == self._begins:
+            if not marked and numbers[_PHASE] == self._begins:
                 before = self._copied()
             marked = row == 0
             if self._held:
-                self.loop.state.sampled = 0
+                numbers[_SAMPLED] = 0
             request = call(self.answers.events)
             call = self._once
             if request == TERMS:
-                if numbers.item(_ROW) > row:
+                if numbers[_ROW] > row:
                     break
             elif request == DONE:
                 break
@@ -197,21 +214,21 @@ class Stepper:
     @property
     def rows_done(self) -> int:
         """The rows that a run which fails now has."""
-        return int(self.loop.state.row)
+        return int(self._numbers[_ROW])
 
     @property
     def events_done(self) -> int:
         """The events so far."""
-        return int(self.loop.state.event.rows)
+        return int(self._numbers[_EVENTS])
 
     def seen(self) -> tuple[float, int]:
         """Return what the force sensor said before the latest row, N, and how many events there are."""
-        (measured,) = _REAL.unpack_from(self.mark[1], self._measured)
-        return measured, self._numbers.item(_EVENTS)
+        (measured,) = _REAL.unpack_from(self.mark[2], self._measured)
+        return measured, self._numbers[_EVENTS]
 
     def completed(self, done: int) -> tuple[Array, Array]:
         """Return copies of `done` rows, all that are recorded in the memory, and of the events."""
         now = self._copied()
         complete_record(self.loop.address, self.rows, done)
-        self._all_numbers[:], self._all_values[:], *_ = now
+        self._put_back(now)
         return self.rows[:done].copy(), self.answers.events[: self.events_done].copy()

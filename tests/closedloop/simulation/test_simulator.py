@@ -7,6 +7,7 @@ import pytest
 from budget import budget
 
 import closedloop as cl
+from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.simulation import stepper
 
 
@@ -277,6 +278,30 @@ def test_interrupted_anywhere_it_goes_on(when, monkeypatch):
     assert sim.run_until(0.17).time == 0.17
     assert_same(whole, sim.run())
     assert torque.flags.writeable is False
+
+
+def test_interrupted_where_a_batch_begins_anew():
+    """Ctrl-C after a row that is the first of a new batch of condition numbers does not change those of the last."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.08})
+
+    def driven(interrupted):
+        sim = cl.Simulator(scenario)
+        torque = sim.reset().torque
+        while not sim.done:
+            if sim.state.row == interrupted:
+                sim._stepper.seen, seen = interrupt, sim._stepper.seen
+                with pytest.raises(cl.InterruptedRunError):
+                    sim.step(torque)
+                sim._stepper.seen = seen
+            sim.step(torque * (1.0 + 0.01 * sim.state.row))
+        return sim.run()
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    whole = driven(None)
+    for row in (BATCH - 2, BATCH - 1, BATCH):
+        assert_same(whole, driven(row))
 
 
 def test_ctrl_c_itself():

@@ -26,7 +26,7 @@ from closedloop.serve.sockets import Client, Gone, Stopped
 from closedloop.simulation.state import StepState
 
 MAGIC = b"CLB1"
-HEAD = struct.Struct("<II")
+HEAD, DOUBLES = struct.Struct("<II"), np.dtype("<f8")
 # The longest message of a client, bytes: a torque of more joints than any arm has.
 LONGEST = 65_536
 
@@ -44,7 +44,7 @@ FIELDS: tuple[tuple[str, int | str], ...] = (
     ("q", "nq"), ("v", "n"), ("acceleration", "n"), ("torque", "n"),
 )  # fmt: skip
 _OF_ROW = {"normal": "surface_normal"}
-_SEEN = ("time", "row", "done", "measured_force", "closure_error", "q")  # not as they are in the row
+_SEEN = ("time", "row", "done", "measured_force", "closure_error")  # not as they are in the row
 
 
 class Asked(NamedTuple):
@@ -61,6 +61,8 @@ class States:
     ----------
     places : dict of str to slice
         Where each field is.
+    message : bytearray
+        The binary answer with the latest of them.
     """
 
     def __init__(self, session: Session) -> None:
@@ -68,30 +70,28 @@ class States:
         sizes = {"n": model.n, "nq": len(model.coordinate_names)}
         self.names, self.n = model.joint_names, model.n
         self.places: dict[str, slice] = {}
-        at = 0
-        to: list[int] = []
         source: list[int] = []
         for name, size in FIELDS:
             count = sizes[size] if isinstance(size, str) else size
-            self.places[name] = slice(at, at + count)
-            if name not in _SEEN:
-                place: Any = Row.place(_OF_ROW.get(name, name), model.n)
-                first = place.start if isinstance(place, slice) else place
-                to += range(at, at + count)
-                source += range(first, first + count)
-            at += count
-        self.size = at
-        self._to, self._source = np.array(to), np.array(source)
+            self.places[name] = slice(len(source), len(source) + count)
+            place: Any = 0 if name in _SEEN else Row.place(_OF_ROW.get(name, name), model.n)
+            first = place.start if isinstance(place, slice) else place
+            source += range(first, first + count)
+        self.message = bytearray(HEAD.pack(NUMBERS, 8 * len(source))) + bytes(8 * len(source))
+        self._numbers = np.frombuffer(self.message, DOUBLES, -1, HEAD.size)
+        self._source = np.array(source)
         self._gap = self.places["closure_error"].start
         self._measured = self.places["measured_force"].start
-        self._q = self.places["q"]
+        self._q = self.places["q"] if sizes["nq"] > model.n else None  # quaternions are not in the row
 
     def numbers(self, state: StepState, done: bool) -> Array:
-        """Return a state as doubles."""
-        found = np.empty(self.size)
-        found[self._to] = state.recorded[self._source]
+        """Return a state as doubles, which stay until the next one."""
+        found = self._numbers
+        state.recorded.take(self._source, 0, found, "clip")
         found[0], found[1], found[2] = state.time, state.row, done
-        found[self._gap], found[self._measured], found[self._q] = state.gap, state.measured, state.q
+        found[self._gap], found[self._measured] = state.gap, state.measured
+        if self._q is not None:
+            found[self._q] = state.q
         return found
 
 
@@ -121,8 +121,12 @@ class Language:
         """
         raise NotImplementedError
 
-    def numbers(self, kind: str, found: Array) -> bytes:
-        """Return the answer that is a state or a wrench."""
+    def state(self, found: Array) -> bytes | bytearray:
+        """Return the answer that is the latest of `states`."""
+        raise NotImplementedError
+
+    def wrench(self, found: Array) -> bytes:
+        """Return the answer that is a wrench."""
         raise NotImplementedError
 
     def text(self, kind: str, found: Any) -> bytes:
@@ -138,7 +142,7 @@ class Language:
         n = self.states.n
         try:
             torque = np.asarray(found, dtype=np.float64)
-            if torque.shape == (n,) and np.isfinite(torque).all():
+            if torque.shape == (n,) and all(map(math.isfinite, torque.tolist())):
                 return torque
         except (TypeError, ValueError, OverflowError):
             pass
@@ -175,10 +179,12 @@ class JsonLines(Language):
         torque = self.torque(found.get(TORQUE))
         return torque if isinstance(torque, str) else Asked(TORQUE, torque)
 
-    def numbers(self, kind: str, found: Array) -> bytes:
+    def wrench(self, found: Array) -> bytes:
         """See `Language`."""
-        if kind == WRENCH:
-            return self._line({WRENCH: found.tolist()})
+        return self._line({WRENCH: found.tolist()})
+
+    def state(self, found: Array) -> bytes:
+        """See `Language`."""
         values = [value if math.isfinite(value) else None for value in found.tolist()]
         state: dict[str, Any] = {}
         for (name, size), place in zip(FIELDS, self.states.places.values(), strict=True):
@@ -210,21 +216,25 @@ class Binary(Language):
             raise _too_long(length)
         if len(client.received) < HEAD.size + length:
             return None
-        body = client.take(HEAD.size + length)[HEAD.size :]
+        message = client.take(HEAD.size + length)
         if kind >= len(ASKED):
             return f"kind {kind}: must be from 0 to {len(ASKED) - 1}"
         name = ASKED[kind]
         if name == TORQUE and length == 8 * self.states.n:
-            torque = self.torque(np.frombuffer(body, "<f8"))
+            torque = self.torque(np.frombuffer(message, DOUBLES, -1, HEAD.size))
             return torque if isinstance(torque, str) else Asked(name, torque)
         if name == TORQUE or length:
             wanted = 8 * self.states.n if name == TORQUE else 0
             return f"{name}: has {length} bytes, must have {wanted}"
         return Asked(name)
 
-    def numbers(self, kind: str, found: Array) -> bytes:
+    def wrench(self, found: Array) -> bytes:
         """See `Language`."""
-        return HEAD.pack(NUMBERS, 8 * len(found)) + found.astype("<f8", copy=False).tobytes()
+        return HEAD.pack(NUMBERS, 8 * len(found)) + found.astype(DOUBLES, copy=False).tobytes()
+
+    def state(self, found: Array) -> bytearray:
+        """See `Language`."""
+        return self.states.message
 
     def text(self, kind: str, found: Any) -> bytes:
         """See `Language`."""
@@ -298,9 +308,11 @@ class Plain(Interface):
         running, fresh, waits = False, False, False  # the clock; a command since the last instant; an answer is owed
         held: Array | None = None
         while True:
-            if client in waiting.ready(clock.left() if running else None):
+            if not running:
+                waiting.hear(client)
+            elif client in waiting.ready(clock.left()):
                 client.receive()
-            while language is None or not waits:
+            while client.received and not waits:
                 language = language_of(client, self._states) if language is None else language
                 asked = None if language is None else language.asked(client)
                 if language is None or asked is None:
@@ -337,11 +349,11 @@ class Plain(Interface):
         if events := state.events:
             self._events += events_as_lists(events)
 
-    def _state(self, language: Language) -> bytes:
+    def _state(self, language: Language) -> bytes | bytearray:
         session = self.session
-        return language.numbers(STATE, self._states.numbers(session.state, session.done))
+        return language.state(self._states.numbers(session.state, session.done))
 
-    def _answer(self, language: Language, kind: str) -> bytes:
+    def _answer(self, language: Language, kind: str) -> bytes | bytearray:
         session = self.session
         if kind == DESCRIBE:
             return language.text(kind, self._description())
@@ -350,7 +362,7 @@ class Plain(Interface):
             return language.text(kind, events)
         if kind == WRENCH:
             radius = session.simulator.problem.scenario.tool.radius
-            return language.numbers(kind, wrench(session.state, radius))
+            return language.wrench(wrench(session.state, radius))
         if kind == RESET:
             session.reset()
             self._events = []

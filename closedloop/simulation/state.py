@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 from closedloop.base.arrays import Array
 from closedloop.loop.events.table import event_columns
@@ -13,6 +14,8 @@ from closedloop.record.columns.record import Event, events_of
 from robot_models.coordinates import with_quaternions
 
 MODE_NAMES = {FREE: "free", PRESSED: "pressed", STUCK: "stuck"}
+
+_place = cache(Row.place)
 
 
 class StepState:
@@ -51,7 +54,7 @@ class StepState:
         return self._row
 
     def _part(self, name: str) -> Array:
-        return self._row[Row.place(name, self._n)]
+        return self._row[_place(name, self._n)]
 
     @property
     def q(self) -> Array:

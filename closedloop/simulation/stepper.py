@@ -30,10 +30,10 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Answers, single_calls
 
-# A copy of the loop's memory: whole numbers, real ones before and behind the batch of rows that wait for their condition
-# numbers, that batch if the next row completes it, whether the scenario's law had started, and the memory of the links'
-# contacts. The batch is most of the memory, and the rows in it stay as they are until it begins anew. (A tuple with
-# names would take longer to make, at every step, and arrays twice as long to copy there and back as bytes.)
+# A copy of the loop's memory: whole numbers, real ones before and behind the batch of rows that wait for their
+# condition numbers, that batch if the next row completes it, whether the scenario's law had started, and the memory of
+# the links' contacts. The batch is most of the memory, and the rows in it stay as they are until it begins anew. (A
+# tuple with names would take longer to make, at every step, and arrays twice as long to copy there and back as bytes.)
 Mark = tuple[bytes, bytes, bytes, bytes, bool, tuple[bytes, ...]]
 _REAL = Struct("d")
 
@@ -96,7 +96,7 @@ class Stepper:
 
     def _copied(self) -> Mark:
         contacts = tuple(map(bytes, self._of_contacts)) if self._of_contacts else ()
-        # The row after the next, which may be recorded too before the loop goes back, would be the first of a new batch.
+        # The row after the next, which may be recorded before the loop goes back, would be the first of a new batch.
         batch = bytes(self._batch) if self._numbers[_BATCHED] == BATCH - 1 else b""
         return bytes(self._all_numbers), bytes(self._before), bytes(self._behind), batch, self._own_started, contacts
 

@@ -19,6 +19,7 @@ from robot_models.tool import Tool
 FLANGE = "link8"
 # Below this ratio of the pivots of the Jacobian no wrench is told, as near a singularity.
 SINGULAR = 1e-3
+_REST = np.zeros(JOINTS)
 
 
 class Arm:
@@ -103,8 +104,7 @@ class Arm:
 
     def gravity(self, q: Array) -> Array:
         """Return the torque that holds the arm and its load against gravity (7,), N m."""
-        rest = np.zeros(JOINTS)
-        return self.robot.inverse_dynamics(q, rest, rest)
+        return self.robot.inverse_dynamics(q, _REST, _REST)
 
     def wrench(self, torque: Array, T: Array, J: Array) -> tuple[Array, Array]:
         """Return the wrench at K that a torque (7,) of the joints balances: in base axes, and in the axes of K.
@@ -115,8 +115,8 @@ class Arm:
         if not self._at_ee:
             J, R = moved(J, R @ self.EE_T_K[:3, 3]), R @ self.EE_T_K[:3, :3]
         factor, F, wrong = dposv(J @ J.T, J @ torque)
-        size = factor.diagonal()
-        if wrong or size.min() < SINGULAR * size.max():
+        size = factor.diagonal().tolist()
+        if wrong or min(size) < SINGULAR * max(size):
             return np.zeros(6), np.zeros(6)
         return F, (F.reshape(2, 3) @ R).ravel()
 

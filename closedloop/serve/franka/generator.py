@@ -24,7 +24,7 @@ from scipy.linalg import eigh
 from closedloop.base.arrays import Array
 from closedloop.serve.franka.arm import Arm, turned
 from closedloop.serve.franka.description import JOINTS
-from closedloop.serve.franka.wire import CARTESIAN_POSE, JOINT_POSITION, JOINT_VELOCITY, NO_GENERATOR, Command
+from closedloop.serve.franka.wire import CARTESIAN_POSE, JOINT_POSITION, JOINT_VELOCITY, NO_GENERATOR, Command, pose_of
 from robot_models.mechanism import turned as rotation_about
 
 # Steps of Newton's method for a pose: a cycle moves it by millimetres, and each step squares the error.
@@ -73,10 +73,10 @@ class Generator:
             dq = np.array(command.dq)
             self._joints(q + h * dq, dq)
         elif kind == CARTESIAN_POSE:
-            before = self.pose
-            step = np.concatenate((command.pose[:3, 3] - before[:3, 3], turned(before[:3, :3], command.pose[:3, :3])))
+            before, pose = self.pose, pose_of(command.pose)
+            step = np.concatenate((pose[:3, 3] - before[:3, 3], turned(before[:3, :3], pose[:3, :3])))
             self._commanded(step / h)
-            self.pose = command.pose
+            self.pose = pose
             self._reach(command.elbow)
         elif kind != NO_GENERATOR:
             self._twisted(np.array(command.twist), command.elbow)

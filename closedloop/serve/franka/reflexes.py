@@ -7,6 +7,7 @@ pushes against the environment; they and the wrench at K that they make are filt
 from __future__ import annotations
 
 import math
+import operator
 
 import numpy as np
 
@@ -50,6 +51,11 @@ RUNAWAY = 2.0
 LOST = 20
 
 
+def beyond(values: Array, limits: list[float]) -> bool:
+    """Return whether a value is larger than its limit, up or down: of so few, quicker than with arrays."""
+    return any(map(operator.gt, map(abs, values.tolist()), limits))
+
+
 class Reflexes:
     """The filtered external torques and wrench, and what they have set off.
 
@@ -69,10 +75,11 @@ class Reflexes:
         self._share = -math.expm1(-2.0 * math.pi * CUTOFF * period)
         self._lower, self._upper, self.watches = np.full((2, 13), math.inf), np.full((2, 13), math.inf), False
         self.torque, self.wrench, self.wrench_in_K = np.zeros(JOINTS), np.zeros(6), np.zeros(6)
-        self.contact, self.collision = np.zeros(13), np.zeros(13)
+        self.contact, self.collision, self._collided = np.zeros(13), np.zeros(13), False
         model = arm.robot.model
         self._within = model.position_lower, model.position_upper
-        self._speed, self._effort = model.velocity_limit, model.effort_limit
+        self._speed, self._effort = model.velocity_limit, model.effort_limit.tolist()
+        self._runaway = (RUNAWAY * self._speed).tolist()
 
     def set_thresholds(self, given: Array) -> None:
         """Take over the (52,) thresholds of a client: of torques, then of forces, each as lower and upper ones while
@@ -82,23 +89,27 @@ class Reflexes:
         both = np.hstack((torques, forces))
         self._lower, self._upper, self.watches = both[[0, 2]], both[[1, 3]], True
 
-    def feel(self, torque: Array, T: Array, J: Array, accelerates: bool) -> None:
+    def feel(self, torque: Array, T: Array, J: Array, motion: Generator) -> None:
         """Take an external torque (7,) into the filter; T and J are those of `Arm.end_effector`."""
         self.torque += self._share * (torque - self.torque)
         self.wrench, self.wrench_in_K = self._arm.wrench(self.torque, T, J)
         if not self.watches:
             return
         felt = np.abs(np.concatenate((self.torque, self.wrench_in_K)))
-        which = 0 if accelerates else 1
+        which = 0 if any(motion.ddq.tolist()) else 1
         self.contact = (felt > self._lower[which]).astype(float)
-        self.collision = np.maximum(self.collision, felt > self._upper[which])
+        if beyond(felt, self._upper[which].tolist()):
+            self.collision = np.maximum(self.collision, felt > self._upper[which])
+            self._collided = True
 
     def recover(self) -> None:
         """Forget collisions."""
-        self.collision = np.zeros(13)
+        self.collision, self._collided = np.zeros(13), False
 
     def collided(self) -> set[int]:
         """Return the errors of collisions."""
+        if not self._collided:
+            return set()
         found = {JOINT_REFLEX} if self.collision[:JOINTS].any() else set()
         return found | ({CARTESIAN_REFLEX} if self.collision[JOINTS:].any() else set())
 
@@ -107,7 +118,7 @@ class Reflexes:
         found = set()
         if limits and ((q < self._within[0]).any() or (q > self._within[1]).any()):
             found.add(JOINT_POSITION_LIMITS)
-        if (np.abs(v) > (self._speed if limits else RUNAWAY * self._speed)).any():
+        if beyond(v, self._speed.tolist() if limits else self._runaway):
             found.add(JOINT_VELOCITY_LIMITS)
         return found
 
@@ -116,7 +127,7 @@ class Reflexes:
         found = set()
         if before is not None and (np.abs(torque - before) > SLACK * TORQUE_RATE * self._h).any():
             found.add(TORQUE_DISCONTINUITY)
-        if (np.abs(torque) > self._effort).any():
+        if beyond(torque, self._effort):
             found.add(TORQUE_RANGE)
         return found
 

@@ -30,6 +30,8 @@ PERIOD = 1e-3
 # Lock-step: when a state is sent again, s. The first one is sent twice, since libfranka reads one to see that the
 # motion has begun. Then so late that no client that computes meanwhile gets a state which it has answered already.
 AGAIN_FIRST, AGAIN, BETWEEN = 2e-3, 0.05, 1e-3
+# While commands come, other messages are looked for so often, s.
+LOOK = 0.01
 # After a stop in lock-step the arm brakes until it moves no joint by more than this, rad/s; cycles, at least and at
 # most: the filters forget what has stopped it, and the client does not wait for a state for longer than it would.
 AT_REST, SHORTEST_BRAKE, LONGEST_BRAKE = 1e-3, 20, 400
@@ -64,6 +66,9 @@ class Franka(Interface):
         except OSError as error:
             raise OutputError(f"cannot send from {host}: {error.strerror or error}; name another --host") from None
         self._udp.setblocking(False)
+        self._ear = self._udp.dup()  # the same port, with some patience
+        self._ear.settimeout(AGAIN_FIRST)
+        self._looked = 0.0
         self.motion = Generator(self.arm, PERIOD)
         self.springs = Impedance(self.arm, PERIOD)
         self.reflexes = Reflexes(self.arm, PERIOD)
@@ -95,6 +100,7 @@ class Franka(Interface):
         """See `Interface`."""
         super().close()
         if hasattr(self, "_udp"):
+            self._ear.close()
             self._udp.close()
 
     def serve(self) -> None:
@@ -160,19 +166,22 @@ class Franka(Interface):
             self._drive(command)
 
     def _wait_for_command(self, timeout: float) -> None:
+        """Wait for the command of a cycle alone, and look after all others only now and then: they cost time."""
         until = time.perf_counter() + timeout
         while self._command is None and self._move is not None:
-            left = until - time.perf_counter()
-            if left <= 0.0:
+            there, now = self._take_command(self._ear), time.perf_counter()
+            if not there or now - self._looked > LOOK:
+                self._looked = now
+                self._wait(0.0)
+            if now > until:
                 return
-            self._wait(left)
 
     def _wait(self, timeout: float | None) -> None:
         """Wait for clients and answer them; a command of this cycle is kept."""
         arm, hand = self.ports
         ready = self.waiting.ready(timeout, (self._udp,))
-        if self._udp in ready:
-            self._take_commands()
+        while self._udp in ready and self._take_command(self._udp):
+            pass
         for port, receive in ((arm, self._receive), (hand, self.gripper.receive)):
             if port.client is not None and port.client in ready:
                 self._guarded(port, receive)
@@ -196,18 +205,20 @@ class Franka(Interface):
                 self._set_idle()
                 self._stop_here()
 
-    def _take_commands(self) -> None:
-        """Keep the newest command that answers the present state."""
-        while True:
-            try:
-                message, address = self._udp.recvfrom(2048)
-            except OSError:  # there is none, or the client's port is closed
-                return
-            if self._to is None or address[0] != self._to[0]:
-                continue
+    def _take_command(self, udp: socket.socket) -> bool:
+        """Read a datagram and keep it if it is a command that answers the present state; return whether there was one.
+
+        The newest command is kept.
+        """
+        try:
+            message, address = udp.recvfrom(2048)
+        except OSError:  # there is none, or the client's port is closed
+            return False
+        if self._to is not None and self._move is not None and address[0] == self._to[0]:
             command = wire.command_of(message)
-            if command is not None and command.message >= self._first and self._move is not None:
+            if command is not None and command.message >= self._first:
                 self._command = command
+        return True
 
     # Commands over TCP
 
@@ -395,7 +406,7 @@ class Franka(Interface):
             q, v = state.measured_position[:JOINTS], state.measured_velocity[:JOINTS]
         T, J = self.arm.end_effector(q)
         expected = self.arm.robot.inverse_dynamics(q, v, acceleration)
-        self.reflexes.feel(measured - expected, T, J, bool(self.motion.ddq.any()))
+        self.reflexes.feel(measured - expected, T, J, self.motion)
         self._rate = (measured - self._measured) / PERIOD
         self._q, self._v, self._measured, self._T = q, v, measured, T
 
@@ -443,7 +454,12 @@ _SHOWN = {
 }  # fmt: skip
 
 
+_NO_ERRORS = bytes(wire.ERRORS)
+
+
 def _flags(errors: set[int]) -> bytes:
+    if not errors:
+        return _NO_ERRORS
     found = bytearray(wire.ERRORS)
     for error in errors:
         found[error] = 1

@@ -6,6 +6,7 @@ Facts from the headers research_interface/robot and research_interface/gripper o
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Any, NamedTuple
 
@@ -72,12 +73,12 @@ HUGE = 1e6
 
 
 class Command(NamedTuple):
-    """What a client commands for a cycle; poses are (4, 4)."""
+    """What a client commands for a cycle; the pose is column by column, see `pose_of`."""
 
     message: int
     q: tuple[float, ...]
     dq: tuple[float, ...]
-    pose: Array
+    pose: tuple[float, ...]
     twist: tuple[float, ...]
     elbow: tuple[float, float] | None
     motion_finished: bool
@@ -91,12 +92,11 @@ def command_of(message: bytes) -> Command | None:
     if len(message) != _COMMAND.size:
         return None
     found = _COMMAND.unpack(message)
-    torque = np.array(found[41:48])
-    sensible = np.abs(np.frombuffer(message, "<f8", 38, 8)).max() < HUGE and np.abs(torque).max() < HUGE
+    numbers = found[1:39] + found[41:48]
+    sensible = min(numbers) > -HUGE and max(numbers) < HUGE and math.isfinite(sum(numbers))
     return Command(
-        found[0], found[1:8], found[8:15], pose_of(found[15:31]), found[31:37],
-        (found[37], found[38]) if found[39] else None, found[40], torque, found[48],
-        bool(sensible),
+        found[0], found[1:8], found[8:15], found[15:31], found[31:37], (found[37], found[38]) if found[39] else None,
+        found[40], np.array(found[41:48]), found[48], sensible,
     )  # fmt: skip
 
 
@@ -142,11 +142,11 @@ class StateMessage:
 
     def bytes(
         self, message: int, generator: int, controller: int, errors: bytes, reasons: bytes, mode: int, rate: float
-    ) -> bytes:
-        """Return the message with this number, modes, errors and success rate."""
+    ) -> bytearray:
+        """Return the message with this number, modes, errors and success rate; it stays until the next one."""
         _ID.pack_into(self._buffer, 0, message)
         _END.pack_into(self._buffer, _ID.size + 4 * _FLOATS, generator, controller, errors, reasons, mode, rate)
-        return bytes(self._buffer)
+        return self._buffer
 
 
 GRIPPER_CONNECT, GRIPPER_HOMING, GRIPPER_GRASP, GRIPPER_MOVE, GRIPPER_STOP = range(5)

@@ -368,7 +368,7 @@ def test_the_generator_reaches_poses_and_elbows():
         pose = begun.copy()
         pose[:3, 3] += 1e-4 * k * np.array([1.0, -0.5, 0.5])
         elbow = (q[2] + 5e-4 * k, -1.0)
-        motion.follow(wire.CARTESIAN_POSE, empty._replace(pose=pose, elbow=elbow))
+        motion.follow(wire.CARTESIAN_POSE, empty._replace(pose=pose.T.ravel(), elbow=elbow))
     T, _ = arm.end_effector(motion.q)
     np.testing.assert_allclose(T, pose, atol=1e-8)
     assert motion.q[2] == pytest.approx(elbow[0], abs=1e-8)

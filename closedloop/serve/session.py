@@ -18,8 +18,9 @@ from closedloop.serve.sockets import Port, Ports, Say
 from closedloop.simulation.simulator import Simulator
 from closedloop.simulation.state import StepState
 
-# A server that is later than this does not catch up: the simulation stands still meanwhile, s.
-LATEST = 0.02
+# A server that is later than this does not catch up: the simulation stands still meanwhile, s. It catches up in cycles
+# that are this share of a period long, so that a client can still answer in each.
+LATEST, SHORTEST = 0.02, 0.6
 
 
 class Clock:
@@ -33,7 +34,7 @@ class Clock:
 
     def __init__(self, period: float) -> None:
         self.period, self.late = period, 0
-        self._next = 0.0
+        self._next = self._soonest = 0.0
 
     def begin(self) -> None:
         """Let the next instant be one period from now."""
@@ -41,12 +42,14 @@ class Clock:
 
     def left(self) -> float:
         """Return how long it is until the next instant, s; 0 if it has passed."""
-        return max(0.0, self._next - time.perf_counter())
+        return max(0.0, max(self._next, self._soonest) - time.perf_counter())
 
     def tick(self) -> None:
         """Go on to the instant after this one."""
+        now = time.perf_counter()
         self._next += self.period
-        behind = time.perf_counter() - self._next
+        self._soonest = now + SHORTEST * self.period
+        behind = now - self._next
         if behind > LATEST:
             skipped = int(behind / self.period)
             self.late += skipped

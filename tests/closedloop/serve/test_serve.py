@@ -19,6 +19,7 @@ import closedloop as cl
 from closedloop.jit.kernel import jit_disabled
 from closedloop.loop.events.impacts import collide
 from closedloop.serve.messages import ASKED, ERROR, HEAD, MAGIC, NUMBERS
+from closedloop.serve.session import Clock
 
 SCENARIO = "panda_slide"
 BRIEF = {"time.duration": 0.3, "reference.start": 0.0, "reference.stop": 0.2}
@@ -144,6 +145,22 @@ def test_real_time_goes_on_without_commands():
     # What this computer was too late for is left out, so that never more time passes than on the wall.
     assert state["time"] + 1e-3 * session.late > 0.1
     assert state["time"] <= elapsed + 1e-3
+
+
+def test_a_late_server_leaves_its_client_time():
+    """After a stall the instants follow faster, but never so fast that no command can come between them."""
+    clock = Clock(0.01)
+    clock.begin()
+    time.sleep(0.025)
+    assert clock.left() == 0.0
+    clock.tick()
+    assert 0.004 < clock.left() < 0.0065
+    time.sleep(0.0065)
+    clock.tick()
+    assert clock.late == 0
+    time.sleep(0.1)
+    clock.tick()
+    assert clock.late >= 8
 
 
 def raw(port):

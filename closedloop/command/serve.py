@@ -107,10 +107,11 @@ def _parser() -> Parser:
     add = parser.add_argument
     add("scenario", metavar="SCENARIO", help="a shipped name or a .toml file")
     add("--as", dest="interface", choices=tuple(INTERFACES), default="json", metavar="INTERFACE",
-        help="json: our own messages, JSON or binary (default); franka: the interface of Franka's arms")  # fmt: skip
+        help="json: our own messages, JSON or binary (default); franka: the interface of Franka's arms; "
+        "ur: the data exchange of Universal Robots' arms")  # fmt: skip
     add("--lock-step", action="store_true", help="time goes on with each command, not with the wall clock")
     add("--host", default="127.0.0.1", help="address to listen on (default: this computer alone)")
-    add("--port", type=int, help="first port (default: json any, franka 1337 and 1338)")
+    add("--port", type=int, help="first port (default: json any, franka 1337 and 1338, ur 30004)")
     add("--limits", action="store_true", help="limits and lost commands end a motion as on the real arm (franka)")
     add("--out", metavar="DIR", help="where the run goes (default: out/SCENARIO, -2 ...)")
     add("--overwrite", action="store_true", help="replace results of another scenario in that folder")

@@ -1,8 +1,8 @@
 """A simulation behind an interface: the controller is another program, and drives it as it would drive an arm.
 
-`serve` opens it; `interface` is what every interface is; `session` the simulation and its record; `sockets` the ports,
-with one client at a time; `clock` real time. `plain` and `messages` are our own messages, as JSON or binary, and
-`franka` is the interface of Franka's arms.
+`serve` opens it; `session` is the simulation and its record, real time, and what every interface is; `sockets` the
+ports, with one client at a time. `messages` are our own messages, as JSON or binary, `franka` is the interface of
+Franka's arms, `ur` that of Universal Robots' arms for data.
 """
 
 from collections.abc import Callable

@@ -17,9 +17,14 @@ from closedloop.serve.franka.server import Franka
 from closedloop.serve.messages import Plain
 from closedloop.serve.session import Interface, Session
 from closedloop.serve.sockets import Say
+from closedloop.serve.ur import Ur
 
 # The interfaces, and how long a run may be at least where the scenario's own duration is shorter, s.
-INTERFACES: dict[str, tuple[type[Interface], float]] = {"json": (Plain, 0.0), "franka": (Franka, 600.0)}
+INTERFACES: dict[str, tuple[type[Interface], float]] = {
+    "json": (Plain, 0.0),
+    "franka": (Franka, 600.0),
+    "ur": (Ur, 600.0),
+}
 _log = logging.getLogger("closedloop.serve")
 
 
@@ -106,14 +111,15 @@ def serve(
     """Serve a scenario to a controller that is another program, until `close` of what is returned.
 
     The record is a run like any other. With the interface "json" it has the scenario's duration, and `reset` begins it
-    anew; with "franka" it goes on for at least ten minutes, unless `overrides` name `time.duration`.
+    anew; with the others it goes on for at least ten minutes, unless `overrides` name `time.duration`.
 
     Parameters
     ----------
     scenario : Scenario, str or Path
         A scenario, a shipped name, or a path to a .toml file.
-    as_ : "json" or "franka"
-        The interface: messages of our own, JSON or binary (docs/serve.md), or those of Franka's arms (docs/franka.md).
+    as_ : "json", "franka" or "ur"
+        The interface: messages of our own, JSON or binary (docs/serve.md), those of Franka's arms (docs/franka.md), or
+        the data exchange of Universal Robots' (docs/ur.md), which has no lock-step.
     overrides : mapping, optional
         Dotted keys and values, as for `load_scenario`.
     lock_step : bool
@@ -121,7 +127,8 @@ def serve(
     host : str
         The address to listen on; "127.0.0.1" is reached from this computer alone.
     port : int, optional
-        The first port. If left out: of "json" any that is free, of "franka" 1337 and, for the gripper, 1338; 0: any.
+        The first port. If left out: of "json" any that is free, of "franka" 1337 and, for the gripper, 1338, of "ur"
+        30004; 0: any.
     limits : bool
         Whether limits of motions and lost commands end a motion, as on the real arm ("franka").
     say : callable, optional

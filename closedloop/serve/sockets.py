@@ -208,7 +208,7 @@ class Ports:
         with suppress(OSError):
             self._wake.send(b".")
 
-    def ready(self, timeout: float | None, others: Iterable[socket.socket] = ()) -> set[object]:
+    def ready(self, timeout: float | None, others: Iterable[socket.socket | Client] = ()) -> set[object]:
         """Wait until there is something to read or the time is over, and return from whom: clients and `others`.
 
         Raises

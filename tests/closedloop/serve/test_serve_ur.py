@@ -1,0 +1,184 @@
+"""RTDE: a client of Universal Robots' arms reads the simulation, and what it sets drives it."""
+
+import os
+import random
+import socket
+import struct
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.serve import ur
+
+ARM = """
+[robot]
+model = "ur5"
+[surface]
+kind = "plane"
+normal = [0, 0, 1]
+offset = "start"
+contact = "unilateral"
+[impact]
+restitution = 0.0
+rest_speed = 1e-4
+[start]
+q = [0, -1.2, 1.9, -2.2708, -1.5708, 0]
+[law]
+kind = "paper"
+kp = [900, 900, 900, 200, 200, 100]
+kd = [90, 90, 90, 20, 20, 10]
+force = 10.0
+[time]
+duration = 100.0
+step = 0.001
+integrator = "semi_implicit_euler"
+"""
+# The maker's client has a fixed port: each process of the tests has an address of this computer of its own.
+HOST = f"127.{1 + os.getpid() // 65536 % 200}.{os.getpid() // 256 % 256}.{1 + os.getpid() % 254}"
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    """A UR5 that presses on a table."""
+    (tmp_path / "arm.toml").write_text(ARM)
+    return tmp_path / "arm.toml"
+
+
+class Rtde:
+    """A client that writes the messages itself, from the maker's guide."""
+
+    def __init__(self, host, port, version=2):
+        self.file = socket.create_connection((host, port), 10.0).makefile("rwb")
+        assert self.ask("V", struct.pack(">H", version)) == bytes([version == 2])
+
+    def send(self, letter, body=b""):
+        """Send a message."""
+        self.file.write(struct.pack(">HB", 3 + len(body), ord(letter)) + body)
+        self.file.flush()
+
+    def ask(self, letter, body=b""):
+        """Return the body of the answer to a message."""
+        self.send(letter, body)
+        return self.read(letter)
+
+    def read(self, letter="U"):
+        """Return the body of the next message of a kind."""
+        while True:
+            size, kind = struct.unpack(">HB", self.file.read(3))
+            body = self.file.read(size - 3)
+            if kind == ord(letter):
+                return body
+
+    def state(self):
+        """Return time, position of joint 2, height of the tip and force along z."""
+        body = self.read()
+        assert body[0] == 1
+        time_, *rest = struct.unpack(">d6d6d6d6i", body[1:])
+        assert rest[18:] == [253] * 6
+        return time_, rest[1], rest[8], rest[14]
+
+
+FIELDS = b"timestamp,actual_q,actual_TCP_pose,actual_TCP_force,joint_mode"
+
+
+def test_a_client_reads_the_run_and_presses_with_what_it_sets(scenario):
+    """Fields are those of the run; a force in the registers is the force on the table, torques are torques."""
+    with cl.serve(scenario, "ur", host=HOST, port=0) as served:
+        arm, other = Rtde(HOST, served.port), Rtde(HOST, served.port)
+        assert arm.ask("v") == struct.pack(">4I", *ur.CONTROLLER)
+        assert arm.ask("O", struct.pack(">d", 500.0) + FIELDS + b",dance").endswith(b",NOT_FOUND")
+        answer = arm.ask("O", struct.pack(">d", 250.0) + FIELDS)
+        assert answer == b"\x01DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6INT32"
+        registers = b"input_int_register_18,input_double_register_18,input_double_register_19,input_double_register_20"
+        assert arm.ask("I", registers) == b"\x01INT32,DOUBLE,DOUBLE,DOUBLE"
+        assert other.ask("I", b"input_int_register_18") == b"\x00IN_USE"
+        assert arm.ask("S") == b"\x01"
+        seen = [arm.state() for _ in range(5)]
+        np.testing.assert_allclose(np.diff([time_ for time_, *_ in seen]), 0.004, atol=1e-9)
+        assert seen[-1][3] == pytest.approx(10.0, abs=1e-6)
+        arm.send("U", struct.pack(">Bi3d", 1, ur.FORCE, 0.0, 0.0, -25.0))
+        for _ in range(200):
+            last = arm.state()
+        assert last[3] == pytest.approx(25.0, abs=0.5)
+        arm.file.close()
+        for _ in range(300):  # until the client that has the register has been found gone
+            if other.ask("I", b"input_int_register_18") == b"\x01INT32":
+                break
+            time.sleep(0.01)
+        run = served.close()
+    row = round(last[0] / 0.001)
+    assert (last[1], last[2]) == pytest.approx((run.q[row, 1], run.position[row, 2]), abs=1e-12)
+    assert last[3] == pytest.approx(run.contact_force[row - 10], abs=0.5)
+    assert run.law == "scenario and torque from outside"
+
+
+needs_client = pytest.mark.skipif(
+    find_spec("rtde_receive") is None, reason='ur-rtde is not installed: pip install "closedloop[ur]" (Linux)'
+)
+CLIENT = """
+import sys, time
+import rtde_io, rtde_receive
+receive, io = rtde_receive.RTDEReceiveInterface(sys.argv[1]), rtde_io.RTDEIOInterface(sys.argv[1])
+began = receive.getTimestamp()
+io.setInputDoubleRegister(18, 0.0)
+io.setInputDoubleRegister(19, 0.0)
+io.setInputDoubleRegister(20, -20.0)
+io.setInputIntRegister(18, 2)
+time.sleep(1.0)
+print(receive.getTimestamp() - began, receive.getActualTCPForce()[2], receive.getRobotMode(), receive.getSafetyMode(),
+    receive.getOutputIntRegister(18), *receive.getActualQ())
+"""
+
+
+@needs_client
+def test_the_package_of_users_reads_and_sets(scenario):
+    """rtde_receive and rtde_io, unchanged, read the simulation and press with a force."""
+    with cl.serve(scenario, "ur", host=HOST) as served:
+        done = subprocess.run(
+            [sys.executable, "-c", CLIENT, HOST], capture_output=True, text=True, timeout=60.0, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        run = served.close()
+    elapsed, force, mode, safety, register, *q = map(float, done.stdout.split())
+    assert (mode, safety, register) == (7, 1, ur.FORCE)
+    assert elapsed > 0.2
+    assert force == pytest.approx(20.0, abs=0.5)
+    assert np.abs(run.q - q).max(axis=1).min() < 1e-12
+
+
+def test_nobody_can_stop_the_server(scenario):
+    """Random messages and half-closed sockets get a line, and the next client is served."""
+    said, chance = [], random.Random(2)
+    with cl.serve(scenario, "ur", host=HOST, port=0, say=said.append) as served:
+        for k in range(300):
+            with socket.create_connection((HOST, served.port), 10.0) as client:
+                head = struct.pack(">HB", chance.choice((0, 3, 5, 11, 4000)), chance.choice(b"VvMUOISPx"))
+                try:
+                    client.sendall((struct.pack(">HBH", 5, ord("V"), 2) if k % 2 else b"") + head)
+                    client.sendall(chance.randbytes(chance.randrange(60)))
+                    if k % 5 == 0:
+                        client.shutdown(socket.SHUT_WR)
+                except OSError:
+                    pass
+        arm = Rtde(HOST, served.port)
+        assert arm.ask("O", struct.pack(">d", 500.0) + FIELDS).startswith(b"\x01DOUBLE")
+        assert arm.ask("S") == b"\x01"
+        arm.state()
+        Rtde(HOST, served.port, version=1)
+    assert all("\n" not in line for line in said)
+    assert any("no message of RTDE" in line for line in said)
+
+
+def test_what_is_no_such_arm_is_said(scenario):
+    """Seven joints, a step that no cycle is made of, and lock-step are refused in a line."""
+    with pytest.raises(cl.ScenarioError, match="must have six joints that turn"):
+        cl.serve("panda_slide", "ur", host=HOST, port=0)
+    with pytest.raises(cl.ScenarioError, match=r"must be 0\.002, or a whole share of it"):
+        cl.serve(scenario, "ur", host=HOST, port=0, overrides={"time.step": 0.003})
+    with pytest.raises(cl.ScenarioError, match="has no lock-step"):
+        cl.serve(scenario, "ur", host=HOST, port=0, lock_step=True)

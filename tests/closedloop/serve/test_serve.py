@@ -241,6 +241,56 @@ def test_the_command_saves_what_was_served(tmp_path):
     assert "not stepped further" in run.stopped
 
 
+@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL])
+def test_a_server_that_is_killed_leaves_no_client_waiting(tmp_path, kill):
+    """A client whose server is killed while it drives gets the end of the connection; SIGTERM saves the run too."""
+    words = [sys.executable, "-m", "closedloop", "serve", SCENARIO, "--lock-step", "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    try:
+        arm = Json(int(process.stdout.readline().split("port ")[1].split()[0]))
+        torque = arm.ask("step")["torque"]
+        os.kill(process.pid, kill)
+        began = time.perf_counter()
+        with pytest.raises((OSError, json.JSONDecodeError)):  # an empty line is the end
+            while True:
+                arm.ask("torque", torque=torque)
+        assert time.perf_counter() - began < 10.0
+        process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+    assert process.returncode == (-kill if kill == signal.SIGKILL else 128 + kill)
+    assert (tmp_path / "out" / "run.nc").exists() == (kill == signal.SIGTERM)
+
+
+@pytest.mark.parametrize("lock_step", [True, False])
+def test_a_client_that_is_killed_makes_room_for_the_next(lock_step):
+    """A client that is killed while it drives is gone with a line, and the next one drives on from there."""
+    script = (
+        "import socket, sys\n"
+        "arm = socket.create_connection(('127.0.0.1', int(sys.argv[1]))).makefile('rwb')\n"
+        "while True:\n"
+        "    arm.write(b'{\"do\": \"step\"}\\n'); arm.flush(); print(arm.readline(), flush=True)\n"
+    )
+    said = []
+    with cl.serve(SCENARIO, overrides={"time.duration": 60.0}, lock_step=lock_step, say=said.append) as served:
+        client = subprocess.Popen([sys.executable, "-c", script, str(served.port)], stdout=subprocess.PIPE)
+        for _ in range(50):
+            client.stdout.readline()
+        client.kill()
+        client.communicate()
+        for _ in range(300):  # until it has been found gone
+            try:
+                row = (arm := Json(served.port)).ask("state")["row"]
+                break
+            except (OSError, json.JSONDecodeError):
+                time.sleep(0.01)
+        assert arm.ask("step")["row"] == row + 1 > 50
+        del arm
+    assert [line.split(" ", 2)[2] for line in said[:1]] == ["is connected"]
+    assert sum("is gone" in line or "broke the connection" in line for line in said) >= 1
+    assert all("\n" not in line for line in said)
+
+
 @pytest.mark.parametrize(
     ("more", "why"),
     [

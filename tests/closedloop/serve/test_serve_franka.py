@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import signal
 import socket
 import struct
 import subprocess
@@ -199,6 +200,68 @@ def test_limits_end_a_motion_where_they_are_switched_on():
     assert "joint_position_limits_violation" in said["errors"][1]
     upper = cl.prepare(cl.load_scenario("fr3_press")).robot.model.position_upper[6]
     assert upper < run.q[:, 6].max() < upper + 0.05
+
+
+@needs_client
+def test_a_contact_is_lost():
+    """A client that pulls up leaves the table: the force that it reads ends, and the run has a liftoff."""
+    said, run = driven("fr3_press", "press(10.0, 800)\nstate, read = press(-8.0, 150)\nsay(read=read)")
+    assert "liftoff" in [event.kind for event in run.events]
+    assert run.contact_force[790] == pytest.approx(10.0, abs=0.5)
+    assert run.mode[-1] == 0
+    assert run.position[-1, 2] > run.position[0, 2] + 1e-4
+    np.testing.assert_allclose(said["read"][-50:], 0.0, atol=0.05)
+
+
+FOREVER = """
+print("moving", flush=True)
+try:
+    press(5.0, 10**9)
+except Exception as error:
+    print(type(error).__name__, str(error).splitlines()[0], flush=True)
+"""
+
+
+@needs_client
+def test_a_client_that_is_killed_makes_room_for_the_next():
+    """After a client that is killed while it presses, the arm stands still, and the next client presses."""
+    said = []
+    with cl.serve("fr3_press", "franka", host=HOST, lock_step=True, say=said.append) as served:
+        words = [sys.executable, "-c", CLIENT + FOREVER, HOST]
+        client = subprocess.Popen(words, stdout=subprocess.PIPE)
+        assert client.stdout.readline() == b"moving\n"
+        while served.session.cycles < 200:
+            time.sleep(0.01)
+        client.kill()
+        client.communicate()
+        script = CLIENT + "state, read = press(6.0, 600)\nsay(last=read[-1])"
+        done = subprocess.run([*words[:2], script, HOST], capture_output=True, text=True, timeout=60.0, check=False)
+        assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["last"] == pytest.approx(-6.0, abs=0.1)
+    assert sum("is gone" in line or "broke the connection" in line for line in said) == 2
+
+
+@needs_client
+@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL])
+def test_a_server_that_is_killed_leaves_no_client_waiting(tmp_path, kill):
+    """libfranka says that the connection has ended."""
+    words = [sys.executable, "-m", "closedloop", "serve", "fr3_press", "--as", "franka", "--lock-step", "--host", HOST]
+    server = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=tmp_path)
+    client = None
+    try:
+        assert server.stdout.readline().startswith(b"serving on")
+        words = [sys.executable, "-c", CLIENT + FOREVER, HOST]
+        client = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        assert client.stdout.readline() == "moving\n"
+        time.sleep(0.3)
+        os.kill(server.pid, kill)
+        out, _ = client.communicate(timeout=30.0)
+        server.communicate(timeout=60.0)
+    finally:
+        server.kill()
+        if client is not None:
+            client.kill()
+    assert out.startswith(("NetworkException", "ControlException"))
 
 
 HAND = """

@@ -1,16 +1,20 @@
 """A served scenario: a controller in another program gets the bits of a law; nobody can stop the server."""
 
+import itertools
 import json
 import os
 import random
+import runpy
 import signal
 import socket
 import struct
 import subprocess
 import sys
 import time
+from collections import deque
 from pathlib import Path
 from shutil import which
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -252,8 +256,7 @@ def test_a_server_that_is_killed_leaves_no_client_waiting(tmp_path, kill):
         os.kill(process.pid, kill)
         began = time.perf_counter()
         with pytest.raises((OSError, json.JSONDecodeError)):  # an empty line is the end
-            while True:
-                arm.ask("torque", torque=torque)
+            deque((arm.ask("torque", torque=torque) for _ in itertools.count()), 0)
         assert time.perf_counter() - began < 10.0
         process.communicate(timeout=60.0)
     finally:
@@ -269,7 +272,7 @@ def test_a_client_that_is_killed_makes_room_for_the_next(lock_step):
         "import socket, sys\n"
         "arm = socket.create_connection(('127.0.0.1', int(sys.argv[1]))).makefile('rwb')\n"
         "while True:\n"
-        "    arm.write(b'{\"do\": \"step\"}\\n'); arm.flush(); print(arm.readline(), flush=True)\n"
+        '    arm.write(b\'{"do": "step"}\\n\'); arm.flush(); print(arm.readline(), flush=True)\n'
     )
     said = []
     with cl.serve(SCENARIO, overrides={"time.duration": 60.0}, lock_step=lock_step, say=said.append) as served:
@@ -334,6 +337,31 @@ def test_the_page_s_controller_in_cpp_gives_the_run_of_python(tmp_path):
 def test_the_example_of_ros_is_python():
     """The node of the page can be read; ROS 2 itself is not there."""
     compile((PAGE / "ros2_node.py").read_text(encoding="utf-8"), "ros2_node.py", "exec")
+
+
+def test_the_robot_of_lerobot_follows_actions(tmp_path, monkeypatch):
+    """The package of the page, with stand-ins for LeRobot's base classes, moves the arm to where an action says."""
+
+    class Config:
+        register_subclass = staticmethod(lambda name: lambda kind: kind)
+
+    base = type("Robot", (), {"__init__": lambda self, config: None})
+    robots = SimpleNamespace(Robot=base, RobotConfig=Config)
+    monkeypatch.setitem(sys.modules, "lerobot", SimpleNamespace(robots=robots))
+    monkeypatch.setitem(sys.modules, "lerobot.robots", robots)
+    monkeypatch.chdir(tmp_path)
+    found = runpy.run_path(str(PAGE / "lerobot_robot_closedloop.py"))
+    arm = found["ClosedLoop"](found["ClosedLoopConfig"]())
+    arm.connect()
+    seen = arm.get_observation()
+    assert set(seen) == set(arm.observation_features)
+    assert seen["contact_force"] == pytest.approx(10.0, abs=1e-6)
+    wanted = {name: seen[name] for name in arm.action_features} | {"panda_joint1.pos": 0.1}
+    for _ in range(30):
+        arm.send_action(wanted)
+    assert arm.get_observation()["panda_joint1.pos"] == pytest.approx(0.1, abs=1e-3)
+    arm.disconnect()
+    assert len(cl.load_run("run.nc")) == 1 + 30 * 33
 
 
 def test_an_impact_does_not_compile_while_a_client_waits():

@@ -28,6 +28,10 @@ SPEED, FORCE = 0.05, 70.0
 FREQUENCY, DAMPING_RATIO = 200.0, 1.0
 # A finger has stopped if it is slower than this, m/s, for so many steps; it is there within so much, m.
 STOPPED, STEPS, NEAR = 1e-3, 50, 1e-3
+# How far behind its goal a grasp wants to go, m: farther than any force stretches the spring.
+BEYOND = 1.0
+# The share of its force with which a grasp presses as it should.
+WHOLE = 0.99
 # The longest time that a command may take, s, and how often a state is sent, s.
 LONGEST, EVERY = 20.0, 0.03
 
@@ -61,7 +65,7 @@ class Gripper:
         H = problem.robot.terms(session.state.q, session.state.v).mass_matrix
         self._mass = np.diag(H)[JOINTS:]
         self._wanted = np.array(session.state.q[JOINTS:])
-        self._goal, self._speed, self._force = self._wanted.copy(), SPEED, FORCE
+        self._goal, self._speed, self._force, self._closes = self._wanted.copy(), SPEED, FORCE, False
         self._grasp: tuple[float, float, float] | None = None  # width, and how much less and more it may be
         self._order: tuple[Client, int, int] | None = None
         self._still = self._taken = self._message = 0
@@ -86,18 +90,21 @@ class Gripper:
         state = self._session.state
         q, v = state.q[JOINTS:], state.v[JOINTS:]
         step = self._speed * self._h
-        self._wanted = np.clip(self._goal, self._wanted - step, self._wanted + step)
+        self._closes = self._closes and bool((q > self._goal + NEAR).any())
+        # Until a grasp is closed it wants to go on, so that the whole force presses on what is in the way.
+        goal = self._goal - BEYOND if self._closes else self._goal
+        self._wanted = np.clip(goal, self._wanted - step, self._wanted + step)
         # A finger that is held up does not let the spring grow without end.
         stretch = self._force / (self._mass * FREQUENCY**2)
         self._wanted = np.clip(self._wanted, q - stretch, q + stretch)
         force = self._mass * (FREQUENCY**2 * (self._wanted - q) - 2.0 * DAMPING_RATIO * FREQUENCY * v)
-        self._note(q, v)
+        self._note(q, v, not self._closes or bool((force < -WHOLE * self._force).all()))
         return np.concatenate((torque, np.clip(force, -self._force, self._force)))
 
-    def _note(self, q: Array, v: Array) -> None:
-        """End a command whose fingers are there, or have stopped."""
+    def _note(self, q: Array, v: Array, presses: bool) -> None:
+        """End a command whose fingers are there, or have stopped; a grasp only once it presses as it should."""
         self._taken += 1
-        self._still = self._still + 1 if np.abs(v).max() < STOPPED else 0
+        self._still = self._still + 1 if presses and np.abs(v).max() < STOPPED else 0
         if self._order is None:
             if self.grasped and self._grasp is not None and not self._within(*self._grasp):
                 self.grasped = False
@@ -133,7 +140,7 @@ class Gripper:
         if self._order is not None:
             self._finish(wire.GRIPPER_ABORTED)
         if command == wire.GRIPPER_STOP:
-            self._goal = self._wanted.copy()
+            self._goal, self._closes = self._wanted.copy(), False
             self._answer(client, command, number, wire.GRIPPER_SUCCESS)
             return
         if not all(map(math.isfinite, given)) or any(value < 0.0 for value in given):
@@ -143,6 +150,7 @@ class Gripper:
             self._answer(client, command, number, wire.GRIPPER_UNSUCCESSFUL)
             return
         self._order, self._still, self._taken, self.grasped, self._grasp = (client, command, number), 0, 0, False, None
+        self._closes = command == wire.GRIPPER_GRASP
         width, self._speed, self._force = self._widest, SPEED, FORCE
         if command == wire.GRIPPER_GRASP:
             width, inner, outer, self._speed, self._force = given
@@ -166,7 +174,7 @@ class Gripper:
     def leave(self) -> None:
         """Forget a client that is gone; the fingers stay where they are."""
         if self._to is not None:
-            self._to, self._order = None, None
+            self._to, self._order, self._closes = None, None, False
             self._goal = self._wanted.copy()
 
     def report(self, port: Port) -> None:

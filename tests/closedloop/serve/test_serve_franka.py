@@ -293,6 +293,31 @@ def test_the_hand_moves_and_grasps(tmp_path):
     assert (wide, width, widest) == (pytest.approx(0.04, abs=1e-3), pytest.approx(0.02, abs=1e-3), 0.04)
 
 
+OBJECT = """
+[[contact]]
+link = "panda_leftfinger"
+at = [0, 0, 0.045]
+normal = [0, -1, 0]
+through = [0.306871, -0.015, 0.486876]
+"""
+
+
+@needs_client
+def test_a_grasp_holds_what_is_in_the_way(tmp_path):
+    """A finger stops at an object and presses with the commanded force; the width decides whether it is grasped."""
+    (tmp_path / "hand.toml").write_text(HAND.replace("0.01]", "0.03]") + OBJECT)
+    said, run = driven(
+        tmp_path / "hand.toml",
+        "hand = p.Gripper(HOST)\n"
+        "found = [hand.move(0.03, 0.2), hand.grasp(0.03, 0.1, 20.0, 0.005, 0.005), hand.read_once().is_grasped,\n"
+        "         hand.grasp(0.015, 0.1, 20.0, 0.005, 0.005), hand.read_once().is_grasped, hand.read_once().width]\n"
+        "say(found=found)",
+    )
+    assert said["found"][:5] == [True, False, False, True, True]
+    assert said["found"][5] == pytest.approx(0.015, abs=2e-3)  # the springs of the arm yield
+    assert run.link_forces[-1].sum() == pytest.approx(20.0, abs=0.2)
+
+
 class Raw:
     """A client of the arm's port, which writes the bytes itself."""
 

@@ -18,6 +18,7 @@ from validation.speed.contestants import Contestant, final, our_engine
 from validation.speed.feet import BOXES, STANDS, on_feet
 from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
 from validation.speed.measure import Timing, race, ratio
+from validation.speed.served import main as main_served
 from validation.speed.targets import growth, targets
 
 STEPS = 60
@@ -187,3 +188,17 @@ def test_bad_input_is_one_line_and_status_2(words, expected, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
     assert expected in lines[0]
+
+
+def test_steps_for_another_program_are_measured(monkeypatch, capsys):
+    """The command steps in this process and for a client in another one, and says how often a second."""
+    monkeypatch.setattr("validation.speed.served.find_spec", lambda name: None)
+    words = ["--scenarios", "panda_slide", "--repeats", "2", "--steps"]
+    assert main_served([*words, "30"]) == 0
+    title, *rows = capsys.readouterr().out.splitlines()
+    assert title == "panda_slide: median of 2 laps of 30 steps, in turns"
+    assert [row.split(" a second")[0].rstrip("0123456789 ").strip() for row in rows] == [
+        "Simulator.step",
+        "binary socket",
+    ]
+    assert main_served([*words, "0"]) == 2

@@ -131,4 +131,4 @@ def test_signal_at_many_moments(number, place):
     """Some moments each, forty with the full budget, of which some are in the middle of the run."""
     statuses, lengths = judge(place, number, budget(16, 40), 1)
     assert statuses <= ALLOWED[number]
-    assert number == signal.SIGKILL or len(lengths) > 3
+    assert number == signal.SIGKILL or len(lengths) > 2  # not all before it, or after it, on a busy machine

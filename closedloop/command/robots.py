@@ -336,14 +336,13 @@ def _held(rows: Array, errors: Array) -> Array:
 
 def _apart(robot: Robot, ours: Said, theirs: Said) -> dict[str, float]:
     """Return of each quantity that both have how far it is apart, relative to its largest entry."""
+    # Where the mass moves at one height alone, rounding of C and of the energy is that of its weight times its reach.
+    weight = sum(each.mass for each in robot.model.pinocchio_model().inertias[1:]) * np.linalg.norm(robot.gravity)
     found = {}
     for name, their in theirs.items():
-        own, least = ours[name], 1e-9
-        if name == ENERGY:  # where the mass moves at one height alone, rounding is that of its weight times its reach
-            weight = sum(inertia.mass for inertia in robot.model.pinocchio_model().inertias[1:])
-            least = max(
-                weight * float(np.linalg.norm(robot.gravity)) * robot.reach, float(np.max(np.abs(their))), least
-            )
+        own, least = ours[name], max(1e-9, float(weight) * robot.reach if name in (BIAS, ENERGY) else 0.0)
+        if name == ENERGY:
+            least = max(float(np.max(np.abs(their))), least)
             own, their = own - own[0], their - their[0]
         found[name] = float(np.max(np.abs(own - their)) / max(float(np.max(np.abs(their))), least))
     return found

@@ -1,5 +1,6 @@
 """The collision shapes of a link, as its robot's file gives them: data, in the axes of the link's frame."""
 
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from robot_models.model import RobotModel
 
 Array = NDArray[np.float64]
+#: Corners that the convex hull of a mesh may have where it touches: each is a contact.
+MOST_CORNERS = 64
+#: Names of the convex hulls in the plain text of an MJCF: their number and their body.
+HULL = re.compile(r"hull (\d+) of (.*)", re.DOTALL)
 SMALLEST, LARGEST = 1e-6, 1e6  # m, of a mesh: another size is a wrong unit, or a damaged file
 
 
@@ -59,8 +64,8 @@ def collision_shapes(model: "RobotModel", link: str, visual: bool = False) -> li
 
     With `visual` those that are drawn: of an MJCF geoms without contact too.
 
-    Of an MJCF they are its geoms but those without contact (contype and conaffinity 0); planes and meshes there are not
-    read.
+    Of an MJCF they are its geoms but those without contact (contype and conaffinity 0): of meshes the corners of the
+    convex hull, of planes none.
 
     Raises
     ------
@@ -86,6 +91,12 @@ def _of_mjcf(text: str, link: str, visual: bool) -> list[CollisionShape]:
             size, pos, quat, rgba = ([float(x) for x in given[key].split()] for key in ("size", "pos", "quat", "rgba"))
             shape = _shape(given["type"], size, transform(rotation(np.array(quat)), np.array(pos)))
             found.append(replace(shape, colour=(rgba[0], rgba[1], rgba[2])))
+    for hull in root.iterfind("custom/numeric"):
+        name = HULL.fullmatch(hull.get("name", ""))
+        if name and name[2] == link:
+            red, green, blue, *corners = (float(x) for x in hull.get("data", "").split())
+            shape = replace(_shape("mesh", (), np.eye(4)), vertices=np.array(corners).reshape(-1, 3), file=name[0])
+            found.append(replace(shape, colour=(red, green, blue)))
     return found
 
 

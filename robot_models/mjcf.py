@@ -18,24 +18,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robot_models.collision import HULL, MOST_CORNERS
 from robot_models.coordinates import PARTS, PLACES
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
 from robot_models.mechanism import Array, check_size
-from robot_models.mjcf_coupling import couplings, drives, tendon_joints, torque_limits
+from robot_models.mjcf_coupling import couplings, drives, rotation, tendon_joints, torque_limits
 from robot_models.xml_text import parse, read_text, tidy
 
 #: Names of the kinds of joints and of geoms, by MuJoCo's numbers.
 JOINTS = ("free", "ball", "slide", "hinge")
 _GEOMS = {2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
-_NOT_READ = {0: "planes", 1: "height fields", 7: "meshes", 8: "signed distance fields"}
+_NOT_READ = {0: "planes", 1: "height fields", 8: "signed distance fields"}
 # How many numbers the size of each shape has.
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 
 #: Velocities of a joint that has more than one, by its kind; and its positions.
 ONE_BY_ONE, POSITIONS = {"ball": 3, "free": 6}, {"ball": 4, "free": 7}
 
-_MUSCLE, _MESH = 2, 7
+_MUSCLE, _MESH, _OF_ITS_HULL = 2, 7, 0
 # Which kinds of objects MuJoCo names, by the names of its fields.
 _NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator")
 
@@ -96,10 +97,10 @@ def read(text: str, where: str, path: Path | None) -> Mjcf:
     tidy(root)
     _check_includes(root, where, None if path is None else path.parent, [])
     with _said() as warnings:
-        model = _compile(ET.tostring(root, encoding="unicode") if path is None else path, where)
+        model, unread = _compile(ET.tostring(root, encoding="unicode") if path is None else path, where)
     names = Names(model)
     _check(model, names, where)
-    warnings += _left_out(model, names)
+    warnings += unread + _left_out(model, names)
     joints = names.joint
     limits = torque_limits(model)
     plain = ET.Element("mujoco", model=root.get("model") or "model")
@@ -112,6 +113,7 @@ def read(text: str, where: str, path: Path | None) -> Mjcf:
             place = {"pos": _words(model.body_pos[b]), "quat": _words(model.body_quat[b])}
             bodies[b] = ET.SubElement(bodies[int(model.body_parentid[b])], "body", {"name": names.body[b], **place})
         _write_body(bodies[b], b, model, names, limits)
+    _write_hulls(plain, model, names)
     _write_tendons(plain, model, names)
     loops, more = couplings(model, names, where)
     return Mjcf(
@@ -200,30 +202,38 @@ def _one_line(text: object) -> str:
     return " ".join(str(text).split())
 
 
-def _compile(source: str | Path, where: str) -> Any:
-    """Return MuJoCo's model of a file or a text.
+def _compile(source: str | Path, where: str) -> tuple[Any, list[str]]:
+    """Return MuJoCo's model of a file or a text, and what of it is left out.
 
-    A mesh from which no inertia follows is not opened: shapes of meshes are not read.
+    A mesh that is only drawn is not opened; one that touches, and from which no inertia follows, need not be there.
     """
     import mujoco
 
-    try:
-        read_in = mujoco.MjSpec.from_string if isinstance(source, str) else mujoco.MjSpec.from_file
-        spec = read_in(source if isinstance(source, str) else str(source))
-        _drop_idle_assets(spec)
-        return spec.compile()
-    except (ValueError, TypeError, KeyError, RuntimeError, mujoco.FatalError) as error:
-        reason = _one_line(error).removeprefix("Error: ").replace("XML Error: ", "")
-        raise ModelError(f"{where}: MuJoCo cannot read it: {reason}") from None
+    read_in = mujoco.MjSpec.from_string if isinstance(source, str) else mujoco.MjSpec.from_file
+    reason = ""
+    for touching in (True, False):
+        try:
+            spec = read_in(source if isinstance(source, str) else str(source))
+            _drop_idle_assets(spec, touching)
+            model = spec.compile()
+        except (ValueError, TypeError, KeyError, RuntimeError, mujoco.FatalError) as error:
+            reason = _one_line(error).removeprefix("Error: ").replace("XML Error: ", "")
+            continue
+        return model, [f"meshes of the file are not read as shapes: {reason}"] if reason else []
+    raise ModelError(f"{where}: MuJoCo cannot read it: {reason}") from None
 
 
-def _drop_idle_assets(spec: Any) -> None:
-    """Delete what is only drawn, whose files need not be there: skins, textures, and meshes that weigh nothing."""
+def _drop_idle_assets(spec: Any, touching: bool) -> None:
+    """Delete what is only drawn, whose files need not be there: skins, textures, and meshes that weigh nothing.
+
+    Meshes that only touch stay where `touching` says so.
+    """
     weighs = int(spec.compiler.inertiafromgeom)  # 0: no, 1: always, 2: where a body has no <inertial>
     for geom in list(spec.geoms):
         body = geom.parent
         idle = weighs == 0 or (weighs == 2 and body.explicitinertial) or body.name == "world"
-        if int(geom.type) == _MESH and idle:
+        touches = touching and (geom.contype or geom.conaffinity)
+        if int(geom.type) == _MESH and idle and not touches:
             spec.delete(geom)
             continue
         geom.material = ""
@@ -237,6 +247,8 @@ def _drop_idle_assets(spec: Any) -> None:
         spec.delete(asset)
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
+        if int(mesh.inertia) != _OF_ITS_HULL:
+            mesh.maxhullvert = MOST_CORNERS
         if mesh.name not in used:
             spec.delete(mesh)
 
@@ -250,7 +262,7 @@ def compiled(text: str, where: str = "the model") -> Any:
     ModelError
     """
     with _said():
-        return _compile(text, where)
+        return _compile(text, where)[0]
 
 
 def gravity(text: str) -> tuple[float, float, float]:
@@ -325,6 +337,39 @@ def _write_body(element: ET.Element, b: int, model: Any, names: Names, limits: d
         if model.site_bodyid[s] == b:
             place = {"pos": _words(model.site_pos[s]), "quat": _words(model.site_quat[s])}
             ET.SubElement(element, "site", {"name": names.site[s], **place})
+
+
+def _write_hulls(plain: ET.Element, model: Any, names: Names) -> None:
+    """Write, for each mesh that touches, its colour and the corners of its convex hull in the axes of its body.
+
+    They are numbers beside the bodies: MuJoCo would shift the corners of a mesh by rounding each time it compiles them.
+    """
+    custom, count = ET.Element("custom"), 0
+    for i in range(model.nnumeric):  # of a plain text
+        if HULL.fullmatch(model.numeric(i).name):
+            ET.SubElement(custom, "numeric", name=model.numeric(i).name, data=_words(model.numeric(i).data))
+    for g in np.flatnonzero(model.geom_type == _MESH).tolist():
+        corners = _hull(model, g)
+        if corners:
+            count += 1
+            turn = rotation(model.geom_quat[g])
+            placed = model.geom_pos[g] + model.mesh_vert[corners].astype(float) @ turn.T
+            body = names.body[int(model.geom_bodyid[g])]
+            numbers = [*model.geom_rgba[g][:3].astype(float).round(7), *placed.round(9).ravel()]
+            ET.SubElement(custom, "numeric", name=f"hull {count} of {body}", data=_words(numbers))
+    if len(custom):
+        plain.append(custom)
+
+
+def _hull(model: Any, g: int) -> list[int]:
+    """Return the numbers of the vertices of the convex hull of the mesh of a geom; none if it touches nothing."""
+    mesh = int(model.geom_dataid[g])
+    at = int(model.mesh_graphadr[mesh])
+    if at < 0 or not (model.geom_contype[g] or model.geom_conaffinity[g]):
+        return []
+    count = int(model.mesh_graph[at])
+    corners = model.mesh_graph[at + 2 + count : at + 2 + 2 * count]
+    return (int(model.mesh_vertadr[mesh]) + np.sort(corners)).tolist()
 
 
 def _write_tendons(plain: ET.Element, model: Any, names: Names) -> None:
@@ -406,6 +451,11 @@ def _left_out(model: Any, names: Names) -> list[str]:
     ]
     if model.nexclude or model.npair:
         found.append("<exclude> and <pair> of the file are left out: a scenario says what touches")
+    meshes = np.flatnonzero(model.geom_type == _MESH).tolist()
+    hulls = {int(model.geom_dataid[g]): len(_hull(model, g)) for g in meshes}
+    cut = [model.mesh(mesh).name for mesh, corners in hulls.items() if corners >= MOST_CORNERS]
+    if cut:
+        found.append(f"convex hulls of meshes have {MOST_CORNERS} corners at most, chosen by MuJoCo: {_some(cut)}")
     kinds = sorted({int(kind) for kind in model.geom_type} & set(_NOT_READ))
     found += [f"{_NOT_READ[kind]} of the file are not read as shapes" for kind in kinds]
     still = [names.body[b] for b in range(model.nbody) if model.body_mocapid[b] >= 0]

@@ -27,7 +27,7 @@ from closedloop.mechanics.surface.surface import Surface
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of
 from robot_models import RobotModel
-from robot_models.collision import CollisionShape, collision_shapes
+from robot_models.collision import MOST_CORNERS, CollisionShape, collision_shapes
 from robot_models.loop_joint import WORLD
 
 # Points of each edge of a cylinder on which it stands.
@@ -36,8 +36,6 @@ FEET = 3
 PAIRED = ("box", "sphere", "capsule")
 # A mesh whose surface is inside its convex hull by more than this share of its size is not convex.
 INSIDE = 1e-6
-# As many corners as one hull may have.
-MOST_CORNERS = 64
 
 
 def with_collision_shapes(scenario: Scenario, model: RobotModel) -> Scenario:

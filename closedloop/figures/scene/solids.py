@@ -94,7 +94,7 @@ def _visuals(model: RobotModel, mechanism: Any) -> list[Shape]:
 
 
 def _geoms(model: RobotModel, mechanism: Any) -> list[Shape]:
-    """Return the geoms that an MJCF gives, but for meshes and planes."""
+    """Return the geoms that an MJCF gives, meshes that touch as their convex hulls, and no planes."""
     import trimesh
 
     shapes = []
@@ -108,6 +108,8 @@ def _geoms(model: RobotModel, mechanism: Any) -> list[Shape]:
             elif geom.kind == "capsule":
                 mesh = trimesh.creation.capsule(2.0 * b, a)
                 mesh.apply_translation(-mesh.bounds.mean(axis=0))
+            elif geom.kind == "mesh":
+                mesh = trimesh.convex.convex_hull(geom.vertices)
             else:
                 mesh = trimesh.creation.icosphere(3)
                 mesh.apply_scale(geom.size if geom.kind == "ellipsoid" else a)

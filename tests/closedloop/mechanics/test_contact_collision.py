@@ -7,6 +7,7 @@ import trimesh
 import closedloop as cl
 import robot_models
 from closedloop.base.errors import ScenarioError
+from closedloop.figures.scene.solids import robot_shapes
 from closedloop.scenario.collision import hulls_taken, parts_of, with_collision_shapes
 from robot_models.collision import CollisionShape, collision_shapes
 
@@ -91,6 +92,33 @@ def test_a_mesh_touches_with_the_corners_of_its_hull_and_a_hollow_one_is_told(tm
     assert found == {(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0)}
     (line,) = hulls_taken(asked, model)
     assert line == "contact 'part': the mesh 'dent.obj' is not convex: its convex hull touches"
+
+
+def test_a_mesh_of_an_mjcf_touches_as_its_convex_hull(tmp_path):
+    """A box as a mesh, off its link's origin and turned: its eight corners; a ball has as many as may touch."""
+    box, ball = trimesh.creation.box((0.2, 0.4, 0.6)), trimesh.creation.icosphere(3, 0.1)
+    box.export(tmp_path / "box.stl")
+    ball.export(tmp_path / "ball.stl")
+    text = """<mujoco><asset><mesh name="box" file="box.stl" scale="2 1 1"/><mesh name="ball" file="ball.stl"/>
+    <mesh name="drawn" file="gone.stl"/></asset><worldbody><body name="body"><freejoint/>
+    <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><geom type="mesh" mesh="box" pos="1 0 0" euler="0 0 90"/>
+    <geom type="mesh" mesh="drawn" contype="0" conaffinity="0"/>{}</body></worldbody></mujoco>"""
+    asked, model = scenario(tmp_path, text.format(""))
+    found = np.array([section.at for section in with_collision_shapes(asked, model).contact])
+    np.testing.assert_allclose(np.sort(np.unique(found.round(6), axis=0), axis=0)[0], [0.8, -0.2, -0.3])
+    assert len(found) == 8
+    np.testing.assert_allclose(np.abs(found - [1.0, 0.0, 0.0]), np.tile([0.2, 0.2, 0.3], (8, 1)), atol=1e-7)
+    assert not hulls_taken(asked, model)
+    (drawn,) = robot_shapes(model, "body")
+    np.testing.assert_allclose(np.abs(drawn.vertices - [1.0, 0.0, 0.0]), np.tile([0.2, 0.2, 0.3], (8, 1)), atol=1e-6)
+    assert drawn.faces.shape == (12, 3)
+    asked, model = scenario(tmp_path, text.format('<geom type="mesh" mesh="ball"/>'))
+    assert len(with_collision_shapes(asked, model).contact) == 8 + 64
+    assert "convex hulls of meshes have 64 corners at most, chosen by MuJoCo: ball" in model.warnings
+    (tmp_path / "ball.stl").unlink()
+    (without,) = [line for line in robot_models.load(str(tmp_path / "body.xml")).warnings if "meshes" in line]
+    assert without.startswith("meshes of the file are not read as shapes: ")
+    assert "ball.stl" in without
 
 
 def test_a_flat_part_with_a_notch_is_told_too(tmp_path):

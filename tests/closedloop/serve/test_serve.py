@@ -144,7 +144,7 @@ def test_real_time_goes_on_without_commands():
         state = arm.ask("torque", torque=state["torque"])
         elapsed = time.perf_counter() - began
     session = served.session
-    assert session.lost >= 50
+    assert session.lost + session.late >= 50
     assert session.cycles == len(served.close()) - 1
     # What this computer was too late for is left out, so that never more time passes than on the wall.
     assert state["time"] + 1e-3 * session.late > 0.1

@@ -14,6 +14,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
+from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import contact_frame
 from closedloop.scenario.gains import gains_fault
@@ -96,8 +97,7 @@ def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
     high = np.minimum(model.position_upper, model.home + widest)
     moves = robot.support > 0.0
     room = LEAST_MARGIN * (high - low)
-    # where the joints stay that do not move the tip; couplings have them at home
-    aside = model.home if model.loops else np.clip(model.home, low + room, high - room)
+    aside = _aside(robot, rng, low + room, high - room)
     for i in range(POSTURES // max(1, robot.n // 10)):  # a step of the search costs as the cube of n
         q: Array = np.where(moves, rng.uniform(low, high) if i else model.home, aside).round(4)
         posture = _judged(robot, q, force, first=i == 0)
@@ -105,6 +105,27 @@ def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
             yield posture
         else:
             faults.setdefault(*posture)
+
+
+def _aside(robot: Robot, rng: np.random.Generator, low: Array, high: Array) -> Array:
+    """Return where the joints stay that do not move the tip: at home, or where they are least loaded if not there.
+
+    Those of loops and couplings stay at home, where they are closed.
+    """
+    home, aside = np.asarray(robot.model.home), robot.support == 0.0
+    turns = aside.copy()
+    if robot.model.loops:
+        turns &= ~np.any(loop_rows(robot, home[None], np.zeros((1, robot.n)))[0][0], axis=0)
+
+    def effort(q: Array) -> float:
+        torque = np.abs(robot.terms(q, np.zeros(robot.n)).bias)
+        return float(np.max((torque / robot.model.effort_limit)[aside], initial=0.0))
+
+    q = np.where(turns, np.clip(home, low, high), home)
+    if effort(q) <= MOST_EFFORT:
+        return q
+    drawn = [np.where(turns, rng.uniform(low, high), q) for _ in range(POSTURES // 10)]
+    return min([q, *drawn], key=effort)
 
 
 def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tuple[int, str]:
@@ -132,9 +153,13 @@ def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tupl
     if dexterity < LEAST_DEXTERITY or not directions:
         return DEXTERITY, "the tip is near a singular pose, or cannot move along the surface"
     torque = np.abs(terms.bias - A[0] * force)
-    effort = float(np.max(torque / model.effort_limit))
+    weakest = int(np.argmax(torque / model.effort_limit))
+    effort = float(torque[weakest] / model.effort_limit[weakest])
     if effort > MOST_EFFORT:
-        return EFFORT, f"its joints are too weak to press with {force:g} N"
+        return EFFORT, (
+            f"joint {model.joint_names[weakest]} is too weak to press with {force:g} N: that takes {effort:.0%} of its "
+            f"effort limit, and at most {MOST_EFFORT:.0%} are used"
+        )
     score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin) * (1.0 - effort)
     return Posture(q, score * (10.0 if first else 1.0) * _from_above(robot), directions)
 

@@ -61,7 +61,7 @@ def test_a_file_is_never_replaced(new, tmp_path):
         (["--robot", "planar2", "--tip", "link1"], "planar2 with the tip link1: no start was found"),
         (["--robot", "planar2", "--tip", "hand"], "planar2 has no frame 'hand'"),
         (["--robot", "nosuch"], "no robot is named 'nosuch'"),
-        (["--robot", "planar2", "--force", "9000"], "its joints are too weak to press with 9000 N"),
+        (["--robot", "planar2", "--force", "9000"], "is too weak to press with 9000 N: that takes "),
         (["--robot", "planar2", "--force", "-1"], "--force -1: must be greater than 0"),
     ],
 )
@@ -92,6 +92,19 @@ def test_a_scenario_of_the_robots_own_name_is_no_sidecar(new, tmp_path):
     scenario = cl.load_scenario("mine.toml")
     assert scenario.robot.stops == bool(robot_models.load("mine.urdf").position_upper.max() < 10.0)
     cl.prepare(scenario)
+
+
+def test_another_arm_that_cannot_hold_itself_at_home_is_put_where_it_can(new, tmp_path):
+    """An arm beside the one that presses takes three times its limit at home; hanging down it takes nothing."""
+    beside = """<link name="other"><inertial><origin xyz="0.5 0 0"/><mass value="3"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="beside"
+    type="revolute"><parent link="base"/><child link="other"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="5" velocity="5"/></joint></robot>"""
+    (tmp_path / "two.urdf").write_text(path_of("planar2").read_text().replace("</robot>", beside))
+    assert new("mine", "--robot", "two.urdf", "--tip", "tip")[::2] == (0, "")
+    run = cl.simulate(cl.load_scenario("mine.toml"))
+    assert run.summary()["verdict"]["good"]
+    assert abs(run.torque[:, list(run.model.joint_names).index("beside")]).max() < 5.0
 
 
 def test_a_full_disk_leaves_no_file(new, tmp_path, monkeypatch):

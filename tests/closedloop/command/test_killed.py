@@ -32,12 +32,13 @@ PATIENCE = 60.0
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Return a folder with a slow law in it, in which the command has run once; its results are in `whole`."""
+    """Return a folder with a slow law in it, in which the command has run twice, the second time to `whole`."""
     folder = tmp_path_factory.mktemp("killed")
     (folder / "slow_law.py").write_text(LAW)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(sys, "path", [*sys.path])
+        assert main([*COMMAND, "first"]) == 0  # which imports and compiles what the next only runs
         began = time.perf_counter()
         assert main([*COMMAND, "whole"]) == 0
         (folder / "seconds").write_text(str(time.perf_counter() - began))
@@ -131,4 +132,4 @@ def test_signal_at_many_moments(number, place):
     """Some moments each, forty with the full budget, of which some are in the middle of the run."""
     statuses, lengths = judge(place, number, budget(16, 40), 1)
     assert statuses <= ALLOWED[number]
-    assert number == signal.SIGKILL or len(lengths) > 2  # not all before it, or after it, on a busy machine
+    assert number == signal.SIGKILL or len(lengths) > 2

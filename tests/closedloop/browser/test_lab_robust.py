@@ -57,6 +57,7 @@ def test_a_thousand_changes_and_an_idle_page_leave_the_last_value(page, lab):
 
 def test_what_is_no_request_of_the_page_changes_nothing(page, lab):
     """Wrong kinds, wrong keys, wrong values, no JSON: no traceback, no other run, and the page goes on."""
+    settled(page, lab)
     before = lab.run
     huge, deep = "9" * 400, "[" * 100_000
     for message in (f'{{"do": "shown", "t": {huge}}}', f'{{"do": "point", "u": {huge}}}', deep, "9" * 5000,

@@ -1,5 +1,7 @@
 """Springs, dampers, dry friction and ranges of joints and tendons: MuJoCo, closed forms, energy, every engine."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,6 +12,9 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import energies_of_rows, tree_potential_energy, tree_terms, work_size
+from closedloop.simulation.prepare import prepare
+from closedloop.studies.analysis.assembly import instant_of, loop_at
+from closedloop.studies.analysis.here import run_on
 
 # Two hinges and a slider with a tip, and a body that moves freely; springs with all coefficients, rest lengths apart.
 ARM = """<mujoco><option integrator="RK4" timestep="0.001"><flag contact="disable"/></option><worldbody>
@@ -223,3 +228,65 @@ def test_a_gripper_presses_by_virtual_work(write, angle):
     force = run.link_forces.reshape(len(run.time), 2, 2).sum(axis=2)
     assert force == pytest.approx(np.full(force.shape, (pull / 2 - spring) / (radius * np.cos(angle))), rel=1e-8)
     assert run.summary()["verdict"]["good"]
+
+
+PRESSING = """[robot]
+model = "arm.xml"
+tip = "tip"
+[start]
+q = [0.1, 0.5, 0.7]
+[surface]
+kind = "plane"
+[reference]
+kind = "hold"
+[law]
+kind = "paper"
+kp = [2.0, 2.0, 1.0]
+kd = [0.2, 0.2, 0.1]
+force_integral = 10.0
+force_feedback = 0.2
+"""
+SOFT = {
+    "law.sample_period": 0.004, "compliance": {"kind": "kelvin_voigt", "stiffness": 5e3, "damping": 50.0},
+    "sensor.delay": 0.004, "encoder.velocity": "difference", "encoder.filter_time_constant": 0.003,
+    "time.duration": 0.7, "time.integrator": "semi_implicit_euler",
+}  # fmt: skip
+THREE = """<mujoco><worldbody><body name="l1"><joint name="a" axis="0 0 1" stiffness="80 3 2" springref="20"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/><body name="l2" pos=".3 0 0">
+<joint name="b" axis="0 1 0" stiffness="40"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass=".5"/>
+<body name="l3" pos=".3 0 0"><joint name="c" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="0.3"/><site name="tip" pos=".3 0 0"/></body></body></body>
+</worldbody><tendon><fixed name="t" stiffness="30 1 2" springlength="-.1 .2"><joint joint="b" coef="1"/>
+<joint joint="c" coef="2"/></fixed></tendon></mujoco>"""
+
+
+def test_the_linear_loop_of_an_arm_with_springs_is_that_of_its_run(write):
+    """By small steps of the run: encoders lag, so that compensation does not cancel the springs."""
+    steps = []
+    rigid = re.sub(r' (stiffness|springref)="[^"]*"', "", THREE[: THREE.index("<tendon>")]) + "</mujoco>"
+    for text in (THREE, rigid):
+        problem = prepare(write(text, PRESSING).replace(SOFT))
+        instant = instant_of(problem.scenario, problem, 0.25)
+        loop = loop_at(problem, instant)
+        apart = (run_on(problem, instant, 400, 1e-4) - run_on(problem, instant, 400, -1e-4)) / 2e-4
+        found = np.cumsum(apart[:: problem.hold])
+        np.testing.assert_allclose(
+            found, loop.response("force command", duration=(found.size - 1) * loop.dt)[1], rtol=0, atol=1e-6
+        )
+        steps.append(found)
+    assert np.max(np.abs(steps[0] - steps[1])) > 1e-2
+
+
+def test_derivatives_of_a_run_with_springs_are_those_of_differences(write):
+    """By the start, of an arm that swings by itself."""
+    scenario = write(THREE, '[robot]\nmodel = "arm.xml"\ntip = "tip"\n[start]\nq = [0.1, 0.5, 0.7]\n')
+    found = cl.gradient(scenario, ["start.q"], of=["q@end"])
+    assert found.method["q@end"]["start.q"].startswith("dual numbers")
+    h, columns = 1e-5, []
+    for j in range(3):
+        ends = []
+        for side in (h, -h):
+            q = np.array(scenario.start.q) + side * np.eye(3)[j]
+            ends.append(cl.simulate(scenario.replace({"start.q": q.tolist()}), progress=False).q[-1])
+        columns.append((ends[0] - ends[1]) / (2.0 * h))
+    np.testing.assert_allclose(found.derivative["q@end"]["start.q"], np.transpose(columns), rtol=1e-6, atol=1e-8)

@@ -51,9 +51,9 @@ def ended_with(served: Served) -> SimulationError | None:
 
 def _until_ended(served: Served, results: Results) -> int:
     ports = " and ".join(map(str, served.ports))
-    print(f"serving on {served.host}, port {ports} (Ctrl-C ends it and saves the run)", flush=True)
     stop: KeyboardInterrupt | None = None
-    try:
+    try:  # who reads this line may send a signal before `print` has returned
+        print(f"serving on {served.host}, port {ports} (Ctrl-C ends it and saves the run)", flush=True)
         while not served.wait(ANSWERED):
             pass
     except KeyboardInterrupt as came:

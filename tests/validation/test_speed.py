@@ -10,11 +10,12 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
+import closedloop as cl
 from validation.speed.__main__ import line_up, main
 from validation.speed.arms import ARMS, chain, slide
 from validation.speed.batch import compiled_batch
 from validation.speed.bodies import of_bodies
-from validation.speed.contestants import Contestant, final, our_engine
+from validation.speed.contestants import Contestant, converged, final, our_engine, with_errors
 from validation.speed.feet import BOXES, STANDS, on_feet
 from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
 from validation.speed.measure import Timing, race, ratio
@@ -70,6 +71,34 @@ def test_every_row_moves_the_bodies(name):
         assert np.max(np.abs(contestant.lap()[1] - contestant.wanted)) <= contestant.tolerance, contestant
     height = everyone[0].wanted[2]
     assert height == pytest.approx(0.05 if name != "cube_toss" else 0.0524, abs=1e-6)
+
+
+def test_mujoco_races_with_its_own_solver_settings():
+    """Solving to rounding, as our comparisons of accuracy do, makes its step nearly twice as long."""
+    mujoco = pytest.importorskip("mujoco")
+    from validation.speed.loops import connect_model
+    from validation.speed.mujoco import slide_model
+
+    own = mujoco.MjModel.from_xml_string("<mujoco/>").opt
+    off = mujoco.mjtDisableBit
+    allowed = [off.mjDSBL_LIMIT, off.mjDSBL_FRICTIONLOSS, off.mjDSBL_SPRING, off.mjDSBL_DAMPER, off.mjDSBL_ISLAND]
+    for opt in (slide_model(slide("wam4", 5)).opt, connect_model(coasting("four_bar")).opt):
+        for name in ("tolerance", "iterations", "ls_iterations", "solver", "jacobian", "cone"):
+            assert getattr(opt, name) == getattr(own, name), name
+        assert opt.disableflags & ~sum(int(flag) for flag in allowed) == 0
+    exact = slide_model(slide("wam4", 5), exact=True).opt
+    assert (exact.tolerance, exact.disableflags & int(off.mjDSBL_WARMSTART)) == (0.0, int(off.mjDSBL_WARMSTART))
+
+
+@pytest.mark.parametrize("h", [5e-4, 1e-3])
+def test_errors_shrink_with_the_step(h):
+    """The error beside a time is that of the step's first order, and of MuJoCo's contact that gives way."""
+    problem = slide("planar2", STEPS)
+    changed = problem.scenario.replace({"time.step": h})
+    one = our_engine("planar2", cl.prepare(changed), "compiled")
+    (with_error,) = with_errors([one], problem)
+    off = np.max(np.abs(one.wanted - with_error.converged))
+    assert off == pytest.approx(h / 1e-3 * np.max(np.abs(final(problem) - converged(problem))), rel=0.1)
 
 
 def test_arms_grow():

@@ -70,6 +70,7 @@ class MuJoCo(Engine):
         hold = spec.add_equality(type=mujoco.mjtEq.mjEQ_TENDON, name1=ROD, objtype=mujoco.mjtObj.mjOBJ_TENDON)
         hold.data[1] = 1.0
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        solve_to_rounding(spec)
         self.model = compile_spec(spec)
         self.columns = columns(self.model, robot)
         self.types = tuple(getattr(robot, "joint_types", ()))
@@ -196,17 +197,30 @@ def build_spec(robot: Robot, tip: str) -> Any:
         site.name = TIP
     else:
         raise CannotBuild(f"MuJoCo has no body or site {tip!r}")
-    option, off = spec.option, mujoco.mjtDisableBit
-    option.gravity = np.array(robot.gravity)
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    option.solver, option.tolerance, option.iterations = mujoco.mjtSolver.mjSOL_NEWTON, 0.0, 20
-    for flag in ("LIMIT", "FRICTIONLOSS", "SPRING", "DAMPER", "REFSAFE", "EULERDAMP", "WARMSTART", "ISLAND"):
-        option.disableflags |= int(getattr(off, f"mjDSBL_{flag}"))
-    option.disableflags |= int(off.mjDSBL_AUTORESET)
+    spec.option.gravity = np.array(robot.gravity)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    disable(spec, "LIMIT", "FRICTIONLOSS", "SPRING", "DAMPER")
     if robot.format == "urdf":
         _require_masses(compile_spec(spec), robot)
     return spec
+
+
+def solve_to_rounding(spec: Any) -> None:
+    """Let the constraint solver go on to rounding, from no earlier solution: accurate, and slow."""
+    import mujoco
+
+    option = spec.option
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.solver, option.tolerance, option.iterations = mujoco.mjtSolver.mjSOL_NEWTON, 0.0, 20
+    disable(spec, "REFSAFE", "EULERDAMP", "WARMSTART", "ISLAND", "AUTORESET")
+
+
+def disable(spec: Any, *flags: str) -> None:
+    """Switch parts of MuJoCo's step off, each an ``mjDSBL_`` flag."""
+    import mujoco
+
+    for flag in flags:
+        spec.option.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
 
 
 def compile_spec(spec: Any) -> Any:

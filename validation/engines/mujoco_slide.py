@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from closedloop import Problem
-from validation.engines.mujoco import TIP, build_spec, columns, compile_spec, tip_drift, tip_jacobian
+from validation.engines.mujoco import TIP, build_spec, columns, compile_spec, solve_to_rounding, tip_drift, tip_jacobian
 from validation.engines.trajectories import Trajectory, law
 
 RADIUS, MARGIN = 1e-3, 1e-3
@@ -37,6 +37,7 @@ def slide_mujoco(of: Problem, impedance: float, *, contact: bool = True) -> Traj
 
     n_, d_ = of.plane.normal, of.plane.offset
     spec = build_spec(of.robot.model, of.robot.tip)
+    solve_to_rounding(spec)
     spec.option.timestep = of.h
     site = spec.site(TIP)
     ball = site.parent.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], pos=site.pos, mass=0.0)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from robot_models.loop_joint import WORLD, LoopJoint
-from validation.engines.mujoco import MuJoCo, build_spec, columns, compile_spec
+from validation.engines.mujoco import MuJoCo, build_spec, columns, compile_spec, solve_to_rounding
 from validation.loops.cases import Case, mechanism_called
 from validation.loops.peers import LoopPeer, refuse_other
 from validation.oracle.spatial import Array
@@ -36,6 +36,7 @@ class MuJoCoLoops(LoopPeer):
         self.mj: Any = mujoco
         self.robot = mechanism_called(mechanism)
         spec = build_spec(self.robot, str(self.robot.tip))
+        solve_to_rounding(spec)
         # Of each equality, as MuJoCo numbers them: the type of its loop joint, and the sites or joints that it binds.
         self.made: list[tuple[str, tuple[str, ...]]] = []
         for k, joint in enumerate(self.robot.loops):

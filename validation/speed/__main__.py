@@ -98,23 +98,24 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             everyone += bodies.of_bodies(arm, there["mujoco"])
             continue
         problem = slide(arm, steps)
-        everyone.append(contestants.our_engine(arm, problem, "compiled"))
+        racing = [contestants.our_engine(arm, problem, "compiled")]
         if arm == "wam4":
-            everyone.append(batch.in_lanes(arm, problem))
-        everyone += [
+            racing.append(batch.in_lanes(arm, problem))
+        racing += [
             contestants.our_engine(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),
             contestants.bare_algorithms(arm, problem),
-            inertia.composite_bodies(arm, problem),
-            inertia.newton_euler_columns(arm, problem),
             contestants.pinocchio_loop(arm, problem),
         ]
         if there["mujoco"]:
             from validation.speed import mujoco
 
-            everyone += [mujoco.driven(arm, problem), mujoco.bare(arm, problem)]
+            racing += [mujoco.driven(arm, problem), mujoco.bare(arm, problem), mujoco.bare(arm, problem, exact=True)]
+        everyone += contestants.with_errors(racing, problem)
+        everyone += [inertia.composite_bodies(arm, problem), inertia.newton_euler_columns(arm, problem)]
         if there["drake"]:
-            everyone.append(contestants.drake_loop(arm, slide(arm, max(1, steps // DRAKE_SHARE))))
+            shorter = slide(arm, max(1, steps // DRAKE_SHARE))
+            everyone += contestants.with_errors([contestants.drake_loop(arm, shorter)], shorter)
         if arm == "wam4":
             everyone.append(contestants.user_law(arm, problem))
             everyone += derivatives.racing(arm, problem)

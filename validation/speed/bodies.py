@@ -19,7 +19,7 @@ from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
-from validation.speed.contestants import Contestant
+from validation.speed.contestants import CONES, Contestant, mj_step_with
 
 CUBE, HEIGHTS = "cube_toss", (2, 5, 10)
 TOWERS = tuple(f"tower_{n}" for n in HEIGHTS)
@@ -37,10 +37,10 @@ def boxes_xml(n: int) -> str:
     return "".join(f'<body name="box{i + 1}" pos="0 0 {HALF * (1 + 2 * i)}">{geom}</body>' for i in range(n))
 
 
-def world_xml(bodies: str, surface: str) -> str:
-    """Return a model of MuJoCo: a floor and bodies."""
+def world_xml(bodies: str, surface: str, cone: str) -> str:
+    """Return a model of MuJoCo: a floor and bodies, and which cones of friction they have."""
     return (
-        f'<mujoco><option timestep="{STEP}" cone="elliptic"/><worldbody><geom type="plane" size="0 0 1" {surface}/>'
+        f'<mujoco><option timestep="{STEP}" cone="{cone}"/><worldbody><geom type="plane" size="0 0 1" {surface}/>'
         f"{bodies}</worldbody></mujoco>"
     )
 
@@ -76,10 +76,12 @@ def ours(name: str) -> Contestant:
             raise failure
         return seconds, np.array(rows[-1, : problem.robot.n])
 
-    return Contestant("compiled", name, problem.robot.n, STEPS, lap, lap()[1], 1e-9, "compiled engine")
+    end = lap()[1]
+    rests = None if name == CUBE else problem.q
+    return Contestant("compiled", name, problem.robot.n, STEPS, lap, end, 1e-9, "compiled engine", rests)
 
 
-def bare(name: str, joints: int) -> Contestant:
+def bare(name: str, joints: int, cone: str) -> Contestant:
     """Return ``mj_step`` alone, all steps in one call."""
     import mujoco
 
@@ -90,11 +92,11 @@ def bare(name: str, joints: int) -> Contestant:
         cube = '<body><freejoint/><inertial pos="0 0 0" mass="0.37" diaginertia="8.1e-4 8.1e-4 8.1e-4"/>'
         surface = f'condim="3" friction="{mu} 0 0"'
         cube += f'<geom type="box" size="0.0524 0.0524 0.0524" {surface}/></body>'
-        made = mujoco.MjModel.from_xml_string(world_xml(cube, surface))
+        made = mujoco.MjModel.from_xml_string(world_xml(cube, surface, cone))
         q, v = np.array(scenario.start.q), np.array(scenario.start.v)
         q[3:] /= np.linalg.norm(q[3:])
     else:
-        made = mujoco.MjModel.from_xml_string(world_xml(boxes_xml(int(name.removeprefix("tower_"))), SURFACE))
+        made = mujoco.MjModel.from_xml_string(world_xml(boxes_xml(int(name.removeprefix("tower_"))), SURFACE, cone))
         q, v = made.qpos0.copy(), np.zeros(made.nv)
     data: Any = mujoco.MjData(made)
 
@@ -108,10 +110,11 @@ def bare(name: str, joints: int) -> Contestant:
         return None, data.qpos.copy()
 
     apart = ANYWHERE if name == CUBE else GIVES_WAY
-    return Contestant("mj_step", name, joints, STEPS, lap, q, apart, "MuJoCo: bare mj_step")
+    called, what = mj_step_with(cone)
+    return Contestant(called, name, joints, STEPS, lap, q, apart, what, None if name == CUBE else q)
 
 
 def of_bodies(name: str, with_mujoco: bool) -> list[Contestant]:
     """Return everyone who moves the bodies of one of `BODIES`."""
     one = ours(name)
-    return [one, bare(name, one.joints)] if with_mujoco else [one]
+    return [one, *(bare(name, one.joints, cone) for cone in CONES)] if with_mujoco else [one]

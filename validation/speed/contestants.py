@@ -6,7 +6,7 @@ from setting out, and where the arm ended: those that do the whole work must end
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,6 +23,9 @@ from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
+
+# MuJoCo's cones of friction: of Coulomb's law, and its default of four faces, which is quicker.
+CONES = ("elliptic", "pyramidal")
 
 Lap = Callable[[], tuple[float | None, Array | None]]
 """Runs a lap -> seconds of the steps alone, or None for all of it; what it came to, or None if it moves nothing."""
@@ -46,6 +49,9 @@ class Contestant:
         How far from there it may be.
     what : str
         In words.
+    converged : array or None
+        What a lap comes to with a rigid contact and endlessly short steps, where that is known: its error is counted
+        from there.
     """
 
     name: str
@@ -56,14 +62,32 @@ class Contestant:
     wanted: Array | None = field(default=None, repr=False)
     tolerance: float = 0.0
     what: str = ""
+    converged: Array | None = field(default=None, repr=False)
 
 
-def final(problem: Problem) -> Array:
+def mj_step_with(cone: str) -> tuple[str, str]:
+    """Return the name, and what it is, of MuJoCo's bare step with cones of friction of `CONES`."""
+    return ("mj_step" if cone == CONES[0] else f"mj_step_{cone}"), f"MuJoCo: bare mj_step, {cone} cones"
+
+
+def final(problem: Problem, law: Any = None) -> Array:
     """Return where the arm ends, q (n,): what every loop that does the whole work must come to."""
-    rows, _, failure, _ = run_loop(problem, engine="compiled")
+    rows, _, failure, _ = run_loop(problem, law, engine="compiled")
     if failure is not None:
         raise failure
     return np.array(rows[-1, : problem.robot.n])
+
+
+def converged(problem: Problem, law: Any = None) -> Array:
+    """Return q (n,) at the end, of the fourth-order scheme with steps of a tenth: no error that would count here."""
+    fine = problem.scenario.replace({"time.integrator": "rk4", "time.step": problem.h / 10.0})
+    return final(cl.prepare(fine, problem.robot.model), law)
+
+
+def with_errors(racing: Sequence[Contestant], problem: Problem, law: Any = None) -> list[Contestant]:
+    """Return contestants with the converged answer of a problem, those that do its whole work."""
+    exact = converged(problem, law)
+    return [c if c.wanted is None or c.converged is not None else replace(c, converged=exact) for c in racing]
 
 
 def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:

@@ -19,13 +19,15 @@ from closedloop.scenario.load import parse_scenario
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
-from validation.speed.contestants import Contestant
+from validation.speed.contestants import CONES, Contestant, mj_step_with, with_errors
 
 BOXES = ("box_slides", "box_stands")
 SLIDES, STANDS = BOXES
 STEPS, STEP, RADIUS, FRICTION = 1000, 1e-3, 1e-3, 0.2
 # How far apart may they end, m or rad: a soft contact creeps.
 GIVES_WAY = 0.02
+# Friction of a pyramid is not against the slip: the box slides along another line.
+TURNED = 0.5
 HALF = (0.1, 0.075, 0.05)
 FEET = tuple((x * HALF[0], y * HALF[1], -HALF[2]) for x in (1, -1) for y in (1, -1))
 INERTIA = tuple((sum(a * a for a in HALF) - a * a) / 3.0 for a in HALF)
@@ -86,8 +88,8 @@ def ours(name: str, problem: Problem) -> Contestant:
     return Contestant("compiled", name, 6, STEPS, lap, wanted, 1e-11, "compiled engine")
 
 
-def bare(name: str, wanted: Array) -> Contestant:
-    """Return ``mj_step`` alone, all steps in one call."""
+def bare(name: str, wanted: Array, cone: str) -> Contestant:
+    """Return ``mj_step`` alone, all steps in one call, with elliptic or pyramidal cones of friction."""
     import mujoco
 
     spheres = "".join(
@@ -98,7 +100,7 @@ def bare(name: str, wanted: Array) -> Contestant:
         f'<joint type="{kind}" axis="{axis}"/>' for kind in ("slide", "hinge") for axis in ("1 0 0", "0 1 0", "0 0 1")
     )
     made = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option timestep="{STEP}" cone="elliptic"/><worldbody>'
+        f'<mujoco><option timestep="{STEP}" cone="{cone}"/><worldbody>'
         f'<geom type="plane" size="0 0 1" condim="3" friction="{FRICTION} 0 0"/><body>{joints}'
         f'<inertial pos="0 0 0" mass="1" diaginertia="{" ".join(map(str, INERTIA))}"/>{spheres}</body>'
         "</worldbody></mujoco>"
@@ -113,10 +115,14 @@ def bare(name: str, wanted: Array) -> Contestant:
             raise RuntimeError(f"MuJoCo ended with {data.ncon} contacts, where four are wanted")
         return None, data.qpos.copy()
 
-    return Contestant("mj_step", name, 6, STEPS, lap, wanted, GIVES_WAY, "MuJoCo: bare mj_step")
+    called, what = mj_step_with(cone)
+    apart = GIVES_WAY if cone == CONES[0] else TURNED
+    return Contestant(called, name, 6, STEPS, lap, wanted, apart, what)
 
 
 def on_feet(name: str, with_mujoco: bool) -> list[Contestant]:
     """Return everyone who moves a box, one of `BOXES`."""
-    one = ours(name, boxed(name))
-    return [one, bare(name, np.asarray(one.wanted))] if with_mujoco else [one]
+    problem = boxed(name)
+    one = ours(name, problem)
+    others = [bare(name, np.asarray(one.wanted), cone) for cone in CONES] if with_mujoco else []
+    return with_errors([one, *others], problem, no_torque)

@@ -48,8 +48,8 @@ def coasting(name: str) -> Problem:
     return cl.prepare(cl.load_scenario(name, changes))
 
 
-def connected(problem: Problem, driven: bool) -> Contestant:
-    """Return MuJoCo's four-bar with a `connect`: the law between its half steps, or ``mj_step`` alone as it falls."""
+def connect_model(problem: Problem) -> Any:
+    """Return the four-bar with a `connect`, as MuJoCo's model."""
     import mujoco
 
     model = problem.robot.model
@@ -61,7 +61,14 @@ def connected(problem: Problem, driven: bool) -> Contestant:
         type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE, name1="pin0", name2="pin1"
     )
     pin.solref = [2.0 * problem.h, 1.0]
-    made = compile_spec(spec)
+    return compile_spec(spec)
+
+
+def connected(problem: Problem, driven: bool) -> Contestant:
+    """Return MuJoCo's four-bar with a `connect`: the law between its half steps, or ``mj_step`` alone as it falls."""
+    import mujoco
+
+    made = connect_model(problem)
     data: Any = mujoco.MjData(made)
     first, second, steps = mujoco.mj_step1, mujoco.mj_step2, problem.steps
 

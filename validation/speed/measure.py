@@ -56,6 +56,13 @@ class Timing:
         return float(np.median(self.busy))
 
     @property
+    def error(self) -> float | None:
+        """How far it ended from the converged answer, rad or m; None where there is none."""
+        if self.end is None or self.contestant.converged is None:
+            return None
+        return float(np.max(np.abs(self.end - self.contestant.converged)))
+
+    @property
     def spread(self) -> float:
         """Half the distance of the quartiles, over the median."""
         low, high = np.percentile(self.wall, [25, 75])

@@ -20,6 +20,7 @@ def as_data(timings: Timings, found: list[Target], extra: dict[str, Any]) -> dic
             "steps": t.contestant.steps, "seconds_per_step": t.median, "processor_seconds_per_step": t.processor,
             "processor_seconds_per_step_and_joint": t.processor / t.contestant.joints, "spread": t.spread,
             "cores_busy": float(t.share.mean()), "laps": t.wall.tolist(), "processor_laps": t.busy.tolist(),
+            "error": t.error,
             "over_mujoco": ratio(t, timings[arm, "mujoco"]) if (arm, "mujoco") in timings else None,
         }
         for (arm, name), t in timings.items()
@@ -33,7 +34,7 @@ def as_data(timings: Timings, found: list[Target], extra: dict[str, Any]) -> dic
 def show(data: dict[str, Any]) -> None:
     """Print both tables, the cold starts and what is missing."""
     table = Table(box=box.SIMPLE_HEAD, title=f"one step of a slide, median of {data['repeats']} laps in turns")
-    columns = ("arm", "who", "µs", "±%", "CPU µs", "a joint", "× MuJoCo")
+    columns = ("arm", "who", "µs", "±%", "CPU µs", "a joint", "× MuJoCo", "error")
     for column in columns:
         table.add_column(column, justify="left" if column in ("arm", "who") else "right")
     last = ""
@@ -48,11 +49,13 @@ def show(data: dict[str, Any]) -> None:
         table.add_row(
             f"{row['arm']} ({row['joints']})" if row["arm"] != last else "", row["what"], f"{micro[0]:.3g}",
             f"{100 * row['spread']:.0f}", f"{micro[1]:.3g}", f"{micro[2]:.3g}", f"{1 / over:.2f}" if over else "–",
+            "–" if row["error"] is None else f"{row['error']:.1e}",
         )  # fmt: skip
         last = row["arm"]
     console = Console(highlight=False)
     console.width = max(100, console.width)
     console.print(table)
+    console.print("error: of q at the end, rad or m, from the answer with a rigid contact and endlessly short steps\n")
     marks = Table(box=box.SIMPLE_HEAD, title="targets")
     for column in ("ratio", "wanted", "measured", ""):
         marks.add_column(column, justify="left" if column == "ratio" else "right")

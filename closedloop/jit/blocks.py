@@ -108,12 +108,23 @@ class Layout:
             self.end += size
         # A batch makes blocks of the same few sizes thousands of times.
         self._places: dict[tuple[int, ...], Mapping[str, Place]] = {}
+        self._counts: dict[tuple[Count, tuple[int, ...]], int] = {}
         # An interpreted loop makes blocks of the same views at every step.
         self._last: tuple[Array | None, tuple[int, ...], dict[str, Any]] = None, (), {}
 
     def size(self, *sizes: int) -> int:
         """Return how many numbers the block has."""
-        return self.end.value(dict(zip(self.sizes, sizes, strict=True)))
+        return self._counted(self.end, sizes)
+
+    def _counted(self, count: Count, sizes: tuple[int, ...]) -> int:
+        """Return a count for sizes, kept for the next block of the same."""
+        key = count, sizes
+        found = self._counts.get(key)
+        if found is None:
+            if len(self._counts) >= MOST_LAYOUTS * (len(self.blocks) + 1):
+                self._counts.clear()
+            found = self._counts[key] = count.value(dict(zip(self.sizes, sizes, strict=True)))
+        return found
 
     def views(self, memory: Array, *sizes: int) -> dict[str, Any]:
         """Return the arrays and blocks of a block by their names; memory is (size, ...), of blocks side by side too."""
@@ -126,7 +137,7 @@ class Layout:
         }
         for name, kind in self.blocks.items():
             inner = self.sizes_of(kind, sizes)
-            begin = self.at[name].value(dict(zip(self.sizes, sizes, strict=True)))
+            begin = self._counted(self.at[name], sizes)
             found[name] = kind(memory[begin : begin + kind.count(*inner)], *inner)
         self._last = memory, sizes, found
         return found

@@ -270,4 +270,4 @@ def _by_address(arguments: Sequence[Any], address: Callable[[Entry], int]) -> It
 
 def at_hand(function: Callable[..., Any]) -> bool:
     """Whether calling a kernel needs no compiler, or is to wait for it, as no process may compile in the background."""
-    return bool(background.refused()) or not needs_compiling(function)
+    return not needs_compiling(function) or bool(background.refused())

@@ -212,7 +212,7 @@ def plain(function: F) -> F:
 def needs_compiling(function: Callable[..., Any]) -> bool:
     """Whether calling `function` now would compile it first, which takes seconds."""
     dispatcher: Any = vars(function).get("dispatcher") if isinstance(function, Kernel) else function
-    if jit_disabled() or getattr(dispatcher, "signatures", None):
+    if getattr(dispatcher, "overloads", None) or jit_disabled():
         return False
     from closedloop.jit.cache_folder import is_kept
 

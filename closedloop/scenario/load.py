@@ -48,10 +48,17 @@ from robot_models.toml_text import toml_tables
 MOST_BYTES = 4_000_000
 
 
+SHIPPED = Path(str(resources.files("closedloop.scenario") / "shipped"))
+
+
 def shipped_scenarios() -> list[str]:
     """Return the names of the scenarios that come with the package, sorted."""
-    folder = resources.files("closedloop.scenario") / "shipped"
-    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
+    return sorted(each.stem for each in SHIPPED.iterdir() if each.suffix == ".toml")
+
+
+def is_users_file(model: str) -> bool:
+    """Whether `robot.model` names a file that does not come with the package, and may be changed."""
+    return names_a_file(model) and not Path(model).is_relative_to(SHIPPED)
 
 
 def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
@@ -66,8 +73,7 @@ def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
         every = f"wam_slide is one of {len(shipped)}, 'closedloop scenarios' lists them"
         hint = f"did you mean '{near[0]}'?" if near else every
         raise ScenarioError(f"no scenario named {shown(str(name))}; {hint} (a file of your own must end in .toml)")
-    folder = Path(str(resources.files("closedloop.scenario") / "shipped"))
-    return (folder / f"{name}.toml").read_text(encoding="utf-8"), str(name), str(name), folder
+    return (SHIPPED / f"{name}.toml").read_text(encoding="utf-8"), str(name), str(name), SHIPPED
 
 
 def robot_file(model: Any, folder: Path, where: str) -> Any:

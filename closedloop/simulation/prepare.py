@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
@@ -61,9 +62,10 @@ from closedloop.scenario.arm import (
 )
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
+from closedloop.scenario.load import is_users_file
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import refuse_absent
+from closedloop.scenario.user_module import members_of_users, refuse_absent
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.problem import Problem
@@ -119,6 +121,33 @@ class Cache:
         shared = self._shared or self
         with shared._lock:
             return shared.get(key, make, size)
+
+
+class _Kept(threading.local):
+    cache: Cache | None = None
+    model: RobotModel | None = None
+
+
+_kept = _Kept()
+
+
+@contextmanager
+def kept_cache(scenario: Scenario, model: RobotModel | None) -> Iterator[Cache]:
+    """Give the cache of this thread's earlier calls, for a problem that is not kept: its robot and table are reused.
+
+    A call within a call, as in a user's law, has a cache of its own; so has a scenario that names a file or a class of
+    the user's, which may have changed since.
+    """
+    if (model is None and is_users_file(scenario.robot.model)) or members_of_users(scenario):
+        yield Cache()
+        return
+    cache, _kept.cache = _kept.cache, None
+    if cache is None or _kept.model is not model:
+        cache = Cache()
+    try:
+        yield cache
+    finally:
+        _kept.cache, _kept.model = cache, model
 
 
 # Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a

@@ -45,7 +45,7 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.scenario_numbers import arm_columns
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Answers, begun, driver
-from closedloop.simulation.prepare import prepare
+from closedloop.simulation.prepare import Cache, kept_cache, prepare
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown
@@ -209,12 +209,22 @@ def simulate_prepared(
     progress: bool | Callable[[int, int], None], engine: str, record: Recorded | None,
 ) -> Run:  # fmt: skip
     """Simulate a scenario that may be prepared already; see `simulate`."""
+    if problem is not None:
+        return _simulated(scenario, problem, law, model, progress, engine, record, None)
+    with kept_cache(scenario, model) as cache:
+        return _simulated(scenario, None, law, model, progress, engine, record, cache)
+
+
+def _simulated(
+    scenario: Scenario, problem: Problem | None, law: Law | None, model: RobotModel | None,
+    progress: bool | Callable[[int, int], None], engine: str, record: Recorded | None, cache: Cache | None,
+) -> Run:  # fmt: skip
     check_engine(scenario, engine, law)
     check_names(record or {}, set(ALL_COLUMNS) | set(dir(Run)) | set(DERIVED) | RESERVED)
     try:
         if problem is None:
             with held_back(), not_compiled_first():
-                problem = prepare(scenario, model)
+                problem = prepare(scenario, model, cache)
         with reporting(progress, problem.scenario.name, problem.steps) as report:
             rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     except KeyboardInterrupt as stop:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -245,23 +246,23 @@ class ScenarioNumbers:
         """f_des at the start, N, and the instant from which the PD part acts, s."""
         return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
 
-    @property
+    @cached_property
     def general(self) -> bool:
         """Whether the law is called by address."""
         return calls_law(self.scenario, self.robot.model)
 
-    @property
+    @cached_property
     def row_width(self) -> int:
         """Numbers in a recorded row."""
         contacts = len(self.scenario.contact or ())
         return row_width(self.robot.n, bool(arm_columns(self.scenario)), contacts, self.row_states)
 
-    @property
+    @cached_property
     def row_states(self) -> int:
         """How many of them are states of the law and its compensation, the last."""
         return recorded_states(self.scenario, self.robot.n)
 
-    @property
+    @cached_property
     def sizes(self) -> dict[str, int]:
         """How many numbers the parameters of each member are, in the order of `Constants`."""
         return {
@@ -270,7 +271,7 @@ class ScenarioNumbers:
             "compliance": self.compliance.numbers.size, "tendons": len(self.tendons),
         }  # fmt: skip
 
-    @property
+    @cached_property
     def tendons(self) -> Array:
         """What rubs along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`."""
         return acting_tendons(self.scenario, self.robot.model)

@@ -1,0 +1,103 @@
+"""Calls one after the other, of which a later one reuses what an earlier one has made."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+import robot_models
+
+CHANGES = (
+    {},
+    {"law.force": 12.0},
+    {"start.q": [0.1, -1.5, 0.05, 2.4]},
+    {"surface.tilt": 5.0},
+    {"time.step": 5e-4},
+    {"sensor.noise": 0.1, "sensor.seed": 3},
+    {"friction": {"kind": "coulomb", "mu": 0.2}},
+    {"robot.drive_inertia": False},
+    {"robot.model": "panda", "start.q": None},
+)
+
+
+def columns_of(run):
+    """Return all columns of a run, by name."""
+    return {name: np.asarray(run[name]) for name in run.columns}
+
+
+def same(one, other):
+    """Whether two runs have the same columns, to the bit."""
+    a, b = columns_of(one), columns_of(other)
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name], equal_nan=True) for name in a)
+
+
+def scenario_with(changes, duration=0.02):
+    """Return the slide with changes that go together; None if they do not."""
+    return cl.load_scenario("wam_slide", {"time.duration": duration, **changes})
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_a_call_equals_one_in_a_thread_of_its_own(engine):
+    """Whatever came before, a run equals one that finds nothing made: in a new thread nothing is."""
+    scenarios = []
+    for changes in CHANGES:
+        try:
+            scenarios.append(scenario_with(changes))
+        except cl.ClosedLoopError:
+            continue
+    assert len(scenarios) >= 6
+    for scenario in [*scenarios, *reversed(scenarios)]:
+        with ThreadPoolExecutor(1) as pool:
+            fresh = pool.submit(outcome, scenario, engine).result()
+        here = outcome(scenario, engine)
+        assert type(here) is type(fresh)
+        assert same(here, fresh) if isinstance(here, cl.Run) else str(here) == str(fresh)
+
+
+def outcome(scenario, engine):
+    """Return the run of a scenario, or why there is none."""
+    try:
+        return cl.simulate(scenario, engine=engine)
+    except cl.ClosedLoopError as error:
+        return error
+
+
+def test_a_robot_file_that_has_changed_is_read_again(tmp_path):
+    """A file of the user's may be another one in the next call, with the same name."""
+    file = tmp_path / "mine.urdf"
+    text = robot_models.load("planar2").text
+    file.write_text(text)
+    scenario = cl.load_scenario("planar2_slide", {"robot.model": str(file), "time.duration": 0.01})
+    before = cl.simulate(scenario)
+    assert 'mass value="' in text
+    head, _, rest = text.partition('mass value="')
+    mass, _, tail = rest.partition('"')
+    file.write_text(f'{head}mass value="{2.0 * float(mass)}"{tail}')
+    after = cl.simulate(scenario)
+    assert not np.array_equal(before.torque, after.torque)
+
+
+def test_a_run_within_a_law_leaves_the_outer_one_alone():
+    """A law of one's own may simulate the same robot: as a prediction, for example."""
+    scenario = scenario_with({})
+    problem = cl.prepare(scenario)
+
+    def law(t, q, v, terms):
+        return terms.bias - 10.0 * problem.plane.normal @ terms.jacobian
+
+    def looks_ahead(t, q, v, terms):
+        if t in (0.0, 0.01):
+            cl.simulate(scenario_with({"law.force": 3.0}))
+        return law(t, q, v, terms)
+
+    plain, nested = cl.simulate(scenario, law=law), cl.simulate(scenario, law=looks_ahead)
+    assert all(np.array_equal(plain[name], nested[name], equal_nan=True) for name in plain.columns)
+
+
+def test_a_run_keeps_its_numbers():
+    """What a later call overwrites is not what a run has recorded."""
+    first = cl.simulate(scenario_with({}))
+    kept = {name: values.copy() for name, values in columns_of(first).items()}
+    cl.simulate(scenario_with({"law.force": 30.0, "sensor.noise": 0.5}))
+    assert all(np.array_equal(kept[name], first[name], equal_nan=True) for name in kept)

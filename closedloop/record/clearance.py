@@ -86,12 +86,14 @@ def clearance(run: Record) -> Clearance | None:
     found = [_from_plane(run, solids, plane, touching, mechanism, known) for plane, touching in planes]
     apart = (pair for pair in _pairs(run, mechanism, solids) if _distance(*pair, poses[0]) > TOUCHING)
     pairs = list(islice(apart, MOST_PAIRS))
-    nearest: tuple[float, int, int] | None = None
-    for at, pose in enumerate(poses):
-        for k, pair in enumerate(pairs):
-            if nearest is None or _bound(*pair, pose) < nearest[0]:
-                nearest = min(nearest or (np.inf, 0, 0), (_distance(*pair, pose), at, k))
-    if nearest is not None and np.isfinite(nearest[0]):
+    nearest = (np.inf, 0, 0)
+    bounds = _bounds(pairs, poses)
+    for place in np.argsort(bounds, axis=None, kind="stable"):
+        at, k = divmod(int(place), len(pairs))
+        if bounds[at, k] >= nearest[0]:
+            break
+        nearest = min(nearest, (_distance(*pairs[k], poses[at]), at, k))
+    if np.isfinite(nearest[0]):
         low, high = rows[max(nearest[1] - 1, 0)], rows[min(nearest[1] + 1, len(rows) - 1)]
         near = _some(known[(known >= low) & (known <= high)], 4 * MOST_ROWS)
         found.append(_nearest_of(run, mechanism, near, pairs[nearest[2]]))
@@ -143,14 +145,15 @@ def _solids(model: RobotModel) -> tuple[Solid, ...]:
     return ()
 
 
-def _poses(run: Record, mechanism: Any, rows: NDArray[Any]) -> list[Array]:
-    """Return the frames of the base and the joints (n + 1, 4, 4) in each of these rows."""
+def _poses(run: Record, mechanism: Any, rows: NDArray[Any]) -> Array:
+    """Return the frames of the base and the joints (rows, n + 1, 4, 4) in each of these rows."""
     import pinocchio as pin
 
-    data, found = mechanism.createData(), []
-    for row in rows:
-        pin.forwardKinematics(mechanism, data, in_pinocchios_order(run.q[row], run.model.joint_types))
-        found.append(np.array([place.homogeneous for place in data.oMi]))
+    data, types = mechanism.createData(), run.model.joint_types
+    found = np.zeros((len(rows), mechanism.njoints, 4, 4))
+    for at, row in enumerate(rows):
+        pin.forwardKinematics(mechanism, data, in_pinocchios_order(run.q[row], types))
+        found[at] = [place.homogeneous for place in data.oMi]
     return found
 
 
@@ -195,7 +198,8 @@ def _from_plane(
 ) -> Clearance | None:
     """Return the least distance from a plane of the shapes that move, but for those of joints that touch it."""
     rows = _some(known, 8 * MOST_ROWS)
-    poses, best = np.array(_poses(run, mechanism, rows)), None
+    best = None
+    poses = _poses(run, mechanism, rows)
     for solid in solids:
         if solid.joint == 0 or solid.joint in touching:
             continue
@@ -256,10 +260,16 @@ def _geometry(shape: CollisionShape) -> tuple[Any, float]:
     return coal.Convex.convexHull(listed, False, None), float(np.max(np.linalg.norm(points, axis=1)))
 
 
-def _bound(a: Solid, b: Solid, pose: Array) -> float:
-    """Return a distance that two shapes are not nearer than: that of balls about them, m."""
-    between = (pose[a.joint] @ a.place)[:3, 3] - (pose[b.joint] @ b.place)[:3, 3]
-    return float(np.linalg.norm(between) - a.reach - b.reach)
+def _bounds(pairs: list[tuple[Solid, Solid]], poses: Array) -> Array:
+    """Return distances (rows, pairs) that shapes are not nearer than: those of balls about them, m."""
+    if not pairs:
+        return np.zeros((len(poses), 0))
+    a, b = (
+        np.einsum("rsij,sj->rsi", poses[:, [each.joint for each in side]], np.array([each.place[:, 3] for each in side]))
+        for side in zip(*pairs, strict=True)
+    )
+    reach = np.array([one.reach + other.reach for one, other in pairs])
+    return np.asarray(np.linalg.norm((a - b)[:, :, :3], axis=2) - reach)
 
 
 def _distance(a: Solid, b: Solid, pose: Array) -> float:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.signal import detrend
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError
@@ -111,8 +112,20 @@ SHARED = 8
 # Tolerance of a limit, as a share of its range.
 LIMIT_TOLERANCE = 1e-11
 # Beside the boundary by this share whole runs are tried, for so many periods of the critical pole, and at least so many
-# samples; they begin apart by this share of the force, in f_des.
-BESIDE, PERIODS, LEAST_SAMPLES, KICK = 0.1, 12.0, 100, 1e-6
+# samples; they begin apart by this share of the force, in f_des. Where they are so many times that apart, they have
+# grown apart: further on the loop is not linear. In each of two parts there must be so many periods. Below
+# the last share of the whole an oscillation is not there.
+BESIDE, PERIODS, LEAST_SAMPLES, KICK, FAR, FEWEST_PERIODS, NEGLIGIBLE = 0.1, 12.0, 100, 1e-6, 1e4, 2.0, 1e-4
+
+
+# Of the rows of such a run the first quarter passes before the kick is over; in the middle of the rest, of them all.
+KICKED, MIDDLE = 0.25, 0.625
+
+
+def _rows(problem: Problem, instant: Instant, frequency: float) -> int:
+    """Return for how many rows runs go on beside a limit whose pole has this frequency, Hz: no further than the end."""
+    span = max(PERIODS / max(frequency, 1e-3), LEAST_SAMPLES * problem.h * max(problem.hold, 1))
+    return min(round(span / problem.h), problem.steps - round(instant.time / problem.h))
 
 
 class Stability:
@@ -309,31 +322,57 @@ class Stability:
         return None
 
     def try_beside(self, limit: Limit, given: Mapping[str, Value] | None = None) -> list[Trial]:
-        """Run the whole nonlinear loop on from the instant below and above a limit; see `Trial`."""
+        """Run the whole nonlinear loop on from the instant below and above a limit; see `Trial`.
+
+        The linear loop beside it is that of the middle of these runs: on the way the arm's posture changes. Left out is
+        what becomes stable or unstable by that, what the scenario may not be, what has no linear loop, and a pole too
+        slow for what is left of the run.
+        """
         trials = []
         for factor in (1.0 - BESIDE, 1.0 + BESIDE):
             values = {**(given or {}), limit.key: limit.value * factor}
             try:
                 problem, instant = self._at(values)
                 problem = of_fixed_steps(problem, self._model, self._cache)
-                expected = self.growth(values)
-                trials.append(Trial(values, expected, self._seen(problem, instant, limit.pole.frequency)))
+                rows = _rows(problem, instant, limit.pole.frequency)
+                middle, end = (
+                    Stability(self.scenario, instant.time + share * rows * problem.h, model=self._model).growth(values)
+                    for share in (MIDDLE, 1.0)
+                )
+                seen = self._seen(problem, instant, limit.pole.frequency, rows)
+                if not math.isnan(seen) and (self.growth(values) > 0.0) == (middle > 0.0) == (end > 0.0):
+                    trials.append(Trial(values, middle, seen))
             except ClosedLoopError:  # beyond what the scenario may be, or without a linear loop
                 continue
         return trials
 
-    def _seen(self, problem: Problem, instant: Instant, frequency: float) -> float:
-        """Return the rate with which two runs grow apart that begin a little apart, 1/s."""
-        span = max(PERIODS / max(frequency, 1e-3), LEAST_SAMPLES * problem.h * max(problem.hold, 1))
-        rows = min(round(span / problem.h), problem.steps - round(instant.time / problem.h))
+    def _seen(self, problem: Problem, instant: Instant, frequency: float, rows: int) -> float:
+        """Return the rate with which two runs grow apart that begin a little apart, 1/s.
+
+        It is that of what oscillates at the pole's frequency, Hz, while both runs are near each other: modes that are
+        slower and die out may be larger. NaN if too few periods are left of the run.
+        """
         kick = KICK * max(1.0, abs(instant.force))
         with_it, without = (run_on(problem, instant, rows, size) for size in (kick, -kick))
         if min(with_it.size, without.size) < rows:
             return math.inf
         apart = with_it - without
-        apart = apart[rows // 4 :]  # once the kick itself is over
+        far = np.flatnonzero(np.abs(apart) > FAR * kick)
+        if far.size:
+            return math.log(FAR) / (far[0] * problem.h)
+        kicked, apart = np.split(apart, [round(KICKED * rows)])
         half = apart.size // 2
-        early, late = (float(np.sqrt(np.mean(part**2))) for part in (apart[:half], apart[half:]))
+        if frequency * half * problem.h < FEWEST_PERIODS:
+            return math.nan
+        parts = apart[:half], apart[half : 2 * half]
+        window = np.hanning(half)
+        wave = window * np.exp(-2j * np.pi * frequency * problem.h * np.arange(half)) / np.sum(window)
+        early, late = (float(abs(wave @ detrend(part))) for part in parts)
+        first, *whole = (float(np.sqrt(np.mean(part**2))) for part in (kicked, *parts))
+        if whole[0] < NEGLIGIBLE * first:  # what is left is rounding
+            early, late = first, whole[0]
+        elif early < NEGLIGIBLE * whole[0]:
+            early, late = whole
         if late == 0.0:
             return -math.inf
         return math.log(late / max(early, 1e-300)) / (half * problem.h)

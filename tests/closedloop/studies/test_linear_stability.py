@@ -110,6 +110,32 @@ def test_whole_runs_on_both_sides(scheme):
 
 
 @pytest.mark.parametrize(
+    ("name", "stiffness", "damping", "delay", "filtered", "key"),
+    [
+        # slower modes, which die out, are larger than the pole's; and the posture changes on the way
+        ("wam_hybrid_friction", 71180.5161867733, 42.333197623698176, 0.0, 0.0, "compliance.stiffness"),
+        ("wam_hybrid_friction", 11848.417845888322, 51.64270411909851, 0.0, 0.0, "law.force_integral"),
+        # a pole at half the sampling rate: the runs are far apart, or together but for rounding, at once
+        ("wam_slide", 5450.71565116077, 247.00746615434622, 0.0, 0.01, "compliance.stiffness"),
+        ("soft_table", 4783.705160192941, 292.8834460533829, 0.005, 0.0, "compliance.stiffness"),
+    ],
+)
+def test_whole_runs_agree_whatever_else_moves(name, stiffness, damping, delay, filtered, key):
+    """Drawn at random: each was said to disagree, by runs whose distance was not that of the pole."""
+    changes = {"compliance": {"kind": "kelvin_voigt", "stiffness": stiffness, "damping": damping}}
+    changes |= {"sensor.delay": delay, "sensor.filter_time_constant": filtered}
+    if name == "soft_table":
+        changes["surface"] = {"contact": "unilateral"}
+    study = Stability(cl.load_scenario(name, changes))
+    limits, _ = study.limits(
+        Range(key, 1.0 if key.startswith("law") else 1e3, 5e3 if key.startswith("law") else 1e7, True)
+    )
+    trials = [trial for limit in limits for trial in study.try_beside(limit)]
+    assert trials
+    assert all(trial.agrees for trial in trials)
+
+
+@pytest.mark.parametrize(
     ("gain", "delay", "phase"), [(2.0, 0.0, 60.0), (2.0, 0.05, 60.0 - math.degrees(0.05 * math.sqrt(3.0))),
                                  (2.0, 1.25, math.degrees(1.25 * math.sqrt(3.0)) - 60.0)],
 )  # fmt: skip
@@ -147,16 +173,15 @@ def test_a_tip_is_moved_into_a_surface_that_would_not_carry_it_where_it_is(stiff
 
 @pytest.mark.slow
 def test_whole_runs_beside_the_boundary_of_a_shipped_scenario():
-    """With friction, an observer and a moving arm: three stiffnesses, on both sides."""
+    """With friction, an observer and a moving arm: three stiffnesses, on both sides unless the posture changes that."""
     study = Stability(cl.load_scenario("wam_hybrid_friction", {"compliance.kind": "kelvin_voigt"}), at=3.0)
     found = study.boundary(
         Range("law.force_integral", 1.0, 300.0), Range("compliance.stiffness", 3e4, 1e6, log=True), 3
     )
     assert len(found) == 3
-    for stiffness, limit in found:
-        trials = study.try_beside(limit, {"compliance.stiffness": stiffness})
-        assert [trial.agrees for trial in trials] == [True, True]
-        assert trials[0].expected < 0.0 < trials[1].expected
+    trials = [study.try_beside(limit, {"compliance.stiffness": stiffness}) for stiffness, limit in found]
+    assert all(trial.agrees for pair in trials for trial in pair)
+    assert sum(len(pair) == 2 and pair[0].expected < 0.0 < pair[1].expected for pair in trials) >= 2
 
 
 @pytest.mark.slow

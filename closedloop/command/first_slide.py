@@ -20,6 +20,7 @@ from closedloop.mechanics.surface.placed import contact_frame
 from closedloop.scenario.gains import closed_mobility, gains_fault
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.scenario import Scenario
+from robot_models.model import AT_LIMIT
 from robot_models.physics import SINGULAR, least_inertia
 
 POSTURES, SEED = 2000, 0  # drawn, fewer for more than twenty joints
@@ -103,6 +104,7 @@ def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
     aside = _aside(robot, rng, low + room, high - room)
     for i in range(POSTURES // max(1, robot.n // 10)):  # a step of the search costs as the cube of n
         q: Array = np.where(moves, rng.uniform(low, high) if i else model.home, aside).round(4)
+        q = np.clip(q, model.position_lower, model.position_upper)  # of a small range the fourth digit may be out
         posture = _judged(robot, q, force, first=i == 0)
         if isinstance(posture, Posture):
             yield posture
@@ -138,11 +140,16 @@ def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tupl
     """Return a posture with its score, or where it fails and why; the robot's own is preferred where it will do."""
     model = robot.model
     span = model.position_upper - model.position_lower
-    finite = np.isfinite(span) & (robot.support > 0.0)
-    margins = np.minimum(q - model.position_lower, model.position_upper - q)[finite] / np.maximum(span[finite], 1e-9)
-    margin = float(np.min(margins, initial=0.5))
-    if margin < LEAST_MARGIN or np.any(q < model.position_lower) or np.any(q > model.position_upper):
-        return LIMITS, "its joints are at their limits"
+    room = np.minimum(q - model.position_lower, model.position_upper - q)
+    bounded = np.isfinite(span) & (robot.support > 0.0)
+    least = np.where(bounded, LEAST_MARGIN * span, -AT_LIMIT)
+    if np.any(out := ~(room >= least) | bounded & (span <= 0.0)):
+        j = int(np.argmax(out))
+        name, limits = model.joint_names[j], f"[{model.position_lower[j]:g}, {model.position_upper[j]:g}]"
+        if span[j] <= 0.0:
+            return LIMITS, f"joint {name} cannot move: its limits are {limits}"
+        return LIMITS, f"joint {name} is at {q[j]:g}, which leaves no room in its limits {limits}"
+    margin = float(np.min(room[bounded] / span[bounded], initial=0.5))
     terms = robot.terms(q, np.zeros(robot.n))
     if least_inertia(terms.mass_matrix) < SINGULAR:
         return INERTIA, "joints that move together move no inertia: look at the tensors of the links"

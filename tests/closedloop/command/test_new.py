@@ -60,6 +60,7 @@ def test_a_file_is_never_replaced(new, tmp_path):
     [
         (["--robot", "double_pendulum"], "double_pendulum with the tip link2: no start was found from which it slides"),
         (["--robot", "planar2", "--tip", "link1"], "planar2 with the tip link1: no start was found"),
+        (["--robot", "double_pendulum"], "joint joint1 cannot move: its limits are [0, 0]"),
         (["--robot", "planar2", "--tip", "hand"], "planar2 has no frame 'hand'"),
         (["--robot", "nosuch"], "no robot is named 'nosuch'"),
         (["--robot", "planar2", "--force", "9000"], "is too weak to press with 9000 N: that takes "),

@@ -245,7 +245,7 @@ def _refuse_loops(built: build.Built, loops: Sequence[LoopJoint], where: str) ->
             if free:
                 raise ModelError(
                     f"{where}: closed_loop {loop.name!r}: joint {free[0]!r}, which turns freely, carries {frame!r}: "
-                    "loops of bodies are closed on a fixed base so far"
+                    "a loop passes through hinges and sliders alone; three hinges of the body do what a ball joint does"
                 )
 
 

@@ -142,6 +142,12 @@ def massless(model: "pin.Model") -> list[str]:
     return found if len(found) < model.njoints - 1 else []
 
 
+def least_inertia(H: NDArray[np.float64]) -> float:
+    """Return the smallest eigenvalue of a mass matrix (n, n) scaled to a unit diagonal, see `SINGULAR`."""
+    scale = 1.0 / np.sqrt(np.diag(H))
+    return float(np.linalg.eigvalsh(scale[:, None] * H * scale).min())
+
+
 def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -> None:
     """Refuse a mechanism that some joint can move without any inertia answering.
 
@@ -189,8 +195,7 @@ def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -
         if diagonal.min() <= LEAST_INERTIA:
             culprit = f"joint {owners[int(np.argmin(diagonal))]!r} moves no inertia along its own axis"
             continue
-        scale = 1.0 / np.sqrt(diagonal)
-        best = max(best, float(np.linalg.eigvalsh(scale[:, None] * H * scale).min()))
+        best = max(best, least_inertia(H))
     if not best > SINGULAR:
         reason = culprit or "some joints, moved together, move no inertia"
         raise ModelError(f"{where}: the mass matrix is singular: {reason}; give its links their inertia")

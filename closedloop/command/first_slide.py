@@ -17,9 +17,11 @@ from closedloop.base.errors import InterruptedRunError, ScenarioError, Simulatio
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import contact_frame
-from closedloop.scenario.gains import gains_fault
+from closedloop.scenario.gains import closed_mobility, gains_fault
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.scenario import Scenario
+from robot_models.model import AT_LIMIT
+from robot_models.physics import SINGULAR, least_inertia
 
 POSTURES, SEED = 2000, 0  # drawn, fewer for more than twenty joints
 MOST_RUNS = 24  # simulated
@@ -32,10 +34,12 @@ NORMAL = (0.0, 0.0, 1.0)
 FORCES = (10.0, 5.0, 2.0, 1.0)  # N, tried in turn where none is asked for
 BEGIN, END, DURATION = 0.5, 3.5, 4.0  # of the slide and of the run, s
 SPEEDS = (0.02, 0.01, 0.005)  # m/s
+STEP = 0.001  # s
 FREQUENCY = 15.0  # of a joint with its gains, rad/s; lowered where the step cannot carry them
+MOST_DAMPING = 0.2  # of a joint's velocity in a step, which a step gets right by a tenth
 
 # What is looked at, in this order; a posture that fails late is nearly right.
-LIMITS, MOBILITY, DEXTERITY, EFFORT, RUN = range(5)
+LIMITS, INERTIA, MOBILITY, DEXTERITY, EFFORT, RUN = range(6)
 Faults = dict[int, str]  # what is wrong with the first posture that failed there
 
 
@@ -100,6 +104,7 @@ def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
     aside = _aside(robot, rng, low + room, high - room)
     for i in range(POSTURES // max(1, robot.n // 10)):  # a step of the search costs as the cube of n
         q: Array = np.where(moves, rng.uniform(low, high) if i else model.home, aside).round(4)
+        q = np.clip(q, model.position_lower, model.position_upper)  # of a small range the fourth digit may be out
         posture = _judged(robot, q, force, first=i == 0)
         if isinstance(posture, Posture):
             yield posture
@@ -118,7 +123,10 @@ def _aside(robot: Robot, rng: np.random.Generator, low: Array, high: Array) -> A
         turns &= ~np.any(loop_rows(robot, home[None], np.zeros((1, robot.n)))[0][0], axis=0)
 
     def effort(q: Array) -> float:
-        torque = np.abs(robot.terms(q, np.zeros(robot.n)).bias)
+        terms = robot.terms(q, np.zeros(robot.n))
+        torque = np.abs(terms.bias)
+        if least_inertia(terms.mass_matrix) < SINGULAR:
+            return math.inf  # at another posture they may move some
         return float(np.max((torque / robot.model.effort_limit)[aside], initial=0.0))
 
     q = np.where(turns, np.clip(home, low, high), home)
@@ -132,17 +140,21 @@ def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tupl
     """Return a posture with its score, or where it fails and why; the robot's own is preferred where it will do."""
     model = robot.model
     span = model.position_upper - model.position_lower
-    finite = np.isfinite(span) & (robot.support > 0.0)
-    margins = np.minimum(q - model.position_lower, model.position_upper - q)[finite] / np.maximum(span[finite], 1e-9)
-    margin = float(np.min(margins, initial=0.5))
-    if margin < LEAST_MARGIN or np.any(q < model.position_lower) or np.any(q > model.position_upper):
-        return LIMITS, "its joints are at their limits"
+    room = np.minimum(q - model.position_lower, model.position_upper - q)
+    bounded = np.isfinite(span) & (robot.support > 0.0)
+    least = np.where(bounded, LEAST_MARGIN * span, -AT_LIMIT)
+    if np.any(out := ~(room >= least) | bounded & (span <= 0.0)):
+        j = int(np.argmax(out))
+        name, limits = model.joint_names[j], f"[{model.position_lower[j]:g}, {model.position_upper[j]:g}]"
+        if span[j] <= 0.0:
+            return LIMITS, f"joint {name} cannot move: its limits are {limits}"
+        return LIMITS, f"joint {name} is at {q[j]:g}, which leaves no room in its limits {limits}"
+    margin = float(np.min(room[bounded] / span[bounded], initial=0.5))
     terms = robot.terms(q, np.zeros(robot.n))
+    if least_inertia(terms.mass_matrix) < SINGULAR:
+        return INERTIA, "joints that move together move no inertia: look at the tensors of the links"
     A = contact_frame(np.array(NORMAL)) @ terms.jacobian
-    try:
-        S = A @ np.linalg.solve(terms.mass_matrix, A.T)
-    except np.linalg.LinAlgError:
-        return MOBILITY, "a joint moves no inertia"
+    S = A @ np.linalg.solve(terms.mass_matrix, A.T)
     mobility = float(S[0, 0] / max(np.trace(S), 1e-300))
     if not mobility > LEAST_MOBILITY:
         return MOBILITY, "the tip hardly moves up and down"
@@ -198,10 +210,13 @@ def _with_gains(
     robot: Robot, name: str, force: float, q: Array, direction: tuple[float, ...], speed: float
 ) -> Scenario:
     """Return the scenario with gains that the step carries: a frequency times the inertia of each joint."""
-    inertia = np.diag(robot.terms(q, np.zeros(robot.n)).mass_matrix)
-    frequency = FREQUENCY
+    H = robot.terms(q, np.zeros(robot.n)).mass_matrix
+    inertia = np.diag(H)
+    # A joint moves less where those beyond it give way: its damping acts on that.
+    damping = 2.0 * STEP * inertia * np.diag(closed_mobility(robot, q, np.linalg.inv(H)))  # in a step, at 1 rad/s
+    frequency = np.minimum(FREQUENCY, MOST_DAMPING / np.maximum(damping, MOST_DAMPING / FREQUENCY))
     while True:
-        kp, kd = ([_rounded(x) for x in gain * inertia] for gain in (frequency**2, 2.0 * frequency))
+        kp, kd = ([_rounded(x) for x in gain * inertia] for gain in (frequency * frequency, 2.0 * frequency))
         data: dict[str, Any] = {
             "robot": {"model": name, "tip": robot.tip, "stops": has_limits(robot)},
             "start": {"q": q.tolist()} | ({"assemble": True} if robot.model.loops else {}),
@@ -211,10 +226,10 @@ def _with_gains(
                 "timing": "minimum_jerk",
             },
             "law": {"kind": "paper", "kp": kp, "kd": kd, "force": force},
-            "time": {"duration": DURATION, "step": 0.001, "integrator": "semi_implicit_euler"},
+            "time": {"duration": DURATION, "step": STEP, "integrator": "semi_implicit_euler"},
         }  # fmt: skip
         scenario = scenario_of(data, "closedloop new", {})
-        if frequency < 1.0 or not gains_fault(scenario, robot):
+        if np.max(frequency) < 1.0 or not gains_fault(scenario, robot):
             return scenario
         frequency *= 0.7
 
@@ -227,6 +242,8 @@ def _fault(scenario: Scenario, robot: Robot) -> str:
     """Return why a scenario will not do, after its run, or an empty string."""
     from closedloop.simulation.simulate import simulate
 
+    if fault := gains_fault(scenario, robot):
+        return fault
     try:
         problems = simulate(scenario, model=robot.model).summary()["verdict"]["problems"]
     except InterruptedRunError:

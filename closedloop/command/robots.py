@@ -254,7 +254,8 @@ class Check(NamedTuple):
 def checks(model: RobotModel, file: str) -> list[Check]:
     """Return how far what the simulator computes is from what Pinocchio and MuJoCo do, at random states.
 
-    MuJoCo reads an MJCF from its file, and a URDF from the model's own text. Energies are compared by their difference
+    MuJoCo reads an MJCF from its file, and a URDF from the model's own text, without its loops: these are compared with
+    Pinocchio's constraints. Energies are compared by their difference
     from the first state's, and loops at closed postures: by the errors that are left, and by the projection on the
     space of their rows, because the rows of one constraint can be written in several ways.
     """
@@ -272,10 +273,13 @@ def checks(model: RobotModel, file: str) -> list[Check]:
     }
     found = [Check("Pinocchio", _apart(robot, ours, pinocchios), PINOCCHIO)]
     try:
-        closed = _closed(robot, rng) if model.loops and model.format == "mjcf" else np.zeros((0, n))
-        if len(closed):
+        closed = _closed(robot, rng) if model.loops else np.zeros((0, n))
+        if model.loops and model.format == "mjcf":
             rows, errors = loop_rows(robot, closed, np.zeros_like(closed))
             ours[LOOPS] = np.array([_held(*both) for both in zip(rows, errors, strict=True)])
+        elif model.loops:
+            found.append(_loops_by_pinocchio(robot, closed))
+            closed = closed[:0]
         found.append(Check("MuJoCo", _apart(robot, ours, _of_mujoco(robot, file, states, closed)), MUJOCO))
     except (ValueError, LookupError) as error:
         found.append(Check("MuJoCo", None, MUJOCO, one_line(str(error))))
@@ -411,6 +415,67 @@ def _of_mujoco(robot: Robot, file: str, states: list[tuple[Array, Array]], close
         jacobian = data.efc_J.reshape(-1, compiled.nv)
         found.setdefault(LOOPS, []).append(_held(jacobian[rows], data.efc_pos[rows]))
     return {name: np.array(each) for name, each in found.items()}
+
+
+# Of the motion of one side of a loop joint against the other, along x, y, z and about them with z its axis: what is 0.
+_BOUND = {
+    "point": (0, 1, 2), "hinge": (0, 1, 2, 3, 4), "slider": (0, 1, 3, 4, 5), "cylinder": (0, 1, 3, 4),
+    "planar": (2, 3, 4), "weld": (0, 1, 2, 3, 4, 5),
+}  # fmt: skip
+
+
+def _loops_by_pinocchio(robot: Robot, closed: Array) -> Check:
+    """Return how far the rows of loops between frames are from Pinocchio's constraint Jacobians at closed postures."""
+    import pinocchio as pin
+
+    from closedloop.mechanics.loops.reactions import loop_rows
+    from robot_models.coordinates import in_pinocchios_order, with_quaternions
+
+    model, built = robot.model, robot.model.pinocchio_model()
+    who = "Pinocchio's constraints"
+    ends = np.cumsum([loop.rows for loop in model.loops])
+    bound = [(loop, end) for loop, end in zip(model.loops, ends, strict=True) if loop.type in _BOUND]
+    if not bound:
+        return Check(who, None, MUJOCO, f"it has no {' and no '.join(sorted({loop.type for loop in model.loops}))}")
+    own = np.concatenate([np.arange(end - loop.rows, end) for loop, end in bound])
+    rows, errors = loop_rows(robot, closed, np.zeros_like(closed))
+    ours = {LOOPS: np.array([_held(G[own], e[own]) for G, e in zip(rows, errors, strict=True)])}
+    constraints = [_constraint(built, loop) for loop, _ in bound]
+    data, theirs = built.createData(), []
+    for q in closed:
+        at = in_pinocchios_order(with_quaternions(q, model.joint_types), model.joint_types)
+        pin.computeJointJacobians(built, data, at)
+        G, e = [], []
+        for (loop, _), held in zip(bound, constraints, strict=True):
+            own_rows = list(_BOUND[loop.type])
+            state = held.createData()
+            held.calc(built, data, state)
+            G.append(pin.getConstraintJacobian(built, data, held, state)[own_rows])
+            one = data.oMi[held.joint1_id] * held.joint1_placement
+            e.append(pin.log6(one.actInv(data.oMi[held.joint2_id] * held.joint2_placement)).vector[own_rows])
+        theirs.append(_held(np.concatenate(G), np.concatenate(e)))
+    return Check(who, _apart(robot, ours, {LOOPS: np.array(theirs)}), MUJOCO)
+
+
+def _constraint(built: Any, loop: LoopJoint) -> Any:
+    """Return a loop joint as Pinocchio's constraint of six rows, of which those of its type are meant."""
+    import pinocchio as pin
+
+    from robot_models.loop_joint import WITH_AXIS, WORLD
+
+    sides: list[Any] = []
+    turn = np.eye(3)
+    for name, point, axis in zip(loop.frames, loop.points, loop.axes, strict=True):
+        if sides and loop.type in ("weld", "slider"):
+            turn = np.array(loop.turn) @ turn
+        elif loop.type in WITH_AXIS:
+            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(axis)).matrix()
+        placed, joint = pin.SE3(turn, np.array(point)), 0
+        if name != WORLD:
+            frame = built.frames[built.getFrameId(name)]
+            placed, joint = frame.placement * placed, frame.parentJoint
+        sides += [joint, placed]
+    return pin.RigidConstraintModel(pin.ContactType.CONTACT_6D, built, *sides, pin.LOCAL)
 
 
 def _moves(compiled: Any, k: int) -> bool:

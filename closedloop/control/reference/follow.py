@@ -42,6 +42,7 @@ from closedloop.jit.interim import call_once
 from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.loops.close import along_path
 from closedloop.mechanics.robot.pinocchio import Robot
+from robot_models.model import AT_LIMIT
 
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
 SHORTEST = 1e-12  # s between knots
@@ -105,7 +106,7 @@ class Follower(NamedTuple):
     def walk(self, q: Array, times: Array, knots: Array, midway: Array) -> tuple[Way, int, Array]:
         """Return what `walk` makes of knots and the places between them, from joint positions q (n,)."""
         robot, held, n = self.robot, self.held, self.robot.n
-        limits = np.stack([robot.model.position_lower, robot.model.position_upper])
+        limits = np.stack([robot.model.position_lower - AT_LIMIT, robot.model.position_upper + AT_LIMIT])
         way = Way(
             times, knots, midway, held.rows, self.axes, np.ascontiguousarray(held.frame), limits,
             np.zeros((times.size, n)), np.zeros((times.size, n)),
@@ -270,7 +271,8 @@ def _reason(who: Follower, way: Way, ended: int) -> str:
         return f"the tip cannot get there: the path leaves the workspace{_barred(robot, way.q[0], way.knots[1, :3])}"
     x, (lower, upper) = way.q[1], way.limits
     j = int(np.argmax((x < lower) | (x > upper)))
-    return f"joint {robot.joint_names[j]} would be at {x[j]:.4f}, outside its limits [{lower[j]:g}, {upper[j]:g}]"
+    low, high = robot.model.position_lower[j], robot.model.position_upper[j]
+    return f"joint {robot.joint_names[j]} would leave its limits [{low:g}, {high:g}]"
 
 
 def _barred(robot: Robot, q: Array, target: Array) -> str:

@@ -23,6 +23,10 @@ from closedloop.base.errors import ScenarioError
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import every, select
 
+# What a joint moves while those before it give way, as a share of what it moves alone: below this it is the rounding of
+# M, of which a sum over thirty joints leaves 1e-14, and the accelerations have no digit.
+ROUNDING = 1e-13
+
 
 @kernel_inlined
 def residuals(
@@ -153,7 +157,7 @@ def solve_closure(H: ArrayLike, rhs: ArrayLike, A: ArrayLike, b: ArrayLike) -> t
 # `closedloop.mechanics.robot.tree.group_ends`.
 @kernel_inlined
 def cholesky(M: Array, L: Array, first: int, end: int) -> bool:
-    """Write the lower triangle L of M = L Lᵀ, reading M's upper triangle; False if M is not positive definite.
+    """Write the lower triangle L of M = L Lᵀ, reading M's upper triangle; False if M is singular to rounding, or worse.
 
     The diagonal of L holds the reciprocals 1/Lᵢᵢ: everything that follows divides by them.
     """
@@ -161,7 +165,7 @@ def cholesky(M: Array, L: Array, first: int, end: int) -> bool:
         s = M[j, j]
         for k in range(first, j):
             s -= L[j, k] * L[j, k]
-        if not every(s > 0.0):
+        if not every(s > ROUNDING * M[j, j]):
             return False
         L[j, j] = 1.0 / math.sqrt(s)
         odd = j + 1 + (end - j - 1) % 2

@@ -9,6 +9,7 @@ import pytest
 import closedloop as cl
 import robot_models
 from closedloop.__main__ import main
+from closedloop.base.errors import SimulationError
 from robot_models.shipped import path_of
 
 ARMS = ("wam4", "pointmass3", "ur5", "ur10", "panda", "kinova", "talos_arm", "xarm7")
@@ -59,6 +60,7 @@ def test_a_file_is_never_replaced(new, tmp_path):
     [
         (["--robot", "double_pendulum"], "double_pendulum with the tip link2: no start was found from which it slides"),
         (["--robot", "planar2", "--tip", "link1"], "planar2 with the tip link1: no start was found"),
+        (["--robot", "double_pendulum"], "joint joint1 cannot move: its limits are [0, 0]"),
         (["--robot", "planar2", "--tip", "hand"], "planar2 has no frame 'hand'"),
         (["--robot", "nosuch"], "no robot is named 'nosuch'"),
         (["--robot", "planar2", "--force", "9000"], "is too weak to press with 9000 N: that takes "),
@@ -105,6 +107,25 @@ def test_another_arm_that_cannot_hold_itself_at_home_is_put_where_it_can(new, tm
     run = cl.simulate(cl.load_scenario("mine.toml"))
     assert run.summary()["verdict"]["good"]
     assert abs(run.torque[:, list(run.model.joint_names).index("beside")]).max() < 5.0
+
+
+def test_a_head_that_is_a_point_is_put_where_its_neck_moves_it(new, tmp_path):
+    """At home two axes of the neck move the point the same way, so that H is singular; elsewhere they do not."""
+    neck = "".join(
+        f"""<link name="{name}"/><joint name="to_{name}" type="revolute"><parent link="{parent}"/><child link="{name}"/>
+        <axis xyz="{axis}"/><limit lower="-1" upper="1" effort="50" velocity="5"/><origin xyz="0 0 0.05"/></joint>"""
+        for name, parent, axis in (("pitch", "base", "0 1 0"), ("roll", "pitch", "1 0 0"), ("yaw", "roll", "0 0 1"))
+    )
+    head = """<link name="head"><inertial><origin xyz="0 0 0.1"/><mass value="1"/><inertia ixx="0" iyy="0" izz="0"
+    ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="on" type="fixed"><parent link="yaw"/><child link="head"/>
+    <origin xyz="0.02 0 0"/></joint></robot>"""
+    (tmp_path / "two.urdf").write_text(path_of("planar2").read_text().replace("</robot>", neck + head))
+    assert new("mine", "--robot", "two.urdf", "--tip", "tip")[::2] == (0, "")
+    scenario = cl.load_scenario("mine.toml")
+    assert cl.simulate(scenario).summary()["verdict"]["good"]
+    ahead = (*scenario.start.q[:2], 0.0, 0.0, 0.0)
+    with pytest.raises(SimulationError, match="the mass matrix of two is not positive definite"):
+        cl.simulate(scenario.replace({"start.q": ahead}))
 
 
 def test_a_full_disk_leaves_no_file(new, tmp_path, monkeypatch):

@@ -7,13 +7,16 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.command.robots import names
+from closedloop.command.robots import checks, names
 from closedloop.command.table import COMMANDS, overview
 from closedloop.control.law import LAWS, ControlLaw
+from closedloop.mechanics.loops import reactions
+from validation.loops.mechanisms import MECHANISMS
 
 ROOT = Path(cl.__file__).parent.parent
 
@@ -196,6 +199,26 @@ def test_robots_checks_energy_and_loops(closedloop, tmp_path, monkeypatch, fault
     status, out, _ = closedloop("robots", str(tmp_path / "loop.xml"), "--check")
     assert status == 1
     assert f"DIFFERENT: {differs};" in out
+
+
+@pytest.mark.parametrize("name", ["four_bar", "slider_crank", "spatial_slider", "cut_coupler", "plate", "gears"])
+def test_loops_of_a_urdf_are_checked_by_pinocchios_constraints(name, monkeypatch):
+    """Hinge, slider, cylinder, weld and plane hold what Pinocchio's constraints hold, but with a planted fault."""
+    mechanism = MECHANISMS[name]()
+    found = {check.program: check for check in checks(mechanism, name)}["Pinocchio's constraints"]
+    if name == "gears":
+        assert (found.apart, found.why) == (None, "it has no gear")
+        return
+    assert found.apart["rows of loops"] < 1e-12
+    whole = reactions.loop_rows
+
+    def planted(robot, q, v):
+        rows, errors = whole(robot, q, v)
+        return rows + 1e-3 * np.roll(rows, 1, axis=-1), errors
+
+    monkeypatch.setattr(reactions, "loop_rows", planted)
+    found = {check.program: check for check in checks(mechanism, name)}["Pinocchio's constraints"]
+    assert found.apart["rows of loops"] > found.most
 
 
 CLOSED_BY_CONNECT = """<mujoco model="loop"><worldbody>

@@ -20,6 +20,7 @@ from closedloop.control.reference.paths.line import Line
 from closedloop.control.reference.paths.raster import Raster
 from closedloop.control.reference.paths.waypoints import Waypoints
 from closedloop.control.reference.tip_path import minimum_jerk
+from robot_models.model import AT_LIMIT
 from robot_models.planar2 import closed_form
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -238,6 +239,16 @@ def test_leaving_the_workspace_is_refused_with_its_first_instant(robot):
     assert named == pytest.approx(instant, abs=1e-3)
     assert "workspace" in message
     assert "no joint" not in message
+
+
+def test_a_path_from_a_rounding_beyond_a_limit_is_followed(robot):
+    """A joint that starts beyond its limit by less than the tolerance of all limits may move inwards from there."""
+    arm, section = (
+        robot("planar2"),
+        Line(direction=(1.0, 0.0, 0.0), speed=0.01, start=START, stop=STOP, timing="minimum_jerk"),
+    )
+    follow_section(arm, np.array([0.6, -3.0 - 0.5 * AT_LIMIT]), section)
+    assert "joint J2 would leave its limits [-3, 3]" in refusal(arm, section, np.array([0.6, -3.0 - 5 * AT_LIMIT]))[0]
 
 
 def test_leaving_the_limits_is_refused_with_the_joint_and_the_instant_of_the_waypoint(robot):

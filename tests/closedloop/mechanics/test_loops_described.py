@@ -64,6 +64,34 @@ def test_welds_and_gears_of_mujoco(tmp_path):
     assert from_mjcf(tmp_path, '<weld body1="coupler" body2="crank" active="false"/>').loops == ()
 
 
+BALLS = """<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody>
+<body name="a" pos="0 0 1">{a}<geom type="capsule" fromto="0 0 0 .3 0 -.4" size=".02"/></body>
+<body name="b" pos="1 0 1">{b}<geom type="capsule" fromto="0 0 0 -.3 .1 -.4" size=".02"/>
+<body name="c" pos="-.3 .1 -.4">{c}<geom type="capsule" fromto="0 0 0 -.4 -.1 0" size=".02" mass=".5"/></body></body>
+</worldbody><equality><connect name="k" body1="a" body2="c" anchor=".3 0 -.4"/></equality></mujoco>"""
+
+
+def test_three_hinges_of_a_body_are_the_ball_of_a_loop(tmp_path):
+    """A chain on balls falls as MuJoCo's own H, C and rows of the connect have it; a ball joint there is refused."""
+    axes = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+    hinges = {
+        name: "".join(f'<joint name="{name}{end}" axis="{axis}"/>' for end, axis in axes.items()) for name in "abc"
+    }
+    model = from_mjcf_text(tmp_path, BALLS.format(**hinges))
+    theirs = mujoco.MjModel.from_xml_string(BALLS.format(**hinges))
+    data, n = mujoco.MjData(theirs), theirs.nv
+    mujoco.mj_forward(theirs, data)
+    H, J = np.zeros((n, n)), data.efc_J.reshape(-1, n)
+    mujoco.mj_fullM(theirs, data, H)
+    equations = np.block([[H, J.T], [J, np.zeros((3, 3))]])
+    wanted = np.linalg.solve(equations, np.append(-data.qfrc_bias, np.zeros(3)))[:n]
+    run = falling(model, duration=0.3)
+    np.testing.assert_allclose(run.acceleration[0], wanted, atol=1e-9 * np.abs(wanted).max())
+    assert run.summary()["max_energy_residual"] < 1e-6
+    with pytest.raises(robot_models.ModelError, match="three hinges of the body do what a ball joint does"):
+        from_mjcf_text(tmp_path, BALLS.format(**{name: f'<joint name="{name}" type="ball"/>' for name in "abc"}))
+
+
 TREE = """<mujoco><compiler angle="radian"/><worldbody><site name="mark" pos=".3 .2 .1" euler=".1 .2 .3"/>
 <body name="a" pos=".1 .2 .3" euler=".1 0 .3"><joint name="J1" axis="0 -1 .2" ref=".3"/><geom size=".1"/>
  <body name="b" pos="0.2 0 .1"><joint name="J2" axis="1 -1 0" pos="0 .1 0"/><joint name="J3" type="slide" ref=".1"/>

@@ -379,6 +379,9 @@ def test_elimination_names_what_is_wrong():
     assert Solved(np.diag([1.0, 0.0, 3.0]), tau, C, A, zeros).status == NOT_POSITIVE_DEFINITE
     assert Solved(np.diag([1.0, -1.0, 3.0]), tau, C, A, zeros).status == NOT_POSITIVE_DEFINITE
     assert Solved(np.diag([1.0, np.nan, 3.0]), tau, C, A, zeros).status == NOT_POSITIVE_DEFINITE
+    for least, status in ((1e-14, NOT_POSITIVE_DEFINITE), (1e-12, OK)):  # two joints that move one point mass
+        together = np.array([[1.0, 2.0, 0.0], [2.0, 4.0 * (1.0 + least), 0.0], [0.0, 0.0, 3.0]])
+        assert Solved(together, tau, C, A, zeros).status == status
     skew = np.array([[1.0, 0.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     assert Solved(np.eye(3), tau, C, skew, zeros, c=(0.6, 0.0)).status == PAINLEVE
     assert Solved(np.eye(3), tau, C, skew, zeros, c=(0.4, 0.0)).status == OK

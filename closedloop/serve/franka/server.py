@@ -66,8 +66,8 @@ class Franka(Interface):
         except OSError as error:
             raise OutputError(f"cannot send from {host}: {error.strerror or error}; name another --host") from None
         self._udp.setblocking(False)
-        self._ear = self._udp.dup()  # the same port, with some patience
-        self._ear.settimeout(AGAIN_FIRST)
+        self._udp_reader = self._udp.dup()  # the same port, with a timeout
+        self._udp_reader.settimeout(AGAIN_FIRST)
         self._looked = 0.0
         self.motion = Generator(self.arm, PERIOD)
         self.springs = Impedance(self.arm, PERIOD)
@@ -100,7 +100,7 @@ class Franka(Interface):
         """See `Interface`."""
         super().close()
         if hasattr(self, "_udp"):
-            self._ear.close()
+            self._udp_reader.close()
             self._udp.close()
 
     def serve(self) -> None:
@@ -169,7 +169,7 @@ class Franka(Interface):
         """Wait for the command of a cycle alone, and look after all others only now and then: they cost time."""
         until = time.perf_counter() + timeout
         while self._command is None and self._move is not None:
-            there, now = self._take_command(self._ear), time.perf_counter()
+            there, now = self._take_command(self._udp_reader), time.perf_counter()
             if not there or now - self._looked > LOOK:
                 self._looked = now
                 self._wait(0.0)

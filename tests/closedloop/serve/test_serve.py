@@ -23,7 +23,7 @@ import pytest
 import closedloop as cl
 from closedloop.jit.kernel import jit_disabled
 from closedloop.loop.events.impacts import collide
-from closedloop.serve.messages import ASKED, ERROR, HEAD, MAGIC, NUMBERS
+from closedloop.serve.messages import ERROR, HEAD, MAGIC, NUMBERS, REQUESTS
 from closedloop.serve.session import Clock
 
 SCENARIO = "panda_slide"
@@ -64,7 +64,7 @@ class Binary:
 
     def ask(self, do, body=b""):
         """Return the kind and the bytes of the answer to a message."""
-        self.file.write(HEAD.pack(ASKED.index(do), len(body)) + body)
+        self.file.write(HEAD.pack(REQUESTS.index(do), len(body)) + body)
         self.file.flush()
         kind, length = HEAD.unpack(self.file.read(HEAD.size))
         return kind, self.file.read(length)
@@ -173,7 +173,7 @@ def test_messages_say_what_is_wrong_and_what_there_is():
         arm = Json(served.port)
         described = arm.ask("describe")
         assert (described["n"], described["steps"], described["lock_step"]) == (7, 300, True)
-        assert arm.ask("dance") == {"error": f'"do": must be one of {", ".join(ASKED)}, as in {{"do": "state"}}'}
+        assert arm.ask("dance") == {"error": f'"do": must be one of {", ".join(REQUESTS)}, as in {{"do": "state"}}'}
         assert arm.ask("torque", torque=[1.0])["error"].startswith("torque: must be 7 finite numbers")
         assert arm.ask("state", torque=[1.0]) == {"error": '"state" takes nothing named torque'}
         state, wrench = arm.ask("step"), np.array(arm.ask("wrench")["wrench"])

@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 import sys
 import uuid
+from importlib.util import find_spec
 from pathlib import Path
 
-from closedloop.base.errors import SimulationError, printable
+from closedloop.base.errors import ScenarioError, SimulationError, printable
 from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated
 from closedloop.base.loopback import is_loopback
 from closedloop.command.border import DONE, Parser, as_command
 from closedloop.command.results import Results, first_free
+from closedloop.lab.start import NEEDS
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.user_module import member_digests, name_members
 from closedloop.serve.serve import INTERFACES, Served, serve
+from closedloop.serve.watch import Watch
 
 # How long a signal that comes just before the main thread waits stays unanswered at the most, s.
 ANSWERED = 0.5
@@ -26,6 +29,8 @@ def main(arguments: list[str]) -> int:
     """Serve a scenario until Ctrl-C, save the record, and return the exit status."""
     overrides, rest = split_overrides(arguments)
     options = _parser().parse_args(rest)
+    if options.lab and find_spec("websockets") is None:
+        raise ScenarioError(NEEDS)
     name_members(overrides.items())
     served = serve(
         options.scenario, options.interface, overrides=overrides, lock_step=options.lock_step, host=options.host,
@@ -35,7 +40,7 @@ def main(arguments: list[str]) -> int:
         with _results(served, options.out, options.overwrite) as results:
             if not is_loopback(options.host):
                 _say(f"warning: --host {options.host} lets every computer that reaches this one drive the simulation")
-            return _until_ended(served, results)
+            return _until_ended(served, results, Watch(served.session) if options.lab else None)
     finally:
         ended_with(served)
 
@@ -49,10 +54,12 @@ def ended_with(served: Served) -> SimulationError | None:
     return None
 
 
-def _until_ended(served: Served, results: Results) -> int:
+def _until_ended(served: Served, results: Results, watch: Watch | None) -> int:
     ports = " and ".join(map(str, served.ports))
     stop: KeyboardInterrupt | None = None
-    try:  # who reads this line may send a signal before `print` has returned
+    try:  # who reads these lines may send a signal before `print` has returned
+        if watch is not None:
+            print(f"the lab shows it at {watch.url}", flush=True)
         print(f"serving on {served.host}, port {ports} (Ctrl-C ends it and saves the run)", flush=True)
         while not served.wait(ANSWERED):
             pass
@@ -67,6 +74,8 @@ def _until_ended(served: Served, results: Results) -> int:
     beside = results.not_first and printable(f"; {results.not_first}")
     wrote = what_was_written(*paths, folder=results.folder) + beside
     print(f"{max(0, len(run) - 1)} steps served{share}{late}; {wrote}", flush=True)
+    if watch is not None:
+        watch.finish(run, f"The simulation has ended: this is all of it. It is in {results.folder}.")
     if failure is not None:
         raise failure
     if isinstance(stop, Terminated):
@@ -113,6 +122,9 @@ def _parser() -> Parser:
     add("--host", default="127.0.0.1", help="address to listen on (default: this computer alone)")
     add("--port", type=int, help="first port (default: json any, franka 1337 and 1338, ur 30004)")
     add("--limits", action="store_true", help="limits and lost commands end a motion as on the real arm (franka)")
+    add(
+        "--lab", action="store_true", help="show the run in the browser while it goes on, at an address that is printed"
+    )
     add("--out", metavar="DIR", help="where the run goes (default: out/SCENARIO, -2 ...)")
     add("--overwrite", action="store_true", help="replace results of another scenario in that folder")
     return parser

@@ -145,36 +145,16 @@ class Browser:
     """The arm in the browser: the lab's page, on this computer alone, brought up to date at each step."""
 
     def __init__(self, core: Core) -> None:
-        from closedloop.lab.messages import pack
-        from closedloop.lab.server import Client, Server, new_token
-        from closedloop.lab.share import page
+        from closedloop.lab.shown import Shown
 
-        self._core, self._pack, token = core, pack, new_token()
-        self._clients: list[Client] = []
-        self._last: dict[str, bytes] = {}
+        self._core = core
+        self._run: dict[str, Any] | None = None
         self._arm: _Arm | None = None
         self._problem: Problem | None = None
         self._past: list[tuple[float, ...]] = []
         self._steps = 0
-        self._server = Server(
-            "127.0.0.1", 8080, token, lambda nonce: page("closedloop.gym", nonce=nonce), self._opened,
-            lambda client, said: client.drawn() if said.get("do") == "shown" else None, self._closed,
-        )  # fmt: skip
-        print(f"closedloop.gym: http://127.0.0.1:{self._server.port}/?token={token}", flush=True)
-
-    def _opened(self, client: Any) -> None:
-        for slot, data in list(self._last.items()):
-            client.put(slot, data)
-        self._clients.append(client)
-
-    def _closed(self, client: Any) -> None:
-        if client in self._clients:
-            self._clients.remove(client)
-
-    def _tell(self, slot: str, message: dict[str, Any]) -> None:
-        data = self._last[slot] = self._pack({"kind": slot, **message})
-        for client in list(self._clients):
-            client.put(slot, data)
+        self._page = Shown("closedloop.gym", run=lambda client: self._run)
+        print(f"closedloop.gym: {self._page.url}", flush=True)
 
     def show(self, i: int) -> None:
         """Bring the page up to date with environment `i`."""
@@ -197,11 +177,12 @@ class Browser:
         if problem.scenario.has_surface:
             traces.append({"label": "commanded", "colour": "#009E73", "limit": True, "values": wanted})
         panel = {"name": "force", "title": "contact force [N]", "time": times, "band": 0.0, "traces": traces}
-        self._tell("run", {
+        self._run = {
             "begin": times[0], "end": time, "step": problem.h, "stopped": "", "panels": [panel], "modes": None,
             "marks": [], "events": 0, "columns": [], "n": self._steps, "partial": False, "follow": True, "line": "",
-            "frame": self._frame(i) | {"robot": 1},
-        })  # fmt: skip
+        }  # fmt: skip
+        self._page.tell("frame", self._frame(i) | {"robot": 1})
+        self._page.tell_run()
 
     def _frame(self, i: int) -> dict[str, Any]:
         """Return where the links are and the forces on the tip, as `closedloop.lab.drawn.frames` does."""
@@ -219,19 +200,19 @@ class Browser:
         self._problem, self._arm = problem, _Arm(problem)
         scenario, arm, tip = problem.scenario, self._arm, self._core.now.tip[i]
         about = {"about": scenario.description, "scenario": scenario.to_toml(), "command": ""}
-        self._tell("hello", {"live": False, "name": scenario.name, "title": scenario.name, **about})
+        self._page.tell("hello", {"live": False, "name": scenario.name, "title": scenario.name, **about})
         shapes = [
             {"joint": s.joint, "kind": "", "colour": s.colour, "vertices": s.vertices,
              "faces": np.asarray(s.faces, np.uint32)} for s in arm.shapes
         ]  # fmt: skip
         joints = mechanism_of(arm.model).njoints
-        self._tell("robot", {
+        self._page.tell("robot", {
             "joints": joints + 1, "ground": joints, "meanings": MEANINGS, "clear": [], "shapes": shapes, "robot": 1,
         })  # fmt: skip
         vertices, faces = _surface(problem)
         path = problem.table[:, 2 * problem.robot.n : 2 * problem.robot.n + 3]
         view = {"centre": tip, "radius": 2.0 * HALF if scenario.has_surface or not len(faces) else 3.0 * BEYOND}
-        self._tell("space", {
+        self._page.tell("space", {
             "size": problem.robot.reach, "usual": max(abs(scenario.law.force), 1.0), "passing": None, "near": view,
             "whole": {"centre": 0.5 * tip, "radius": problem.robot.reach}, "normal": problem.frame[0], "robot": 1,
             "surface": {"vertices": vertices, "faces": faces},
@@ -242,7 +223,7 @@ class Browser:
 
     def close(self) -> None:
         """Close the page."""
-        self._server.close()
+        self._page.close()
 
 
 def _surface(problem: Problem) -> tuple[Array, NDArray[np.uint32]]:

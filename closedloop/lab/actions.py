@@ -108,20 +108,21 @@ def _write(lab: Lab, client: Client, said: Said) -> None:
     _say(lab, what_was_written(*written))
 
 
-def _window(lab: Lab, client: Client, said: Said) -> None:
-    """Show a part of the time alone."""
+def choose(client: Client, said: Said) -> None:
+    """Take the part of the time, or the further columns, that a page is to show."""
+    if said["do"] == "columns":
+        names = said.get("names")
+        client.columns = tuple(map(str, names[:MOST_COLUMNS])) if isinstance(names, list) else ()
+        return
     given = said.get("range")
     client.window = None
     if isinstance(given, list) and len(given) == 2:
         begin, end = (_number(each, math.nan) for each in given)
         client.window = (begin, end) if begin < end else None
-    lab.show_again(client)
 
 
-def _columns(lab: Lab, client: Client, said: Said) -> None:
-    """Show further columns of the run."""
-    names = said.get("names")
-    client.columns = tuple(map(str, names[:MOST_COLUMNS])) if isinstance(names, list) else ()
+def _choose(lab: Lab, client: Client, said: Said) -> None:
+    choose(client, said)
     lab.show_again(client)
 
 
@@ -168,7 +169,7 @@ def _number(value: Any, otherwise: float) -> float:
 
 ACTIONS: dict[str, Callable[[Lab, Client, Said], None]] = {
     "set": _set, "type": _set, "reset": _reset, "undo": _step, "redo": _step, "begin again": _step,
-    "pin": _pin, "unpin": _pin, "save": _write, "share": _write, "window": _window, "columns": _columns,
+    "pin": _pin, "unpin": _pin, "save": _write, "share": _write, "window": _choose, "columns": _choose,
     "map": _map, "stop map": _map, "point": _point, "analyse": _analyse, "open": _open,
     "shown": lambda lab, client, said: client.drawn(),
     "gallery": lambda lab, client, said: lab.show_gallery(client),

@@ -196,6 +196,11 @@ class Client:
             self._drawn = True
             self._changed.notify_all()
 
+    def wait(self, seconds: float) -> bool:
+        """Wait until nothing waits to be sent; return whether that is so."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._waiting, seconds)
+
     def close(self) -> None:
         """Send what waits, but no more, and close the socket."""
         with self._changed:
@@ -223,6 +228,8 @@ class Client:
                 self._connection.send(data)
             except (ConnectionClosed, OSError):
                 return
+            with self._changed:
+                self._changed.notify_all()
         self._connection.close()
 
 

@@ -31,7 +31,7 @@ HEAD, DOUBLES = struct.Struct("<II"), np.dtype("<f8")
 LONGEST = 65_536
 
 # What a client can ask for. In a binary message the kind is the place in this list.
-DESCRIBE, RESET, STATE, TORQUE, STEP, WRENCH, EVENTS = ASKED = (
+DESCRIBE, RESET, STATE, TORQUE, STEP, WRENCH, EVENTS = REQUESTS = (
     "describe", "reset", "state", "torque", "step", "wrench", "events",
 )  # fmt: skip
 # The kinds of binary answers: a state or a wrench as doubles, a text in JSON, an error as text.
@@ -47,7 +47,7 @@ _OF_ROW = {"normal": "surface_normal"}
 _SEEN = ("time", "row", "done", "measured_force", "closure_error")  # not as they are in the row
 
 
-class Asked(NamedTuple):
+class Request(NamedTuple):
     """What a client asks for, and the torque (n,), N m, if that is it."""
 
     kind: str
@@ -105,13 +105,13 @@ def wrench(state: StepState, radius: float) -> Array:
     return np.concatenate((force, np.cross(state.position - radius * normal, force)))
 
 
-class Language:
+class Codec:
     """How messages are written; `JsonLines` and `Binary` are the two."""
 
     def __init__(self, states: States) -> None:
         self.states = states
 
-    def asked(self, client: Client) -> Asked | str | None:
+    def request(self, client: Client) -> Request | str | None:
         """Return the next message of a client, what is wrong with it, or None if it is not whole yet.
 
         Raises
@@ -153,11 +153,11 @@ def _too_long(length: int) -> Gone:
     return Gone(f"sent a message of {length} bytes, longer than {LONGEST}: the connection is closed")
 
 
-class JsonLines(Language):
+class JsonLines(Codec):
     """One JSON object a line; what is not finite is null."""
 
-    def asked(self, client: Client) -> Asked | str | None:
-        """See `Language`."""
+    def request(self, client: Client) -> Request | str | None:
+        """See `Codec`."""
         end = client.received.find(b"\n")
         if max(end, 0 if end >= 0 else len(client.received)) > LONGEST:
             raise _too_long(len(client.received))
@@ -169,22 +169,22 @@ class JsonLines(Language):
         except (ValueError, RecursionError):
             return 'not a JSON object on one line, such as {"do": "state"}'
         kind = found.get("do") if isinstance(found, dict) else None
-        if not isinstance(kind, str) or kind not in ASKED:
-            return f'"do": must be one of {", ".join(ASKED)}, as in {{"do": "state"}}'
+        if not isinstance(kind, str) or kind not in REQUESTS:
+            return f'"do": must be one of {", ".join(REQUESTS)}, as in {{"do": "state"}}'
         unknown = set(found) - {"do", TORQUE} if kind == TORQUE else set(found) - {"do"}
         if unknown:
             return f'"{kind}" takes nothing named {", ".join(sorted(unknown))}'
         if kind != TORQUE:
-            return Asked(kind)
+            return Request(kind)
         torque = self.torque(found.get(TORQUE))
-        return torque if isinstance(torque, str) else Asked(TORQUE, torque)
+        return torque if isinstance(torque, str) else Request(TORQUE, torque)
 
     def wrench(self, found: Array) -> bytes:
-        """See `Language`."""
+        """See `Codec`."""
         return self._line({WRENCH: found.tolist()})
 
     def state(self, found: Array) -> bytes:
-        """See `Language`."""
+        """See `Codec`."""
         values = [value if math.isfinite(value) else None for value in found.tolist()]
         state: dict[str, Any] = {}
         for (name, size), place in zip(FIELDS, self.states.places.values(), strict=True):
@@ -193,22 +193,22 @@ class JsonLines(Language):
         return self._line(state)
 
     def text(self, kind: str, found: Any) -> bytes:
-        """See `Language`."""
+        """See `Codec`."""
         return self._line(found if isinstance(found, dict) else {kind: found})
 
     def error(self, why: str) -> bytes:
-        """See `Language`."""
+        """See `Codec`."""
         return self._line({"error": why})
 
     def _line(self, found: dict[str, Any]) -> bytes:
         return json.dumps(found, allow_nan=False).encode() + b"\n"
 
 
-class Binary(Language):
+class Binary(Codec):
     """A kind, a length, and the bytes."""
 
-    def asked(self, client: Client) -> Asked | str | None:
-        """See `Language`."""
+    def request(self, client: Client) -> Request | str | None:
+        """See `Codec`."""
         if len(client.received) < HEAD.size:
             return None
         kind, length = HEAD.unpack_from(client.received)
@@ -217,38 +217,38 @@ class Binary(Language):
         if len(client.received) < HEAD.size + length:
             return None
         message = client.take(HEAD.size + length)
-        if kind >= len(ASKED):
-            return f"kind {kind}: must be from 0 to {len(ASKED) - 1}"
-        name = ASKED[kind]
+        if kind >= len(REQUESTS):
+            return f"kind {kind}: must be from 0 to {len(REQUESTS) - 1}"
+        name = REQUESTS[kind]
         if name == TORQUE and length == 8 * self.states.n:
             torque = self.torque(np.frombuffer(message, DOUBLES, -1, HEAD.size))
-            return torque if isinstance(torque, str) else Asked(name, torque)
+            return torque if isinstance(torque, str) else Request(name, torque)
         if name == TORQUE or length:
             wanted = 8 * self.states.n if name == TORQUE else 0
             return f"{name}: has {length} bytes, must have {wanted}"
-        return Asked(name)
+        return Request(name)
 
     def wrench(self, found: Array) -> bytes:
-        """See `Language`."""
+        """See `Codec`."""
         return HEAD.pack(NUMBERS, 8 * len(found)) + found.astype(DOUBLES, copy=False).tobytes()
 
     def state(self, found: Array) -> bytearray:
-        """See `Language`."""
+        """See `Codec`."""
         return self.states.message
 
     def text(self, kind: str, found: Any) -> bytes:
-        """See `Language`."""
+        """See `Codec`."""
         body = json.dumps(found, allow_nan=False).encode()
         return HEAD.pack(TEXT, len(body)) + body
 
     def error(self, why: str) -> bytes:
-        """See `Language`."""
+        """See `Codec`."""
         body = why.encode()
         return HEAD.pack(ERROR, len(body)) + body
 
 
-def language_of(client: Client, states: States) -> Language | None:
-    """Return the language of a client from how it begins, None if it has not said enough; magic bytes are taken.
+def codec_of(client: Client, states: States) -> Codec | None:
+    """Return the codec of a client from how it begins, None if it has not said enough; magic bytes are taken.
 
     Raises
     ------
@@ -304,32 +304,32 @@ class Plain(Interface):
         """Answer a client until it is gone."""
         session, waiting = self.session, self.waiting
         clock = Clock(session.period)
-        language: Language | None = None
+        codec: Codec | None = None
         running, fresh, waits = False, False, False  # the clock; a command since the last instant; an answer is owed
         held: Array | None = None
         while True:
             if not running:
-                waiting.hear(client)
+                waiting.wait_for(client)
             elif client in waiting.ready(clock.left()):
                 client.receive()
             while client.received and not waits:
-                language = language_of(client, self._states) if language is None else language
-                asked = None if language is None else language.asked(client)
-                if language is None or asked is None:
+                codec = codec_of(client, self._states) if codec is None else codec
+                request = None if codec is None else codec.request(client)
+                if codec is None or request is None:
                     break
-                if not isinstance(asked, Asked):
-                    client.send(language.error(asked))
-                elif asked.kind not in (TORQUE, STEP):
-                    client.send(self._answer(language, asked.kind))
-                    running = running and asked.kind != RESET
+                if not isinstance(request, Request):
+                    client.send(codec.error(request))
+                elif request.kind not in (TORQUE, STEP):
+                    client.send(self._answer(codec, request.kind))
+                    running = running and request.kind != RESET
                 elif session.done:
-                    client.send(language.error(f"{asked.kind}: the scenario is at its end; reset begins anew"))
+                    client.send(codec.error(f"{request.kind}: the scenario is at its end; reset begins anew"))
                 elif self.lock_step:
                     session.cycles += 1
-                    self._step(asked.torque)
-                    client.send(self._state(language))
+                    self._step(request.torque)
+                    client.send(self._state(codec))
                 else:
-                    held, fresh, waits = asked.torque, True, True
+                    held, fresh, waits = request.torque, True, True
                     if not running:
                         clock.begin()
                         running = True
@@ -340,8 +340,8 @@ class Plain(Interface):
                 session.lost += not fresh
                 self._step(held)
                 running = not session.done
-                if waits and language is not None:
-                    client.send(self._state(language))
+                if waits and codec is not None:
+                    client.send(self._state(codec))
                 fresh = waits = False
 
     def _step(self, torque: Array | None) -> None:
@@ -349,24 +349,24 @@ class Plain(Interface):
         if events := state.events:
             self._events += events_as_lists(events)
 
-    def _state(self, language: Language) -> bytes | bytearray:
+    def _state(self, codec: Codec) -> bytes | bytearray:
         session = self.session
-        return language.state(self._states.numbers(session.state, session.done))
+        return codec.state(self._states.numbers(session.state, session.done))
 
-    def _answer(self, language: Language, kind: str) -> bytes | bytearray:
+    def _answer(self, codec: Codec, kind: str) -> bytes | bytearray:
         session = self.session
         if kind == DESCRIBE:
-            return language.text(kind, self._description())
+            return codec.text(kind, self._description())
         if kind == EVENTS:
             events, self._events = self._events, []
-            return language.text(kind, events)
+            return codec.text(kind, events)
         if kind == WRENCH:
             radius = session.simulator.problem.scenario.tool.radius
-            return language.wrench(wrench(session.state, radius))
+            return codec.wrench(wrench(session.state, radius))
         if kind == RESET:
             session.reset()
             self._events = []
-        return self._state(language)
+        return self._state(codec)
 
     def _description(self) -> dict[str, Any]:
         """Return what a client needs to know before it begins."""

@@ -136,8 +136,8 @@ class Interface:
             for number in wanted:
                 opened.append(Port(host, number, say))
         except BaseException:
-            for door in opened:
-                door.close()
+            for each in opened:
+                each.close()
             raise
         self.ports = tuple(opened)
         self.waiting = Ports(*self.ports)

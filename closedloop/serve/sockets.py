@@ -18,7 +18,7 @@ from closedloop.base.errors import OutputError, printable
 
 # Bytes that are read at once, bytes that may wait to be taken, and the time that a client may take until it has read
 # what was sent to it, s. While one client is listened to, others are looked after so often, s.
-CHUNK, MOST, PATIENCE, GLANCE = 65_536, 1_048_576, 1.0, 0.05
+CHUNK, MOST, PATIENCE, POLL = 65_536, 1_048_576, 1.0, 0.05
 
 Say = Callable[[str], None]
 
@@ -60,8 +60,8 @@ class Client:
         sock.settimeout(PATIENCE)
         with suppress(OSError):
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._ear = sock.dup()  # the same connection, with a patience of its own
-        self._ear.settimeout(GLANCE)
+        self._reader = sock.dup()  # the same connection, with a timeout of its own
+        self._reader.settimeout(POLL)
         self._chunk = bytearray(CHUNK)
         self._part = memoryview(self._chunk)
 
@@ -70,7 +70,7 @@ class Client:
         return self.sock.fileno()
 
     def receive(self) -> bool:
-        """Read what is there, and return whether there was something within `GLANCE`.
+        """Read what is there, and return whether there was something within `POLL`.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Client:
             If the client has closed its end, or sends more than is taken.
         """
         try:
-            count = self._ear.recv_into(self._chunk)
+            count = self._reader.recv_into(self._chunk)
         except TimeoutError:
             return False
         except OSError as error:
@@ -133,7 +133,7 @@ class Client:
     def close(self) -> None:
         """End the connection."""
         with suppress(OSError):
-            self._ear.close()
+            self._reader.close()
             self.sock.close()
 
 
@@ -158,21 +158,21 @@ class Port:
         self.client: Client | None = None
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            self._door = socket.create_server((host, number), family=family, backlog=128)
+            self._listener = socket.create_server((host, number), family=family, backlog=128)
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise OutputError(f"cannot listen on port {number} of {host}: {reason}; name another with --port") from None
-        self._door.setblocking(False)
-        self.number: int = self._door.getsockname()[1]
+        self._listener.setblocking(False)
+        self.number: int = self._listener.getsockname()[1]
 
     def fileno(self) -> int:
         """Return the number that `select` needs."""
-        return self._door.fileno()
+        return self._listener.fileno()
 
     def admit(self) -> None:
         """Accept who has come, or refuse them while a client is served."""
         try:
-            sock, address = self._door.accept()
+            sock, address = self._listener.accept()
         except OSError:  # it has gone again
             return
         if self.client is None:
@@ -192,7 +192,7 @@ class Port:
     def close(self) -> None:
         """Stop listening."""
         self.drop("is left: the server ends")
-        self._door.close()
+        self._listener.close()
 
 
 class Ports:
@@ -201,7 +201,7 @@ class Ports:
     def __init__(self, *ports: Port) -> None:
         self._ports = ports
         self._wake, self._woken = socket.socketpair()
-        self._looked = 0.0
+        self._polled = 0.0
 
     def stop(self) -> None:
         """Let `ready` raise, now or the next time: for another thread."""
@@ -231,7 +231,7 @@ class Ports:
                     port.admit()
         return ready
 
-    def hear(self, client: Client) -> None:
+    def wait_for(self, client: Client) -> None:
         """Wait until a client has sent something, and read it: quicker than `ready` and `receive`.
 
         Raises
@@ -240,12 +240,12 @@ class Ports:
             As by those.
         """
         while True:
-            heard = client.receive()
+            received = client.receive()
             now = time.perf_counter()
-            if not heard or now - self._looked > GLANCE:
-                self._looked = now
+            if not received or now - self._polled > POLL:
+                self._polled = now
                 self.ready(0.0)
-            if heard:
+            if received:
                 return
 
     def close(self) -> None:

@@ -1,8 +1,8 @@
 """The interface of Universal Robots' arms for data: Real-Time Data Exchange (RTDE), protocol version 2.
 
-Facts from the maker's RTDE guide. All is big-endian. A message is a head, its length with the head and a letter, and a
-body. A client names the fields it wants to get and to set, and then gets them at the rate it has asked for. docs/ur.md
-says what is emulated and what is not.
+Facts from the maker's RTDE guide and client library (Universal_Robots_Client_Library). All is big-endian. A message is
+a head, its length with the head and a letter, and a body. A client names the fields it wants to get and to set, and
+then gets them at the rate it has requested. docs/ur.md says what is emulated and what is not.
 """
 
 from __future__ import annotations
@@ -35,15 +35,19 @@ TYPES = {
 _KINDS = {name: letters for letters, names in {
     "DOUBLE": "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum actual_main_voltage "
     "actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1 standard_analog_output0 "
-    "standard_analog_output1 tcp_force_scalar payload",
+    "standard_analog_output1 tcp_force_scalar payload io_current euromap67_24V_voltage euromap67_24V_current "
+    "tool_analog_input0 tool_analog_input1 tool_output_current tool_temperature joint_position_deviation_ratio "
+    "collision_detection_ratio",
     "VECTOR3D": "actual_tool_accelerometer elbow_position elbow_velocity payload_cog",
     "VECTOR6D": "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current "
-    "actual_current_as_torque joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose "
-    "target_TCP_speed joint_temperatures actual_joint_voltage ft_raw_wrench payload_inertia tcp_offset",
+    "actual_current_window actual_current_as_torque joint_control_output actual_TCP_pose actual_TCP_speed "
+    "actual_TCP_force target_TCP_pose target_TCP_speed joint_temperatures actual_joint_voltage "
+    "ft_raw_wrench payload_inertia tcp_offset",
     "VECTOR6INT32": "joint_mode",
-    "INT32": "robot_mode safety_mode safety_status",
+    "INT32": "robot_mode safety_mode safety_status tool_output_voltage time_scale_source",
     "UINT32": "runtime_state robot_status_bits safety_status_bits analog_io_types output_bit_registers0_to_31 "
-    "output_bit_registers32_to_63",
+    "output_bit_registers32_to_63 euromap67_input_bits euromap67_output_bits tool_mode tool_analog_input_types "
+    "script_control_line",
     "UINT64": "actual_digital_input_bits actual_digital_output_bits",
 }.items() for name in names.split()}  # fmt: skip
 _SETTABLE = {name: kind for kind, names in {
@@ -51,12 +55,14 @@ _SETTABLE = {name: kind for kind, names in {
     "DOUBLE": "speed_slider_fraction standard_analog_output_0 standard_analog_output_1",
     "UINT8": "standard_digital_output_mask standard_digital_output configurable_digital_output_mask "
     "configurable_digital_output tool_digital_output_mask tool_digital_output standard_analog_output_mask "
-    "standard_analog_output_type",
+    "standard_analog_output_type tool_output_mode tool_digital_output0_mode tool_digital_output1_mode",
     "VECTOR6D": "external_force_torque",
 }.items() for name in names.split()}  # fmt: skip
 for _kind, _name in (("INT32", "int"), ("DOUBLE", "double")):
     _SETTABLE |= {f"input_{_name}_register_{k}": _kind for k in range(REGISTERS)}
     _KINDS |= {f"output_{_name}_register_{k}": _kind for k in range(REGISTERS)}
+_SETTABLE |= {f"input_bit_register_{k}": "BOOL" for k in range(64, 128)}  # those before are set in words of 32
+_KINDS |= {f"{way}put_bit_register_{k}": "BOOL" for way in ("in", "out") for k in range(128)}
 GIVEN, SETTABLE = {**_SETTABLE, **_KINDS}, _SETTABLE
 
 # What input_int_register_18 asks for: the scenario's law, torques, or a force.
@@ -69,10 +75,10 @@ DAMPING = 5.0
 
 
 class Link:
-    """What one client has asked for: fields that it gets, in every how many cycles, and fields that it sets."""
+    """What one client has requested: fields that it gets, in every how many cycles, and fields that it sets."""
 
     def __init__(self) -> None:
-        self.speaks, self.runs, self.every = False, False, 1
+        self.agreed, self.runs, self.every = False, False, 1
         self.outputs: tuple[str, ...] = ()
         self.recipes: list[tuple[tuple[str, ...], struct.Struct]] = []
 
@@ -164,16 +170,16 @@ class Ur(Interface):
                 raise Gone(f"sent a message of {size} bytes, not {HEAD.size} to {LONGEST}: the connection is closed")
             if len(client.received) < size:
                 return
-            self._obey(client, kind, client.take(size)[HEAD.size :])
+            self._handle(client, kind, client.take(size)[HEAD.size :])
 
-    def _obey(self, client: Client, kind: int, body: bytes) -> None:
+    def _handle(self, client: Client, kind: int, body: bytes) -> None:
         link = self._links[client]
         if kind == PROTOCOL and len(body) == 2:
-            link.speaks = int.from_bytes(body, "big") == VERSION
-            self._answer(client, kind, bytes([link.speaks]))
+            link.agreed = int.from_bytes(body, "big") == VERSION
+            self._answer(client, kind, bytes([link.agreed]))
         elif kind == CONTROLLER_VERSION:
             self._answer(client, kind, struct.pack(">4I", *CONTROLLER))
-        elif not link.speaks:
+        elif not link.agreed:
             raise Gone(f"did not ask for version {VERSION} of RTDE: the connection is closed")
         elif kind == OUTPUTS and len(body) >= 8:
             (rate,) = struct.unpack_from(">d", body)
@@ -225,14 +231,14 @@ class Ur(Interface):
     def _advance(self) -> None:
         """Step the simulation by a cycle."""
         session, robot = self.session, self._robot
-        asked = self._set.get(MODE, LAW)
+        mode = self._set.get(MODE, LAW)
         torque: Array | None = None
-        if asked in (TORQUE, FORCE):
+        if mode in (TORQUE, FORCE):
             q, v, rest = session.state.measured_position, session.state.measured_velocity, np.zeros(JOINTS)
             torque = robot.inverse_dynamics(q, rest, rest)
-            given = np.array([self._set.get(name, 0.0) for name in (TORQUES if asked == TORQUE else FORCES)])
-            torque += given if asked == TORQUE else robot.position_and_jacobian(q)[1].T @ given
-            if asked == FORCE:
+            given = np.array([self._set.get(name, 0.0) for name in (TORQUES if mode == TORQUE else FORCES)])
+            torque += given if mode == TORQUE else robot.position_and_jacobian(q)[1].T @ given
+            if mode == FORCE:
                 torque -= DAMPING * robot.mass_matrix(q) @ v
             torque = np.clip(torque, -robot.model.effort_limit, robot.model.effort_limit)
         for _ in range(self._substeps):

@@ -65,13 +65,17 @@ def as_run(
     law: tuple[str, str] = ("scenario", ""),
     with_states: bool = True,
     stopped: str | None = None,
+    first: int = 0,
 ) -> Run:
     """Return the rows and events of a problem, see `run_loop`, as a run; the rest as in `Run`.
 
-    `law` is the name and the digest of what drove it, `with_states` whether the rows have the states of the scenario's.
+    `law` is the name and the digest of what drove it, `with_states` whether the rows have the states of the scenario's,
+    `first` the number of the first of the rows.
     """
     model = problem.robot.model
-    columns, states = columns_of_rows(problem, rows, problem.table, with_states)
+    columns, states = columns_of_rows(problem, rows, problem.table[first * problem.nodes :], with_states)
+    if first:
+        columns["time"] = problem.h * np.arange(first, first + len(rows))
     if "link_modes" in columns:
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)

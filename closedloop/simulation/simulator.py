@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
+from closedloop.loop.events.table import EventRow
+from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -208,6 +210,28 @@ class Simulator:
             self._stepper.to_row()
         at_end = now.row == self.problem.steps
         return self._run(now.row + 1, None if at_end else f"at t = {state.time:.6g} s it was not stepped further")
+
+    def latest(self, count: int) -> Run | None:
+        """Return the latest rows as a run, at most `count`, while the simulation goes on in another thread.
+
+        The present row is not among them, unless it is the first: the next torque records it anew. Condition numbers
+        that are not computed yet are NaN. None where there is no row, or where the simulation begins anew meanwhile.
+        """
+        now, stepper = self._now, getattr(self, "_stepper", None)
+        if now is None or stepper is None:
+            return None
+        stop = max(1, now.row)
+        first = max(0, stop - count)
+        rows, events = stepper.rows[first:stop].copy(), stepper.answers.events[: now.events].copy()
+        after = self._now
+        if after is None or after.row < now.row:
+            return None
+        conditions = rows[:, Row.place("kkt_condition", self._n)]
+        conditions[conditions == 0.0] = np.nan
+        since = events[:, EventRow.place("time")] >= self._h * first
+        return as_run(
+            self.problem, rows, events[since], self._seconds, self._engine, law=(FROM_OUTSIDE, ""), first=first
+        )
 
     def _open(self) -> _Now:
         """Return where the simulation is, refusing one that is over."""

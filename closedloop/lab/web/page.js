@@ -310,7 +310,7 @@ function follow() {
     if (waiting === null) queueMicrotask(draw);
     waiting = m;
   };
-  socket.onclose = () => gone("The program that computes the runs has stopped. What is shown stays; start it again and open its new address to go on.");
+  socket.onclose = () => { if ($("gone").hidden) gone("The program that computes the runs has stopped. What is shown stays; start it again and open its new address to go on."); };
 }
 if (embedded.length) for (const line of embedded) { const m = decode(bytesOf(line)); on[m.kind]?.(m); }
 else follow();

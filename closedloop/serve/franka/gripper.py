@@ -127,9 +127,9 @@ class Gripper:
         for command, number, given in client.requests(wire.GRIPPER_HEAD, wire.GRIPPER_REQUESTS, "a gripper"):
             if self._to is None and command != wire.GRIPPER_CONNECT:
                 raise Gone("sent a command before it connected: the connection is closed")
-            self._obey(client, command, number, given)
+            self._handle(client, command, number, given)
 
-    def _obey(self, client: Client, command: int, number: int, given: tuple[Any, ...]) -> None:
+    def _handle(self, client: Client, command: int, number: int, given: tuple[Any, ...]) -> None:
         if command == wire.GRIPPER_CONNECT:
             version, port = given
             fits = version == wire.GRIPPER_VERSION

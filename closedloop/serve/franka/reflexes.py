@@ -1,4 +1,4 @@
-"""What the arm feels and what ends a motion: contacts, collisions, and, where asked for, the limits of motions.
+"""External torques, and what ends a motion: contacts, collisions, and, where asked for, the limits of motions.
 
 External torques are what the model of the controller does not explain, τ_J − (H q̈ + C), so positive where the arm
 pushes against the environment; they and the wrench at K that they make are filtered by a low pass of first order.
@@ -89,17 +89,17 @@ class Reflexes:
         both = np.hstack((torques, forces))
         self._lower, self._upper, self.watches = both[[0, 2]], both[[1, 3]], True
 
-    def feel(self, torque: Array, T: Array, J: Array, motion: Generator) -> None:
+    def update(self, torque: Array, T: Array, J: Array, motion: Generator) -> None:
         """Take an external torque (7,) into the filter; T and J are those of `Arm.end_effector`."""
         self.torque += self._share * (torque - self.torque)
         self.wrench, self.wrench_in_K = self._arm.wrench(self.torque, T, J)
         if not self.watches:
             return
-        felt = np.abs(np.concatenate((self.torque, self.wrench_in_K)))
+        values = np.abs(np.concatenate((self.torque, self.wrench_in_K)))
         which = 0 if any(motion.ddq.tolist()) else 1
-        self.contact = (felt > self._lower[which]).astype(float)
-        if beyond(felt, self._upper[which].tolist()):
-            self.collision = np.maximum(self.collision, felt > self._upper[which])
+        self.contact = (values > self._lower[which]).astype(float)
+        if beyond(values, self._upper[which].tolist()):
+            self.collision = np.maximum(self.collision, values > self._upper[which])
             self._collided = True
 
     def recover(self) -> None:

@@ -31,7 +31,7 @@ PERIOD = 1e-3
 # motion has begun. Then so late that no client that computes meanwhile gets a state which it has answered already.
 AGAIN_FIRST, AGAIN, BETWEEN = 2e-3, 0.05, 1e-3
 # While commands come, other messages are looked for so often, s.
-LOOK = 0.01
+POLL = 0.01
 # After a stop in lock-step the arm brakes until it moves no joint by more than this, rad/s; cycles, at least and at
 # most: the filters forget what has stopped it, and the client does not wait for a state for longer than it would.
 AT_REST, SHORTEST_BRAKE, LONGEST_BRAKE = 1e-3, 20, 400
@@ -66,9 +66,9 @@ class Franka(Interface):
         except OSError as error:
             raise OutputError(f"cannot send from {host}: {error.strerror or error}; name another --host") from None
         self._udp.setblocking(False)
-        self._ear = self._udp.dup()  # the same port, with some patience
-        self._ear.settimeout(AGAIN_FIRST)
-        self._looked = 0.0
+        self._udp_reader = self._udp.dup()  # the same port, with a timeout
+        self._udp_reader.settimeout(AGAIN_FIRST)
+        self._polled = 0.0
         self.motion = Generator(self.arm, PERIOD)
         self.springs = Impedance(self.arm, PERIOD)
         self.reflexes = Reflexes(self.arm, PERIOD)
@@ -100,7 +100,7 @@ class Franka(Interface):
         """See `Interface`."""
         super().close()
         if hasattr(self, "_udp"):
-            self._ear.close()
+            self._udp_reader.close()
             self._udp.close()
 
     def serve(self) -> None:
@@ -169,9 +169,9 @@ class Franka(Interface):
         """Wait for the command of a cycle alone, and look after all others only now and then: they cost time."""
         until = time.perf_counter() + timeout
         while self._command is None and self._move is not None:
-            there, now = self._take_command(self._ear), time.perf_counter()
-            if not there or now - self._looked > LOOK:
-                self._looked = now
+            there, now = self._take_command(self._udp_reader), time.perf_counter()
+            if not there or now - self._polled > POLL:
+                self._polled = now
                 self._wait(0.0)
             if now > until:
                 return
@@ -227,12 +227,12 @@ class Franka(Interface):
         for command, number, given in client.requests(wire.HEAD, wire.REQUESTS, "libfranka"):
             if self._to is None and command != wire.CONNECT:
                 raise Gone("sent a command before it connected: the connection is closed")
-            self._obey(client, command, number, given)
+            self._handle(client, command, number, given)
 
     def _answer(self, client: Client, command: int, number: int, status: int, rest: bytes = b"") -> None:
         client.send(wire.HEAD.pack(command, number, wire.HEAD.size + 1 + len(rest)) + bytes([status]) + rest)
 
-    def _obey(self, client: Client, command: int, number: int, given: tuple[Any, ...]) -> None:
+    def _handle(self, client: Client, command: int, number: int, given: tuple[Any, ...]) -> None:
         rest, status = b"", wire.SUCCESS
         if command == wire.CONNECT:
             version, port = given
@@ -406,7 +406,7 @@ class Franka(Interface):
             q, v = state.measured_position[:JOINTS], state.measured_velocity[:JOINTS]
         T, J = self.arm.end_effector(q)
         expected = self.arm.robot.inverse_dynamics(q, v, acceleration)
-        self.reflexes.feel(measured - expected, T, J, self.motion)
+        self.reflexes.update(measured - expected, T, J, self.motion)
         self._rate = (measured - self._measured) / PERIOD
         self._q, self._v, self._measured, self._T = q, v, measured, T
 

@@ -1,6 +1,7 @@
 """The lab's page in a browser without a screen: what is dragged there is what runs."""
 
 import shlex
+import socket
 import threading
 import time
 
@@ -12,6 +13,7 @@ import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.lab import in_browser, mapping_work
 from closedloop.lab.in_browser import wait_until
+from closedloop.serve.watch import Watch
 from closedloop.studies.analysis.stability import Stability
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
@@ -260,3 +262,37 @@ def test_the_label_of_the_vertical_axis_of_a_map_is_whole(page, lab):
     assert len(turned) == 1
     assert 9 <= turned[0] <= 20
     assert "2.5 N in every run" in [text for text, *_ in found]
+
+
+def test_a_served_run_is_shown_while_it_grows(browser):
+    """Curves, clock and arm go on with the simulation that another program drives; at the end the whole run replays."""
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
+    faults = []
+    with cl.serve("planar2_slide", lock_step=True) as served:
+        watch, page = Watch(served.session, port=8421), browser.new_page()
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(watch.url)
+        wait_until(page, "run && space.scene && frames")
+        arm = socket.create_connection(("127.0.0.1", served.port), 10.0).makefile("rwb")
+
+        def drive(steps):
+            arm.write(steps * b'{"do": "step"}\n')
+            arm.flush()
+            for _ in range(steps):
+                arm.readline()
+            return page.evaluate("Array.from(frameAt(state.time).places.at(-2))")
+
+        before = drive(100)
+        wait_until(page, "state.time > 0.09 && run.panels[0].name === 'force'")
+        drive(1500)
+        wait_until(page, "state.time > 1.5")
+        assert page.evaluate("Array.from(frameAt(state.time).places.at(-2))") != before
+        assert page.locator("#left").is_hidden()  # nothing is moved from here
+        run = served.close()
+        watch.finish(run, "it is over")
+        page.get_by_text("it is over").wait_for()
+        assert page.evaluate("[run.begin, frames.time.length, document.querySelectorAll('.tile').length > 3]") == [
+            0, 200, True
+        ]  # fmt: skip
+        page.close()
+    assert faults == []

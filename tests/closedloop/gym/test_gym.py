@@ -428,7 +428,7 @@ def test_a_page_shows_an_environment_at_its_address(capsys):
             for _ in range(3):
                 env.step(np.zeros(env.action_space.shape))
             found = {}
-            while not {"robot", "space", "run"} <= found.keys() or len(found["run"]["panels"][0]["time"]) < 3:
+            while not {"robot", "space", "run", "frame"} <= found.keys() or len(found["run"]["panels"][0]["time"]) < 3:
                 message = unpack(socket.recv(timeout=60.0))
                 found[message["kind"]] = message
                 if message["kind"] == "run":
@@ -436,7 +436,8 @@ def test_a_page_shows_an_environment_at_its_address(capsys):
         force, wanted = (trace["values"] for trace in found["run"]["panels"][0]["traces"])
         assert np.all(np.isfinite(force))
         assert np.all(wanted >= 0.0)
-        frame = found["run"]["frame"]
+        frame = found["frame"]
+        assert frame["robot"] == found["robot"]["robot"]
         assert frame["places"].size == 7 * found["robot"]["joints"]
         assert np.linalg.norm(frame["forces"][:3]) == pytest.approx(force[-1], abs=1e-6)
     finally:

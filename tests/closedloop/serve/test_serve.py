@@ -14,6 +14,7 @@ import time
 from collections import deque
 from pathlib import Path
 from shutil import which
+from threading import Thread
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,7 +23,7 @@ import pytest
 import closedloop as cl
 from closedloop.jit.kernel import jit_disabled
 from closedloop.loop.events.impacts import collide
-from closedloop.serve.messages import ASKED, ERROR, HEAD, MAGIC, NUMBERS
+from closedloop.serve.messages import ERROR, HEAD, MAGIC, NUMBERS, REQUESTS
 from closedloop.serve.session import Clock
 
 SCENARIO = "panda_slide"
@@ -63,7 +64,7 @@ class Binary:
 
     def ask(self, do, body=b""):
         """Return the kind and the bytes of the answer to a message."""
-        self.file.write(HEAD.pack(ASKED.index(do), len(body)) + body)
+        self.file.write(HEAD.pack(REQUESTS.index(do), len(body)) + body)
         self.file.flush()
         kind, length = HEAD.unpack(self.file.read(HEAD.size))
         return kind, self.file.read(length)
@@ -106,13 +107,73 @@ def test_a_controller_over_a_socket_gets_the_bits_of_a_law(client):
     assert state["contact_force"] == pytest.approx(run.contact_force[-1], abs=1e-9)
 
 
+def test_the_lab_shows_what_is_served_while_it_goes_on():
+    """A page is sent the arm and the latest rows as they come, in the end the whole run, and no more than asked for."""
+    sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
+    from closedloop.lab.messages import unpack
+    from closedloop.serve.watch import Watch
+
+    with cl.serve(SCENARIO, overrides=BRIEF, lock_step=True) as served:
+        watch, arm = Watch(served.session), Json(served.port)
+        assert watch.url.startswith("http://127.0.0.1:")
+        torque, shown = arm.ask("reset")["torque"], {}
+        with sockets.connect(watch.url.replace("http", "ws", 1), compression=None) as page:
+
+            def until(there):
+                while not there():
+                    message = unpack(page.recv(timeout=60.0))
+                    shown[message["kind"]] = message
+                    if message["kind"] == "run":
+                        page.send('{"do": "shown"}')
+
+            state = deque((arm.state("torque", torque) for _ in range(30)), 1)[0]
+            until(lambda: "run" in shown and shown["run"]["end"] > 0.02)
+            live = shown["run"]
+            assert (live["partial"], live["stopped"], shown["hello"]["live"]) == (True, "", False)
+            page.send('{"do": "columns", "names": ["v"]}')
+            until(lambda: shown["run"]["panels"][-1]["name"] == "column v")
+            while not state["done"]:
+                state = arm.state("torque", torque)
+            run = served.close()
+            end = Thread(target=watch.finish, args=(run, "it is over"))
+            end.start()
+            until(lambda: {"goodbye", "strip"} <= shown.keys() and not shown["run"]["partial"])
+            end.join()
+    panels = {panel["name"]: panel for panel in live["panels"]}
+    traces = {trace["label"]: trace["values"] for trace in panels["force"]["traces"]}
+    at = np.searchsorted(run.time, panels["force"]["time"] - 1e-6)
+    assert np.allclose(traces["f"], run.contact_force[at], rtol=1e-6)
+    end = shown["run"]
+    assert (end["begin"], end["end"], end["partial"]) == (0.0, run.time[-1], False)
+    assert shown["strip"]["tiles"]
+    frames = shown["space"]["frames"]
+    assert frames["time"][-1] == pytest.approx(run.time[-1])
+    assert frames["places"].size == 7 * shown["robot"]["joints"] * frames["time"].size
+
+
+def test_the_latest_rows_are_those_of_the_run():
+    """They have the times, the columns and the events of the run, from wherever they begin."""
+    simulator = cl.Simulator(cl.load_scenario("wam_touchdown", {"time.duration": 0.5}))
+    simulator.run_until(0.5)
+    latest, run = simulator.latest(200), simulator.run()
+    assert (len(latest), simulator.latest(10**6).time[0]) == (200, 0.0)
+    for name, column in latest.columns.items():
+        if len(column) == len(latest):
+            there = np.isfinite(column) if name == "kkt_condition" else np.full(len(column), True)
+            assert there[:100].all(), name
+            assert np.array_equal(column[there], run.columns[name][-201:-1][there], equal_nan=True), name
+    assert [event.time for event in latest.events] == [e.time for e in run.events if e.time >= latest.time[0]]
+    simulator.reset()
+    assert len(simulator.latest(200)) == 1
+
+
 def test_messages_say_what_is_wrong_and_what_there_is():
     """Each message has one answer, a wrong one too; the wrench is the force of the state about the base."""
     with cl.serve(SCENARIO, overrides=BRIEF, lock_step=True) as served:
         arm = Json(served.port)
         described = arm.ask("describe")
         assert (described["n"], described["steps"], described["lock_step"]) == (7, 300, True)
-        assert arm.ask("dance") == {"error": f'"do": must be one of {", ".join(ASKED)}, as in {{"do": "state"}}'}
+        assert arm.ask("dance") == {"error": f'"do": must be one of {", ".join(REQUESTS)}, as in {{"do": "state"}}'}
         assert arm.ask("torque", torque=[1.0])["error"].startswith("torque: must be 7 finite numbers")
         assert arm.ask("state", torque=[1.0]) == {"error": '"state" takes nothing named torque'}
         state, wrench = arm.ask("step"), np.array(arm.ask("wrench")["wrench"])

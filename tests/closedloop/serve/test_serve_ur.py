@@ -117,6 +117,39 @@ def test_a_client_reads_the_run_and_presses_with_what_it_sets(scenario):
     assert run.law == "scenario and torque from outside"
 
 
+# What the maker's driver for ROS 2 asks for, in its order, with the types of the maker's client library.
+DRIVER = {
+    "timestamp": "DOUBLE", "actual_q": "VECTOR6D", "actual_qd": "VECTOR6D", "speed_scaling": "DOUBLE",
+    "target_speed_fraction": "DOUBLE", "runtime_state": "UINT32", "actual_TCP_force": "VECTOR6D",
+    "actual_TCP_pose": "VECTOR6D", "actual_digital_input_bits": "UINT64", "actual_digital_output_bits": "UINT64",
+    "standard_analog_input0": "DOUBLE", "standard_analog_input1": "DOUBLE", "standard_analog_output0": "DOUBLE",
+    "standard_analog_output1": "DOUBLE", "analog_io_types": "UINT32", "tool_mode": "UINT32",
+    "tool_analog_input_types": "UINT32", "tool_analog_input0": "DOUBLE", "tool_analog_input1": "DOUBLE",
+    "tool_output_voltage": "INT32", "tool_output_current": "DOUBLE", "tool_temperature": "DOUBLE",
+    "robot_mode": "INT32", "safety_mode": "INT32", "robot_status_bits": "UINT32", "safety_status_bits": "UINT32",
+    "actual_current": "VECTOR6D", "tcp_offset": "VECTOR6D", "output_bit_register_127": "BOOL",
+    "input_bit_register_3": "BOOL",
+}  # fmt: skip
+
+
+def test_the_driver_of_ros_finds_its_fields(scenario):
+    """Each field has the maker's type; bits that a client sets come back, and are as long as the maker has them."""
+    with cl.serve(scenario, "ur", host=HOST, port=0) as served:
+        arm = Rtde(HOST, served.port)
+        answer = arm.ask("O", struct.pack(">d", 500.0) + ",".join(DRIVER).encode())
+        assert answer == b"\x01" + ",".join(DRIVER.values()).encode()
+        assert arm.ask("I", b"input_bit_register_127,input_bit_register_63") == b"\x00BOOL,NOT_FOUND"
+        assert arm.ask("I", b"input_bit_register_127") == b"\x01BOOL"
+        assert arm.ask("S") == b"\x01"
+        size = 1 + sum(struct.calcsize(">" + ur.TYPES[kind]) for kind in DRIVER.values())
+        assert (len(body := arm.read()), body[-2:]) == (size, b"\x00\x00")
+        arm.send("U", struct.pack(">B?", 1, True))
+        for _ in range(200):
+            if (body := arm.read())[-2:] == b"\x01\x00":
+                break
+        assert body[-2:] == b"\x01\x00"
+
+
 needs_client = pytest.mark.skipif(
     find_spec("rtde_receive") is None, reason='ur-rtde is not installed: pip install "closedloop[ur]" (Linux)'
 )

@@ -265,7 +265,7 @@ def _bounds(pairs: list[tuple[Solid, Solid]], poses: Array) -> Array:
     if not pairs:
         return np.zeros((len(poses), 0))
     a, b = (
-        np.einsum("rsij,sj->rsi", poses[:, [each.joint for each in side]], np.array([each.place[:, 3] for each in side]))
+        np.einsum("rsij,sj->rsi", poses[:, [one.joint for one in side]], np.array([one.place[:, 3] for one in side]))
         for side in zip(*pairs, strict=True)
     )
     reach = np.array([one.reach + other.reach for one, other in pairs])

@@ -28,7 +28,7 @@ REST_STEPS = 1000
 
 
 def slide_model(problem: Problem, exact: bool = False) -> Any:
-    """Return the arm of a problem on its surface, as MuJoCo's model; `exact`: solved to rounding, not at its quickest."""
+    """Return the arm of a problem on its surface as MuJoCo's model, at its quickest, or `exact`: solved to rounding."""
     import mujoco
 
     spec, n = build_spec(problem.robot.model, problem.robot.tip), problem.plane.normal

@@ -126,6 +126,7 @@ def test_nothing_is_written_but_whole():
         "closedloop/command/streams.py",
         "closedloop/jit/background.py",
         "validation/bodies.py",
+        "validation/franka_sim.py",
         "validation/measured/cubes/closedloop.py",
         "validation/measured/forward.py",
         "validation/speed/bodies.py",

@@ -20,7 +20,7 @@ from closedloop.loop.step.record_row import complete_record
 from closedloop.record.report.measured import measure_rows
 from closedloop.simulation.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
 from closedloop.simulation.engines.proceed import proceed_at
-from closedloop.simulation.prepare import prepare
+from closedloop.simulation.prepare import _kept, prepare
 
 SHORT = {"time.duration": 0.06}
 AT_ONCE = {"reference.start": 0.0, "reference.stop": 0.5}  # a short path: the interpreter finds the joints along it
@@ -430,6 +430,7 @@ def test_where_background_processes_are_refused_the_loop_is_compiled_first(monke
     monkeypatch.setattr(interim, "needs_compiling", lambda function: True)
     monkeypatch.setattr(background, "_said", set())
     monkeypatch.setattr(Interim, "__call__", lambda *_: pytest.fail("interpreted"))
+    monkeypatch.setattr(_kept, "cache", None)  # which may have the path of an earlier test
     with caplog.at_level(logging.INFO, "closedloop.compiling"):
         cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.01}))
         cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.01}), {"law.force": [1.0, 2.0, 3.0]})

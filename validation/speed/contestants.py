@@ -106,7 +106,7 @@ def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:
 def whole_call(arm: str, problem: Problem) -> tuple[Contestant, Contestant]:
     """Return `cl.simulate` of a problem's scenario with the compiled engine, from call to Run, and its steps alone.
 
-    The call makes everything anew: the path by inverse kinematics, the table of what is desired, the Run's columns.
+    The robot and the table of the path are those of the call before; the loop's memory and the columns are new.
     """
 
     def call() -> tuple[float, Array]:

@@ -198,8 +198,7 @@ def _from_plane(
 ) -> Clearance | None:
     """Return the least distance from a plane of the shapes that move, but for those of joints that touch it."""
     rows = _some(known, 8 * MOST_ROWS)
-    best = None
-    poses = _poses(run, mechanism, rows)
+    poses, best = _poses(run, mechanism, rows), None
     for solid in solids:
         if solid.joint == 0 or solid.joint in touching:
             continue

@@ -116,8 +116,6 @@ LIMIT_TOLERANCE = 1e-11
 # grown apart: further on the loop is not linear. In each of two parts there must be so many periods. Below
 # the last share of the whole an oscillation is not there.
 BESIDE, PERIODS, LEAST_SAMPLES, KICK, FAR, FEWEST_PERIODS, NEGLIGIBLE = 0.1, 12.0, 100, 1e-6, 1e4, 2.0, 1e-4
-
-
 # Of the rows of such a run the first quarter passes before the kick is over; in the middle of the rest, of them all.
 KICKED, MIDDLE = 0.25, 0.625
 
@@ -339,8 +337,10 @@ class Stability:
                     Stability(self.scenario, instant.time + share * rows * problem.h, model=self._model).growth(values)
                     for share in (MIDDLE, 1.0)
                 )
+                if not (self.growth(values) > 0.0) == (middle > 0.0) == (end > 0.0):
+                    continue  # no whole run is needed
                 seen = self._seen(problem, instant, limit.pole.frequency, rows)
-                if not math.isnan(seen) and (self.growth(values) > 0.0) == (middle > 0.0) == (end > 0.0):
+                if not math.isnan(seen):
                     trials.append(Trial(values, middle, seen))
             except ClosedLoopError:  # beyond what the scenario may be, or without a linear loop
                 continue

@@ -28,7 +28,7 @@ from closedloop.record.netcdf_file import read_sealed
 from closedloop.record.run import Run
 
 RUN, SUMMARY = "run.nc", "summary.json"
-# Metadata near the beginning of a figure's file.
+# Metadata near the beginning or the end of a figure's file.
 MARK = b"closedloop"
 _MARKED_WITHIN = 16_384
 _NAMES = {
@@ -150,12 +150,14 @@ class Results:
 
     def _clear(self) -> None:
         """Remove files of an earlier run that the new one would not overwrite: its summary and its figures."""
-        for path in [self.folder / SUMMARY, *self.folder.glob("fig*.png"), *self.folder.glob("fig*.svg")]:
+        for path in [self.folder / SUMMARY, *self.folder.glob("fig*.*")]:
             if path.is_symlink() or not path.is_file():
                 continue
             try:
                 with path.open("rb") as file:
-                    ours = path.name == SUMMARY or MARK in file.read(_MARKED_WITHIN)
+                    head = file.read(_MARKED_WITHIN)
+                    file.seek(max(0, path.stat().st_size - _MARKED_WITHIN))
+                    ours = path.name == SUMMARY or MARK in head or MARK in file.read()  # a PDF has it at its end
                 if ours:
                     path.unlink()
             except OSError as error:

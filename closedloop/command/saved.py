@@ -10,6 +10,7 @@ from pathlib import Path
 
 from closedloop.base.errors import RunFileError
 from closedloop.command.border import DONE, Parser, as_command
+from closedloop.command.figure_options import add_figure_options, drawn_as, formats_of
 
 
 @as_command()
@@ -35,21 +36,32 @@ def plot(words: list[str]) -> int:
     """Run the command line of ``closedloop plot`` and return the exit status."""
     parser = _parser(
         "plot",
-        "Draw the figures of a saved run, as PNG and SVG. The figure that shows the same scenario "
+        "Draw the figures of a saved run. The figure that shows the same scenario "
         "without its stabiliser needs another run, and is drawn by `closedloop run` only.",
     )
     parser.add_argument("--out", metavar="DIR", help="where the figures go (default: the folder of the run)")
+    parser.add_argument("--columns", metavar="LIST", help="draw these columns instead, a panel each, such as f,e")
+    add_figure_options(parser)
     from closedloop.record.load import load_run
 
     options = parser.parse_args(words)
+    formats, style = formats_of(options), drawn_as(options)
     run = load_run(options.run)
     if len(run) == 0:
         raise RunFileError(f"{options.run}: the run stopped before its first row: there is nothing to draw")
     from closedloop.base.files import made_folder, what_was_written
-    from closedloop.figures import draw_figures
+    from closedloop.figures import columns, draw_figures
+    from closedloop.figures.files import write_figure
 
-    folder = made_folder(Path(options.run).parent if options.out is None else options.out)
-    paths = draw_figures(run, folder)
+    folder = Path(options.run).parent if options.out is None else Path(options.out)
+    with style:
+        if options.columns is None:
+            folder = made_folder(folder)
+            paths = draw_figures(run, folder, formats=formats)
+        else:
+            names = [name.strip() for name in options.columns.split(",")]
+            figure, folder = columns(run, names), made_folder(folder)
+            paths = [write_figure(figure, folder / f"fig_{'_'.join(names)}", formats)]
     print(what_was_written(*paths, folder=folder))
     return DONE
 

@@ -9,14 +9,21 @@
     impacts           rates, impulses and energy losses of impacts
     friction_force    friction in its cone, and the slip
     tool              force and moment at the wrist, and how the tool is turned to the surface
+    bodies            height, way and rotation of free bodies
+    columns           any columns of the run, a panel each
 
-Each function takes a run and returns a matplotlib figure that nothing else holds; `draw_figures` writes as files the
-figures for which the run has data. `STYLE` is their style, for ``matplotlib.rcParams.update``.
+Each function takes a run and returns a matplotlib figure that nothing else holds; its panels are `figure.axes`. With
+``ax=`` it draws on axes of yours: one Axes is the first panel, a sequence has one for each panel. Legends are inside
+them, and `contact_handles(run)` are for a legend of the bands and events. `draw_figures` writes as files the figures
+for which the run has data. `STYLE` is their style, matplotlib's settings by their names; `styled` draws in it, with
+another width or font.
 """
 
 from __future__ import annotations
 
+from closedloop.figures.bodies import bodies
 from closedloop.figures.closure import closure_error
+from closedloop.figures.columns import columns
 from closedloop.figures.files import draw_figures, images_of, is_papers, save_figure
 from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force
@@ -24,13 +31,16 @@ from closedloop.figures.impacts import impacts
 from closedloop.figures.joints import joints
 from closedloop.figures.link_contacts import link_contacts
 from closedloop.figures.overview import force_control
-from closedloop.figures.style import STYLE
+from closedloop.figures.style import STYLE, contact_handles, styled
 from closedloop.figures.tip import tip_position, tool
 
 __all__ = [
     "STYLE",
+    "bodies",
     "closure_error",
+    "columns",
     "contact_force",
+    "contact_handles",
     "draw_figures",
     "force_control",
     "friction_force",
@@ -40,6 +50,7 @@ __all__ = [
     "joints",
     "link_contacts",
     "save_figure",
+    "styled",
     "tip_position",
     "tool",
 ]

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.figures.style import MANY, MOST_CURVES, dress, explain_contact, length_unit, new_figure, widen
+from closedloop.figures.style import (
+    MANY,
+    MOST_CURVES,
+    dress,
+    explain_contact,
+    legend_outside,
+    length_unit,
+    no_upper_labels,
+    panels,
+    widen,
+)
 from closedloop.record.run import Run
 from robot_models.coordinates import PLACES
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # What moves across, or turns, by no more than this, m or rad, does not: it has no panel.
@@ -53,11 +65,11 @@ def body_motions(run: Run) -> dict[str, tuple[Array, Array]]:
     return found
 
 
-def bodies(run: Run) -> Figure:
+def bodies(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw the height of each free body, its distance from the start across, and the angle from its start.
 
     Of more bodies than can be told apart those that move most are drawn. What does not change has no panel, except the
-    height where nothing moves.
+    height where nothing moves. For `ax` see `closedloop.figures`.
     """
     motions = body_motions(run)
     if not motions:
@@ -81,20 +93,17 @@ def bodies(run: Run) -> Figure:
         drawn.append(
             ({name: np.degrees(each) for name, each in angles.items()}, "Rotation from the start", "angle [°]")
         )
-    figure = new_figure(height=1.6 + 1.6 * len(drawn))
-    panels = np.atleast_1d(figure.subplots(len(drawn), 1, sharex=True))
+    figure, on = panels(len(drawn), 1.6 + 1.6 * len(drawn), ax)
     those = f"the {len(shown)} of {len(motions)} bodies that move most" if len(shown) < len(motions) else ""
-    for axes, (curves, title, label) in zip(panels, drawn, strict=True):
+    for axes, (curves, title, label) in zip(on, drawn, strict=True):
         for k, name in enumerate(shown):
             axes.plot(run.time, curves[name], color=MANY[k % len(MANY)], label=name)
         axes.margins(y=0.12)
         if label == HEIGHT:
             widen(axes, LEAST * 1e3 * max(furthest, *size.values()))
-        first, last = axes is panels[0], axes is panels[-1]
+        first, last = axes is on[0], axes is on[-1]
         dress(axes, run, f"{title}: {those}" if first and those else title, label, label_marks=first, show_events=last)
-        if not last:
-            axes.set_xlabel("")
-    handles, names = panels[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 4), fontsize=8)
+    no_upper_labels(figure, on)
+    legend_outside(figure, "upper center", on[0].get_legend_handles_labels()[0], 4, axes=on[0])
     explain_contact(figure, run)
     return figure

@@ -5,6 +5,7 @@ The closure error, Figs. 6 and 7 of the paper, and the gap of a tip that is off 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,7 +18,8 @@ from closedloop.figures.style import (
     explain_contact,
     length_unit,
     mark_rounding,
-    new_figure,
+    no_upper_labels,
+    panels,
     position_rounding,
 )
 from closedloop.mechanics.closure.contact_force import FREE
@@ -37,34 +39,33 @@ _STABILISED = {
 }
 
 
-def closure_error(run: Run) -> Figure:
+def closure_error(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw the closure error e against time (Fig. 6 with the stabiliser, Fig. 7 without).
 
     Off the surface e is a gap and no error, a million times larger than the error in contact: a run that has both gets
-    a panel for each.
+    a panel for each. For `ax` see `closedloop.figures`.
     """
     touching = run.mode != FREE
     how = _STABILISED[run.scenario.stabiliser.kind]
     soft = run.scenario.compliance.kind != "none"
     what = "Position of the tip relative to the soft surface; e < 0: inside" if soft else f"Closure error, {how}"
     both = bool(np.any(touching) and not np.all(touching))
-    figure = new_figure(height=4.8 if both else 3.4)
-    panels = figure.subplots(2 if both else 1, 1, sharex=True, squeeze=False)[:, 0]
+    figure, drawn = panels(2 if both else 1, 4.8 if both else 3.4, ax)
     if np.all(touching):
-        unit = _draw(panels[0], run, run.closure_error)
+        unit = _draw(drawn[0], run, run.closure_error)
         dress(
-            panels[0],
+            drawn[0],
             run,
             what if soft or run.scenario.surface.kind != "plane" else f"Closure error e = n·r − d, {how}",
             f"e [{unit}]",
         )
     else:
-        unit = _draw(panels[0], run, run.closure_error)
-        dress(panels[0], run, "Gap e", f"e [{unit}]", show_events=not both)
+        unit = _draw(drawn[0], run, run.closure_error)
+        dress(drawn[0], run, "Gap e", f"e [{unit}]", show_events=not both)
     if both:
-        panels[0].set_xlabel("")
-        unit = _draw(panels[1], run, np.where(touching, run.closure_error, np.nan))
-        dress(panels[1], run, f"In contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
+        unit = _draw(drawn[1], run, np.where(touching, run.closure_error, np.nan))
+        dress(drawn[1], run, f"In contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
+    no_upper_labels(figure, drawn)
     explain_contact(figure, run)
     return figure
 

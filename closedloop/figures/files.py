@@ -6,7 +6,7 @@ A run as Jupyter shows it: a small picture beside the numbers of its report.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,15 +99,24 @@ def _telling(values: Any) -> Any:
     return np.unique(np.concatenate([np.ravel(extremes), [0, count - 1]]))
 
 
-# The content of a figure's files, by their endings.
+# The content of a figure's files, by their endings; the files that are written if nothing is asked for; and what each
+# says of who made it.
 Images = dict[str, bytes]
+IMAGES = (".png", ".svg")
+METADATA: dict[str, dict[str, Any]] = {
+    ".png": {"Source": "closedloop"}, ".svg": {"Source": "closedloop", "Date": None},
+    ".pdf": {"Creator": "closedloop", "CreationDate": None},
+}  # fmt: skip
 
 # Scenarios of the paper's slide, whose figures are Figs. 4-7 of the paper.
 PAPERS = ("wam_slide", "wam_slide_unstabilised")
 
 
 def draw_figures(
-    run: Run, folder: str | Path, unstabilised: Run | Callable[[], Run | Images | None] | None = None
+    run: Run,
+    folder: str | Path,
+    unstabilised: Run | Callable[[], Run | Images | None] | None = None,
+    formats: Sequence[str] = IMAGES,
 ) -> list[Path]:
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
 
@@ -121,6 +130,8 @@ def draw_figures(
     unstabilised : Run or callable, optional
         The same scenario without its stabiliser, for Fig. 7 beside Fig. 6; or what gives that run, or what `images_of`
         makes of its `closure_error`, or None, and is called when all others are drawn.
+    formats : sequence of str
+        Endings of the files: ".png", ".svg", ".pdf". The paths returned are those of the first.
 
     Raises
     ------
@@ -162,12 +173,12 @@ def draw_figures(
     import matplotlib.backends.backend_agg
     import matplotlib.backends.backend_svg  # noqa: F401  before there are two processes
 
-    rest = Beside(lambda: [images_of(draw, what) for _, draw, what in wanted[1::2]])
+    rest = Beside(lambda: [images_of(draw, what, formats) for _, draw, what in wanted[1::2]])
     try:
-        images = [images_of(draw, what) for _, draw, what in wanted[::2]]
+        images = [images_of(draw, what, formats) for _, draw, what in wanted[::2]]
         other = None if plain else unstabilised() if callable(unstabilised) else unstabilised
         if isinstance(other, Run):
-            other = images_of(closure_error, other) if len(other) > 0 else None
+            other = images_of(closure_error, other, formats) if len(other) > 0 else None
         beside = rest.result()
     finally:
         rest.stop()
@@ -183,14 +194,14 @@ def is_papers(scenario: str) -> bool:
     return scenario in PAPERS
 
 
-def images_of(draw: Callable[[Run], Figure], run: Run) -> Images:
+def images_of(draw: Callable[[Run], Figure], run: Run, formats: Sequence[str] = IMAGES) -> Images:
     """Draw a figure of a run and return its images, as `images` does."""
     with styled():
-        return images(draw(run))
+        return images(draw(run), formats)
 
 
-def images(figure: Figure) -> Images:
-    """Return the content of the files of a figure that is drawn, ".png" and ".svg".
+def images(figure: Figure, formats: Sequence[str] = IMAGES) -> Images:
+    """Return the content of the files of a figure that is drawn, by their endings; the first is the one that is named.
 
     Each says who made it, so that results of another run may be told and removed, and not when.
     """
@@ -199,26 +210,25 @@ def images(figure: Figure) -> Images:
         engine.execute(figure)
         figure.set_layout_engine(None)  # all is in its place: else each file would be laid out anew
     found = {}
-    for suffix in (".svg", ".png"):
-        metadata = {"Source": "closedloop"} | ({"Date": None} if suffix == ".svg" else {})
+    for suffix in formats:
+        metadata = METADATA[suffix]
         image = io.BytesIO()
         figure.savefig(image, format=suffix[1:], metadata=metadata)
         found[suffix] = image.getvalue()
     return found
 
 
-def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path) -> Path:
-    """Draw a figure of a run and write it as `path`.png and `path`.svg; return the former."""
-    return write_images(images_of(draw, run), path)
+def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path, formats: Sequence[str] = IMAGES) -> Path:
+    """Draw a figure of a run and write it as `path`.png and `path`.svg, or as `formats` say; return the first."""
+    return write_images(images_of(draw, run, formats), path)
 
 
-def write_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure that is drawn as `path`.png and `path`.svg; return the former."""
-    return write_images(images(figure), path)
+def write_figure(figure: Figure, path: Path, formats: Sequence[str] = IMAGES) -> Path:
+    """Write a figure that is drawn as `path`.png and `path`.svg, or as `formats` say; return the first."""
+    return write_images(images(figure, formats), path)
 
 
 def write_images(images: Images, path: Path) -> Path:
-    """Write the images of a figure, each whole or not at all, and return the path of the PNG."""
-    for suffix, content in images.items():
-        write_whole(path.with_suffix(suffix), content)
-    return path.with_suffix(".png")
+    """Write the images of a figure, each whole or not at all, and return the path of the first."""
+    written = [write_whole(path.with_name(path.name + suffix), content) for suffix, content in images.items()]
+    return written[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,11 +13,14 @@ from closedloop.figures.impacts import hits
 from closedloop.figures.style import (
     COLOURS,
     FORCE_STEPS,
+    WIDE,
     dress,
     explain_contact,
     legend_beside_title,
     marks,
     new_figure,
+    page_width,
+    panels,
 )
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
@@ -35,27 +40,33 @@ SHORT, LONG = 0.02, 0.12
 MOST_PANELS = 3
 
 
-def contact_force(run: Run) -> Figure:
+def contact_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw the contact force against time, with the commanded force and the transients enlarged (Fig. 5).
 
     Enlarged are the instants at which the law or the reference changes and contact or sticking begins or ends, and any
     other at which the force changes more; of more than three those at which it changes most. Impulses are no part of
-    the force, and have an axis of their own; see `impacts`.
+    the force, and have an axis of their own; see `impacts`. For `ax` see `closedloop.figures`.
     """
-    moments = transients(run)
-    figure = new_figure(height=5.0 if moments else 3.4)
-    grid = figure.add_gridspec(2 if moments else 1, max(1, len(moments)), height_ratios=[1.3, 1][: 2 if moments else 1])
-    whole = figure.add_subplot(grid[0, :])
+    # A narrow page has room for fewer panels beside one another.
+    moments = transients(run, math.ceil(MOST_PANELS * min(1.0, page_width() / WIDE)))
+    if ax is None:
+        figure = new_figure(height=5.0 if moments else 3.4)
+        rows = 2 if moments else 1
+        grid = figure.add_gridspec(rows, max(1, len(moments)), height_ratios=[1.3, 1][:rows])
+        whole = figure.add_subplot(grid[0, :])
+        near = [figure.add_subplot(grid[1, k]) for k in range(len(moments))]
+    else:
+        figure, (whole, *near) = panels(1 + len(moments), 5.0, ax)
     draw_measured(whole, run, run.measured_force)
     _draw_force(whole, run, slice(None))
     dress(whole, run, "Contact force", "f [N]")
     legend_beside_title(whole)
     _draw_impulses(whole, run)
-    for k, (text, rows) in enumerate(moments):
-        axes = figure.add_subplot(grid[1, k])
-        _draw_force(axes, run, rows, marker=".", markersize=2.5)
-        dress(axes, run, text, "f [N]" if k == 0 or len(moments) < MOST_PANELS else "", label_marks=False, rows=rows)
-        if len(moments) == MOST_PANELS or (len(moments) > 1 and run.time[-1] >= 10.0):
+    narrow = len(moments) > 1 and (len(moments) == MOST_PANELS or page_width() < WIDE)
+    for k, (axes, (text, shown)) in enumerate(zip(near, moments, strict=True)):
+        _draw_force(axes, run, shown, marker=".", markersize=2.5)
+        dress(axes, run, text, "f [N]" if k == 0 or not narrow else "", label_marks=False, rows=shown)
+        if narrow or (len(moments) > 1 and run.time[-1] >= 10.0):
             axes.locator_params(axis="x", nbins=4)  # room for the numbers
     explain_contact(figure, run)
     return figure
@@ -93,8 +104,8 @@ def _draw_impulses(axes: Axes, run: Run) -> None:
     beside.spines["right"].set_visible(True)
 
 
-def transients(run: Run) -> list[tuple[str, slice]]:
-    """Return what is to be enlarged, in order of time: what happens there, and the rows around it."""
+def transients(run: Run, most: int = MOST_PANELS) -> list[tuple[str, slice]]:
+    """Return what is to be enlarged, up to `most`, in order of time: what happens there, and the rows around it."""
     short, long = max(SHORT, 5 * run.scenario.time.step), max(LONG, 30 * run.scenario.time.step)
     # Where the motion changes, what counts is by how much the force leaves the commanded one.
     away = run.contact_force - run.reference_force
@@ -124,7 +135,7 @@ def transients(run: Run) -> list[tuple[str, slice]]:
         apart = all(abs(moment.time - other.time) > long for other in chosen)
         # Of a hundred slips one is enlarged.
         alone = all(moment.kind != other.kind for other in chosen)
-        if len(chosen) < MOST_PANELS and apart and alone:
+        if len(chosen) < most and apart and alone:
             chosen.append(moment)
     return [(each.text, each.rows) for each in sorted(chosen, key=lambda each: each.time)]
 

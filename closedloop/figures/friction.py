@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from closedloop.figures.closure import directions, sideways
-from closedloop.figures.style import COLOURS, dress, explain_contact, legend_beside_title, new_figure
+from closedloop.figures.style import COLOURS, dress, explain_contact, legend_beside_title, no_upper_labels, panels
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.friction.contact import surface_contact
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # A part of friction below this share of all of it is not drawn.
@@ -36,17 +38,17 @@ def friction_levels(law: Any) -> list[tuple[float, str, str]]:
     return [each for each in levels if each[0] > 0.0]
 
 
-def friction_force(run: Run) -> Figure:
+def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw friction along the path inside the friction cone, ±μf, and the velocity of slip along the path.
 
     Both are signed along the direction of the path, see `closedloop.figures.closure.directions`: friction that resists
     slip along the path is negative. Its part across the path is drawn beside it, where there is any.
+    For `ax` see `closedloop.figures`.
     """
     along, force = directions(run), run.friction_force
     across = sideways(run, along)
     slip = np.where(run.mode != FREE, np.sum(run.slip_velocity * along, axis=1), np.nan)
-    figure = new_figure(height=4.8)
-    above, below = figure.subplots(2, 1, sharex=True)
+    figure, (above, below) = panels(2, 4.8, ax)
     for level, name, stroke in friction_levels(run.scenario.friction):
         for sign in (1.0, -1.0):
             above.plot(
@@ -59,10 +61,10 @@ def friction_force(run: Run) -> Figure:
         above.plot(run.time, beside, color=COLOURS[2], linewidth=0.9, label="across")
     above.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
     dress(above, run, "Friction", "Fₜ [N]", show_events=False)
-    above.set_xlabel("")
     legend_beside_title(above)
     below.plot(run.time, 1e3 * slip, color=COLOURS[1])
     below.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
     dress(below, run, "Slip along the path", "velocity [mm/s]", label_marks=False)
+    no_upper_labels(figure, (above, below))
     explain_contact(figure, run)
     return figure

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.style import COLOURS, legend_beside_title, new_figure
+from closedloop.figures.style import COLOURS, legend_beside_title, no_upper_labels, panels
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.record.run import Run
 
@@ -46,14 +47,16 @@ def has_impacts(run: Run) -> bool:
     return bool(np.any(hits(run)))
 
 
-def impacts(run: Run) -> Figure:
-    """Draw the closure rate before and after each impact, its impulses, and its energy loss, against time."""
+def impacts(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+    """Draw the closure rate before and after each impact, its impulses, and its energy loss, against time.
+
+    For `ax` see `closedloop.figures`.
+    """
     if not has_impacts(run):
         raise ValueError("the run has no impact to draw")
     hit = hits(run)
     time, cut, lost = run.event_time[hit], run.event_rate_cut[hit], run.event_energy_lost[hit]
-    figure = new_figure(height=6.2)
-    above, middle, below = figure.subplots(3, 1, sharex=True)
+    figure, (above, middle, below) = panels(3, 6.2, ax)
     rates = [
         _Series(-run.event_rate_before[hit], "before", "o", COLOURS[0]),
         _Series(run.event_rate_after[hit], "after", "^", COLOURS[1]),
@@ -65,7 +68,7 @@ def impacts(run: Run) -> Figure:
         above.axhline(rest, color="0.3", linestyle=":", linewidth=1)
         above.annotate(
             f"impact.rest_speed = {rest:g} m/s", (0.0, rest), xycoords=("axes fraction", "data"), xytext=(4, 3),
-            textcoords="offset points", fontsize=8, color="0.25",
+            textcoords="offset points", fontsize="small", color="0.25",
         )  # fmt: skip
     above.set(title=f"Closure rate at impacts ({run.model.name})", ylabel="|ė| [m/s]")
     impulses = [
@@ -76,9 +79,11 @@ def impacts(run: Run) -> Figure:
     _draw(middle, time, impulses)
     middle.set(title="Impulse" if np.any(run.event_contact[hit] > 0) else "Impulse on the tip", ylabel="impulse [N s]")
     _draw(below, time, [_Series(lost, "", "o", COLOURS[0])])
-    below.set(title=f"Kinetic energy lost, {np.sum(lost):.3g} J in total", ylabel="energy [J]", xlabel="time [s]")
+    below.set(title=f"Kinetic energy lost, {np.sum(lost):.3g} J in total", ylabel="energy [J]")
     margin = max(0.04 * float(np.ptp(time)), 2.0 * run.scenario.time.step)
-    below.set_xlim(float(time[0]) - margin, float(time[-1]) + margin)
+    for axes in (above, middle, below):
+        axes.set(xlim=(float(time[0]) - margin, float(time[-1]) + margin), xlabel="time [s]")
+    no_upper_labels(figure, (above, middle, below))
     return figure
 
 

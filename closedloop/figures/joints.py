@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.figures.style import MANY, MOST_CURVES, OTHERS, dress, explain_contact, new_figure
+from closedloop.figures.style import (
+    MANY,
+    MOST_CURVES,
+    OTHERS,
+    dress,
+    explain_contact,
+    legend_outside,
+    no_upper_labels,
+    panels,
+)
 from closedloop.record.run import Run, units_by_kind
 from closedloop.scenario.messages import typeset
 from robot_models import RobotModel
@@ -36,22 +45,22 @@ def in_bodies(model: RobotModel, positions: bool) -> list[bool]:
     return found
 
 
-def joints(run: Run) -> Figure:
+def joints(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw the torque, velocity and position of every joint, with the limits of the robot's file as dashed lines.
 
     The coordinates of free bodies are left out: they have a figure of their own, `closedloop.figures.bodies`.
 
-    A limit far from all that the joint does is not drawn; the titles say how near the joints come to one.
+    A limit far from all that the joint does is not drawn; the titles say how near the joints come to one. For `ax` see
+    `closedloop.figures`.
     """
     model = run.model
-    figure = new_figure(height=6.4)
-    panels = figure.subplots(3, 1, sharex=True)
+    figure, on = panels(3, 6.4, ax)
     drawn = (
         ("Torque Q", "torque", -model.effort_limit, model.effort_limit, "torque"),
         ("Velocity", "velocity", -model.velocity_limit, model.velocity_limit, "v"),
         ("Position", "position", *_position_limits(model), "q"),
     )
-    for axes, (title, label, low, high, name) in zip(panels, drawn, strict=True):
+    for axes, (title, label, low, high, name) in zip(on, drawn, strict=True):
         values = run.columns[name]
         held = [j for j, free in enumerate(in_bodies(model, positions=name == "q")) if not free]
         all_names = model.coordinate_names if name == "q" else model.joint_names
@@ -72,11 +81,9 @@ def joints(run: Run) -> Figure:
         each = [typeset(units_by_kind(run.specs[name].units, kinds[j])) for j in held]
         units = " | ".join(dict.fromkeys(each))
         told = f"{title}, {_told(values, low, high, names, each, positions=name == 'q')}"
-        last = axes is panels[-1]
-        dress(axes, run, told, f"{label} [{units}]", label_marks=axes is panels[0], show_events=last)
-        if not last:
-            axes.set_xlabel("")
-    _name_joints(figure, panels[0], int(sum(not free for free in in_bodies(model, positions=False))))
+        dress(axes, run, told, f"{label} [{units}]", label_marks=axes is on[0], show_events=axes is on[-1])
+    no_upper_labels(figure, on)
+    _name_joints(figure, on[0], int(sum(not free for free in in_bodies(model, positions=False))))
     explain_contact(figure, run)
     return figure
 
@@ -135,7 +142,4 @@ def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units:
 def _name_joints(figure: Figure, axes: Axes, count: int) -> None:
     handles, names = axes.get_legend_handles_labels()
     others = "" if count == len(names) else f"; grey: {count - len(names)} others"
-    figure.legend(
-        handles, names, loc="outside upper center", ncols=min(len(names), 4), fontsize=8, columnspacing=1.5,
-        title=f"joints; limits dashed{others}", title_fontsize=8,
-    )  # fmt: skip
+    legend_outside(figure, "upper center", handles, 4, f"joints; limits dashed{others}", axes)

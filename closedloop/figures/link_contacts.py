@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.style import COLOURS, MANY, MOST_CURVES, dress, explain_contact, new_figure, widen
+from closedloop.figures.style import (
+    COLOURS,
+    MANY,
+    MOST_CURVES,
+    dress,
+    explain_contact,
+    legend_beside_title,
+    legend_outside,
+    no_upper_labels,
+    panels,
+    widen,
+)
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.record.run import Run
@@ -28,18 +40,18 @@ FLATTEST = 0.02
 ROW, MOST_ROWS = 0.17, 32
 
 
-def link_contacts(run: Run) -> Figure:
+def link_contacts(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw when each contact of a link is closed, its normal force, and its friction, with the cone's edge dashed.
 
     Of more contacts than can be told apart the forces are sums over the points of one patch, and those of the largest.
+    For `ax` see `closedloop.figures`.
     """
     sections = run.scenario.contact
     if not sections:
         raise ValueError("the run has no [[contact]]")
     names, count = names_of(sections), len(sections)
     rows = 0.6 + ROW * min(count, MOST_ROWS)
-    figure = new_figure(height=4.8 + rows)
-    times, above, below = figure.subplots(3, 1, sharex=True, height_ratios=[rows, 2.0, 2.0])
+    figure, (times, above, below) = panels(3, 4.8 + rows, ax, [rows, 2.0, 2.0])
     draw_closed(times, run, names)
     styles = draw_forces(above, run)
     for drawn, style in styles:
@@ -49,10 +61,9 @@ def link_contacts(run: Run) -> Figure:
             below.plot(run.time, limit, "--", color=style["color"], linewidth=0.7)
     widen(below, FLATTEST * max(abs(end) for end in below.get_ylim()))
     dress(times, run, "Contacts of the links", "", label_marks=False, show_events=False)
-    for axes in (times, above):
-        axes.set_xlabel("")
     dress(below, run, "Friction of the contacts; dashed: its limit μ f", "|friction| [N]", label_marks=False)
-    figure.legend(loc="outside upper center", ncols=min(4, len(styles)), fontsize=8, columnspacing=1.5)
+    no_upper_labels(figure, (times, above, below))
+    legend_outside(figure, "upper center", above.get_legend_handles_labels()[0], 4, axes=above)
     explain_contact(figure, run)
     return figure
 
@@ -118,11 +129,11 @@ def draw_closed(axes: Axes, run: Run, names: tuple[str, ...]) -> None:
             spans = spans_of(now, run.time)
             if spans:
                 axes.broken_barh([(a, b - a) for a, b in spans], (at - 0.4, 0.8), color=colour, linewidth=0)
-    axes.set_yticks(range(len(rows)), [names[k] for k in rows], fontsize=8)
+    axes.set_yticks(range(len(rows)), [names[k] for k in rows], fontsize="small")
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(axis="y", visible=False)
     handles = [Patch(color=COLOURS[0], label="sticks or rolls"), Patch(color=MANY[5], label="slides")]
-    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, borderaxespad=0.0)
+    legend_beside_title(axes, handles)
 
 
 def spans_of(now: NDArray[np.bool_], time: NDArray[np.float64]) -> list[tuple[float, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,10 +17,13 @@ from closedloop.figures.style import (
     dress,
     explain_contact,
     legend_beside_title,
+    legend_outside,
     length_text,
     length_unit,
     mark_rounding,
     new_figure,
+    no_upper_labels,
+    panels,
     position_rounding,
     styled,
     tip_is_idle,
@@ -46,10 +50,11 @@ SINGULAR = 1e-3
 BRIEF = 0.01
 
 
-def plot(run: Run) -> Figure:
+def plot(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Return what `Run.plot` shows, in the style of all figures: what force control is about.
 
-    Where nothing leads a tip it is `bodies`, or the forces of their contacts if they rest.
+    Where nothing leads a tip it is `bodies`, or the forces of their contacts if they rest. For `ax` see
+    `closedloop.figures`.
 
     Raises
     ------
@@ -60,18 +65,18 @@ def plot(run: Run) -> Figure:
         raise ValueError(f"the run of {run.scenario.name} has no row to draw")
     with styled():
         if not shows_bodies(run):
-            return force_control(run)
-        return link_contacts(run) if run.scenario.contact and rests(run) else bodies(run)
+            return force_control(run, ax)
+        return link_contacts(run, ax) if run.scenario.contact and rests(run) else bodies(run, ax)
 
 
-def force_control(run: Run) -> Figure:
+def force_control(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw f − f_des, the tip's errors along the path, across it and along the normal, and the path in the surface.
 
     Where the arm goes through a pose in which the tip cannot move along the normal, its mobility along it is drawn too.
 
     The path is seen from above the surface: where it should be, and where the tip was, coloured by the contact force.
     Without a surface there are the forces of the links' contacts instead, and without a law nothing that the tip was to
-    do. Of a tip that rests there is no path to draw.
+    do. Of a tip that rests there is no path to draw. For `ax` see `closedloop.figures`.
     """
     seen, wanted = _seen_from_above(run)
     wide = float(np.ptp(wanted[:, 1])) > WIDE * float(np.ptp(wanted[:, 0]))
@@ -82,18 +87,21 @@ def force_control(run: Run) -> Figure:
     over_time += [_draw_mobility] * passes + [_draw_tip_errors] * is_led(run)
     path = not over_time or max(float(np.ptp(each)) for each in (*seen.T, *wanted.T)) > AT_REST
     heights = [*[1.0] * len(over_time), *([1.9 if wide else 0.8] if path else [])]
-    figure = new_figure(height=(7.6 if wide else 6.2) + 1.7 * (len(over_time) + path - 3))
-    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
-    first: Axes | None = None
-    for row, draw in enumerate(over_time):
-        axes = figure.add_subplot(grid[row], sharex=first)
-        first = first or axes
-        draw(axes, run)
-        if row < len(over_time) - 1:
-            axes.set_xlabel("")
+    if ax is None:
+        figure = new_figure(height=(7.6 if wide else 6.2) + 1.7 * (len(over_time) + path - 3))
+        grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+        on: list[Axes] = []
+        for row in range(len(heights)):  # the path has another axis than time
+            on.append(figure.add_subplot(grid[row], sharex=on[0] if 0 < row < len(over_time) else None))
+        for axes in on[: len(over_time) - 1]:
             axes.tick_params(labelbottom=False)
+    else:
+        figure, on = panels(len(heights), 6.2, ax)
+    for axes, draw in zip(on, over_time, strict=False):
+        draw(axes, run)
+    no_upper_labels(figure, on[: len(over_time)])
     if path:
-        _draw_path(figure.add_subplot(grid[-1]), run, seen, wanted, wide)
+        _draw_path(on[-1], run, seen, wanted, wide)
     explain_contact(figure, run)
     return figure
 
@@ -133,10 +141,10 @@ def _draw_mobility(axes: Axes, run: Run) -> None:
 
 
 def _draw_link_forces(axes: Axes, run: Run) -> None:
-    count = len(draw_forces(axes, run))
-    axes.get_figure(root=True).legend(  # type: ignore[union-attr]
-        loc="outside upper center", ncols=min(4, count), fontsize=8, columnspacing=1.5
-    )
+    draw_forces(axes, run)
+    handles, figure = axes.get_legend_handles_labels()[0], axes.get_figure(root=True)
+    assert figure is not None
+    legend_outside(figure, "upper center", handles, 4, axes=axes)
 
 
 def _draw_tip_errors(axes: Axes, run: Run) -> None:

@@ -10,8 +10,10 @@ marks in shape, so that neither needs colour.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -68,25 +70,95 @@ STYLE: dict[str, Any] = {
     "axes.formatter.useoffset": False,
     "hatch.linewidth": 0.5,
     "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
     "svg.hashsalt": "closedloop",
     "savefig.dpi": 150,
 }
 
 
+# Inches: the width of a page, and how wide figures are drawn and with which font, points, where one is asked for.
+WIDE = 7.2
+_asked: ContextVar[tuple[float, float | None]] = ContextVar("width and font of figures", default=(WIDE, None))
+
+
 @contextmanager
-def styled(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Draw in the style of the figures, with some of matplotlib's settings changed; a decorator as well."""
+def styled(
+    changes: Mapping[str, Any] | None = None, *, width: float | None = None, font: float | None = None
+) -> Iterator[None]:
+    """Draw in `STYLE`; a context, and a decorator as well.
+
+    Parameters
+    ----------
+    changes : mapping of str, optional
+        Some of matplotlib's settings, in place of those of `STYLE`.
+    width : float, optional
+        Width of the figures, inches; if left out, that of the context around this one, or `WIDE`.
+    font : float, optional
+        Size of the text, points: titles are a tenth larger, legends and notes a sixth smaller.
+    """
     import matplotlib as mpl
 
-    with mpl.rc_context(cast(Any, {**STYLE, **(changes or {})})):
-        yield
+    width, font = (new if new is not None else old for new, old in zip((width, font), _asked.get(), strict=True))
+    sizes = {} if font is None else {"font.size": font, "axes.titlesize": 1.1 * font}
+    before = _asked.set((cast(float, width), font))
+    try:
+        with mpl.rc_context(cast(Any, {**STYLE, **sizes, **(changes or {})})):
+            yield
+    finally:
+        _asked.reset(before)
+
+
+def page_width() -> float:
+    """Return how wide figures are drawn, inches."""
+    return _asked.get()[0]
 
 
 def new_figure(height: float = 3.4) -> Figure:
-    """Return an empty figure as wide as a page, and `height` inches high."""
-    from matplotlib.figure import Figure
+    """Return an empty figure as wide as `styled` says, `height` inches high at the width of a page.
 
-    return Figure(figsize=(7.2, height), layout="constrained")
+    A narrower figure is lower by the square root of that: text keeps its size.
+    """
+    from closedloop.figures.page import Page
+
+    width = page_width()
+    return Page(STYLE, figsize=(width, height * math.sqrt(width / WIDE)))
+
+
+def panels(
+    count: int, height: float, ax: Axes | Sequence[Axes] | None = None, ratios: Sequence[float] | None = None
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure, and its panels over one time, one above the other; or the axes that were given, as panels.
+
+    Where one Axes is given, it is the first panel; the others are drawn, and nobody sees them.
+
+    Raises
+    ------
+    ValueError
+        If as many axes are given as are no number of panels.
+    """
+    if ax is None:
+        figure = new_figure(height)
+        return figure, list(figure.subplots(count, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0])
+    given = list(ax) if isinstance(ax, Iterable) else [ax]
+    if len(given) not in (1, count):
+        raise ValueError(f"ax: has {len(given)} axes; give one, for the first panel, or {count}, one for each")
+    unseen = new_figure().subplots(max(1, count - len(given)), 1, squeeze=False)[:, 0]
+    return cast("Figure", given[0].get_figure(root=True)), [*given, *unseen][:count]
+
+
+def no_upper_labels(figure: Figure, axes: Sequence[Axes]) -> None:
+    """Leave out the time below all panels of a page but the last."""
+    for each in axes[:-1]:
+        if is_page(figure):
+            each.set_xlabel("")
+
+
+def is_page(figure: Figure) -> bool:
+    """Tell whether this package made a figure, and not its user."""
+    from closedloop.figures.page import Page
+
+    return isinstance(figure, Page)
 
 
 # A length below this, m, is told in metres with a power of ten: no instrument knows a unit for it.
@@ -212,10 +284,12 @@ SHAPES: dict[int, dict[str, Any]] = {
     TANGENTIAL_IMPACT: {"marker": "p", "markersize": 5},
 }
 INK = "0.15"
+TIME = "time [s]"
 # Up to so many times its rounding a value is drawn beside it.
 NEAR_ROUNDING = 30.0
-# How much of a panel a label of a mark takes: as shares of its width and height, of a low panel so many points.
-LABEL_WIDTH, LABEL_HEIGHT, LABEL_POINTS = 0.2, 0.11, 14.0
+# How much of a panel a label of a mark takes: of its width so many inches, of its height a share, or points if that
+# is more; lengths are those of text of 10 points.
+LABEL_INCHES, LABEL_HEIGHT, LABEL_POINTS = 1.12, 0.11, 14.0
 
 
 def dress(
@@ -239,7 +313,7 @@ def dress(
     label_marks, show_events : bool
         Off for all but one of several panels over the same time.
     """
-    axes.set(title=f"{title} ({run.model.name})" if label_marks else title, xlabel="time [s]", ylabel=label)
+    axes.set(title=f"{title} ({run.model.name})" if label_marks else title, xlabel=TIME, ylabel=label)
     begin = float(run.time[rows][0])
     end = max(float(run.time[rows][-1]), begin + run.scenario.time.step)
     axes.set_xlim(begin, end)
@@ -249,8 +323,8 @@ def dress(
         _draw_events(axes, run, begin, end)
 
 
-def explain_contact(figure: Figure, run: Run) -> None:
-    """Add to a figure the one legend of its bands and events; nothing to a run whose contact never changes."""
+def contact_handles(run: Run) -> list[Artist]:
+    """Return what explains a run's bands and events in a legend, ``figure.legend(handles=...)``; often nothing."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -259,20 +333,47 @@ def explain_contact(figure: Figure, run: Run) -> None:
         present = set(np.unique(run.mode).tolist())
         handles += [Patch(label=name, **style) for mode, (name, style) in BANDS.items() if mode in present]
     happened = set(np.unique(run.event_kind).tolist())
-    handles += [
+    return handles + [
         Line2D([], [], color=INK, linestyle="none", label=KINDS[kind].replace("_", " "), **shape)
         for kind, shape in sorted(SHAPES.items())
         if kind in happened
     ]
-    if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, columnspacing=1.5)
 
 
-def legend_beside_title(axes: Axes) -> None:
-    """Put the legend of a panel beside its title, where no curve can be hidden by it."""
-    axes.legend(
-        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=10, fontsize=8, borderaxespad=0.0, columnspacing=1.2
-    )
+def explain_contact(figure: Figure, run: Run) -> None:
+    """Add to a page the one legend of its bands and events, see `contact_handles`."""
+    legend_outside(figure, "lower center", contact_handles(run))
+
+
+def legend_beside_title(axes: Axes, handles: Sequence[Artist] | None = None) -> None:
+    """Put the legend of a panel beside its title, where no curve can be hidden by it; on a user's axes inside them."""
+    found, labels = axes.get_legend_handles_labels() if handles is None else _labelled(handles)
+    figure: Any = axes.get_figure(root=True)
+    if is_page(figure):
+        figure.legend_beside(axes, found, labels)
+    elif found:
+        axes.legend(found, labels, loc="best", fontsize="small")
+
+
+def legend_outside(
+    figure: Figure, where: str, handles: Sequence[Artist], most: int = 20, title: str = "", axes: Axes | None = None
+) -> None:
+    """Put a legend above ("upper center") or below ("lower center") all panels of a page.
+
+    On a user's figure it is put into `axes`, if that is given, and left out otherwise.
+    """
+    found, labels = _labelled(handles)
+    page: Any = figure
+    if not found:
+        return
+    if is_page(figure):
+        page.legend_outside(where, found, labels, most, title)
+    elif axes is not None:
+        axes.legend(found, labels, loc="best", fontsize="small", title=title, title_fontsize="small")
+
+
+def _labelled(handles: Sequence[Artist]) -> tuple[list[Artist], list[str]]:
+    return list(handles), [str(each.get_label()) for each in handles]
 
 
 def position_rounding(run: Run) -> float:
@@ -299,7 +400,7 @@ def mark_rounding(axes: Axes, size: float, level: float, factor: float) -> None:
         axes.axhline(sign * factor * level, color="0.4", linestyle="-.", linewidth=0.8)
     axes.annotate(
         "rounding of the position", (1.0, factor * level), xycoords=("axes fraction", "data"), xytext=(-2, 4),
-        textcoords="offset points", ha="right", fontsize=8, color="0.35",
+        textcoords="offset points", ha="right", fontsize="small", color="0.35",
     )  # fmt: skip
     most = 1.6 * factor * max(size, level)
     axes.set_ylim(-most, most)
@@ -333,25 +434,28 @@ def _draw_bands(axes: Axes, run: Run, begin: float, end: float) -> None:
 
 def _draw_marks(axes: Axes, run: Run, begin: float, end: float, label: bool) -> None:
     """Draw the marks; a label too near to the one before is set lower, and one near the end to the left of its mark."""
-    level, last, crowded = 0, -np.inf, False
-    panel = axes.get_position().height * axes.get_figure(root=True).get_figheight() * 72.0  # type: ignore[union-attr]
-    height = max(LABEL_HEIGHT, LABEL_POINTS / panel)
+    level, reach, crowded = 0, -np.inf, False
+    import matplotlib as mpl
+
+    size = float(mpl.rcParams["font.size"]) / 10.0
+    inches = axes.get_window_extent().transformed(axes.get_figure(root=True).dpi_scale_trans.inverted())  # type: ignore[union-attr]
+    height = max(LABEL_HEIGHT, size * LABEL_POINTS / (72.0 * inches.height))
+    width = min(1.0, size * LABEL_INCHES / inches.width)
     for t, text in marks(run):
         if not begin < t < end:
             continue
         axes.axvline(t, color="0.35", linestyle="--", linewidth=0.8)
         if not label:
             continue
-        level = level + 1 if t - last < LABEL_WIDTH * (end - begin) else 0
-        last = t
-        late = t > begin + 0.86 * (end - begin)
+        late = t > end - 0.7 * width * (end - begin)
+        left = t - width * (end - begin) if late else t
+        level = level + 1 if left < reach else 0
+        reach = left + width * (end - begin)
         axes.annotate(
-            text, (t, 1.0), xycoords=("data", "axes fraction"), xytext=(-4 if late else 4, -11 - 11 * level),
-            textcoords="offset points", ha="right" if late else "left", fontsize=8, color="0.25",
+            text, (t, 1.0), xycoords=("data", "axes fraction"), xytext=(-4 if late else 4, -11 * size * (1 + level)),
+            textcoords="offset points", ha="right" if late else "left", fontsize="small", color="0.25",
         )  # fmt: skip
-        left = t - LABEL_WIDTH * (end - begin) if late else t
-        right = left + LABEL_WIDTH * (end - begin)
-        crowded = crowded or _reaches_up(axes, left, right, 1.0 - height * (1 + level))
+        crowded = crowded or _reaches_up(axes, left, reach, 1.0 - height * (1 + level))
     if crowded:
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 2 * height * (high - low))

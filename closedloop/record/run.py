@@ -23,7 +23,7 @@ from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
-from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, Column, Event, columns_there, events_of
+from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, Event, columns_there, events_of
 from closedloop.record.report.summary import summarise
 from closedloop.record.save import attributes, save_run
 from closedloop.scenario.arm import robot_of
@@ -53,7 +53,8 @@ class Run:
     a surface too, but the file then does not have them. Every column of the table of events
     (`closedloop.loop.events.table.EVENT_COLUMNS`) is an attribute too; `run.events` reads that table row by row. So are
     the columns that are computed from the others, `closedloop.record.columns.derived.DERIVED`, such as
-    `run.wrist_wrench` (N, 6). All are read-only.
+    `run.wrist_wrench` (N, 6). Symbols of the equations name columns too (`SYMBOLS`): `run.f`, `run.f_measured`,
+    `run.f_des`. All are read-only.
 
     Attributes
     ----------
@@ -118,6 +119,8 @@ class Run:
         there = self.__dict__.get("columns", {})  # none while it is being copied
         if name in there:
             return there[name]
+        if there and name in SYMBOLS:
+            return getattr(self, SYMBOLS[name])
         if there and name in SURFACE_COLUMNS and not self.scenario.has_surface:
             return self._without_surface(name)
         if name in DERIVED:
@@ -152,7 +155,7 @@ class Run:
         return column
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self.specs, *columns_by_contact(self.scenario.contact or ()), *DERIVED]
+        return [*super().__dir__(), *self.specs, *columns_by_contact(self.scenario.contact or ()), *DERIVED, *SYMBOLS]
 
     def __len__(self) -> int:
         return int(self.columns["time"].size)
@@ -189,6 +192,7 @@ class Run:
 
     def units(self, name: str) -> str:
         """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
+        name = SYMBOLS.get(name, name)
         if name in (of_contacts := columns_by_contact(self.scenario.contact or ())):
             name = of_contacts[name][0]
         spec = self.specs[name] if name in self.specs else DERIVED[name]

@@ -172,6 +172,12 @@ SURFACE_COLUMNS = (
 
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 ALL_COLUMNS = COLUMNS | SOMETIMES
+# Symbols of the equations, which name a column as well: `run.f` is `run.contact_force`.
+SYMBOLS = {
+    "f": "contact_force", "f_des": "reference_force", "f_measured": "measured_force", "e": "closure_error",
+    "r": "position", "r_des": "reference_tip", "n": "surface_normal", "Q": "torque", "q_des": "reference_position",
+    "v_des": "reference_velocity",
+}  # fmt: skip
 _NOT_ALWAYS = {*SURFACE_COLUMNS, *SOMETIMES}
 POSITIONS = ("q", "reference_position")
 

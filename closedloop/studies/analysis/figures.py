@@ -108,7 +108,7 @@ def poles(page: Page) -> Figure:
     if page.loop.closure.size:
         z = page.loop.closure
         axes.plot(z.real, z.imag, "+", color="0.5", label="stabiliser")
-    axes.legend(loc="lower left", fontsize=8)
+    axes.legend(loc="lower left", fontsize="small")
     axes.set_title(f"poles, from sample to sample ({page.loop.dt:g} s)")
     slow.set(xlabel="Re s [1/s]", ylabel="Im s [Hz]", title=f"the {len(shown)} slowest to decay")
     return figure
@@ -136,7 +136,7 @@ def sensitivity(page: Page) -> Figure:
         axes.loglog(f, np.maximum(np.abs(y), 1e-6), color=colour, label=name)
     axes.axhline(1.0, color="0.5", linewidth=0.8)
     axes.set(xlabel="frequency [Hz]", ylabel="size")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize="small")
     axes.set_title(
         f"sensitivity at {margins.cut}: " + _unless_unstable(margins, f"at most {margins.peak_sensitivity:.2f}")
     )
@@ -158,7 +158,7 @@ def locus(loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequen
     for limit in limits:
         x, y = limit.pole.z.real, limit.pole.z.imag
         axes.plot([x, x], [y, -y], "o", color=COLOURS[1], fillstyle="none")
-        axes.annotate(f" {limit.value:.4g}", (x, y), fontsize=8)
+        axes.annotate(f" {limit.value:.4g}", (x, y), fontsize="small")
     axes.set_title(f"poles for {over.key} = {over.low:g} (light) to {over.high:g} (dark)")
     return figure
 
@@ -185,6 +185,6 @@ def stability_map(
     axes.set_xlim(along.low, along.high)
     axes.set_ylim(over.low, over.high)
     axes.set(xlabel=with_unit(along.key, key_unit(along.key)), ylabel=with_unit(over.key, key_unit(over.key)))
-    axes.legend(fontsize=8)
+    axes.legend(fontsize="small")
     axes.set_title("where the force loop becomes unstable")
     return figure

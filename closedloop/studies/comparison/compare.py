@@ -93,11 +93,11 @@ class Comparison:
                     if np.any(np.isfinite(values)):
                         axes.plot([place - 0.3, place + 0.3], [np.nanmedian(values)] * 2, "k-", linewidth=1.6)
                 unit = self.units.get(each, "")
-                axes.set_ylabel(f"{each}\n[{unit}]" if unit else each, fontsize=8)
+                axes.set_ylabel(f"{each}\n[{unit}]" if unit else each, fontsize="small")
             words = [name.replace("_", "_\n").replace(":", ":\n") if len(names) > 3 else name for name in names]
             panels[-1].set_xticks(range(len(names)), words)
             varied = wrap(self.variations, 70)
-            panels[0].set_title("\n".join(["each point a run; bars: medians", *varied]), fontsize=9)
+            panels[0].set_title("\n".join(["each point a run; bars: medians", *varied]), fontsize="small")
         return figure
 
 

@@ -207,7 +207,7 @@ class LogComparison:
                     below.plot(each.time, (each.logged - each.simulated)[:, k], color=colour)
                 over.set_ylabel(f"{each.name}, {each.unit}")
                 below.set_ylabel(f"difference, {each.unit}")
-                over.legend(fontsize=7, ncols=4)
+                over.legend(fontsize="small", ncols=4)
             panels[0].set_title("log: wide and pale; run: narrow")
             panels[-1].set_xlabel("time of the run, s")
         return figure

@@ -338,8 +338,8 @@ class Sensitivities(Gradient):
                     label = f"[{i}]" if lines.shape[1] > 1 else None
                     axes.plot(self.time, line, color=MANY[i % len(MANY)], linewidth=1.2, label=label)
                 if lines.shape[1] > 1:
-                    axes.legend(loc="upper right", fontsize=7, ncols=4)
-                axes.set_ylabel(f"∂ {of} [{self.units[of]}]\n/ ∂ {key}", fontsize=8)
+                    axes.legend(loc="upper right", fontsize="small", ncols=4)
+                axes.set_ylabel(f"∂ {of} [{self.units[of]}]\n/ ∂ {key}", fontsize="small")
             panels[-1].set_xlabel("time [s]")
             panels[0].set_title("by how much a column changes with a number of the scenario")
         return figure

@@ -137,7 +137,7 @@ def torque_figure(found: Identification) -> Figure:
         axes[j].plot(found.time, found.solution.residual[:, j], color=COLOURS[0], lw=0.8, label="residual")
         axes[j].plot(found.time, unsure[:, j] * found.measured[:, j], color="0.75", lw=2.5, label="not counted")
         axes[j].set(ylabel="torque, N m", title=f"{name}: {100 * found.held_out[j]:.1f} % RMS error where held out")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncol=4, fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncol=4, fontsize="small")
     axes[-1].set_xlabel("time, s")
     return figure
 

@@ -278,10 +278,10 @@ def _curves(axes: Axes, table: pa.Table, key: str, name: str, others: Sequence[s
             transform=axes.get_xaxis_transform(), label="failed, or none",
         )  # fmt: skip
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8)
+        axes.legend(fontsize="small")
     _perhaps_log(axes, values)
     scale.dress(axes, "x")
-    axes.set_title(title, fontsize=9, loc="left")
+    axes.set_title(title, fontsize="small", loc="left")
     axes.set_ylabel(unit)
 
 
@@ -332,4 +332,4 @@ def _map(figure: Figure, axes: Axes, table: pa.Table, x: str, y: str, name: str)
     up.dress(axes, "y")
     bar = figure.colorbar(image, ax=axes)
     bar.set_label(unit)
-    axes.set_title(title, fontsize=9, loc="left")
+    axes.set_title(title, fontsize="small", loc="left")

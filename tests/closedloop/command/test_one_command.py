@@ -122,6 +122,25 @@ def test_a_saved_run_is_drawn(closedloop, saved, tmp_path, monkeypatch):
     assert all(f"{name}.png" in out for name in drawn)
 
 
+def test_a_saved_run_is_drawn_for_a_journal(closedloop, saved, tmp_path):
+    """With a format, a width, a font, and the columns that are asked for; what is none of these is refused."""
+    asked = ("--columns", "f,e", "--format", "pdf", "--width", "3.5", "--font", "8", "--out", "paper")
+    assert closedloop("plot", saved, *asked) == (0, "wrote paper/: fig_f_e.pdf\n", "")
+    assert [path.name for path in (tmp_path / "paper").iterdir()] == ["fig_f_e.pdf"]
+    box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+)", (tmp_path / "paper" / "fig_f_e.pdf").read_bytes())
+    assert float(box[1]) == 3.5 * 72
+    for wrong, said in (
+        (("--format", "gif"), "--format gif: 'gif' is none of png, svg, pdf"),
+        (("--width", "0"), "--width 0: must be from 1.5 to 40 inches"),
+        (("--font", "900"), "--font 900: must be from 3 to 40 points"),
+        (("--columns", "g"), "columns: 'g': the run has no such column over time; there are f, f_des"),
+    ):
+        status, _, err = closedloop("plot", saved, *wrong, "--out", "none")
+        assert status == 2
+        assert err.startswith(f"closedloop: {said}")
+    assert not (tmp_path / "none").exists()
+
+
 def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
     """Each robot has a line, or the reason why not; one robot's joints, limits and frames are shown."""
     monkeypatch.setenv("COLUMNS", "80")

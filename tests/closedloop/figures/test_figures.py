@@ -49,8 +49,10 @@ def test_force_that_is_constant_is_drawn_flat(run):
 
 
 def test_position_figure_shows_the_displacement(run):
-    """Fig. 4 has the tip's displacement along x, y and z in millimetres."""
-    axes = tip_position(run).axes[0]
+    """Fig. 4 has the tip's position, as the paper has it, and its displacement along x, y and z in millimetres."""
+    where, axes = tip_position(run).axes[:2]
+    assert all(np.array_equal(curve, run.position[:, k]) for k, curve in enumerate(curves(where)[:3]))
+    assert where.get_ylabel() == "position [m]"
     moved = 1e3 * (run.position - run.position[0])
     assert "mm" in axes.get_ylabel()
     for k, curve in enumerate(curves(axes)[:3]):
@@ -79,7 +81,7 @@ def test_closure_figure_shows_the_error_in_its_unit(name, stabiliser):
 )
 def test_any_run_can_be_drawn(changes, tmp_path, monkeypatch):
     """Short runs, runs without a motion and runs without a force are drawn without a complaint."""
-    monkeypatch.setattr(files, "images", lambda figure: {".png": pixels(figure), ".svg": b""})
+    monkeypatch.setattr(files, "images", lambda figure, formats: {".png": pixels(figure), ".svg": b""})
     run = cl.simulate(cl.load_scenario("wam_slide", changes))
     paths = draw_figures(run, tmp_path)
     assert [p.stem for p in paths] == [

@@ -329,7 +329,9 @@ def test_a_run_gets_the_figures_that_it_has_something_for(name, more, shipped_ru
     """Impacts and friction have figures where there are any; that of friction is written as PNG and SVG."""
     whole = files.images_of
     none = {".svg": b"", ".png": b""}
-    monkeypatch.setattr(files, "images_of", lambda draw, run: whole(draw, run) if draw is friction_force else none)
+    monkeypatch.setattr(
+        files, "images_of", lambda draw, run, formats: whole(draw, run) if draw is friction_force else none
+    )
     run = sliding if name == "sliding" else shipped_run(name)
     papers = run.scenario.name == "wam_slide"
     own = ("fig4", "fig5", "fig6") if papers else ("fig",) * 3

@@ -112,9 +112,9 @@ class ContactIdentification:
                 panel.plot(part.time, part.measured, ".", ms=3, color="0.4", label="measured")
                 panel.plot(part.time, part.predicted, ".", ms=2, color=COLOURS[1], label="predicted")
                 panel.plot(part.time, part.measured - part.predicted, ".", ms=2, color=COLOURS[0], label="residual")
-                panel.set_ylabel(part.what, fontsize=7)
+                panel.set_ylabel(part.what, fontsize="small")
             if drawn:
-                panels[0].legend(fontsize=7, ncols=3)
+                panels[0].legend(fontsize="small", ncols=3)
             panels[-1].set_xlabel("time, s")
         return figure
 

@@ -110,7 +110,7 @@ def _varied(
         if draw:
             from closedloop.studies.analysis.figures import locus
 
-            drawn = [("analysis_locus", locus(_loops(study, over, count), over, limits))]
+            drawn = [("analysis_locus", locus(_loops(study, over, count), over, limits, study.scenario))]
         found: dict[str, Any] = {"vary": [over.key], "limits": {over.key: [limit.as_dict() for limit in limits]}}
     else:
         along, points = ranges[0]
@@ -128,7 +128,12 @@ def _varied(
         if draw:
             from closedloop.studies.analysis.figures import stability_map
 
-            drawn = [("analysis_map", stability_map(boundary, over, along, _here(study, along, over), trials))]
+            drawn = [
+                (
+                    "analysis_map",
+                    stability_map(boundary, over, along, _here(study, along, over), trials, study.scenario),
+                )
+            ]
         found = {
             "vary": [along.key, over.key],
             "boundary": [{along.key: value} | limit.as_dict() for value, limit in boundary],

@@ -384,12 +384,15 @@ def key_description(key: str) -> str:
     return " | ".join(dict.fromkeys(field.description for field in _fields_of(key) if field.description))
 
 
-def key_unit(key: str) -> str:
-    """Return the unit of a dotted key, "" if it has none or if its kinds differ.
+def key_unit(key: str, scenario: Scenario | None = None) -> str:
+    """Return the unit of a dotted key, "" if it has none or if its kinds differ and there is no scenario with one.
 
     Where a prismatic joint has another, it is that of a revolute one.
     """
-    found = {unit.partition(" (")[0] for field in _fields_of(key) for unit in field_units(field)}
+    section, _, name = key.partition(".")
+    own = getattr(type(getattr(scenario, section, None)), "model_fields", {}).get(name)
+    fields = _fields_of(key) if own is None else [own]
+    found = {unit.partition(" (")[0] for field in fields for unit in field_units(field)}
     return found.pop() if len(found) == 1 else ""
 
 

@@ -115,7 +115,7 @@ def simulate_batch(
             lambda: report(done.count, len(points)), done,
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
-    return table_of(schema(kinds, columns), 0, points, [x for x in outcomes if x is not None], columns)
+    return table_of(schema(kinds, columns, scenario), 0, points, [x for x in outcomes if x is not None], columns)
 
 
 def in_blocks(

@@ -17,6 +17,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.record_row import ARM_RECORDED, RECORDED
+from closedloop.record.columns.record import SYMBOLS
 from closedloop.record.report.measured import WIDTH
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.report.row_sample import NAMES
@@ -25,16 +26,15 @@ from closedloop.simulation.batch.worker import Outcome
 if TYPE_CHECKING:
     import pyarrow as pa
 
-# Short names of the columns that are kept most.
-ALIASES = {"f": "contact_force", "e": "closure_error", "r": "position", "Q": "torque"}
+    from closedloop.scenario.scenario import Scenario
 
 
 def kept_columns(names: Iterable[str]) -> tuple[str, ...]:
     """Return the columns' full names."""
-    full = tuple(dict.fromkeys(ALIASES.get(name, name) for name in names))
+    full = tuple(dict.fromkeys(SYMBOLS.get(name, name) for name in names))
     for name in full:
         if name not in RECORDED and name not in ARM_RECORDED:
-            short = ", ".join(f"{a} ({b})" for a, b in ALIASES.items())
+            short = ", ".join(f"{a} ({b})" for a, b in SYMBOLS.items())
             raise ScenarioError(
                 f"keep: no column {name!r}; there are {short}, {', '.join(sorted({*RECORDED, *ARM_RECORDED}))}"
             )
@@ -55,8 +55,8 @@ def key_type(values: Sequence[Any]) -> pa.DataType:
     return pa.string()
 
 
-def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Schema:
-    """Return the columns of a table of runs, with units and meaning as metadata.
+def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = (), of: Scenario | None = None) -> pa.Schema:
+    """Return the columns of a table of runs of variants of a scenario, with units and meaning as metadata.
 
     The columns are ``run``, its number; the changed keys; ``status``, ``verdict``, ``control_verdict``,
     ``reason``, ``rows``, ``end_time``;
@@ -74,7 +74,9 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
 
     number, text, whole = pa.float64(), pa.string(), pa.int64()
     fields = [field("run", whole, "1", "number of the run, from 0")]
-    fields += [field(key, kind, key_unit(key), key_description(key)) for key, kind in types.items()]
+    for key, kind in types.items():
+        picked = f"{key.partition('.')[0]}.kind" in types  # then runs differ in what the key is
+        fields.append(field(key, kind, key_unit(key, None if picked else of), key_description(key)))
     fields += [
         field(
             "status",

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from closedloop.figures.files import write_figure
-from closedloop.figures.style import COLOURS, MANY, new_figure, styled
+from closedloop.figures.style import COLOURS, MANY, legend_beside_title, new_figure, styled
 from closedloop.scenario.messages import key_unit, with_unit
+from closedloop.scenario.scenario import Scenario
 from closedloop.studies.analysis.page import Page
 from closedloop.studies.analysis.stability import Limit, Range, Trial
 
@@ -39,9 +40,9 @@ def written(figure: Figure, path: Path) -> Path:
     return write_figure(figure, path)
 
 
-def _unless_unstable(margins: Margins, said: str) -> str:
-    """Return what a title says of the margins; those of an unstable loop are no distance from instability."""
-    return said if margins.stable else "the loop is unstable"
+def _unless_unstable(margins: Margins, said: str, otherwise: str = "the loop is unstable") -> str:
+    """Return what is said of the margins; those of an unstable loop are no distance from instability."""
+    return said if margins.stable else otherwise
 
 
 @styled()
@@ -53,16 +54,30 @@ def bode(page: Page) -> Figure:
     figure = new_figure(4.6)
     upper, lower = figure.subplots(2, 1, sharex=True)
     upper.semilogx(f, 20.0 * np.log10(np.maximum(np.abs(L), 1e-12)), color=COLOURS[0])
-    upper.axhline(0.0, color="0.5", linewidth=0.8)
+    upper.axhline(0.0, color="0.5", linewidth=0.8, label="|L| = 1")
     upper.set_ylabel("|L| [dB]")
     upper.set_ylim(bottom=max(-120.0, upper.get_ylim()[0]))
-    lower.semilogx(f, np.degrees(np.unwrap(np.angle(L))), color=COLOURS[0])
+    phase = np.degrees(np.unwrap(np.angle(L)))
+    # It is known up to whole turns: it is drawn in the turn in which it comes nearest to −180°.
+    turns = np.round((phase + 180.0) / 360.0)
+    phase -= 360.0 * turns[np.argmin(np.abs(phase + 180.0 - 360.0 * turns))]
+    lower.semilogx(f, phase, color=COLOURS[0])
+    lower.axhline(-180.0, color="0.5", linewidth=0.8, label="−180°")
+    low, high = lower.get_ylim()
+    lower.set_ylim(min(low, -190.0), max(high, -170.0))
     lower.set(ylabel="phase [°]", xlabel="frequency [Hz]")
-    for at, axes in ((margins.gain_at, upper), (margins.phase_at, lower)):
+    where = (
+        (margins.gain_at, "gain margin", COLOURS[1], "--", f"{margins.decibels:.3g} dB"),
+        (margins.phase_at, "phase margin", COLOURS[2], "-.", f"{margins.phase:.3g}°"),
+    )
+    for at, name, colour, stroke, size in where:
         if math.isfinite(at):
-            axes.axvline(at, color=COLOURS[1], linewidth=0.9)
-    lines = _unless_unstable(margins, "lines: where the gain and the phase margin are")
-    upper.set_title(f"loop cut at {margins.cut}; {lines}")
+            told = _unless_unstable(margins, f"{name} {size} at {at:.3g} Hz", f"where the {name} would be, {at:.3g} Hz")
+            upper.axvline(at, color=colour, linestyle=stroke, linewidth=0.9, label=told)
+            lower.axvline(at, color=colour, linestyle=stroke, linewidth=0.9)
+    upper.set_title(f"Loop cut at {margins.cut}" + _unless_unstable(margins, "", "; the loop is unstable"))
+    for axes in (upper, lower):
+        legend_beside_title(axes)
     return figure
 
 
@@ -144,7 +159,9 @@ def sensitivity(page: Page) -> Figure:
 
 
 @styled()
-def locus(loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequence[Limit]) -> Figure:
+def locus(
+    loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequence[Limit], scenario: Scenario | None = None
+) -> Figure:
     """Return the poles as a key goes through its range, from light to dark, and where they leave the unit circle."""
     import matplotlib as mpl
 
@@ -159,20 +176,23 @@ def locus(loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequen
         x, y = limit.pole.z.real, limit.pole.z.imag
         axes.plot([x, x], [y, -y], "o", color=COLOURS[1], fillstyle="none")
         axes.annotate(f" {limit.value:.4g}", (x, y), fontsize="small")
-    axes.set_title(f"poles for {over.key} = {over.low:g} (light) to {over.high:g} (dark)")
+    unit = key_unit(over.key, scenario)
+    ends = f"{over.low:g} (light) to {over.high:g} (dark)"
+    axes.set_title(f"Poles for {over.key} = {ends} {unit if unit != '1' else ''}".rstrip())
     return figure
 
 
 @styled()
 def stability_map(
     boundary: Sequence[tuple[float, Limit]], over: Range, along: Range, here: tuple[float, float] | None,
-    trials: Sequence[Trial],
+    trials: Sequence[Trial], scenario: Scenario | None = None,
 ) -> Figure:  # fmt: skip
     """Return the boundary over two keys, with the scenario's own place and the whole runs beside it."""
     figure = new_figure(4.0)
     axes = figure.subplots()
     x, y = np.array([value for value, _ in boundary]), np.array([limit.value for _, limit in boundary])
-    axes.plot(x, y, ".-" if len(x) < 100 else "-", color=COLOURS[0], label="boundary", markersize=4)
+    if boundary:
+        axes.plot(x, y, ".-" if len(x) < 100 else "-", color=COLOURS[0], label="boundary", markersize=4)
     for grows, marker, colour, name in ((False, "o", COLOURS[2], "stable"), (True, "x", COLOURS[1], "unstable")):
         mine = [trial.values for trial in trials if (trial.seen > 0.0) is grows and along.key in trial.values]
         if mine:
@@ -184,7 +204,8 @@ def stability_map(
         scale("log" if key.log else "linear")
     axes.set_xlim(along.low, along.high)
     axes.set_ylim(over.low, over.high)
-    axes.set(xlabel=with_unit(along.key, key_unit(along.key)), ylabel=with_unit(over.key, key_unit(over.key)))
-    axes.legend(fontsize="small")
-    axes.set_title("where the force loop becomes unstable")
+    across, up = (with_unit(each.key, key_unit(each.key, scenario)) for each in (along, over))
+    axes.set(xlabel=across, ylabel=up)
+    axes.set_title("Where the force loop becomes unstable" if boundary else "The force loop has no limit in this map")
+    legend_beside_title(axes)
     return figure

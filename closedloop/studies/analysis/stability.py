@@ -107,6 +107,8 @@ __all__ = ["Range", "Stability"]
 
 # Values at which a range is looked at, before the limits between them are solved for.
 LOOKS = 25
+# And at how many values of the other key of a map it is looked at, before the map is given up.
+FIRST_LOOKS = 7
 # From so many values on a boundary is solved for by two processes: the second looks at the whole range once more.
 SHARED = 8
 # Tolerance of a limit, as a share of its range.
@@ -256,7 +258,8 @@ class Stability:
         """Return the boundary over two keys: for values of `along`, the limits of `over`.
 
         At the first value the whole range is looked at; then each limit is followed from value to value, and the
-        range is looked at again where one ends. If it can be, every other value is left to a second process.
+        range is looked at again where one ends. If it can be, every other value is left to a second process. Where
+        none of `FIRST_LOOKS` values over the whole way has a limit, the others are not looked at.
 
         Parameters
         ----------
@@ -266,6 +269,9 @@ class Stability:
             Asked at each value of `along`: if it is true, what is found until then is returned.
         """
         shares = np.linspace(0.0, 1.0, points)
+        first = shares[np.unique(np.linspace(0, points - 1, min(points, FIRST_LOOKS)).round().astype(int))]
+        if not any(self._along(over, along, np.array([share]), tolerance, stop) for share in first):
+            return []
         if points < SHARED or not possible():
             return self._along(over, along, shares, tolerance, stop)
         rest = Beside(lambda: self._along(over, along, shares[1::2], tolerance, stop))

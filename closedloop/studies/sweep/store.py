@@ -118,7 +118,8 @@ def columns_of(job: Job) -> pa.Schema:
     """Return the columns of the table."""
     import pyarrow as pa
 
-    return schema({key: pa.type_for_alias(kind) for key, kind in zip(job.keys, job.kinds, strict=True)})
+    types = {key: pa.type_for_alias(kind) for key, kind in zip(job.keys, job.kinds, strict=True)}
+    return schema(types, of=_variants(job).base)
 
 
 def run_part(

@@ -3,12 +3,15 @@
 import json
 from collections import namedtuple
 
+import numpy as np
 import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
+import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.studies.analysis.figures import stability_map
-from closedloop.studies.analysis.stability import Range
+from closedloop.studies.analysis.figures import bode, stability_map
+from closedloop.studies.analysis.page import page_of
+from closedloop.studies.analysis.stability import FIRST_LOOKS, Range, Stability
 
 GAIN = ("--law.force_integral", "20", "--at", "1")
 
@@ -56,10 +59,40 @@ def test_json_and_a_key(command_line, tmp_path):
 
 
 def test_the_axes_of_a_map_have_units():
-    """A key whose kinds have different units has none."""
+    """A key whose kinds have different units has that of the scenario's kind, and none without a scenario."""
     along, over = Range("compliance.stiffness", 1e3, 1e6, True), Range("law.force_integral", 0.0, 80.0)
     axes = stability_map([], over, along, (1e4, 5.0), []).axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("compliance.stiffness", "law.force_integral [1/s]")
+    axes = stability_map([], over, along, (1e4, 5.0), [], cl.load_scenario("soft_table")).axes[0]
+    assert axes.get_xlabel() == "compliance.stiffness [N/m]"
+
+
+def test_a_map_without_a_limit_says_so_and_ends_early(monkeypatch):
+    """It has no curve and no legend of a boundary, and takes no look at most of its values."""
+    study, looked = Stability(cl.load_scenario("wam_slide")), []
+    monkeypatch.setattr(study, "growth", lambda values: looked.append(values["law.kd"]) or -1.0)
+    along, over = Range("law.kd", 1.0, 30.0), Range("law.kp", 10.0, 200.0)
+    assert study.boundary(over, along, points=60) == []
+    assert len(set(looked)) == FIRST_LOOKS
+    axes = stability_map([], over, along, None, [], study.scenario).axes[0]
+    assert (axes.get_legend(), axes.get_title(loc="left") or axes.get_title()) == (
+        None, "The force loop has no limit in this map",
+    )  # fmt: skip
+
+
+def test_bode_marks_the_turn_and_names_its_lines():
+    """−180° is drawn, and each line is named: where the gain and the phase margin are, with their sizes."""
+    page = page_of(Stability(cl.load_scenario("soft_table", {"law.force_integral": 20.0})), limits=False)
+    upper, lower = bode(page).axes
+    margins = page.weakest
+    (turn,) = [line for line in lower.lines if line.get_label() == "−180°"]
+    assert set(turn.get_ydata()) == {-180.0}
+    curve = next(line for line in lower.lines if len(line.get_xdata()) > 2)
+    at_turn = np.interp(margins.gain_at, curve.get_xdata(), curve.get_ydata())
+    assert at_turn == pytest.approx(-180.0, abs=1.0)  # the gain margin is there
+    named = [text.get_text() for axes in (upper, lower) for text in axes.get_legend().get_texts()]
+    assert any(name.startswith(f"gain margin {margins.decibels:.3g} dB at {margins.gain_at:.3g} Hz") for name in named)
+    assert "|L| = 1" in named
 
 
 def test_figures_and_a_map(command_line, tmp_path, monkeypatch):

@@ -6,13 +6,16 @@ Exit status: 0 done; 2 the input is at fault; 3 the run stops before the instant
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.base.plain import plain
 from closedloop.command.border import DONE, Parser, as_command
+from closedloop.command.figure_options import add_figure_options, drawn_as, formats_of
 
 if TYPE_CHECKING:
     from closedloop.studies.analysis.stability import Range, Stability
@@ -45,20 +48,31 @@ def main(words: list[str]) -> int:
         "in it are solved for; given twice, the boundary over both",
     )  # fmt: skip
     parser.add_argument("--no-runs", action="store_true", help="do not try whole runs beside the limits")
+    add_figure_options(parser)
     options = parser.parse_args(rest)
+    formats_of(options)
+    style = drawn_as(options)
     if len(options.vary) > 2:
         raise ScenarioError("command line: --vary: at most two keys, one that is solved for and one along it")
     ranges = [_range(text) for text in options.vary]
     folder = made_folder(options.out) if options.out else None
 
     from closedloop.studies.analysis.here import refuse_outside
-    from closedloop.studies.analysis.page import page_of
     from closedloop.studies.analysis.stability import Stability
 
     scenario = load_scenario(options.scenario, overrides)
     if options.at is not None:
         refuse_outside(scenario, options.at, "command line: --at")
     study = Stability(scenario, options.at)
+    with style:
+        _analyse(study, ranges, folder, options)
+    return DONE
+
+
+def _analyse(study: Stability, ranges: list[tuple[Range, int]], folder: Path | None, options: Namespace) -> None:
+    """Print what is asked of a force loop, and write it into a folder, if there is one."""
+    from closedloop.studies.analysis.page import page_of
+
     page = page_of(study, limits=not ranges)
     lines, found, drawn = (
         _varied(study, ranges, not options.no_runs, draw=folder is not None) if ranges else ([], {}, [])
@@ -72,11 +86,10 @@ def main(words: list[str]) -> int:
         from closedloop.studies.analysis.figures import draw_page, written
 
         paths = [write_whole(folder / "analysis.json", (json.dumps(report, indent=2) + "\n").encode())]
-        paths += draw_page(page, folder)
-        paths += [written(figure, folder / name) for name, figure in drawn]
+        paths += draw_page(page, folder, formats_of(options))
+        paths += [written(figure, folder / name, formats_of(options)) for name, figure in drawn]
         if not options.json:
             print(what_was_written(*paths))
-    return DONE
 
 
 def _range(text: str) -> tuple[Range, int]:
@@ -128,12 +141,8 @@ def _varied(
         if draw:
             from closedloop.studies.analysis.figures import stability_map
 
-            drawn = [
-                (
-                    "analysis_map",
-                    stability_map(boundary, over, along, _here(study, along, over), trials, study.scenario),
-                )
-            ]
+            here = _here(study, along, over)
+            drawn = [("analysis_map", stability_map(boundary, over, along, here, trials, study.scenario))]
         found = {
             "vary": [along.key, over.key],
             "boundary": [{along.key: value} | limit.as_dict() for value, limit in boundary],

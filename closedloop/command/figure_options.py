@@ -13,11 +13,12 @@ FORMATS = ("png", "svg", "pdf")
 WIDTHS, FONTS = (1.5, 40.0), (3.0, 40.0)
 
 
-def add_figure_options(parser: Parser) -> None:
-    """Add the options to a command's parser."""
-    parser.add_argument(
-        "--format", metavar="LIST", default="png,svg", help="png, svg, pdf, or several: pdf,png (default: png,svg)"
-    )
+def add_figure_options(parser: Parser, formats: bool = True) -> None:
+    """Add the options to a command's parser, that of the format only if it is not said by a file's ending."""
+    if formats:
+        parser.add_argument(
+            "--format", metavar="LIST", default="png,svg", help="png, svg, pdf, or several: pdf,png (default: png,svg)"
+        )
     parser.add_argument("--width", type=float, metavar="INCHES", help="width of the figures (default: 7.2)")
     parser.add_argument("--font", type=float, metavar="POINTS", help="size of their text (default: 10)")
 

@@ -247,6 +247,7 @@ def _sweep_parser() -> Parser:
 
 def _plot(arguments: list[str]) -> int:
     from closedloop.command.border import DONE, Parser
+    from closedloop.command.figure_options import add_figure_options, drawn_as
 
     parser = Parser(prog="closedloop sweep plot", description="Draw maps of a sweep's table.")
     parser.add_argument("table", help="the .parquet file of a sweep")
@@ -262,11 +263,13 @@ def _plot(arguments: list[str]) -> int:
     parser.add_argument(
         "--out", metavar="FILE", help="the figure, .png, .svg or .pdf (default: the table's name with .png)"
     )
+    add_figure_options(parser, formats=False)
     options = parser.parse_args(arguments)
     from closedloop.studies.sweep.maps import sweep_plot
 
     of = [name for word in options.of for name in word.split(",") if name]
-    path = sweep_plot(options.table, of or None, x=options.x, y=options.y, out=options.out)
+    with drawn_as(options):
+        path = sweep_plot(options.table, of or None, x=options.x, y=options.y, out=options.out)
     print(what_was_written(path))
     return DONE
 

@@ -126,9 +126,10 @@ def new_figure(height: float = 3.4) -> Figure:
 
 
 def panels(
-    count: int, height: float, ax: Axes | Sequence[Axes] | None = None, ratios: Sequence[float] | None = None
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure, and its panels over one time, one above the other; or the axes that were given, as panels.
+    count: int, height: float, ax: Axes | Sequence[Axes] | None = None, ratios: Sequence[float] | None = None,
+    share: bool = True,
+) -> tuple[Figure, list[Axes]]:  # fmt: skip
+    """Return a figure, and its panels, one above the other, by default over one time; or given axes as panels.
 
     Where one Axes is given, it is the first panel; the others are drawn, and nobody sees them.
 
@@ -139,7 +140,7 @@ def panels(
     """
     if ax is None:
         figure = new_figure(height)
-        return figure, list(figure.subplots(count, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0])
+        return figure, list(figure.subplots(count, 1, sharex=share, height_ratios=ratios, squeeze=False)[:, 0])
     given = list(ax) if isinstance(ax, Iterable) else [ax]
     if len(given) not in (1, count):
         raise ValueError(f"ax: has {len(given)} axes; give one, for the first panel, or {count}, one for each")

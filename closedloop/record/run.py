@@ -6,7 +6,7 @@ belong to the q and q̇ of the same row. The file is NetCDF-4, which is HDF5: xa
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,6 +36,7 @@ from robot_models.errors import shown
 if TYPE_CHECKING:
     import pandas
     import xarray
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -244,10 +245,11 @@ class Run:
             contacts, self.units,
         )  # fmt: skip
 
-    def plot(self) -> Figure:
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.
 
-        Jupyter shows it inline. It is not registered with pyplot, so it is freed when you delete it.
+        Its panels are `figure.axes`; with `ax` they are axes of the caller's, see `closedloop.figures`. Jupyter shows
+        it inline. It is not registered with pyplot, so it is freed when you delete it.
         `closedloop.figures` has the other figures.
 
         Raises
@@ -255,7 +257,7 @@ class Run:
         ValueError
             If the run has no row.
         """
-        return called("plot", self)
+        return called("plot", self, ax)
 
     def _repr_html_(self) -> str:
         return str(called("html", self))

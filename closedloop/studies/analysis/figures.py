@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from closedloop.figures.files import write_figure
+from closedloop.figures.files import IMAGES, write_figure
 from closedloop.figures.style import COLOURS, MANY, legend_beside_title, new_figure, styled
 from closedloop.scenario.messages import key_unit, with_unit
 from closedloop.scenario.scenario import Scenario
@@ -28,16 +28,16 @@ NYQUIST = 3.0
 SLOWEST = 10
 
 
-def draw_page(page: Page, folder: Path) -> list[Path]:
-    """Draw Bode's and Nyquist's diagrams, the poles, and the sensitivity; return the paths of the PNGs."""
+def draw_page(page: Page, folder: Path, formats: Sequence[str] = IMAGES) -> list[Path]:
+    """Draw Bode's and Nyquist's diagrams, the poles, and the sensitivity; return the paths of the first format."""
     drawn = {"bode": bode, "nyquist": nyquist, "poles": poles, "sensitivity": sensitivity}
-    return [written(figure(page), folder / f"analysis_{name}") for name, figure in drawn.items()]
+    return [written(figure(page), folder / f"analysis_{name}", formats) for name, figure in drawn.items()]
 
 
 @styled()
-def written(figure: Figure, path: Path) -> Path:
-    """Write a figure, and return the path of its PNG."""
-    return write_figure(figure, path)
+def written(figure: Figure, path: Path, formats: Sequence[str] = IMAGES) -> Path:
+    """Write a figure, and return the path of its first format."""
+    return write_figure(figure, path, formats)
 
 
 def _unless_unstable(margins: Margins, said: str, otherwise: str = "the loop is unstable") -> str:

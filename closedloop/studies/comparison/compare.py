@@ -25,6 +25,7 @@ from closedloop.simulation.engines.loops import COMPILED
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # So many values of a key that varies are named, the first and the last ones.
@@ -77,15 +78,17 @@ class Comparison:
 
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("scenario")
 
-    def figure(self) -> Figure:
-        """Return a figure: for each value a point a run, the scenarios beside one another, and a bar at the median."""
-        from closedloop.figures.style import MANY, new_figure, styled
+    def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Return a figure: for each value a point a run, the scenarios beside one another, and a bar at the median.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
+        from closedloop.figures.style import MANY, panels, styled
 
         names = list(dict.fromkeys(self.runs["scenario"]))
         with styled():
-            figure = new_figure(1.0 + 1.3 * len(self.of))
-            panels = np.atleast_1d(figure.subplots(len(self.of), 1, sharex=True))
-            for axes, each in zip(panels, self.of, strict=True):
+            figure, on = panels(len(self.of), 1.0 + 1.3 * len(self.of), ax)
+            for axes, each in zip(on, self.of, strict=True):
                 for place, name in enumerate(names):
                     values = self.runs.loc[self.runs["scenario"] == name, each].to_numpy()
                     spread = place + np.linspace(-0.25, 0.25, values.size) if values.size > 1 else [place]
@@ -95,9 +98,9 @@ class Comparison:
                 unit = self.units.get(each, "")
                 axes.set_ylabel(f"{each}\n[{unit}]" if unit else each, fontsize="small")
             words = [name.replace("_", "_\n").replace(":", ":\n") if len(names) > 3 else name for name in names]
-            panels[-1].set_xticks(range(len(names)), words)
+            on[-1].set_xticks(range(len(names)), words)
             varied = wrap(self.variations, 70)
-            panels[0].set_title("\n".join(["each point a run; bars: medians", *varied]), fontsize="small")
+            on[0].set_title("\n".join(["each point a run; bars: medians", *varied]), fontsize="small")
         return figure
 
 

@@ -38,6 +38,7 @@ from closedloop.studies.comparison.recording import (
 from closedloop.studies.identify.log import LogError
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from robot_models import RobotModel
@@ -191,15 +192,18 @@ class LogComparison:
             }  # fmt: skip
         return plain(report)
 
-    def figure(self) -> Figure:
-        """Return a figure: log and run one over the other, and their difference below, for each quantity."""
-        from closedloop.figures.style import MANY, new_figure, styled
+    def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Return a figure: log and run one over the other, and their difference below, for each quantity.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
+        from closedloop.figures.style import MANY, legend_beside_title, panels, styled
 
         with styled():
-            figure = new_figure(2.6 * len(self.differences) + 0.6)
-            panels = figure.subplots(2 * len(self.differences), 1, sharex=True, squeeze=False)[:, 0]
+            figure, on = panels(2 * len(self.differences), 2.6 * len(self.differences) + 0.6, ax)
+            on[0].set_title("Log: wide and pale; run: narrow")
             for at, each in enumerate(self.differences.values()):
-                over, below = panels[2 * at], panels[2 * at + 1]
+                over, below = on[2 * at], on[2 * at + 1]
                 for k, label in enumerate(each.labels):
                     colour = MANY[k % len(MANY)]
                     over.plot(each.time, each.logged[:, k], color=colour, alpha=0.45, linewidth=2.4)
@@ -207,9 +211,8 @@ class LogComparison:
                     below.plot(each.time, (each.logged - each.simulated)[:, k], color=colour)
                 over.set_ylabel(f"{each.name}, {each.unit}")
                 below.set_ylabel(f"difference, {each.unit}")
-                over.legend(fontsize="small", ncols=4)
-            panels[0].set_title("log: wide and pale; run: narrow")
-            panels[-1].set_xlabel("time of the run, s")
+                legend_beside_title(over)
+            on[-1].set_xlabel("time of the run, s")
         return figure
 
 

@@ -32,6 +32,7 @@ from robot_models import RobotModel
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -324,24 +325,26 @@ class Sensitivities(Gradient):
 
     time: Array
 
-    def figure(self) -> Figure:
-        """Return a figure: for each column and key a panel, in it a line for each entry of both."""
-        from closedloop.figures.style import MANY, new_figure, styled
+    def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Return a figure: for each column and key a panel, in it a line for each entry of both.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
+        from closedloop.figures.style import MANY, legend_beside_title, panels, styled
 
         pairs = [(of, key) for of, by_key in self.derivative.items() for key in by_key]
         with styled():
-            figure = new_figure(1.0 + 1.6 * len(pairs))
-            panels = np.atleast_1d(figure.subplots(len(pairs), 1, sharex=True))
-            for axes, (of, key) in zip(panels, pairs, strict=True):
+            figure, on = panels(len(pairs), 1.0 + 1.6 * len(pairs), ax)
+            on[0].set_title("By how much a column changes with a number of the scenario")
+            for axes, (of, key) in zip(on, pairs, strict=True):
                 lines = np.asarray(self.derivative[of][key]).reshape(len(self.time), -1)
                 for i, line in enumerate(lines.T):
                     label = f"[{i}]" if lines.shape[1] > 1 else None
                     axes.plot(self.time, line, color=MANY[i % len(MANY)], linewidth=1.2, label=label)
                 if lines.shape[1] > 1:
-                    axes.legend(loc="upper right", fontsize="small", ncols=4)
+                    legend_beside_title(axes)
                 axes.set_ylabel(f"∂ {of} [{self.units[of]}]\n/ ∂ {key}", fontsize="small")
-            panels[-1].set_xlabel("time [s]")
-            panels[0].set_title("by how much a column changes with a number of the scenario")
+            on[-1].set_xlabel("time [s]")
         return figure
 
 

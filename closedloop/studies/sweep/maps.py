@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import difflib
 import io
+import math
 import stat
 import textwrap
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import OutputError, ScenarioError
 from closedloop.base.files import kind_of, reason_of, write_whole
-from closedloop.figures.style import COLOURS, length_unit, styled
+from closedloop.figures.style import COLOURS, WIDE, length_unit, page_width, styled
 from closedloop.scenario.messages import typeset, with_unit
 from closedloop.studies.sweep.join import pieces, unreadable_is_none
 
@@ -114,6 +115,8 @@ def flat(low: float, high: float) -> bool:
 
 
 FIGURES = ("min_contact_force", "peak_contact_force", "rms_force_error", "max_abs_closure_error")
+# Inches from which two maps stand beside one another.
+TWO_ABREAST = 6.0
 # Values of a third key that are drawn as curves of their own.
 MOST_CURVES = 6
 
@@ -191,9 +194,13 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
     if y is not None and first == y:
         raise ScenarioError(f"{y}: is the only key of this sweep; --y needs another")
     second = y or (next((key for key in keys if key != first), None) if x is None or y is not None else None)
-    columns = 1 if len(wanted) == 1 else 2
+    width = page_width()
+    columns = 1 if len(wanted) == 1 or width < TWO_ABREAST else 2
     rows = -(-len(wanted) // columns)
-    figure = Figure(figsize=(0.6 + 4.6 * columns, 3.3 * rows + 0.4), layout="constrained")
+    size = (0.6 + 4.6 * columns, 3.3 * rows + 0.4)
+    if width != WIDE:  # as wide as is asked for, and as high as text of the same size needs
+        size = width, size[1] * math.sqrt(width / size[0])
+    figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel, name in zip(panels, wanted, strict=False):
         if second is None:
@@ -204,7 +211,7 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
         panel.remove()
     others = [key for key in keys if key not in (first, second)]
     figure.suptitle(
-        _headline(table, others if second is not None or len(others) > 1 else []), fontsize=10, x=0.01, ha="left"
+        _headline(table, others if second is not None or len(others) > 1 else []), fontsize="medium", x=0.01, ha="left"
     )
     return figure
 

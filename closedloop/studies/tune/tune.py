@@ -28,6 +28,7 @@ from closedloop.studies.tune.evaluate import Limit, Runs, Varied, limit_of, vari
 from closedloop.studies.tune.search import BINDS, MEAN, WORST, Found, Search
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -160,20 +161,22 @@ class Tuning:
             "starts": self.found.ends, "runs": self.runs,
         })  # fmt: skip
 
-    def figure(self) -> Figure:
-        """Return a figure of the contact force before and now, of the scenario without variations."""
-        from closedloop.figures.style import COLOURS, new_figure, styled
+    def figure(self, ax: Axes | None = None) -> Figure:
+        """Return a figure of the contact force before and now, of the scenario without variations.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
+        from closedloop.figures.style import COLOURS, legend_beside_title, panels, styled
         from closedloop.studies.gradient.variants import simulated
 
         with styled():
-            figure = new_figure(3.0)
-            axes = figure.subplots()
+            figure, (axes,) = panels(1, 3.0, ax)
             for scenario, label, colour in ((self.before, "before", COLOURS[1]), (self.scenario, "now", COLOURS[0])):
                 run = simulated(scenario, None)
                 axes.plot(run.time, run.contact_force, color=colour, label=label)
             axes.plot(run.time, run.reference_force, "k:", linewidth=1.0, label="wanted")
             axes.set(xlabel="time [s]", ylabel="contact force [N]")
-            axes.legend()
+            legend_beside_title(axes)
         return figure
 
 

@@ -49,6 +49,7 @@ def test_no_legend_lies_over_a_title_and_nothing_leaves_the_page(run, name, widt
     assert all(each.x0 > -1.0 and each.x1 < page.bbox.x1 + 1.0 for each in (*titles, *legends))
     panels = [axes.get_window_extent() for axes in page.axes]
     assert not any(overlap(legend, panel) for legend in legends for panel in panels)
+    assert not any(overlap(title, panel) for title in titles for panel in panels)
     assert all(panel.width > 0.25 * page.bbox.width or name == "force_control" for panel in panels)
 
 

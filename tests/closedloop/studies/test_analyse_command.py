@@ -100,7 +100,7 @@ def test_figures_and_a_map(command_line, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(
         "closedloop.studies.analysis.figures.write_figure",
-        lambda figure, path: drawn.append((path.name, figure)) or path,
+        lambda figure, path, formats: drawn.append((path.name, figure)) or path,
     )
     said = command_line(
         "analyse", "soft_table", *GAIN, "--out", tmp_path / "out", "--no-runs",

@@ -35,6 +35,7 @@ from closedloop.studies.identify.log import LogError, check_positions
 if TYPE_CHECKING:
     from os import PathLike
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from robot_models import RobotModel
@@ -100,22 +101,25 @@ class ContactIdentification:
             "parameters": {e.name: e.as_dict() for e in self.estimates},
         })  # fmt: skip
 
-    def figure(self) -> Figure:
-        """Return a figure of the measured and the predicted values of each part, and the residual."""
-        from closedloop.figures.style import COLOURS, new_figure, styled
+    def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Return a figure of the measured and the predicted values of each part, and the residual.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
+        from closedloop.figures.style import COLOURS, legend_beside_title, panels, styled
 
         drawn = [part for part in self.parts if len(part.time)]
         with styled():
-            figure = new_figure(2.2 * max(len(drawn), 1) + 0.6)
-            panels = figure.subplots(max(len(drawn), 1), 1, squeeze=False)[:, 0]
-            for panel, part in zip(panels, drawn, strict=False):
+            count = max(len(drawn), 1)
+            figure, on = panels(count, 2.2 * count + 0.6, ax, share=False)
+            for panel, part in zip(on, drawn, strict=False):
                 panel.plot(part.time, part.measured, ".", ms=3, color="0.4", label="measured")
                 panel.plot(part.time, part.predicted, ".", ms=2, color=COLOURS[1], label="predicted")
                 panel.plot(part.time, part.measured - part.predicted, ".", ms=2, color=COLOURS[0], label="residual")
                 panel.set_ylabel(part.what, fontsize="small")
             if drawn:
-                panels[0].legend(fontsize="small", ncols=3)
-            panels[-1].set_xlabel("time, s")
+                legend_beside_title(on[0])
+            on[-1].set_xlabel("time, s")
         return figure
 
 

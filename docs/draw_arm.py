@@ -54,7 +54,7 @@ def draw_arm(axes: Axes3D, run: cl.Run, row: int) -> None:
     axes.plot(*tip, marker="o", color=COLOURS[1], markersize=5, zorder=7)
     force = METRES_PER_NEWTON * run.contact_force[row] * run.surface_normal[row]
     axes.quiver(*tip, *force, color=COLOURS[1], linewidth=2.5, arrow_length_ratio=0.25, zorder=7)
-    axes.text(*(tip + force + (0.0, 0.02, 0.0)), f"f = {run.contact_force[row]:.0f} N", color=COLOURS[1], zorder=8)
+    axes.text(*(tip + force + (0.0, 0.07, 0.0)), f"f = {run.contact_force[row]:.0f} N", color=COLOURS[1], zorder=8)
     points = np.concatenate([triangles.reshape(-1, 3), board[0]])
     low, high = points.min(axis=0), points.max(axis=0)
     for axis, a, b in zip("xyz", low, high, strict=True):

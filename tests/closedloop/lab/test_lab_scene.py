@@ -17,6 +17,7 @@ from closedloop.lab.animate import CELLS, OWN
 from closedloop.lab.curves import main_panel, panels, reduced
 from closedloop.lab.drawn import frames, robot_message, space_message
 from closedloop.lab.film_picture import Picture
+from closedloop.lab.gallery import cards
 from closedloop.lab.messages import from_text
 from closedloop.lab.share import page_of
 from closedloop.loop.events.table import EVENT_COLUMNS
@@ -323,3 +324,15 @@ def test_a_ghost_is_beside_the_bodies_of_a_run():
         np.abs(places[1, :4]), [np.cos(middle * np.pi / 2), 0, 0, np.sin(middle * np.pi / 2)], atol=1e-9
     )
     assert frames(scene_of(run), [0])["places"].shape[1] == about["joints"] - 1
+
+
+def test_the_gallery_opens_with_an_arm_above_its_table():
+    """Nothing of the arm passes through what it presses on, at any instant, and every scenario has a card."""
+    names = [card["name"] for card in cards()]
+    assert sorted(names) == sorted(cl.shipped_scenarios())
+    run = cl.simulate(cl.load_scenario(names[0]))
+    clearance = run.summary()["clearance"]
+    assert clearance is None or clearance["distance"] > 0.0
+    surface = np.max(run.position[run.mode != 0, 2])
+    _, origins = scene_of(run).joint_places(len(run) - 1)
+    assert origins[4, 2] > surface + 0.1  # the elbow

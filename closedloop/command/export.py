@@ -8,12 +8,20 @@ from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written
 from closedloop.command.border import DONE, Parser, as_command
 from closedloop.figures.export.mjcf import write_mjcf
+from closedloop.figures.export.rosbag2 import write_rosbag2
 from closedloop.figures.export.tables import FORMATS as BY_ENDING
+from closedloop.lab.animate import animate
+from closedloop.lab.share import share
 from closedloop.record.load import load_run
+from closedloop.record.save import save_run
 
-FORMATS = {ending.removeprefix("."): write for ending, write in BY_ENDING.items()} | {"mjcf": write_mjcf}
-# Endings that are not the format's name.
-ENDINGS = {"mjcf": "xml"}
+FORMATS = {ending.removeprefix("."): write for ending, write in BY_ENDING.items()} | {
+    "h5": lambda run, path: [save_run(run, path)], "rosbag2": write_rosbag2, "mjcf": write_mjcf,
+    "gif": lambda run, path: [animate(run, path)], "mp4": lambda run, path: [animate(run, path)],
+    "html": lambda run, path: [share(run, path)],
+}  # fmt: skip
+# What follows the name of the run, where it is not the format's name as an ending.
+ENDINGS = {"mjcf": ".xml", "rosbag2": "_rosbag2"}
 
 
 @as_command()
@@ -29,13 +37,15 @@ def main(arguments: list[str]) -> int:
         "--to",
         required=True,
         choices=tuple(FORMATS),
-        help="csv, parquet: a table; mat: arrays for MATLAB; mcap: ROS 2 messages; mjcf: the scene, for MuJoCo",
+        help="csv, parquet: a table; mat: arrays for MATLAB; h5: HDF5; mcap, rosbag2: ROS 2 messages, as a file or a "
+        "bag; mjcf: the scene, for MuJoCo; gif, mp4: a film; html: a page with the arm in space",
     )
     parser.add_argument("--out", metavar="FILE", help="the file (default: beside run.nc, under its name)")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
     options = parser.parse_args(arguments)
     run = load_run(options.run)
-    out = Path(options.out) if options.out else Path(options.run).with_suffix(f".{ENDINGS.get(options.to, options.to)}")
+    beside = Path(options.run).with_suffix("")
+    out = Path(options.out or beside.with_name(beside.name + ENDINGS.get(options.to, f".{options.to}")))
     if out.exists() and not options.overwrite:
         raise OutputError(f"{out}: is there already; name another file with --out, or replace it with --overwrite")
     paths = FORMATS[options.to](run, out)

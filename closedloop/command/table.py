@@ -40,7 +40,7 @@ COMMANDS = (
     Command("scenarios", "list the scenarios of the package", "closedloop.command.lists:scenarios"),
     Command("lab", "open the lab: sliders, the arm in space, curves", "closedloop.command.lab:main", "scenario"),
     Command("serve", "let another program drive a scenario", "closedloop.command.serve:main", "scenario"),
-    Command("export", "write a saved run as CSV or MCAP", "closedloop.command.export:main", "run"),
+    Command("export", "write a saved run as CSV, MCAP, GIF ...", "closedloop.command.export:main", "run"),
     Command("compile", "compile everything now, for images and clusters", "closedloop.command.compile_all:main"),
     Command("completion", "print the completion script of a shell", "closedloop.command.completion:main"),
     Command("version", "print the versions that a run depends on", "closedloop.command.lists:version"),

@@ -131,7 +131,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     _check_columns(columns, added, _sizes(model, contacts), allowed, needed)
     # A run that was stopped may have events in the step that it did not finish.
     _check_events(columns, model.n + contacts, scenario.time.step if found["stopped"] else 0.0)
-    return Run(
+    return Run(  # type: ignore[abstract]  # its columns are there by their names
         scenario=scenario,
         model=model,
         columns=columns,

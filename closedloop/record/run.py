@@ -25,7 +25,7 @@ from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
 from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, Event, columns_there, events_of
 from closedloop.record.report.summary import summarise
-from closedloop.record.save import attributes, save_run
+from closedloop.record.save import CONVENTIONS, HDF5, attributes, save_run
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import labels_of, tangents_of
@@ -39,6 +39,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from closedloop.record.columns.typed import TypedColumns as _Columns
+else:
+    _Columns = object
+
 
 def units_by_kind(units: str, kind: str) -> str:
     """Return the unit of an entry of a joint's column: of a joint or coordinate of this kind, from that for turning."""
@@ -46,7 +50,7 @@ def units_by_kind(units: str, kind: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(_Columns):
     """The record of a simulation, and what produced it.
 
     Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute: `run.time` (N,),
@@ -116,7 +120,8 @@ class Run:
         self.__dict__.update(state)
         self.__post_init__()
 
-    def __getattr__(self, name: str) -> NDArray[Any]:
+    def _column(self, name: str) -> NDArray[Any]:
+        """Return the column of a name that is no attribute."""
         there = self.__dict__.get("columns", {})  # none while it is being copied
         if name in there:
             return there[name]
@@ -132,6 +137,9 @@ class Run:
             base, k = of_contacts[name]
             return there[base][:, k]
         raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join((*there, *DERIVED))}")
+
+    if not TYPE_CHECKING:  # which knows the columns by `TypedColumns`, and refuses other names
+        __getattr__ = _column
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return a column by its name: ``run["contact_force"]`` is ``run.contact_force``.
@@ -226,7 +234,7 @@ class Run:
                 "axis": ["x", "y", "z"],
                 **({"contact": list(contacts), "contact_tangent": list(tangents_of(contacts))} if contacts else {}),
             },
-            attributes(self),
+            CONVENTIONS | attributes(self),
         )
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -266,15 +274,16 @@ class Run:
     def save(self, path: str | Path) -> Path:
         """Write the run in the format that the path's ending names, and return the path.
 
-        ``.nc`` is NetCDF-4 (HDF5), which `closedloop.load_run` reads, see `closedloop.record.save.save_run`; ``.csv``,
-        ``.mat``, ``.mcap`` and ``.parquet`` are for other programs, see `closedloop.figures.export`.
+        ``.nc`` and ``.h5`` are NetCDF-4, which is HDF5, and which `closedloop.load_run` reads, see
+        `closedloop.record.save.save_run`; ``.csv``, ``.mat``, ``.mcap`` and ``.parquet`` are for other programs, see
+        `closedloop.figures.export`.
 
         Raises
         ------
         OutputError
             If the path has another ending, or the file cannot be written.
         """
-        if Path(path).suffix == ".nc":
+        if Path(path).suffix in HDF5:
             return save_run(self, path)
         written: list[Path] = called("save", self, path)
         return written[0]

@@ -44,6 +44,9 @@ def _version(name: str) -> str:
 
 
 FORMAT, FORMAT_VERSION = "closedloop run", 2
+# Endings of files in this format, and the metadata conventions that their units and names follow.
+HDF5 = (".nc", ".h5")
+CONVENTIONS = {"Conventions": "CF-1.11"}
 CHECKSUM = "checksum"
 # Attributes that are text; files from before there was a checksum may lack those of the second line.
 TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
@@ -170,4 +173,4 @@ def save_run(run: Record, path: str | Path) -> Path:
     dimensions = own | dimensions
     made = attributes(run)
     made |= {CHECKSUM: checksum(made, run.columns)}
-    return write_netcdf(Path(path), dimensions, variables, made, seal_file)
+    return write_netcdf(Path(path), dimensions, variables, CONVENTIONS | made, seal_file)

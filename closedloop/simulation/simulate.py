@@ -84,7 +84,7 @@ def as_run(
             del columns[name]
     columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
     columns |= positions_told(problem, columns)
-    return Run(
+    return Run(  # type: ignore[abstract]  # its columns are there by their names
         scenario=problem.scenario,
         model=without_tools(model),
         columns=columns | event_columns(events),

@@ -29,7 +29,7 @@ def save(run: Run, path: str | Path) -> list[Path]:
     path = Path(path)
     if path.suffix not in FORMATS:
         raise OutputError(
-            f"{path}: must end in .nc, {', '.join(FORMATS)}: the ending says in which format it is written"
+            f"{path}: must end in .nc, .h5, {', '.join(FORMATS)}: the ending says in which format it is written"
         )
     return FORMATS[path.suffix](run, path)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import Array
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.mechanics.loops.reactions import LoopReactions
+from closedloop.record.columns.typed import TypedColumns
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
@@ -200,7 +201,7 @@ def columns_there(columns: Iterable[str], turns_freely: bool = False) -> dict[st
     return found
 
 
-class Record(Protocol):
+class Record(TypedColumns, Protocol):
     """The record of a simulation; every column of `columns`, and every derived one, is an attribute too."""
 
     @property
@@ -269,6 +270,7 @@ class Record(Protocol):
     def units(self, name: str) -> str:
         """Return the unit of a column."""
 
-    def __len__(self) -> int: ...
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return a column by its name."""
 
-    def __getattr__(self, name: str) -> NDArray[Any]: ...
+    def __len__(self) -> int: ...

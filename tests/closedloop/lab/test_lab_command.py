@@ -335,6 +335,19 @@ def test_mcap_has_the_forces_between_links(tmp_path):
     assert np.max(size) > 1.0
 
 
+def test_films_pages_and_bags_are_exports_too(run_file, tmp_path, capsys):
+    """Each is written beside the run under its name; --help lists all formats."""
+    (tmp_path / "x.nc").write_bytes(run_file.read_bytes())
+    for to in ("gif", "html", "h5"):
+        assert main(["export", str(tmp_path / "x.nc"), "--to", to]) == 0
+    assert (tmp_path / "x.gif").read_bytes()[:3] == b"GIF"
+    assert "<canvas" in (tmp_path / "x.html").read_text(encoding="utf-8")
+    assert cl.load_run(tmp_path / "x.h5").scenario == cl.load_run(run_file).scenario
+    capsys.readouterr()
+    main(["export", "--help"])
+    assert "{csv,mat,mcap,parquet,h5,rosbag2,mjcf,gif,mp4,html}" in capsys.readouterr().out
+
+
 def test_an_export_replaces_nothing_unasked(run_file, tmp_path, capsys):
     """A file that is there is refused, and no format but those known is taken."""
     out = tmp_path / "drop.csv"

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.figures.export.rosbag2 import write_rosbag2
 from closedloop.figures.export.tables import FORMATS
+from closedloop.record.columns.derived import DERIVED
+from closedloop.record.columns.record import ALL_COLUMNS, SYMBOLS
+from closedloop.record.columns.typed import TypedColumns
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +29,38 @@ def test_the_ending_names_the_format(run, tmp_path):
     assert np.array_equal(matlab["contact_force"], run.contact_force)
     assert np.array_equal(matlab["q"], run.q)
     assert matlab["units"]["contact_force"] == "N"
-    for ending in ("", ".txt", ".h5"):
-        with pytest.raises(cl.OutputError, match=r"must end in \.nc, \.csv, \.mat"):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(run.save(tmp_path / "a.h5")) as file:
+        assert np.array_equal(file["contact_force"], run.contact_force)
+        assert file["contact_force"].attrs["units"] == "N"
+        assert file.attrs["Conventions"] == "CF-1.11"
+    assert np.array_equal(cl.load_run(tmp_path / "a.h5").q, run.q)
+    assert run.to_xarray().attrs["Conventions"] == "CF-1.11"
+    for ending in ("", ".txt", ".hdf"):
+        with pytest.raises(cl.OutputError, match=r"must end in \.nc, \.h5, \.csv, \.mat"):
             run.save(tmp_path / f"a{ending}")
-    assert {file.suffix for file in tmp_path.iterdir()} == {".nc", *FORMATS} - {".mcap"}
+    assert {file.suffix for file in tmp_path.iterdir()} == {".nc", ".h5", *FORMATS} - {".mcap"}
+
+
+def test_a_bag_of_ros_2(run, tmp_path):
+    """Its metadata name each topic with its type and count, and the messages are those of the MCAP file."""
+    pytest.importorskip("mcap_ros2")
+    import yaml
+    from mcap.reader import make_reader
+
+    file, metadata = write_rosbag2(run, tmp_path / "slide")
+    assert [each.name for each in (file, metadata)] == ["slide_0.mcap", "metadata.yaml"]
+    about = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    with file.open("rb") as opened:
+        messages = [(channel.topic, schema.name) for schema, channel, _ in make_reader(opened).iter_messages()]
+    topics = {each["topic_metadata"]["name"]: each for each in about["topics_with_message_count"]}
+    assert {topic for topic, _ in messages} == set(topics)
+    assert all(topics[topic]["topic_metadata"]["type"] == kind for topic, kind in messages)
+    assert topics["/joint_states"]["message_count"] == len(run)
+    assert sum(each["message_count"] for each in topics.values()) == len(messages) == about["message_count"]
+    assert about["duration"]["nanoseconds"] == 50_000_000
+    assert about["relative_file_paths"] == [file.name]
+    assert {each["topic_metadata"]["serialization_format"] for each in topics.values()} == {"cdr"}
 
 
 def test_columns_by_their_names(run):
@@ -75,3 +107,11 @@ def test_the_version_is_that_of_the_package():
     from importlib.metadata import version
 
     assert cl.__version__ == version("closedloop")
+
+
+def test_the_columns_that_a_type_checker_knows_are_those_there_are(run):
+    """Each is an attribute of a run with a surface and none is missing, the events' and the derived ones included."""
+    assert set(TypedColumns.__annotations__) == {*ALL_COLUMNS, *DERIVED, *SYMBOLS}
+    assert all(name in TypedColumns.__annotations__ for name in run.specs)
+    with pytest.raises(AttributeError, match="a Run has no 'contact_forze'"):
+        run.contact_forze  # noqa: B018

@@ -1,0 +1,87 @@
+"""The columns of a run as attributes with types: an editor completes them, and a type checker refuses other names.
+
+A test compares this list with the tables of columns. Columns that only some runs have, such as states of a law of one's
+own, are not in it: ``run["law_error"]``.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+
+class TypedColumns(Protocol):
+    """What `closedloop.record.columns.record.ALL_COLUMNS`, the derived columns and the symbols name."""
+
+    time: NDArray[Any]
+    q: NDArray[Any]
+    v: NDArray[Any]
+    acceleration: NDArray[Any]
+    torque: NDArray[Any]
+    reference_position: NDArray[Any]
+    reference_velocity: NDArray[Any]
+    reference_tip: NDArray[Any]
+    reference_force: NDArray[Any]
+    position: NDArray[Any]
+    velocity: NDArray[Any]
+    surface_normal: NDArray[Any]
+    slip_velocity: NDArray[Any]
+    contact_force: NDArray[Any]
+    stabiliser_force: NDArray[Any]
+    friction_force: NDArray[Any]
+    joint_friction: NDArray[Any]
+    measured_force: NDArray[Any]
+    closure_error: NDArray[Any]
+    closure_rate: NDArray[Any]
+    mode: NDArray[Any]
+    residual_motion: NDArray[Any]
+    residual_closure: NDArray[Any]
+    kkt_condition: NDArray[Any]
+    normal_mobility: NDArray[Any]
+    kinetic_energy: NDArray[Any]
+    potential_energy: NDArray[Any]
+    energy_supplied: NDArray[Any]
+    event_time: NDArray[Any]
+    event_kind: NDArray[Any]
+    event_rate_before: NDArray[Any]
+    event_rate_after: NDArray[Any]
+    event_rate_cut: NDArray[Any]
+    event_compression: NDArray[Any]
+    event_decompression: NDArray[Any]
+    event_tangential: NDArray[Any]
+    event_energy_lost: NDArray[Any]
+    event_energy_rested: NDArray[Any]
+    event_position: NDArray[Any]
+    event_slip_before: NDArray[Any]
+    event_slip_after: NDArray[Any]
+    event_restitution: NDArray[Any]
+    event_contact: NDArray[Any]
+    torque_limited: NDArray[Any]
+    measured_position: NDArray[Any]
+    measured_velocity: NDArray[Any]
+    motor_position: NDArray[Any]
+    motor_velocity: NDArray[Any]
+    transmitted_torque: NDArray[Any]
+    link_modes: NDArray[Any]
+    link_gaps: NDArray[Any]
+    link_forces: NDArray[Any]
+    link_frictions: NDArray[Any]
+    link_slips: NDArray[Any]
+    link_rolling_moments: NDArray[Any]
+    link_pivoting_moments: NDArray[Any]
+    tip_force: NDArray[Any]
+    wrist_wrench: NDArray[Any]
+    tool_angle: NDArray[Any]
+    orientation_error: NDArray[Any]
+    stop_torque: NDArray[Any]
+    f: NDArray[Any]
+    f_des: NDArray[Any]
+    f_measured: NDArray[Any]
+    e: NDArray[Any]
+    r: NDArray[Any]
+    r_des: NDArray[Any]
+    n: NDArray[Any]
+    Q: NDArray[Any]
+    q_des: NDArray[Any]
+    v_des: NDArray[Any]

@@ -12,7 +12,7 @@ Simulate
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, a change of the contact, read a run file
     compare                                       several laws or scenarios under the same variations
-    linearise                                     the force loop as a linear system: poles, margins, the port
+    linearise, linearize                          the force loop as a linear system: poles, margins, the port
     gradient, gradients, sensitivities            derivatives of runs with respect to numbers of their scenarios
     tune                                          gains, or other numbers, that minimise a value of the runs
     serve                                         let another program drive a scenario
@@ -111,6 +111,8 @@ if TYPE_CHECKING:
     from closedloop.studies.sweep.maps import sweep_plot as sweep_plot
     from closedloop.studies.tune.tune import tune as tune
 
+    linearize = linearise
+
 _HOME = {
     "ChatterError": "base.errors",
     "ClosedLoopError": "base.errors",
@@ -154,6 +156,7 @@ _HOME = {
     "identify_contact": "studies.identify.contact.identify_contact",
     "lab": "lab.start",
     "linearise": "studies.analysis.assembly",
+    "linearize": "studies.analysis.assembly",
     "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",
@@ -168,6 +171,22 @@ _HOME = {
 }
 
 _NAMES = sorted(_HOME)
+_SPELLED = {"linearize": "linearise"}
+# What is looked for by another name.
+_CALLED = {
+    "run": "simulate(scenario) simulates, and load_run(path) reads a run", "sim": "simulate(scenario)",
+    "plot": "simulate(scenario).plot(), or figures", "load": "load_scenario(name), or load_run(path)",
+    "scenario": "load_scenario(name)", "analyse": "linearise(scenario)", "analyze": "linearize(scenario)",
+}  # fmt: skip
+
+
+def _meant(name: str) -> str:
+    if name.startswith("_"):
+        return ""
+    from difflib import get_close_matches
+
+    meant = _CALLED.get(name) or next(iter(get_close_matches(name, _NAMES, n=1, cutoff=0.7)), "")
+    return f"; call closedloop.{meant}" if name in _CALLED else f"; did you mean '{meant}'?" if meant else ""
 
 
 def __getattr__(name: str) -> Any:
@@ -179,9 +198,9 @@ def __getattr__(name: str) -> Any:
 
         return version("closedloop")
     if name not in _HOME:
-        raise AttributeError(f"module 'closedloop' has no attribute '{name}'")
+        raise AttributeError(f"module 'closedloop' has no attribute '{name}'{_meant(name)}")
     module = import_module(f"closedloop.{_HOME[name]}")
-    value = module if _HOME[name] == name else getattr(module, name)
+    value = module if _HOME[name] == name else getattr(module, _SPELLED.get(name, name))
     globals()[name] = value
     return value
 

@@ -12,12 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
+from closedloop.base.errors import ScenarioError
+from closedloop.base.upwards import called
 from robot_models.errors import shown
 
 
@@ -41,6 +43,13 @@ def _nothing(value: Any) -> Any:
 def _boolean(value: Any) -> Any:
     if not isinstance(value, bool):
         raise ValueError("must be true or false")
+    return value
+
+
+def _pointing(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Refuse a vector without a length."""
+    if not any(value):
+        raise ValueError("has no direction; give a vector such as [0, 0, 1]")
     return value
 
 
@@ -91,7 +100,7 @@ Nothing = Annotated[float, _LEFT_OUT]
 Instant = Annotated[NotNegative, Unit("s")]
 Restitution = Annotated[float, BeforeValidator(_number), Field(ge=0.0, le=1.0), Unit("")]
 Flag = Annotated[bool, BeforeValidator(_boolean)]
-Direction = Annotated[tuple[Number, Number, Number], Unit("")]
+Direction = Annotated[tuple[Number, Number, Number], AfterValidator(_pointing), Unit("")]
 PerJoint = tuple[Number, ...]
 Gain = Annotated[float | tuple[float, ...], BeforeValidator(gain_of)]
 
@@ -213,6 +222,11 @@ class Section(BaseModel):
     """Common settings of all sections: nothing unknown, nothing infinite, nothing changed afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    if not TYPE_CHECKING:  # for which a section is frozen by its settings
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            raise ScenarioError(called("unchanged", self, name, value))
 
 
 def usual(section: type[Section]) -> BeforeValidator:

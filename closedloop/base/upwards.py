@@ -10,6 +10,7 @@ from typing import Any
 
 ABOVE = {
     "replace": "closedloop.scenario.overrides:replaced",
+    "unchanged": "closedloop.scenario.messages:unchanged",
     "run": "closedloop.simulation.simulate:simulate_prepared",
     "plot": "closedloop.figures.overview:plot",
     "html": "closedloop.figures.files:html",

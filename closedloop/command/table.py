@@ -47,6 +47,10 @@ COMMANDS = (
 )
 
 
+# Commands that are spelled otherwise in American English.
+AMERICAN = {"analyse": "analyze"}
+
+
 def imported(command: Command) -> Callable[[list[str]], int]:
     """Import the module of a command and return its function."""
     module, _, function = command.main.partition(":")
@@ -54,8 +58,8 @@ def imported(command: Command) -> Callable[[list[str]], int]:
 
 
 def find(name: str) -> Command | None:
-    """Return the command with this name, None if there is none."""
-    return next((command for command in COMMANDS if command.name == name), None)
+    """Return the command with this name, or with its American spelling; None if there is none."""
+    return next((command for command in COMMANDS if name in (command.name, AMERICAN.get(command.name))), None)
 
 
 def overview() -> str:

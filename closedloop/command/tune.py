@@ -64,7 +64,7 @@ def _parser() -> Parser:
         help="what varies and its range, such as law.kd=5:200, law.kp[1]=log:100:3000; of a list each entry by itself",
     )  # fmt: skip
     parser.add_argument(
-        "--minimise", action="append", default=[], metavar="[WEIGHT*]NAME",
+        "--minimise", "--minimize", action="append", default=[], metavar="[WEIGHT*]NAME",
         help="a value of the summary (default: rms_force_error); given several times, the weighted sum",
     )  # fmt: skip
     parser.add_argument(

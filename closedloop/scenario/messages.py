@@ -384,6 +384,15 @@ def key_description(key: str) -> str:
     return " | ".join(dict.fromkeys(field.description for field in _fields_of(key) if field.description))
 
 
+def unchanged(section: Section, name: str, value: Any) -> str:
+    """Return what is said to who sets an attribute of a scenario or of one of its sections."""
+    kind, keys = type(section), []
+    if kind is not Scenario:
+        keys = [each for each in Scenario.model_fields if kind in variants(each).values()]
+    key = ".".join([*keys[:1], name])
+    return f"{key}: a scenario is not changed; scenario.replace({{{key!r}: {shown_value(value)}}}) returns another one"
+
+
 def key_unit(key: str, scenario: Scenario | None = None) -> str:
     """Return the unit of a dotted key, "" if it has none or if its kinds differ and there is no scenario with one.
 

@@ -126,10 +126,21 @@ def _is_text(word: str) -> bool:
     return not any("\ud800" <= character <= "\udfff" for character in word)
 
 
+def _listed(text: str) -> Any:
+    """Return numbers with commas between them, such as 0,0,1, as a list, and other text as it is."""
+    try:
+        return [float(word) for word in text.split(",")] if "," in text else text
+    except ValueError:
+        return text
+
+
 def toml_value(text: str) -> Any:
-    """Read a value as TOML would; what is not TOML is text, so that --robot.model panda needs no quotes."""
+    """Read a value as TOML would; what is not TOML is text, so that --robot.model panda needs no quotes.
+
+    A list of numbers needs no brackets: --surface.normal 0,0,1.
+    """
     try:
         document = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):  # no TOML, a number of thousands of digits, a thousand brackets
-        return text
+        return _listed(text)
     return document["value"] if len(document) == 1 else text

@@ -206,6 +206,7 @@ def tune(
     kept: str | Path | None = None,
     progress: bool | Callable[[int], None] = False,
     workers: int | None = None,
+    minimize: str | Mapping[str, float] | None = None,
 ) -> Tuning:
     """Find the numbers of a scenario that minimise a value of its runs.
 
@@ -215,7 +216,7 @@ def tune(
         From `load_scenario`. The first search starts from its numbers.
     vary : mapping of str to (low, high)
         Keys and ranges, ``{"law.kp": (100, 2000), "law.kd[1]": (5, 100)}``; each entry of a list varies alone.
-    minimise : str, or mapping of str to float
+    minimise, minimize : str, or mapping of str to float
         A value of `Run.summary`, or values and weights, whose weighted sum is minimised. If a value has a number for
         each joint, the largest magnitude is taken.
     subject_to : sequence of str
@@ -260,6 +261,7 @@ def tune(
         raise ScenarioError(f"tune: starts = {starts}: must be a whole number from 1 to {MOST_STARTS}")
     if seed < 0:
         raise ScenarioError(f"tune: seed = {seed}: must be a whole number, 0 or more")
+    minimise = minimise if minimize is None else minimize
     weights = {minimise: 1.0} if isinstance(minimise, str) else dict(minimise)
     if not weights:
         raise ScenarioError("tune: minimise: names no value, such as rms_force_error")

@@ -16,6 +16,7 @@ from closedloop.command.robots import checks, names
 from closedloop.command.table import COMMANDS, overview
 from closedloop.control.law import LAWS, ControlLaw
 from closedloop.mechanics.loops import reactions
+from closedloop.scenario.overrides import toml_value
 from validation.loops.mechanisms import MECHANISMS
 
 ROOT = Path(cl.__file__).parent.parent
@@ -139,6 +140,32 @@ def test_a_saved_run_is_drawn_for_a_journal(closedloop, saved, tmp_path):
         assert status == 2
         assert err.startswith(f"closedloop: {said}")
     assert not (tmp_path / "none").exists()
+
+
+def test_numbers_with_commas_are_a_list_and_a_normal_has_a_direction(closedloop):
+    """A list on the command line needs no brackets; a normal without a length is refused as it is read."""
+    assert toml_value("0,0,1") == [0.0, 0.0, 1.0]
+    assert toml_value("a,b") == "a,b"
+    status, _, err = closedloop("run", "planar2_slide", "--surface.normal", "0,0,0")
+    said = "surface.normal = [0.0, 0.0, 0.0]: has no direction; give a vector such as [0, 0, 1]"
+    assert status == 2
+    assert err.startswith(f"closedloop: planar2_slide: {said}")
+    with pytest.raises(cl.ScenarioError, match="has no direction"):
+        cl.load_scenario("wam_slide", {"surface.normal": [0, 0, 0]})
+
+
+def test_american_spelling_and_names_of_other_programs(closedloop):
+    """`linearize` and `analyze` are there; a name that is none says what to call."""
+    assert cl.linearize is cl.linearise
+    assert closedloop("analyze", "--help")[0] == 0
+    for name, said in (
+        ("sim", "; call closedloop.simulate(scenario)"),
+        ("simulat", "; did you mean 'simulate'?"),
+        ("zzzz", ""),
+    ):
+        with pytest.raises(AttributeError) as refused:
+            getattr(cl, name)
+        assert str(refused.value) == f"module 'closedloop' has no attribute '{name}'{said}"
 
 
 def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):

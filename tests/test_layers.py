@@ -12,7 +12,7 @@ from closedloop.command.table import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 WINGS = (
     "paper", "base", "jit", "mechanics", "control", "scenario", "loop", "record", "simulation", "figures", "studies",
-    "lab", "gym", "serve", "command", "run", "__main__", "__init__",
+    "lab", "gym", "serve", "command", "plugins", "run", "__main__", "__init__",
 )  # fmt: skip
 # Modules that import by name what users named, and their own files.
 NEVER_UPWARDS = {"closedloop.base.families.family", "closedloop.scenario.user_module"}

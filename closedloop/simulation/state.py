@@ -105,6 +105,21 @@ class StepState:
         return float(self._part("contact_force"))
 
     @property
+    def contact_force(self) -> float:
+        """The same as `f`, by the name of a run's column."""
+        return self.f
+
+    @property
+    def f_measured(self) -> float:
+        """The same as `measured`, by the name of a law's input."""
+        return self.measured
+
+    @property
+    def measured_force(self) -> float:
+        """The same as `measured`, by the name of a run's column."""
+        return self.measured
+
+    @property
     def normal(self) -> Array:
         """Unit normal of the surface at the tip (3,)."""
         return self._part("surface_normal")

@@ -337,3 +337,13 @@ def test_states_are_copies():
     with pytest.raises(ValueError, match="read-only"):
         first.q[0] = 0.0
     assert repr(first) == "<StepState at 0 s: pressed, f = 10 N, gap = 0 m>"
+
+
+def test_the_forces_of_a_state_have_the_names_of_columns_and_of_laws():
+    """f and its reading are called in a `Simulator` as they are in a run and in a law."""
+    sim = cl.Simulator(cl.load_scenario("wam_slide", {"time.duration": 0.01, "sensor.bias": 0.5}))
+    state = sim.run_until(0.005)
+    run = sim.run()
+    assert state.f == state.contact_force == run.f[-1] == run.contact_force[-1]
+    assert state.measured == state.f_measured == state.measured_force != state.f
+    assert run.measured_force[-1] == pytest.approx(state.measured, abs=1e-12)  # computed anew

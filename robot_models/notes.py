@@ -39,7 +39,9 @@ def notes(
     limits = [w for w, b in (("effort", effort_limit), ("velocity", velocity_limit)) if np.isfinite(b).any()]
     if limits:
         named = " and ".join(limits)
-        lines.append(f"{named} limits of the robot's file cut nothing: the verdict names what exceeds them")
+        lines.append(
+            f"{named} limits of the robot's file do not act on the motion; the verdict names joints that exceed them"
+        )
     return tuple(lines)
 
 

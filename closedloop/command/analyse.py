@@ -113,7 +113,7 @@ def _varied(
         lines = ["", f"{over.key} from {over.low:g} to {over.high:g}:"]
         for limit in limits:
             side = "above" if limit.upwards else "below"
-            lines.append(f"  unstable {side} {limit.value:.9g}, at {limit.pole.frequency:.4g} Hz ({limit.pole.part})")
+            lines.append(f"  unstable {side} {limit.value:.5g}, at {limit.pole.frequency:.4g} Hz ({limit.pole.part})")
         if not limits:
             lines.append(f"  no limit: the loop is {'stable' if study.base.stable else 'unstable'} there")
         if refused:

@@ -192,7 +192,7 @@ def _default(field: FieldInfo) -> str:
         return "must be given"
     value = field.default
     if value is None:
-        return "may be left out"
+        return "none"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):

@@ -391,7 +391,8 @@ def test_damping_and_friction_of_a_urdf_do_not_act(write):
     for one, other in zip(dynamics(plain, q, v), dynamics(rough, q, v), strict=True):
         np.testing.assert_array_equal(one, other)
     assert robot_models.load(write(arm())).notes == (
-        "effort and velocity limits of the robot's file cut nothing: the verdict names what exceeds them",
+        "effort and velocity limits of the robot's file do not act on the motion; "
+        "the verdict names joints that exceed them",
     )
     accelerations = [pin.aba(m, m.createData(), q, v, np.zeros(2)) for m in (plain, rough)]
     np.testing.assert_array_equal(*accelerations)

@@ -58,7 +58,7 @@ class Page:
         if not loop.stable:
             pole = next(pole for pole in loop.poles() if pole.grows)
             how = f"oscillates at {pole.frequency:.3g} Hz and " if abs(pole.s.imag) > 1e-9 * abs(pole.s) else ""
-            what = f"what belongs mostly to the {pole.part}" if self.fed_back else "a motion that nothing controls"
+            what = f"a mode, mostly of the {pole.part}," if self.fed_back else "a motion that nothing controls"
             grows = f"unstable: {what} {how}grows with exp({pole.s.real:.3g} t)"
             ways = [
                 f"{name} {'below' if limit.upwards else 'above'} {limit.value:.3g} makes it stable"
@@ -118,7 +118,7 @@ class Page:
             found.append(f"{text:28}{pole.frequency:>9.3g}{pole.damping:>9.3f}  {belongs}")
         rest = sum(pole.at_rest for pole in loop.poles())
         if rest:
-            found.append(f"{rest} more neither grow nor decay: friction holds them, or nothing controls them")
+            found.append(f"{rest} more do not change: friction holds these motions, or nothing controls them")
         if loop.mode == 0:
             found += ["", "the tip touches nothing: f has no bandwidth, and there is no port"]
             return found + self._limit_lines()

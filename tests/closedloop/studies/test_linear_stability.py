@@ -227,7 +227,7 @@ def test_a_limit_beyond_which_there_are_no_runs_is_no_contradiction():
 def test_page_of_an_unstable_loop():
     """It says what grows, how fast, and below which gain it does not."""
     page = page_of(Stability(mass_on_a_spring(gain=40.0), at=0.005))
-    assert page.sentence().startswith("unstable: what belongs mostly to the contact oscillates at 12.6 Hz and grows")
+    assert page.sentence().startswith("unstable: a mode, mostly of the contact, oscillates at 12.6 Hz and grows")
     assert f"; law.force_integral below {limit_of(STIFFNESS):.3g} makes it stable" in page.sentence()
     assert page.as_dict()["longest_delay"] is None
 

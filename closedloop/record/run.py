@@ -190,6 +190,21 @@ class Run(_Columns):
             return None
         return reactions_of(self, robot_of(self.scenario, replace(self.model, whole=True)))
 
+    def state(self, row: int) -> dict[str, list[float]]:
+        """Return positions and velocities of a row as keys of a scenario, ``{"start.q": ..., "start.v": ...}``.
+
+        ``scenario.replace(run.state(-1))`` begins where the run ended. States of the law, the sensor and the friction
+        begin anew; `closedloop.Simulator.save` has them all.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such row.
+        """
+        if not -len(self) <= row < len(self):
+            raise ScenarioError(f"state: row = {row}: the run has {len(self)} rows")
+        return {"start.q": self.q[row].tolist(), "start.v": self.v[row].tolist()}
+
     @property
     def specs(self) -> Mapping[str, Column]:
         """Dimensions, unit and meaning of each of the columns."""

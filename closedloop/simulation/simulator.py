@@ -49,6 +49,19 @@ class _Now:
         self.mark, self.row, self.events, self.state = mark, row, events, state
 
 
+class SavedState:
+    """The whole state of a `Simulator` at an instant, from `Simulator.save`, for `Simulator.restore`."""
+
+    __slots__ = ("_batch", "_drivers", "_now", "_owner", "_stepper")
+
+    def __init__(self, owner: Simulator, stepper: Stepper, now: _Now, drivers: dict[str, str]) -> None:
+        self._owner, self._stepper, self._now, self._drivers = owner, stepper, now, drivers
+        self._batch = stepper.batch()
+
+    def __repr__(self) -> str:
+        return f"<SavedState at {self._now.state.time:.6g} s>"
+
+
 class Simulator:
     """A simulation that the caller steps; its rows equal those of `closedloop.simulate` to the last bit.
 
@@ -192,6 +205,30 @@ class Simulator:
         finally:
             self._stepper.release()
         self._seconds += clock.perf_counter() - began
+        return self.state
+
+    def save(self) -> SavedState:
+        """Return the present state whole, to go on from it again: motion, contact, law, sensor and events so far.
+
+        What a user's law keeps in its own attributes is not in it.
+        """
+        self._open()
+        assert self._now is not None
+        return SavedState(self, self._stepper, self._now, dict(self._drivers))
+
+    def restore(self, saved: SavedState) -> StepState:
+        """Go back to a state that `save` returned, as often as is wanted, and return it; also after `reset`.
+
+        Raises
+        ------
+        ValueError
+            If it is a state of another simulator.
+        """
+        if not isinstance(saved, SavedState) or saved._owner is not self:
+            raise ValueError("restore: must be given what save() of this simulator returned")
+        self._stepper, self._now, self._drivers = saved._stepper, saved._now, dict(saved._drivers)
+        self._failure, self._driver = None, None
+        self._stepper.put_batch(saved._batch)  # the next step goes back to the mark, which has the rest
         return self.state
 
     def run(self) -> Run:

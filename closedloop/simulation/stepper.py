@@ -107,6 +107,14 @@ class Stepper:
         for block, before in zip(self._of_contacts, contacts, strict=True):
             block[:] = before
 
+    def batch(self) -> bytes:
+        """Return a copy of the rows that wait for their condition numbers, of which a mark has none."""
+        return bytes(self._batch)
+
+    def put_batch(self, batch: bytes) -> None:
+        """Put back what `batch` returned, before going back to a mark of that instant."""
+        self._batch[:] = batch
+
     def back_to(self, mark: Mark) -> None:
         """Go back to just before the row of a mark was recorded; what the next torque ends, ends at this row."""
         numbers = self._numbers

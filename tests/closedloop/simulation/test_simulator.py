@@ -347,3 +347,33 @@ def test_the_forces_of_a_state_have_the_names_of_columns_and_of_laws():
     assert state.f == state.contact_force == run.f[-1] == run.contact_force[-1]
     assert state.measured == state.f_measured == state.measured_force != state.f
     assert run.measured_force[-1] == pytest.approx(state.measured, abs=1e-12)  # computed anew
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+@pytest.mark.parametrize("saved_at", [0.0, 0.012, 0.1599, 0.161])
+def test_a_saved_state_goes_on_as_if_nothing_had_been(engine, saved_at):
+    """After other torques, after the end and after `reset`, to the last bit, impacts and condition numbers included."""
+    scenario = cl.load_scenario("wam_bounce", {"time.duration": 0.17})  # an impact is at 0.1606 s
+    whole, sim = cl.simulate(scenario, engine=engine), cl.Simulator(scenario, engine=engine)
+    sim.run_until(saved_at)
+    saved = sim.save()
+    for elsewhere in (lambda: sim.run_until(0.17), lambda: [sim.step(np.zeros(4)) for _ in range(5)], sim.reset):
+        sim.restore(saved)
+        elsewhere()
+        assert sim.restore(saved).time == saved._now.state.time
+        sim.run_until(0.17)
+        run = sim.run()
+        assert all(np.array_equal(run.columns[name], whole.columns[name]) for name in whole.columns)
+    with pytest.raises(ValueError, match="must be given what save"):
+        cl.Simulator(scenario).restore(saved)
+
+
+def test_a_run_begins_where_another_ended():
+    """`run.state` are overrides of a scenario; a row that is not there is refused."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.7})
+    run = cl.simulate(scenario)
+    after = cl.simulate(scenario.replace(run.state(-1) | {"time.duration": 0.001}))
+    assert np.array_equal(after.q[0], run.q[-1])
+    assert np.allclose(after.v[0], run.v[-1], rtol=0, atol=1e-6)
+    with pytest.raises(cl.ScenarioError, match="row = 701: the run has 701 rows"):
+        run.state(701)

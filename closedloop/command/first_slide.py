@@ -6,6 +6,7 @@ and the torques from theirs; each that is kept is simulated, the best first, unt
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import contact_frame
 from closedloop.scenario.gains import closed_mobility, gains_fault
 from closedloop.scenario.load import scenario_of
+from closedloop.scenario.modes import unresolved_feedback
 from closedloop.scenario.scenario import Scenario
 from robot_models.model import AT_LIMIT
 from robot_models.physics import SINGULAR, least_inertia
@@ -49,6 +51,9 @@ class Posture(NamedTuple):
     q: Array
     score: float
     directions: tuple[tuple[float, ...], ...]
+    #: (n,) what the joints bear at rest, N m (N), and what each newton with which the tip presses takes off it.
+    weight: Array
+    along: Array
 
 
 def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario:
@@ -70,13 +75,11 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
         raise ScenarioError(f"--robot: {robot.model.name} has joints that turn freely: only an arm is set to slide")
     faults: Faults = {}
     runs = 0
+    postures = list(_postures(robot, faults))
     for pressing in FORCES if force is None else (force,):
-        if faults and max(faults) < EFFORT:
-            break  # with less force it is no better
-        found = sorted(_postures(robot, pressing, faults), key=lambda posture: -posture.score)
-        for scenario in _scenarios(robot, name, pressing, found):
-            if runs == MOST_RUNS:
-                break
+        found = [good for posture in postures if (good := _pressing(robot, posture, pressing, faults))]
+        found.sort(key=lambda posture: -posture.score)
+        for scenario in itertools.islice(_scenarios(robot, name, pressing, found), MOST_RUNS - runs):
             runs += 1
             fault = _fault(scenario, robot)
             if not fault:
@@ -93,8 +96,8 @@ def has_limits(robot: Robot) -> bool:
     return bool(np.isfinite([robot.model.position_lower, robot.model.position_upper]).any())
 
 
-def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
-    """Return the postures that will do, and note why others do not."""
+def _postures(robot: Robot, faults: Faults) -> Iterator[Posture]:
+    """Return the postures that will do if the joints are strong enough, and note why others do not."""
     model, rng = robot.model, np.random.default_rng(SEED)
     widest = np.where(np.array(model.joint_types) == "prismatic", 1.0, math.pi)
     low = np.maximum(model.position_lower, model.home - widest)
@@ -105,7 +108,7 @@ def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
     for i in range(POSTURES // max(1, robot.n // 10)):  # a step of the search costs as the cube of n
         q: Array = np.where(moves, rng.uniform(low, high) if i else model.home, aside).round(4)
         q = np.clip(q, model.position_lower, model.position_upper)  # of a small range the fourth digit may be out
-        posture = _judged(robot, q, force, first=i == 0)
+        posture = _judged(robot, q, first=i == 0)
         if isinstance(posture, Posture):
             yield posture
         else:
@@ -136,7 +139,7 @@ def _aside(robot: Robot, rng: np.random.Generator, low: Array, high: Array) -> A
     return min([q, *drawn], key=effort)
 
 
-def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tuple[int, str]:
+def _judged(robot: Robot, q: Array, first: bool) -> Posture | tuple[int, str]:
     """Return a posture with its score, or where it fails and why; the robot's own is preferred where it will do."""
     model = robot.model
     span = model.position_upper - model.position_lower
@@ -164,16 +167,24 @@ def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tupl
     directions = tuple(_directions(U[:, :rank]))
     if dexterity < LEAST_DEXTERITY or not directions:
         return DEXTERITY, "the tip is near a singular pose, or cannot move along the surface"
-    torque = np.abs(terms.bias - A[0] * force)
+    score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin)
+    return Posture(q, score * (10.0 if first else 1.0) * _from_above(robot), directions, np.array(terms.bias), A[0])
+
+
+def _pressing(robot: Robot, posture: Posture, force: float, faults: Faults) -> Posture | None:
+    """Return a posture with its score if the joints can press with a force, N; note why if not."""
+    model = robot.model
+    torque = np.abs(posture.weight - posture.along * force)
     weakest = int(np.argmax(torque / model.effort_limit))
     effort = float(torque[weakest] / model.effort_limit[weakest])
-    if effort > MOST_EFFORT:
-        return EFFORT, (
-            f"joint {model.joint_names[weakest]} is too weak to press with {force:g} N: that takes {effort:.0%} of its "
-            f"effort limit, and at most {MOST_EFFORT:.0%} are used"
-        )
-    score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin) * (1.0 - effort)
-    return Posture(q, score * (10.0 if first else 1.0) * _from_above(robot), directions)
+    if effort <= MOST_EFFORT:
+        return posture._replace(score=posture.score * (1.0 - effort))
+    faults.setdefault(
+        EFFORT,
+        f"joint {model.joint_names[weakest]} is too weak to press with {force:g} N: that takes {effort:.0%} of its "
+        f"effort limit, and at most {MOST_EFFORT:.0%} are used",
+    )
+    return None
 
 
 def _directions(reached: Array) -> Iterator[tuple[float, ...]]:
@@ -229,7 +240,7 @@ def _with_gains(
             "time": {"duration": DURATION, "step": STEP, "integrator": "semi_implicit_euler"},
         }  # fmt: skip
         scenario = scenario_of(data, "closedloop new", {})
-        if np.max(frequency) < 1.0 or not gains_fault(scenario, robot):
+        if np.max(frequency) < 1.0 or not _fault_of_gains(scenario, robot):
             return scenario
         frequency *= 0.7
 
@@ -238,11 +249,16 @@ def _rounded(x: float) -> float:
     return float(f"{x:.2g}")
 
 
+def _fault_of_gains(scenario: Scenario, robot: Robot) -> str:
+    """Return why the step does not carry the gains, or gets the motion that they make wrong, or an empty string."""
+    return gains_fault(scenario, robot) or next(iter(unresolved_feedback(scenario, robot)), "")
+
+
 def _fault(scenario: Scenario, robot: Robot) -> str:
     """Return why a scenario will not do, after its run, or an empty string."""
     from closedloop.simulation.simulate import simulate
 
-    if fault := gains_fault(scenario, robot):
+    if fault := _fault_of_gains(scenario, robot):
         return fault
     try:
         problems = simulate(scenario, model=robot.model).summary()["verdict"]["problems"]

@@ -484,8 +484,7 @@ def _left_out(model: Any, names: Names) -> list[str]:
     found += [f"{_NOT_READ[kind]} of the file are not read as shapes" for kind in kinds]
     still = [names.body[b] for b in range(model.nbody) if model.body_mocapid[b] >= 0]
     if still:
-        named = ", ".join(still)
-        found.append(f"mocap bodies stand still where the file has them, and motion of a [[contact]] moves it: {named}")
+        found.append(f"mocap bodies move by the motion of a [[contact]] against them alone: {', '.join(still)}")
     if model.nv and model.body_gravcomp.any():
         carried = [names.body[b] for b in np.flatnonzero(model.body_gravcomp)]
         found.append(f"gravcomp does not act ({_some(carried)}): compensation of gravity is the law's")

@@ -26,7 +26,7 @@ from robot_models.model import AT_LIMIT
 from robot_models.physics import SINGULAR, least_inertia
 
 POSTURES, SEED = 2000, 0  # drawn, fewer for more than twenty joints
-MOST_RUNS = 24  # simulated
+MOST_RUNS = 48  # simulated
 # Least share of the tip's mobility along the normal, of its smallest to its largest velocity, and of a joint's range to
 # its nearest limit; a third of the mobility is that of a tip that moves alike in all directions.
 LEAST_MOBILITY, LEAST_DEXTERITY, LEAST_MARGIN = 0.03, 0.1, 0.05
@@ -35,13 +35,13 @@ DIRECTIONS = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.
 NORMAL = (0.0, 0.0, 1.0)
 FORCES = (10.0, 5.0, 2.0, 1.0)  # N, tried in turn where none is asked for
 BEGIN, END, DURATION = 0.5, 3.5, 4.0  # of the slide and of the run, s
-SPEEDS = (0.02, 0.01, 0.005)  # m/s
+SPEEDS = {0.02: 24, 0.01: 12, 0.005: 12}  # of the slide, m/s, in this order, and how many runs each has
 STEP = 0.001  # s
 FREQUENCY = 15.0  # of a joint with its gains, rad/s; lowered where the step cannot carry them
 MOST_DAMPING = 0.2  # of a joint's velocity in a step, which a step gets right by a tenth
 
 # What is looked at, in this order; a posture that fails late is nearly right.
-LIMITS, INERTIA, MOBILITY, DEXTERITY, EFFORT, RUN = range(6)
+LIMITS, INERTIA, MOBILITY, DEXTERITY, EFFORT, PATH, RUN = range(7)
 Faults = dict[int, str]  # what is wrong with the first posture that failed there
 
 
@@ -79,12 +79,12 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
     for pressing in FORCES if force is None else (force,):
         found = [good for posture in postures if (good := _pressing(robot, posture, pressing, faults))]
         found.sort(key=lambda posture: -posture.score)
-        for scenario in itertools.islice(_scenarios(robot, name, pressing, found), MOST_RUNS - runs):
+        for scenario in itertools.islice(_scenarios(robot, name, pressing, found, faults), MOST_RUNS - runs):
             runs += 1
-            fault = _fault(scenario, robot)
+            stage, fault = _fault(scenario, robot)
             if not fault:
                 return scenario
-            faults.setdefault(RUN, fault.partition(";")[0])
+            faults.setdefault(stage, fault.partition(";")[0])
     raise ScenarioError(
         f"{robot.model.name} with the tip {robot.tip}: no start was found from which it slides along a level surface; "
         f"at the best posture found: {faults[max(faults)]}; another frame may work, see --tip"
@@ -209,12 +209,14 @@ def _from_above(robot: Robot) -> float:
     return 1.0 if length == 0.0 else 0.55 - 0.45 * float(lever[2]) / length
 
 
-def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture]) -> Iterator[Scenario]:
-    """Return scenarios to be tried, the best first."""
-    for posture in postures[:MOST_RUNS]:
-        for direction in posture.directions[:2]:
-            for speed in SPEEDS[:1] if len(postures) > MOST_RUNS else SPEEDS:
-                yield _with_gains(robot, name, force, posture.q, direction, speed)
+def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture], faults: Faults) -> Iterator[Scenario]:
+    """Return scenarios to be tried, the best first; `faults` has those of the ones before."""
+    for speed, most in SPEEDS.items():
+        if speed < max(SPEEDS) and PATH not in faults:
+            return  # a slow slide is a short one: it helps where the long one leaves the workspace
+        tried = ((posture, direction) for posture in postures for direction in posture.directions[:2])
+        for posture, direction in itertools.islice(tried, most):
+            yield _with_gains(robot, name, force, posture.q, direction, speed)
 
 
 def _with_gains(
@@ -254,16 +256,16 @@ def _fault_of_gains(scenario: Scenario, robot: Robot) -> str:
     return gains_fault(scenario, robot) or next(iter(unresolved_feedback(scenario, robot)), "")
 
 
-def _fault(scenario: Scenario, robot: Robot) -> str:
-    """Return why a scenario will not do, after its run, or an empty string."""
+def _fault(scenario: Scenario, robot: Robot) -> tuple[int, str]:
+    """Return where a scenario fails, before its run by its path or after it, and why: an empty string if it is good."""
     from closedloop.simulation.simulate import simulate
 
     if fault := _fault_of_gains(scenario, robot):
-        return fault
+        return RUN, fault
     try:
         problems = simulate(scenario, model=robot.model).summary()["verdict"]["problems"]
     except InterruptedRunError:
         raise
     except (ScenarioError, SimulationError) as error:
-        return faults_on_one_line(error)
-    return str(problems[0]["text"]) if problems else ""
+        return PATH if isinstance(error, ScenarioError) else RUN, faults_on_one_line(error)
+    return RUN, str(problems[0]["text"]) if problems else ""

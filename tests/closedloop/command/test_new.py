@@ -11,7 +11,7 @@ import closedloop as cl
 import robot_models
 from closedloop.__main__ import main
 from closedloop.base.errors import SimulationError
-from closedloop.command.first_slide import _with_gains
+from closedloop.command.first_slide import SPEEDS, _with_gains, first_slide
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.modes import unresolved_feedback
 from robot_models.shipped import path_of
@@ -164,3 +164,18 @@ def test_gains_are_those_that_the_step_resolves(tmp_path):
     for _ in range(6):
         scenario = _with_gains(robot, str(path), 10.0, rng.uniform(-1.0, 1.0, 12), (0.0, 1.0, 0.0), 0.02)
         assert not unresolved_feedback(scenario, robot)
+
+
+def test_a_finger_slides_as_far_as_it_reaches(tmp_path):
+    """The usual 60 mm are too far for it, so it slides slowly, and less."""
+    links = "".join(
+        f'<body pos="{x} 0 0"><joint name="j{k}" axis="{axis}" range="{low} {high}"/>'
+        '<geom type="capsule" fromto="0 0 0 .025 0 0" size=".008"/>'
+        for k, (x, axis, low, high) in enumerate(
+            [(0, "0 0 1", -20, 20), (0.01, "0 1 0", -10, 90), (0.025, "0 1 0", -10, 90), (0.025, "0 1 0", -10, 90)]
+        )
+    )
+    path = tmp_path / "finger.xml"
+    path.write_text(f'<mujoco><worldbody>{links}<site name="tip" pos=".025 0 0"/>{4 * "</body>"}</worldbody></mujoco>')
+    robot = Robot(robot_models.load(path), "tip")
+    assert first_slide(robot, str(path)).reference.speed < max(SPEEDS)

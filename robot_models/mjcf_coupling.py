@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _CONNECT, _WELD, _JOINT, _TENDON = 0, 1, 2, 3
 AT_JOINT, AT_TENDON = (0, 1), 3  # a joint in its own or its parent's axes
 _SITE, _WRAPS_JOINT = 6, 1
+_OTHER_TRANSMISSIONS = {2: "a crank", 4: "a site", 5: "a body"}
 _FOLLOWS = (0, 2, 3)  # no activation, or one that goes to the control and never beyond
 
 
@@ -62,6 +63,10 @@ def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, 
             made.append(_frames(model, k, kind, name, ends))
         else:
             made.append(_gear(model, k, name, names.joint, where))
+    for a in range(model.nu):
+        if what := _OTHER_TRANSMISSIONS.get(int(model.actuator_trntype[a])):
+            name = names.own("actuator", a) or str(a + 1)
+            warnings.append(f"actuator {name!r} acts on {what} and is left out: drives are of joints and fixed tendons")
     return tuple(made), warnings
 
 

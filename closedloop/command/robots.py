@@ -158,7 +158,8 @@ def _loop(loop: LoopJoint) -> str:
 
 def _sum(coefficients: Mapping[str, float]) -> str:
     """Return a sum of joints times coefficients, in words."""
-    return " + ".join(f"{c:g} {joint}" if c != 1.0 else joint for joint, c in coefficients.items())
+    terms = (f"{c:g} {joint}" if c != 1.0 else joint for joint, c in coefficients.items())
+    return " + ".join(terms).replace("+ -", "- ")
 
 
 def _tendon(tendon: Tendon) -> str:

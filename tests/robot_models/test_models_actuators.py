@@ -112,6 +112,13 @@ def test_joints_without_an_actuator_have_no_drive(tmp_path):
     assert len(load(tmp_path, mjcf(tail=tendon + motors)).undriven) == 0  # the two together give any torque
 
 
+def test_an_actuator_that_pulls_no_joint_is_left_out_with_a_warning(tmp_path):
+    """A thruster at a site is named; the joint's drive is there."""
+    robot = load(tmp_path, driven('<motor name="jet" site="touch" gear="0 0 1 0 0 0"/><motor joint="shoulder"/>'))
+    assert any("actuator 'jet' acts on a site and is left out" in line for line in robot.warnings)
+    assert robot.driven.tolist() == [True, False]
+
+
 def test_drives_of_several_joints_give_what_their_forces_give(tmp_path):
     """Of any torque the part along their rows acts, in MuJoCo's model too, and the rest of it does not."""
     tendons = "".join(

@@ -157,11 +157,11 @@ def _judged(robot: Robot, q: Array, first: bool) -> Posture | tuple[int, str]:
     if least_inertia(terms.mass_matrix) < SINGULAR:
         return INERTIA, "joints that move together move no inertia: look at the tensors of the links"
     A = contact_frame(np.array(NORMAL)) @ terms.jacobian
-    S = A @ np.linalg.solve(terms.mass_matrix, A.T)
+    S = A @ closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix)) @ A.T
     mobility = float(S[0, 0] / max(np.trace(S), 1e-300))
     if not mobility > LEAST_MOBILITY:
         return MOBILITY, "the tip hardly moves up and down"
-    U, sizes, _ = np.linalg.svd(terms.jacobian, full_matrices=False)
+    U, sizes, _ = np.linalg.svd(terms.jacobian @ _free_motions(robot, q), full_matrices=False)
     rank = int(np.count_nonzero(sizes > 1e-6 * sizes[0]))
     dexterity = float(sizes[rank - 1] / sizes[0])
     directions = tuple(_directions(U[:, :rank]))
@@ -169,6 +169,16 @@ def _judged(robot: Robot, q: Array, first: bool) -> Posture | tuple[int, str]:
         return DEXTERITY, "the tip is near a singular pose, or cannot move along the surface"
     score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin)
     return Posture(q, score * (10.0 if first else 1.0) * _from_above(robot), directions, np.array(terms.bias), A[0])
+
+
+def _free_motions(robot: Robot, q: Array) -> Array:
+    """Return an orthonormal basis (n, k) of the joint velocities that loops and couplings allow."""
+    if not robot.model.loops:
+        return np.eye(robot.n)
+    rows = loop_rows(robot, q[None], np.zeros((1, robot.n)))[0][0]
+    _, sizes, motions = np.linalg.svd(rows)
+    basis: Array = motions[np.count_nonzero(sizes > 1e-9 * sizes[0]) :].T
+    return basis
 
 
 def _pressing(robot: Robot, posture: Posture, force: float, faults: Faults) -> Posture | None:

@@ -23,7 +23,7 @@ from robot_models.default_tip import default_tip
 from robot_models.described import Description, Format, canonical, find, joint_names, names_a_file
 from robot_models.errors import ModelError
 from robot_models.loop_coordinate import with_coordinates
-from robot_models.loop_joint import LoopJoint, check_loops, loop_joint
+from robot_models.loop_joint import LoopJoint, check_loops, loop_joint, without
 from robot_models.loop_posture import place_coordinates, stands_for
 from robot_models.model import RobotModel
 from robot_models.sidecar import Sidecar
@@ -199,19 +199,19 @@ def _built(found: Description, locked: Mapping[str, float], drive_inertia: bool)
 def _held(found: Description, locked: Mapping[str, float]) -> Description:
     """Inspect a URDF, and return a description whose couplings and drives are those that are left by a lock.
 
-    The lock of a joint takes the place of the gear that binds it; a gear to a locked joint holds its other one.
+    The lock of a joint takes the place of the gear that binds it; a gear to a locked joint holds its other one, and one
+    between sums of joints binds those that are left.
     """
     warnings = list(found.warnings)
     if found.format == "urdf" and not inspected.has_passed(found.text, locked):
         warnings += urdf.inspect(found.text, found.where, locked)
     sidecar, loops = found.sidecar, []
     for loop in sidecar.closed_loop:
-        if locked.keys() & loop.joints[:1]:
+        if (locked.keys() & loop.joints[:1] and not loop.coefficients) or (
+            loop.joints and locked.keys() >= {*loop.joints}
+        ):
             continue
-        for other in locked.keys() & loop.joints[1:]:
-            value = sum(c * locked[other] ** k for k, c in enumerate(loop.polynomial))
-            loop = replace(loop, joints=loop.joints[:1], polynomial=(value, 0.0, 0.0, 0.0, 0.0))
-        loops.append(loop)
+        loops.append(without(loop, locked) if locked.keys() & loop.joints else loop)
     drives = tuple(name for name in sidecar.drives if name not in locked)
     if locked and {*drives, *locked} >= set(joint_names(found.text, found.format)):
         drives = ()  # every one that is left
@@ -219,13 +219,21 @@ def _held(found: Description, locked: Mapping[str, float]) -> Description:
 
 
 def _geared(posture: NDArray[np.float64], built: build.Built, loops: Sequence[LoopJoint]) -> NDArray[np.float64]:
-    """Return a posture (nq,) in which the first joint of each gear is where the gear has it."""
+    """Return a posture (nq,) in which the first joint of each gear is where the gear has it.
+
+    Of a gear between sums it is the first joint that is in the first sum alone, if there is one.
+    """
     names, q = coordinate_names(built.joint_names, built.joint_types), posture.copy()
     gears = [loop for loop in loops if loop.type == "gear" and {*loop.joints} <= {*names}]
     for _ in gears:  # a gear may drive another
         for loop in gears:
-            x = q[names.index(loop.joints[1])] if len(loop.joints) > 1 else 0.0
-            q[names.index(loop.joints[0])] = sum(c * x**k for k, c in enumerate(loop.polynomial))
+            first, second = loop.sums
+            lead = next((joint for joint in first if joint not in second), None)
+            if lead is not None:
+                x = sum(c * q[names.index(joint)] for joint, c in second.items())
+                rest = sum(c * q[names.index(joint)] for joint, c in first.items() if joint != lead)
+                value = sum(c * x**k for k, c in enumerate(loop.polynomial))
+                q[names.index(lead)] = (value - rest) / first[lead]
     return q
 
 

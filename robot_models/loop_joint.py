@@ -12,7 +12,7 @@ as its type says, and binds the rest by up to six rows (R of Eqs. 2-10):
     planar      3     to slide across the common axis and to turn about it
     weld        6     nothing (also "6d")
     distance    1     all but the distance of the two points
-    gear        1     all but q1 = c0 + c1 q2 + c2 q2² + c3 q2³ + c4 q2⁴ of two joints
+    gear        1     all but x1 = c0 + c1 x2 + c2 x2² + c3 x2³ + c4 x2⁴ of two joints, or of two sums of joints
 
 In the sidecar of a robot (`robot_models.sidecar`) it is a table, with the names of the public convention of URDF and
 YAML for closed loops (frames, type):
@@ -25,7 +25,8 @@ YAML for closed loops (frames, type):
     points = [[0.4, 0, 0], [0, 0, 0.3]]      # in either frame, m; their origins if left out
 
 The frames of a slider or a weld have the same directions when it is closed. A distance has `length`, m; a gear has
-`joints` and `polynomial` instead of frames.
+`joints` and `polynomial` instead of frames. Of more than two joints it has `coefficients`, a row for x1 and one for x2:
+x1 is the sum of the first row's coefficients times the joints, x2 that of the second row's.
 
 A hinge, a slider and a cylinder leave coordinates free: the angle of the second side to the first about the axis, rad,
 the distance along it, m, or both. These may have friction, limits and a drive:
@@ -40,12 +41,15 @@ of a cylinder a pair of each, angle and distance, and two names, "coupler_angle"
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from math import inf, isfinite, sqrt
 from typing import Any
 
+import numpy as np
+
 from robot_models.errors import ModelError, shown
+from robot_models.mechanism import MAX_JOINTS
 
 Vector = tuple[float, ...]
 #: Axes along which, and pairs of axes about which, a type binds: of x, y, z with z its axis. A pair (i, j) keeps axis i
@@ -107,6 +111,8 @@ class LoopJoint:
     #: Names of the two joints of a gear; one alone is held at c0.
     joints: tuple[str, ...] = ()
     polynomial: Vector = (0.0, 1.0, 0.0, 0.0, 0.0)
+    #: Of a gear between sums of joints the two rows of coefficients, one for each joint; none: x1 = q1, x2 = q2.
+    coefficients: tuple[Vector, ...] = ()
     #: Coulomb's friction, N m (N), and viscous, N m s/rad (N s/m), of each coordinate; none if left out.
     friction: Vector = ()
     damping: Vector = ()
@@ -124,6 +130,13 @@ class LoopJoint:
     def free(self) -> tuple[str, ...]:
         """Names of its coordinates; none if its type has none."""
         return tuple(self.name + ending for _, ending in FREE.get(self.type, ()))
+
+    @property
+    def sums(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Of a gear the coefficients of the joints in x1 and in x2, without zeros."""
+        first, second = self.coefficients or ((1.0, 0.0), (0.0, 1.0))
+        one, other = (dict(zip(self.joints, row, strict=False)) for row in (first, second))
+        return {joint: c for joint, c in one.items() if c}, {joint: c for joint, c in other.items() if c}
 
     def as_table(self) -> dict[str, Any]:
         """Return its fields, for JSON."""
@@ -155,7 +168,9 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
         if "axes" in given:
             raise ModelError(f"{where}: axis and axes are both given: one is enough (axis: the same in both frames)")
         given["axes"] = 2 * [given.pop("axis")]
-    allowed = {"name", "type"} | ({"joints", "polynomial"} if kind == "gear" else {"frames", "points", "turn"})
+    allowed = {"name", "type"} | (
+        {"joints", "polynomial", "coefficients"} if kind == "gear" else {"frames", "points", "turn"}
+    )
     allowed |= {"axes"} if kind in WITH_AXIS or "coordinates" in given else set()
     allowed |= set(ACTING) if kind in FREE else {"coordinates"} if kind == "weld" else set()
     allowed |= {"length"} if kind == "distance" else set()
@@ -167,7 +182,11 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
         raise ModelError(f"{where}: {key} is not for type {kind!r}: known are axis, {', '.join(sorted(allowed))}")
     made: dict[str, Any] = {"name": name, "type": kind}
     if kind == "gear":
-        made["joints"] = _names(given.get("joints"), f"{where}: joints", (1, 2))
+        summed = bool(_listed(given.get("coefficients", [])))
+        counts = range(1, MAX_JOINTS + 1) if summed else (1, 2)
+        made["joints"] = _names(given.get("joints"), f"{where}: joints", counts)
+        if summed:
+            made["coefficients"] = _coefficients(given["coefficients"], len(made["joints"]), f"{where}: coefficients")
         made["polynomial"] = _polynomial(given.get("polynomial", [0.0, 1.0]), where)
     else:
         made["frames"] = _names(given.get("frames"), f"{where}: frames", (2,))
@@ -228,6 +247,19 @@ def check_loops(
         )
 
 
+def without(loop: LoopJoint, locked: Mapping[str, float]) -> LoopJoint:
+    """Return a gear between the joints that are left where some are held, rad (m)."""
+    first, second = loop.sums
+    left = tuple(joint for joint in loop.joints if joint not in locked)
+    held, shift = (sum(c * locked[joint] for joint, c in each.items() if joint in locked) for each in (first, second))
+    moved = np.polynomial.Polynomial(loop.polynomial)(np.polynomial.Polynomial([shift, 1.0])) - held
+    rows = tuple(tuple(each.get(joint, 0.0) for joint in left) for each in (first, second))
+    if not loop.coefficients and len(left) == 1:
+        return replace(loop, joints=left, polynomial=(float(moved(0.0)), 0.0, 0.0, 0.0, 0.0))
+    coefficients = [*moved.coef.tolist(), *5 * [0.0]][:5]
+    return replace(loop, joints=left, polynomial=tuple(coefficients), coefficients=rows)
+
+
 def _listed(value: Any) -> Any:
     """Return tuples as the lists that JSON and TOML have."""
     return [_listed(x) for x in value] if isinstance(value, list | tuple) else value
@@ -239,9 +271,10 @@ def _unknown(kind: str, name: str, known: Sequence[str]) -> str:
     return f"no {kind} {shown(name)}: {hint}"
 
 
-def _names(value: Any, what: str, counts: tuple[int, ...]) -> tuple[str, ...]:
+def _names(value: Any, what: str, counts: Sequence[int]) -> tuple[str, ...]:
+    few = f"{counts[0]} to {counts[-1]}" if len(counts) > 2 else " or ".join(map(str, counts))
     if not (isinstance(value, list | tuple) and len(value) in counts and all(isinstance(x, str) for x in value)):
-        raise ModelError(f"{what} is {shown(value)}: it must be {' or '.join(map(str, counts))} names")
+        raise ModelError(f"{what} is {shown(value)}: it must be {few} names")
     return tuple(value)
 
 
@@ -286,6 +319,16 @@ def _direction(axis: Vector, what: str) -> Vector:
     if not (isfinite(length) and length > 1e-10):
         raise ModelError(f"{what} is {shown(list(axis))}: it has no direction; give three numbers, not all zero")
     return tuple(x / length for x in axis)
+
+
+def _coefficients(value: Any, n: int, what: str) -> tuple[Vector, ...]:
+    rows = value if isinstance(value, list | tuple) else ()
+    if not (len(rows) == 2 and all(isinstance(row, list | tuple) and len(row) == n for row in rows)):
+        raise ModelError(f"{what} is {shown(value)}: it must be two rows of {n} numbers, one for each joint")
+    made = tuple(tuple(_number(x, what) for x in row) for row in rows)
+    if not any(made[0]):
+        raise ModelError(f"{what} is {shown(value)}: the first row must not be all zero")
+    return made
 
 
 def _polynomial(value: Any, where: str) -> Vector:

@@ -23,7 +23,16 @@ from robot_models.coordinates import PARTS, PLACES
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
 from robot_models.mechanism import Array, check_size
-from robot_models.mjcf_coupling import couplings, drives, rotation, tendon_joints, torque_limits
+from robot_models.mjcf_coupling import (
+    AT_JOINT,
+    AT_TENDON,
+    couplings,
+    drives,
+    pulled_tendons,
+    rotation,
+    tendon_joints,
+    torque_limits,
+)
 from robot_models.xml_text import parse, read_text, tidy
 
 #: Names of the kinds of joints and of geoms, by MuJoCo's numbers.
@@ -115,6 +124,7 @@ def read(text: str, where: str, path: Path | None) -> Mjcf:
         _write_body(bodies[b], b, model, names, limits)
     _write_hulls(plain, model, names)
     _write_tendons(plain, model, names)
+    _write_drives(plain, model, names)
     loops, more = couplings(model, names, where)
     return Mjcf(
         ET.tostring(plain, encoding="unicode"),
@@ -146,7 +156,7 @@ def _check_includes(root: ET.Element, where: str, folder: Path | None, seen: lis
 
 
 class Names:
-    """Names of bodies, joints and sites of a compiled model: its own, or made up where it has none.
+    """Names of bodies, joints, sites and tendons of a compiled model: its own, or made up where it has none.
 
     A joint without a name has that of its body. Bodies and sites have different names, since both are frames.
     """
@@ -159,6 +169,8 @@ class Names:
         ]
         self.site = [_unused(self.own("site", s) or f"site{s}", used, "site") for s in range(model.nsite)]
         taken = {self.own("jnt", j) for j in range(model.njnt)}
+        own = {self.own("tendon", t) for t in range(model.ntendon)}
+        self.tendon = [self.own("tendon", t) or _unused(f"tendon {t + 1}", own, "tendon") for t in range(model.ntendon)]
         self.joint = []
         for j in range(model.njnt):
             named = self.own("jnt", j)
@@ -373,9 +385,8 @@ def _hull(model: Any, g: int) -> list[int]:
 
 
 def _write_tendons(plain: ET.Element, model: Any, names: Names) -> None:
-    """Write the fixed tendons along which something acts."""
-    made = ET.Element("tendon")
-    taken = {names.own("tendon", t) for t in range(model.ntendon)}
+    """Write the fixed tendons along which something acts, or by which a drive pulls several joints."""
+    made, pulled = ET.Element("tendon"), pulled_tendons(model)
     for t in range(model.ntendon):
         given = _three("stiffness", model.tendon_stiffness[t], model.tendon_stiffnesspoly[t])
         if given:
@@ -386,13 +397,26 @@ def _write_tendons(plain: ET.Element, model: Any, names: Names) -> None:
         if model.tendon_limited[t]:
             given["range"] = _words(model.tendon_range[t])
         joints = tendon_joints(model, t)
-        if given and joints:
-            name = names.own("tendon", t) or _unused(f"tendon {t + 1}", taken, "tendon")
-            element = ET.SubElement(made, "fixed", {"name": name, **given})
+        if joints and (given or t in pulled):
+            element = ET.SubElement(made, "fixed", {"name": names.tendon[t], **given})
             for joint, coefficient in joints:
                 ET.SubElement(element, "joint", joint=names.joint[joint], coef=_word(coefficient))
     if len(made):
         plain.append(made)
+
+
+def _write_drives(plain: ET.Element, model: Any, names: Names) -> None:
+    """Write what the drives pull, if one of them pulls several joints with one force."""
+    if not pulled_tendons(model):
+        return
+    made = ET.SubElement(plain, "actuator")
+    for a in range(model.nu):
+        kind, target = int(model.actuator_trntype[a]), int(model.actuator_trnid[a][0])
+        gear = {"gear": _word(model.actuator_gear[a][0])}
+        if kind == AT_TENDON:
+            ET.SubElement(made, "motor", {"tendon": names.tendon[target], **gear})
+        elif kind in AT_JOINT and JOINTS[model.jnt_type[target]] not in ONE_BY_ONE:
+            ET.SubElement(made, "motor", {"joint": names.joint[target], **gear})
 
 
 def _rough(damping: Any, more: Any, friction: Any) -> dict[str, str]:
@@ -460,8 +484,7 @@ def _left_out(model: Any, names: Names) -> list[str]:
     found += [f"{_NOT_READ[kind]} of the file are not read as shapes" for kind in kinds]
     still = [names.body[b] for b in range(model.nbody) if model.body_mocapid[b] >= 0]
     if still:
-        named = ", ".join(still)
-        found.append(f"mocap bodies stand still where the file has them, and motion of a [[contact]] moves it: {named}")
+        found.append(f"mocap bodies move by the motion of a [[contact]] against them alone: {', '.join(still)}")
     if model.nv and model.body_gravcomp.any():
         carried = [names.body[b] for b in np.flatnonzero(model.body_gravcomp)]
         found.append(f"gravcomp does not act ({_some(carried)}): compensation of gravity is the law's")

@@ -1,12 +1,14 @@
 """What couples the joints of a compiled MJCF, and what drives them.
 
 Equalities are loop joints that hold exactly, where MuJoCo holds them by a soft force (solref, solimp): `connect` is a
-point, `weld` a weld, `joint` a gear, and `tendon`, of fixed tendons over two joints in all, a gear too. What holds is
-taken from MuJoCo's own numbers, so that it is the same at every posture.
+point, `weld` a weld, `joint` a gear, and `tendon`, of fixed tendons, a gear between sums of joints. What holds is taken
+from MuJoCo's own numbers, so that it is the same at every posture.
 
 An actuator drives the joint that it acts on, or the joints of the fixed tendon that it pulls: with its force times its
-gear times the joint's coefficient. Its force is held in `forcerange`; that of a motor is its control, held in
-`ctrlrange`. Actuators of one joint add up, and `actuatorfrcrange` of the joint holds their sum.
+gear times the joint's coefficient. Of a torque that is asked of joints that are pulled together, that part acts which
+their drives can give (`robot_models.model.RobotModel.undriven`). An actuator's force is held in `forcerange`; that of
+a motor is its control, held in `ctrlrange`. Actuators of one joint add up, and `actuatorfrcrange` of the joint holds
+their sum.
 """
 
 from math import comb, inf
@@ -23,8 +25,9 @@ if TYPE_CHECKING:
 
 # MuJoCo's numbers of kinds.
 _CONNECT, _WELD, _JOINT, _TENDON = 0, 1, 2, 3
-_AT_JOINT, _IN_PARENT, _AT_TENDON = 0, 1, 3
+AT_JOINT, AT_TENDON = (0, 1), 3  # a joint in its own or its parent's axes
 _SITE, _WRAPS_JOINT = 6, 1
+_OTHER_TRANSMISSIONS = {2: "a crank", 4: "a site", 5: "a body"}
 _FOLLOWS = (0, 2, 3)  # no activation, or one that goes to the control and never beyond
 
 
@@ -59,14 +62,11 @@ def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, 
                 continue
             made.append(_frames(model, k, kind, name, ends))
         else:
-            coefficients = _joint_row(model, k) if kind == _JOINT else _tendon_row(model, k, name, where)
-            joints, polynomial = coefficients
-            made.append(LoopJoint(name, "gear", joints=tuple(names.joint[j] for j in joints), polynomial=polynomial))
+            made.append(_gear(model, k, name, names.joint, where))
     for a in range(model.nu):
-        pulled = [names.joint[joint] for actuator, joint, ratio in _actuated(model) if actuator == a and ratio]
-        if len(pulled) > 1:
+        if what := _OTHER_TRANSMISSIONS.get(int(model.actuator_trntype[a])):
             name = names.own("actuator", a) or str(a + 1)
-            warnings.append(f"actuator {name!r} pulls {', '.join(pulled)} with one force: here each has its own drive")
+            warnings.append(f"actuator {name!r} acts on {what} and is left out: drives are of joints and fixed tendons")
     return tuple(made), warnings
 
 
@@ -110,39 +110,52 @@ def _vectors(*rows: Array) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(x) for x in row) for row in rows)
 
 
-def _joint_row(model: Any, k: int) -> tuple[list[int], tuple[float, ...]]:
-    """Return the joints of q1 − r1 = P(q2 − r2), with r where the model is assembled, and Q with q1 = Q(q2)."""
-    one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-    at = [float(model.qpos0[model.jnt_qposadr[j]]) if j >= 0 else 0.0 for j in (one, other)]
-    given, expanded = [float(x) for x in model.eq_data[k][:5]], np.zeros(5)
-    if other < 0:
-        return [one], (given[0] + at[0], 0.0, 0.0, 0.0, 0.0)
-    for power, coefficient in enumerate(given):
+def _gear(model: Any, k: int, name: str, joints: list[str], where: str) -> LoopJoint:
+    """Return an equality of joints or of fixed tendons, x1 − r1 = P(x2 − r2) with r where the model is assembled.
+
+    Between two joints it is the gear q1 = P(q2) where a polynomial says so.
+
+    Raises
+    ------
+    ModelError
+        It binds no joint.
+    """
+    (first, r1), (second, r2) = (_sum(model, k, int(end[k])) for end in (model.eq_obj1id, model.eq_obj2id))
+    P = np.zeros(5)
+    for power, coefficient in enumerate(model.eq_data[k][: 5 if second else 1].tolist()):
         for i in range(power + 1):
-            expanded[i] += coefficient * comb(power, i) * (-at[1]) ** (power - i)
-    expanded[0] += at[0]
-    return [one, other], tuple(float(x) for x in expanded)
+            P[i] += coefficient * comb(power, i) * (-r2) ** (power - i)
+    P[0] += r1
+    bound = [*first, *(j for j in second if j not in first)]
+    if not P[2:].any():  # one sum says it all
+        first = {j: first.get(j, 0.0) - P[1] * second.get(j, 0.0) for j in bound}
+        bound, P[1], second = [j for j in bound if first[j]], 0.0, {}
+        if 1 <= len(bound) <= 2:
+            lead, *rest = (first[j] for j in bound)
+            P[:2] = P[0] / lead, -rest[0] / lead if rest else 0.0
+            first, second = {bound[0]: 1.0}, dict.fromkeys(bound[1:], 1.0)
+    if not (first and bound):
+        raise ModelError(f"{where}: equality {name!r} binds no joint: leave it out")
+    plain = list(first) == bound[:1] and first[bound[0]] == 1.0 and [*second.items()] == [(j, 1.0) for j in bound[1:]]
+    rows = () if plain else tuple(tuple(each.get(j, 0.0) for j in bound) for each in (first, second))
+    return LoopJoint(
+        name, "gear", joints=tuple(joints[j] for j in bound), polynomial=tuple(P.tolist()), coefficients=rows
+    )
 
 
-def _tendon_row(model: Any, k: int, name: str, where: str) -> tuple[list[int], tuple[float, ...]]:
-    """Return the joints of L1 − l1 = P(L2 − l2), with l where the model is assembled, and Q with q1 = Q(q2)."""
-    one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-    P = [float(x) for x in model.eq_data[k][:5]]
-    row, value = dict(tendon_joints(model, one)), P[0] + float(model.tendon_length0[one])
-    if other >= 0:
-        if any(P[2:]):
-            raise ModelError(f"{where}: tendon equality {name!r}: a polycoef beyond the second is not simulated")
-        value -= P[1] * float(model.tendon_length0[other])
-        for joint, coefficient in tendon_joints(model, other):
-            row[joint] = row.get(joint, 0.0) - P[1] * coefficient
-    joints = [joint for joint, coefficient in row.items() if coefficient]
-    if not 1 <= len(joints) <= 2:
-        raise ModelError(
-            f"{where}: tendon equality {name!r} binds {len(joints)} joints: one or two can be bound by a gear"
-        )
-    lead = row[joints[0]]
-    slope = -row[joints[1]] / lead if len(joints) == 2 else 0.0
-    return joints, (value / lead, slope, 0.0, 0.0, 0.0)
+def _sum(model: Any, k: int, end: int) -> tuple[dict[int, float], float]:
+    """Return the joints of a side of an equality with their coefficients, and its value where the model is assembled.
+
+    That side is a joint or a fixed tendon; −1 is none.
+    """
+    if end < 0:
+        return {}, 0.0
+    if int(model.eq_type[k]) == _JOINT:
+        return {end: 1.0}, float(model.qpos0[model.jnt_qposadr[end]])
+    found: dict[int, float] = {}
+    for joint, coefficient in tendon_joints(model, end):
+        found[joint] = found.get(joint, 0.0) + coefficient
+    return {joint: c for joint, c in found.items() if c}, float(model.tendon_length0[end])
 
 
 def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
@@ -156,7 +169,7 @@ def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
 
 def _idle_tendons(model: Any, names: "Names", where: str) -> list[str]:
     """Refuse spatial tendons that act, and an armature of others, and return warnings of those that do not act."""
-    used = {int(model.actuator_trnid[a][0]) for a in range(model.nu) if model.actuator_trntype[a] == _AT_TENDON}
+    used = {int(model.actuator_trnid[a][0]) for a in range(model.nu) if model.actuator_trntype[a] == AT_TENDON}
     used |= {int(i) for k in np.flatnonzero(model.eq_type == _TENDON) for i in (model.eq_obj1id[k], model.eq_obj2id[k])}
     warnings = []
     for t in range(model.ntendon):
@@ -181,11 +194,17 @@ def _actuated(model: Any) -> list[tuple[int, int, float]]:
     for a in range(model.nu):
         kind, target = int(model.actuator_trntype[a]), int(model.actuator_trnid[a][0])
         gear = float(model.actuator_gear[a][0])
-        if kind in (_AT_JOINT, _IN_PARENT):
+        if kind in AT_JOINT:
             found.append((a, target, gear))
-        elif kind == _AT_TENDON:
+        elif kind == AT_TENDON:
             found += [(a, joint, gear * coefficient) for joint, coefficient in tendon_joints(model, target)]
     return found
+
+
+def pulled_tendons(model: Any) -> set[int]:
+    """Return the tendons that actuators pull, if one of them has several joints."""
+    at = {int(model.actuator_trnid[a][0]) for a in range(model.nu) if model.actuator_trntype[a] == AT_TENDON}
+    return at if any(len({joint for joint, c in tendon_joints(model, t) if c}) > 1 for t in at) else set()
 
 
 def drives(model: Any, joints: list[str]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from robot_models.cached import cached_property
 from robot_models.coordinates import PLACES, RATES, balls, coordinate_names, coordinate_types, with_rotation_vectors
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
-from robot_models.tendon import Tendon, springs, tendons
+from robot_models.tendon import Tendon, pulls, springs, tendons
 from robot_models.tool import Tool
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ Vector = NDArray[np.float64]
 #: A joint is within its limits up to this, rad (m): angles are printed with some five digits, and a posture moves where
 #: loops are closed, or a stop is stabilised.
 AT_LIMIT = 1e-5
+#: Drives that pull the same joints are independent above this share of their largest singular value: above rounding.
+RANK = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +180,35 @@ class RobotModel:
     def driven(self) -> NDArray[np.bool_]:
         """(n,) whether each joint has a drive; a free joint or a ball joint has none."""
         return np.array([not self.drives or name in self.drives for name in self.joint_names]) & ~self.free
+
+    @cached_property
+    def pulls(self) -> tuple[Mapping[str, float], ...]:
+        """What each drive pulls, if one pulls several joints; none else: the torque of a joint for a force of one."""
+        return pulls(self.text, self.joint_names) if self.format == "mjcf" else ()
+
+    @property
+    def shared_drives(self) -> tuple[Mapping[str, float], ...]:
+        """Those of `pulls` that pull several joints."""
+        return tuple(pull for pull in self.pulls if len(pull) > 1)
+
+    @cached_property
+    def undriven(self) -> Vector:
+        """(u, n) orthonormal directions of joint torque to which the drives give none.
+
+        Of a joint without a drive, that of its torque. The drives that pull several joints give the torques Σ f J, with
+        J the coefficients of each; the directions perpendicular to these are among them.
+        """
+        together = {joint for pull in self.shared_drives for joint in pull}
+        pulled = np.array([joint in together for joint in self.joint_names], dtype=bool) & self.driven
+        found: Vector = np.eye(self.n)[~self.driven]
+        if pulled.any():
+            given = np.array([[pull.get(joint, 0.0) for joint in self.joint_names] for pull in self.pulls])[:, pulled]
+            _, sizes, directions = np.linalg.svd(given)
+            lost = directions[np.count_nonzero(sizes > RANK * sizes[0]) :]
+            found = np.concatenate([found, np.zeros((len(lost), self.n))])
+            found[len(found) - len(lost) :, pulled] = lost
+        found.setflags(write=False)
+        return found
 
     @property
     def free(self) -> NDArray[np.bool_]:

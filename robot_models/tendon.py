@@ -83,11 +83,33 @@ def tendons(text: str, joints: Sequence[str], locked: Mapping[str, float]) -> tu
         parts = {part.attrib["joint"]: float(part.attrib["coef"]) for part in element.iterfind("joint")}
         held = sum(coefficient * locked[joint] for joint, coefficient in parts.items() if joint in locked)
         free = {joint: coefficient for joint, coefficient in parts.items() if joint in joints and coefficient}
-        if free:
+        if free and len(element.attrib) > 1:  # one that is only pulled has nothing but a name
             spring = _three(element, "stiffness"), _pair(element, "springlength", (0.0, 0.0), held)
             rough = _three(element, "damping"), float(element.get("frictionloss", "0"))
             found.append(Tendon(element.attrib["name"], free, *spring, *rough, _pair(element, "range", NONE, held)))
     return tuple(found)
+
+
+def pulls(text: str, joints: Sequence[str]) -> tuple[dict[str, float], ...]:
+    """Return what each drive in the plain text of an MJCF pulls: the torque of each of the `joints` for a force of one.
+
+    The text has them where one of them pulls several joints.
+    """
+    root, found = ET.fromstring(text), []
+    parts = {
+        element.attrib["name"]: [
+            (part.attrib["joint"], float(part.attrib["coef"])) for part in element.iterfind("joint")
+        ]
+        for element in root.iterfind("tendon/fixed")
+    }
+    for motor in root.iterfind("actuator/motor"):
+        pull: dict[str, float] = {}
+        for joint, coefficient in (
+            parts[motor.attrib["tendon"]] if "tendon" in motor.attrib else [(motor.attrib["joint"], 1.0)]
+        ):
+            pull[joint] = pull.get(joint, 0.0) + float(motor.attrib["gear"].split()[0]) * coefficient
+        found.append({joint: ratio for joint, ratio in pull.items() if ratio and joint in joints})
+    return tuple(pull for pull in found if pull)
 
 
 def _three(element: ET.Element, key: str) -> Three:

@@ -6,6 +6,7 @@ and the torques from theirs; each that is kept is simulated, the best first, unt
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -19,12 +20,13 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import contact_frame
 from closedloop.scenario.gains import closed_mobility, gains_fault
 from closedloop.scenario.load import scenario_of
+from closedloop.scenario.modes import unresolved_feedback
 from closedloop.scenario.scenario import Scenario
 from robot_models.model import AT_LIMIT
 from robot_models.physics import SINGULAR, least_inertia
 
 POSTURES, SEED = 2000, 0  # drawn, fewer for more than twenty joints
-MOST_RUNS = 24  # simulated
+MOST_RUNS = 48  # simulated
 # Least share of the tip's mobility along the normal, of its smallest to its largest velocity, and of a joint's range to
 # its nearest limit; a third of the mobility is that of a tip that moves alike in all directions.
 LEAST_MOBILITY, LEAST_DEXTERITY, LEAST_MARGIN = 0.03, 0.1, 0.05
@@ -33,13 +35,13 @@ DIRECTIONS = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.
 NORMAL = (0.0, 0.0, 1.0)
 FORCES = (10.0, 5.0, 2.0, 1.0)  # N, tried in turn where none is asked for
 BEGIN, END, DURATION = 0.5, 3.5, 4.0  # of the slide and of the run, s
-SPEEDS = (0.02, 0.01, 0.005)  # m/s
+SPEEDS = {0.02: 24, 0.01: 12, 0.005: 12}  # of the slide, m/s, in this order, and how many runs each has
 STEP = 0.001  # s
 FREQUENCY = 15.0  # of a joint with its gains, rad/s; lowered where the step cannot carry them
 MOST_DAMPING = 0.2  # of a joint's velocity in a step, which a step gets right by a tenth
 
 # What is looked at, in this order; a posture that fails late is nearly right.
-LIMITS, INERTIA, MOBILITY, DEXTERITY, EFFORT, RUN = range(6)
+LIMITS, INERTIA, MOBILITY, DEXTERITY, EFFORT, PATH, RUN = range(7)
 Faults = dict[int, str]  # what is wrong with the first posture that failed there
 
 
@@ -49,6 +51,9 @@ class Posture(NamedTuple):
     q: Array
     score: float
     directions: tuple[tuple[float, ...], ...]
+    #: (n,) what the joints bear at rest, N m (N), and what each newton with which the tip presses takes off it.
+    weight: Array
+    along: Array
 
 
 def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario:
@@ -70,18 +75,16 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
         raise ScenarioError(f"--robot: {robot.model.name} has joints that turn freely: only an arm is set to slide")
     faults: Faults = {}
     runs = 0
+    postures = list(_postures(robot, faults))
     for pressing in FORCES if force is None else (force,):
-        if faults and max(faults) < EFFORT:
-            break  # with less force it is no better
-        found = sorted(_postures(robot, pressing, faults), key=lambda posture: -posture.score)
-        for scenario in _scenarios(robot, name, pressing, found):
-            if runs == MOST_RUNS:
-                break
+        found = [good for posture in postures if (good := _pressing(robot, posture, pressing, faults))]
+        found.sort(key=lambda posture: -posture.score)
+        for scenario in itertools.islice(_scenarios(robot, name, pressing, found, faults), MOST_RUNS - runs):
             runs += 1
-            fault = _fault(scenario, robot)
+            stage, fault = _fault(scenario, robot)
             if not fault:
                 return scenario
-            faults.setdefault(RUN, fault.partition(";")[0])
+            faults.setdefault(stage, fault.partition(";")[0])
     raise ScenarioError(
         f"{robot.model.name} with the tip {robot.tip}: no start was found from which it slides along a level surface; "
         f"at the best posture found: {faults[max(faults)]}; another frame may work, see --tip"
@@ -93,8 +96,8 @@ def has_limits(robot: Robot) -> bool:
     return bool(np.isfinite([robot.model.position_lower, robot.model.position_upper]).any())
 
 
-def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
-    """Return the postures that will do, and note why others do not."""
+def _postures(robot: Robot, faults: Faults) -> Iterator[Posture]:
+    """Return the postures that will do if the joints are strong enough, and note why others do not."""
     model, rng = robot.model, np.random.default_rng(SEED)
     widest = np.where(np.array(model.joint_types) == "prismatic", 1.0, math.pi)
     low = np.maximum(model.position_lower, model.home - widest)
@@ -105,7 +108,7 @@ def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
     for i in range(POSTURES // max(1, robot.n // 10)):  # a step of the search costs as the cube of n
         q: Array = np.where(moves, rng.uniform(low, high) if i else model.home, aside).round(4)
         q = np.clip(q, model.position_lower, model.position_upper)  # of a small range the fourth digit may be out
-        posture = _judged(robot, q, force, first=i == 0)
+        posture = _judged(robot, q, first=i == 0)
         if isinstance(posture, Posture):
             yield posture
         else:
@@ -136,7 +139,7 @@ def _aside(robot: Robot, rng: np.random.Generator, low: Array, high: Array) -> A
     return min([q, *drawn], key=effort)
 
 
-def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tuple[int, str]:
+def _judged(robot: Robot, q: Array, first: bool) -> Posture | tuple[int, str]:
     """Return a posture with its score, or where it fails and why; the robot's own is preferred where it will do."""
     model = robot.model
     span = model.position_upper - model.position_lower
@@ -154,26 +157,44 @@ def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tupl
     if least_inertia(terms.mass_matrix) < SINGULAR:
         return INERTIA, "joints that move together move no inertia: look at the tensors of the links"
     A = contact_frame(np.array(NORMAL)) @ terms.jacobian
-    S = A @ np.linalg.solve(terms.mass_matrix, A.T)
+    S = A @ closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix)) @ A.T
     mobility = float(S[0, 0] / max(np.trace(S), 1e-300))
     if not mobility > LEAST_MOBILITY:
         return MOBILITY, "the tip hardly moves up and down"
-    U, sizes, _ = np.linalg.svd(terms.jacobian, full_matrices=False)
+    U, sizes, _ = np.linalg.svd(terms.jacobian @ _free_motions(robot, q), full_matrices=False)
     rank = int(np.count_nonzero(sizes > 1e-6 * sizes[0]))
     dexterity = float(sizes[rank - 1] / sizes[0])
     directions = tuple(_directions(U[:, :rank]))
     if dexterity < LEAST_DEXTERITY or not directions:
         return DEXTERITY, "the tip is near a singular pose, or cannot move along the surface"
-    torque = np.abs(terms.bias - A[0] * force)
+    score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin)
+    return Posture(q, score * (10.0 if first else 1.0) * _from_above(robot), directions, np.array(terms.bias), A[0])
+
+
+def _free_motions(robot: Robot, q: Array) -> Array:
+    """Return an orthonormal basis (n, k) of the joint velocities that loops and couplings allow."""
+    if not robot.model.loops:
+        return np.eye(robot.n)
+    rows = loop_rows(robot, q[None], np.zeros((1, robot.n)))[0][0]
+    _, sizes, motions = np.linalg.svd(rows)
+    basis: Array = motions[np.count_nonzero(sizes > 1e-9 * sizes[0]) :].T
+    return basis
+
+
+def _pressing(robot: Robot, posture: Posture, force: float, faults: Faults) -> Posture | None:
+    """Return a posture with its score if the joints can press with a force, N; note why if not."""
+    model = robot.model
+    torque = np.abs(posture.weight - posture.along * force)
     weakest = int(np.argmax(torque / model.effort_limit))
     effort = float(torque[weakest] / model.effort_limit[weakest])
-    if effort > MOST_EFFORT:
-        return EFFORT, (
-            f"joint {model.joint_names[weakest]} is too weak to press with {force:g} N: that takes {effort:.0%} of its "
-            f"effort limit, and at most {MOST_EFFORT:.0%} are used"
-        )
-    score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin) * (1.0 - effort)
-    return Posture(q, score * (10.0 if first else 1.0) * _from_above(robot), directions)
+    if effort <= MOST_EFFORT:
+        return posture._replace(score=posture.score * (1.0 - effort))
+    faults.setdefault(
+        EFFORT,
+        f"joint {model.joint_names[weakest]} is too weak to press with {force:g} N: that takes {effort:.0%} of its "
+        f"effort limit, and at most {MOST_EFFORT:.0%} are used",
+    )
+    return None
 
 
 def _directions(reached: Array) -> Iterator[tuple[float, ...]]:
@@ -198,12 +219,14 @@ def _from_above(robot: Robot) -> float:
     return 1.0 if length == 0.0 else 0.55 - 0.45 * float(lever[2]) / length
 
 
-def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture]) -> Iterator[Scenario]:
-    """Return scenarios to be tried, the best first."""
-    for posture in postures[:MOST_RUNS]:
-        for direction in posture.directions[:2]:
-            for speed in SPEEDS[:1] if len(postures) > MOST_RUNS else SPEEDS:
-                yield _with_gains(robot, name, force, posture.q, direction, speed)
+def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture], faults: Faults) -> Iterator[Scenario]:
+    """Return scenarios to be tried, the best first; `faults` has those of the ones before."""
+    for speed, most in SPEEDS.items():
+        if speed < max(SPEEDS) and PATH not in faults:
+            return  # a slow slide is a short one: it helps where the long one leaves the workspace
+        tried = ((posture, direction) for posture in postures for direction in posture.directions[:2])
+        for posture, direction in itertools.islice(tried, most):
+            yield _with_gains(robot, name, force, posture.q, direction, speed)
 
 
 def _with_gains(
@@ -229,7 +252,7 @@ def _with_gains(
             "time": {"duration": DURATION, "step": STEP, "integrator": "semi_implicit_euler"},
         }  # fmt: skip
         scenario = scenario_of(data, "closedloop new", {})
-        if np.max(frequency) < 1.0 or not gains_fault(scenario, robot):
+        if np.max(frequency) < 1.0 or not _fault_of_gains(scenario, robot):
             return scenario
         frequency *= 0.7
 
@@ -238,16 +261,21 @@ def _rounded(x: float) -> float:
     return float(f"{x:.2g}")
 
 
-def _fault(scenario: Scenario, robot: Robot) -> str:
-    """Return why a scenario will not do, after its run, or an empty string."""
+def _fault_of_gains(scenario: Scenario, robot: Robot) -> str:
+    """Return why the step does not carry the gains, or gets the motion that they make wrong, or an empty string."""
+    return gains_fault(scenario, robot) or next(iter(unresolved_feedback(scenario, robot)), "")
+
+
+def _fault(scenario: Scenario, robot: Robot) -> tuple[int, str]:
+    """Return where a scenario fails, before its run by its path or after it, and why: an empty string if it is good."""
     from closedloop.simulation.simulate import simulate
 
-    if fault := gains_fault(scenario, robot):
-        return fault
+    if fault := _fault_of_gains(scenario, robot):
+        return RUN, fault
     try:
         problems = simulate(scenario, model=robot.model).summary()["verdict"]["problems"]
     except InterruptedRunError:
         raise
     except (ScenarioError, SimulationError) as error:
-        return faults_on_one_line(error)
-    return str(problems[0]["text"]) if problems else ""
+        return PATH if isinstance(error, ScenarioError) else RUN, faults_on_one_line(error)
+    return RUN, str(problems[0]["text"]) if problems else ""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -130,6 +130,8 @@ def _print_one(model: RobotModel, console: Console) -> None:
         console.print(f"joints without a drive: {', '.join(passive)}", markup=False)
     for loop in model.loops:
         console.print(f"{'coupling' if loop.type == 'gear' else 'loop'}: {_loop(loop)}", markup=False)
+    for pull in model.shared_drives:
+        console.print(f"one drive pulls {_sum(pull)}", markup=False)
     for tendon in model.tendons:
         console.print(f"{'tendon' if len(tendon.coefficients) > 1 else 'spring'}: {_tendon(tendon)}", markup=False)
     _print_shapes(model, console)
@@ -147,10 +149,17 @@ def _loop(loop: LoopJoint) -> str:
     """Return what a loop joint binds, in a line."""
     if loop.type != "gear":
         return f"{loop.name}: a {loop.type} between {' and '.join(loop.frames)}"
-    one, *other = loop.joints
-    powers = ("", f" {other[0]}" if other else "", *(f" {other[0]}^{k}" for k in (2, 3, 4) if other))
+    one, other = (_sum(each) for each in loop.sums)
+    other = f"({other})" if len(loop.sums[1]) > 1 else other
+    powers = ("", f" {other}" if other else "", *(f" {other}^{k}" for k in (2, 3, 4) if other))
     terms = [f"{c:.6g}{power}" for c, power in zip(loop.polynomial, powers, strict=False) if c]
     return f"{loop.name}: {one} = {' + '.join(terms) or '0'}"
+
+
+def _sum(coefficients: Mapping[str, float]) -> str:
+    """Return a sum of joints times coefficients, in words."""
+    terms = (f"{c:g} {joint}" if c != 1.0 else joint for joint, c in coefficients.items())
+    return " + ".join(terms).replace("+ -", "- ")
 
 
 def _tendon(tendon: Tendon) -> str:
@@ -425,40 +434,70 @@ _BOUND = {
 
 
 def _loops_by_pinocchio(robot: Robot, closed: Array) -> Check:
-    """Return how far the rows of loops between frames are from Pinocchio's constraint Jacobians at closed postures."""
+    """Return how far the rows of loops are from Pinocchio's constraint Jacobians at closed postures.
+
+    Of a distance, a universal joint and a gear, for which Pinocchio has none, they follow from its Jacobians of links.
+    """
     import pinocchio as pin
 
     from closedloop.mechanics.loops.reactions import loop_rows
     from robot_models.coordinates import in_pinocchios_order, with_quaternions
 
     model, built = robot.model, robot.model.pinocchio_model()
-    who = "Pinocchio's constraints"
-    ends = np.cumsum([loop.rows for loop in model.loops])
-    bound = [(loop, end) for loop, end in zip(model.loops, ends, strict=True) if loop.type in _BOUND]
-    if not bound:
-        return Check(who, None, MUJOCO, f"it has no {' and no '.join(sorted({loop.type for loop in model.loops}))}")
-    own = np.concatenate([np.arange(end - loop.rows, end) for loop, end in bound])
     rows, errors = loop_rows(robot, closed, np.zeros_like(closed))
-    ours = {LOOPS: np.array([_held(G[own], e[own]) for G, e in zip(rows, errors, strict=True)])}
-    constraints = [_constraint(built, loop) for loop, _ in bound]
+    ours = {LOOPS: np.array([_held(G, e) for G, e in zip(rows, errors, strict=True)])}
+    held = [(loop, () if loop.type == "gear" else _sides(built, loop)) for loop in model.loops]
     data, theirs = built.createData(), []
     for q in closed:
         at = in_pinocchios_order(with_quaternions(q, model.joint_types), model.joint_types)
         pin.computeJointJacobians(built, data, at)
-        G, e = [], []
-        for (loop, _), held in zip(bound, constraints, strict=True):
-            own_rows = list(_BOUND[loop.type])
-            state = held.createData()
-            held.calc(built, data, state)
-            G.append(pin.getConstraintJacobian(built, data, held, state)[own_rows])
-            one = data.oMi[held.joint1_id] * held.joint1_placement
-            e.append(pin.log6(one.actInv(data.oMi[held.joint2_id] * held.joint2_placement)).vector[own_rows])
-        theirs.append(_held(np.concatenate(G), np.concatenate(e)))
-    return Check(who, _apart(robot, ours, {LOOPS: np.array(theirs)}), MUJOCO)
+        each = [_gear_row(built, at, loop) if not sides else _rows(built, data, loop, sides) for loop, sides in held]
+        theirs.append(_held(np.concatenate([G for G, _ in each]), np.concatenate([e for _, e in each])))
+    return Check("Pinocchio's constraints", _apart(robot, ours, {LOOPS: np.array(theirs)}), MUJOCO)
 
 
-def _constraint(built: Any, loop: LoopJoint) -> Any:
-    """Return a loop joint as Pinocchio's constraint of six rows, of which those of its type are meant."""
+def _gear_row(built: Any, q: Array, loop: LoopJoint) -> tuple[Array, Array]:
+    """Return row (1, n) and error (1,) of a gear at Pinocchio's positions."""
+    P, rows, values = np.polynomial.Polynomial(loop.polynomial), np.zeros((2, built.nv)), np.zeros(2)
+    for k, each in enumerate(loop.sums):
+        for name, coefficient in each.items():
+            joint = built.joints[built.getJointId(name)]
+            rows[k, joint.idx_v] = coefficient
+            values[k] += coefficient * q[joint.idx_q]
+    return (rows[0] - P.deriv()(values[1]) * rows[1])[None], np.array([values[0] - P(values[1])])
+
+
+def _rows(built: Any, data: Any, loop: LoopJoint, sides: tuple[Any, ...]) -> tuple[Array, Array]:
+    """Return rows (k, n) and errors (k,) of a loop joint between two links, with the Jacobians of joints computed."""
+    import pinocchio as pin
+
+    if loop.type in _BOUND:
+        own, held = (
+            list(_BOUND[loop.type]),
+            pin.RigidConstraintModel(pin.ContactType.CONTACT_6D, built, *sides, pin.LOCAL),
+        )
+        state = held.createData()
+        held.calc(built, data, state)
+        apart = (data.oMi[sides[0]] * sides[1]).actInv(data.oMi[sides[2]] * sides[3])
+        return pin.getConstraintJacobian(built, data, held, state)[own], pin.log6(apart).vector[own]
+    moves, turns, points, axes = [], [], [], []
+    for joint, placed in (sides[:2], sides[2:]):
+        there = data.oMi[joint] * placed
+        J = pin.getJointJacobian(built, data, joint, pin.LOCAL_WORLD_ALIGNED) if joint else np.zeros((6, built.nv))
+        moves.append(J[:3] - pin.skew(there.translation - data.oMi[joint].translation) @ J[3:])
+        turns.append(J[3:])
+        points.append(there.translation)
+        axes.append(there.rotation[:, 2])
+    apart, moving = points[0] - points[1], moves[0] - moves[1]
+    if loop.type == "distance":
+        length = float(np.linalg.norm(apart))
+        return (apart / length @ moving)[None], np.array([length - loop.length])
+    perpendicular = np.cross(*axes) @ (turns[0] - turns[1])  # of a universal joint
+    return np.vstack([moving, perpendicular]), np.append(apart, axes[0] @ axes[1])
+
+
+def _sides(built: Any, loop: LoopJoint) -> tuple[Any, ...]:
+    """Return of either side of a loop joint the joint of Pinocchio's model that carries it, and its placement there."""
     import pinocchio as pin
 
     from robot_models.loop_joint import WITH_AXIS, WORLD
@@ -475,7 +514,7 @@ def _constraint(built: Any, loop: LoopJoint) -> Any:
             frame = built.frames[built.getFrameId(name)]
             placed, joint = frame.placement * placed, frame.parentJoint
         sides += [joint, placed]
-    return pin.RigidConstraintModel(pin.ContactType.CONTACT_6D, built, *sides, pin.LOCAL)
+    return tuple(sides)
 
 
 def _moves(compiled: Any, k: int) -> bool:

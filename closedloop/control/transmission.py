@@ -78,6 +78,12 @@ def transmission_constants(section: TransmissionSection, model: RobotModel) -> A
                 )
         return np.zeros((3, model.n))
 
+    for drive in model.shared_drives:
+        raise ScenarioError(
+            f"transmission.stiffness: one drive pulls {', '.join(drive)}: the springs here are in joints with a drive "
+            "of their own; leave transmission out"
+        )
+
     def each(key: str) -> Array:
         given = per_joint(f"transmission.{key}", getattr(section, key), model.n, model.joint_names)
         return np.where(model.driven, given, 0.0)

@@ -23,7 +23,7 @@ from closedloop.loop.step.memory import State, Work
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.loops.drives import torque_of_drives
+from closedloop.mechanics.loops.drives import lose_undriven, torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.simulation.engines.loops import kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
@@ -84,7 +84,7 @@ class Stepper:
         arrays = problem.table, problem.integrator.tableau(), self.rows
         self._once, self._again = single_calls(problem, loop_for(engine), self.loop, arrays, engine)
         self._held, self._own_started = False, False
-        self._all_driven = bool(problem.robot.model.driven.all())
+        self._all_driven = not len(problem.robot.model.undriven)
         self._begins = MEASURED if state.settings.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
@@ -136,8 +136,11 @@ class Stepper:
             self._held = True
         if not self._all_driven:
             robot, model = self._problem.robot, self._problem.robot.model
-            acts = np.where(model.driven, torque, 0.0)
-            torque = torque_of_drives(robot, self.loop.w.q, torque)[0] if model.loops else acts
+            if model.loops:
+                torque = torque_of_drives(robot, self.loop.w.q, torque)[0]
+            else:
+                torque = np.array(torque)
+                plain(lose_undriven)(model.undriven, len(model.undriven), torque)
         if not numbers[_DRIVES]:
             self._torque[:] = torque
             return

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from model_texts import mjcf
 
+import closedloop as cl
 import robot_models
 
 CLASSES = (
@@ -105,4 +106,52 @@ def test_joints_without_an_actuator_have_no_drive(tmp_path):
     both = load(tmp_path, mjcf(tail=f'{tendon}<actuator><motor tendon="t" ctrlrange="-3 3" gear="4"/></actuator>'))
     assert both.driven.all()
     np.testing.assert_allclose(both.effort_limit, [24.0, 6.0])
-    assert any("pulls shoulder, elbow with one force" in line for line in both.warnings)
+    assert both.undriven @ [2.0, -0.5] == pytest.approx([0.0], abs=1e-15)
+    assert both.undriven @ both.undriven.T == pytest.approx(np.eye(1))
+    motors = '<actuator><motor tendon="t" gear="4"/><motor joint="elbow"/></actuator>'
+    assert len(load(tmp_path, mjcf(tail=tendon + motors)).undriven) == 0  # the two together give any torque
+
+
+def test_an_actuator_that_pulls_no_joint_is_left_out_with_a_warning(tmp_path):
+    """A thruster at a site is named; the joint's drive is there."""
+    robot = load(tmp_path, driven('<motor name="jet" site="touch" gear="0 0 1 0 0 0"/><motor joint="shoulder"/>'))
+    assert any("actuator 'jet' acts on a site and is left out" in line for line in robot.warnings)
+    assert robot.driven.tolist() == [True, False]
+
+
+def test_drives_of_several_joints_give_what_their_forces_give(tmp_path):
+    """Of any torque the part along their rows acts, in MuJoCo's model too, and the rest of it does not."""
+    tendons = "".join(
+        f'<fixed name="{name}">' + "".join(f'<joint joint="{j}" coef="{c}"/>' for j, c in parts.items()) + "</fixed>"
+        for name, parts in {"t": {"a": 1.0, "b": -0.5, "c": 0.7}, "u": {"b": 1.0, "c": 2.0}}.items()
+    )
+    body = '<geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>'
+    links = "".join(f'<body pos=".3 0 0"><joint name="{j}" axis="0 1 0"/>{body}' for j in "abcd") + 4 * "</body>"
+    actuators = '<motor name="t" tendon="t" gear="3"/><motor name="u" tendon="u"/><motor name="d" joint="d"/>'
+    text = f"<mujoco><worldbody>{links}</worldbody><tendon>{tendons}</tendon><actuator>{actuators}</actuator></mujoco>"
+    robot = load(tmp_path, text)
+    again = robot_models.from_text(
+        robot.text, "mjcf", name="again", armature=robot.armature, tip=robot.tip, home=robot.home, locked={}
+    )
+    np.testing.assert_array_equal(again.undriven, robot.undriven)
+    assert again.drives == robot.drives == ()
+    rows, asked = (
+        np.array([[1.0, -0.5, 0.7, 0.0], [0.0, 1.0, 2.0, 0.0], [0, 0, 0, 1.0]]),
+        np.array([3.0, 1.0, -2.0, 1.0]),
+    )
+    given = rows.T @ np.linalg.solve(rows @ rows.T, rows @ asked)
+    scenario = cl.load_scenario({"robot": {"model": str(tmp_path / "robot.xml")}, "time": {"duration": 0.01}})
+    run = cl.simulate(scenario, law=lambda x: asked, progress=False)
+    np.testing.assert_allclose(run.torque, np.tile(given, (len(run), 1)), atol=1e-14)
+    stepped = cl.Simulator(scenario)
+    stepped.step(asked)
+    np.testing.assert_array_equal(stepped.run().torque[0], run.torque[0])
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.ctrl[:] = np.linalg.solve(rows @ rows.T, rows @ asked) / [3.0, 1.0, 1.0]
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(run.acceleration[0], data.qacc, rtol=1e-10)
+    with pytest.raises(cl.ScenarioError, match="one drive pulls a, b, c"):
+        cl.simulate(
+            scenario.replace({"transmission.stiffness": 100.0, "transmission.motor_inertia": 0.1}), progress=False
+        )

@@ -19,6 +19,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.closed_loops import BIND_TIP, DRIVE
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.closure.solve import forward_substitute
+from closedloop.mechanics.loops.drives import lose_undriven
 from closedloop.mechanics.loops.factor import meet
 from closedloop.mechanics.loops.memory import GEAR, LoopMemory, loops_at
 from closedloop.mechanics.loops.solve import leave_free, multiply_transposed, take_free
@@ -130,7 +131,7 @@ def _cut_instead(sound: Entry) -> Entry:
             return sound(address, asked)
         memory = LoopMemory(*interpreted(loops_at)(address))
         w = interpreted(loop_at)(int(memory.links.loop))[2]
-        w.torque[:] = np.where(memory.rows.undriven == 0.0, w.torque, 0.0)
+        interpreted(lose_undriven)(memory.rows.undriven, int(memory.links.undriven), w.torque)
         return 0
 
     return entry

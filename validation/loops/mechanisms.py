@@ -196,14 +196,20 @@ def cardan() -> RobotModel:
 
 
 def gears() -> RobotModel:
-    """Return a pair of gears, and an arm that follows one of them by a polynomial."""
-    body = bar("one", 0.2) + bar("two", 0.3) + bar("three", 0.2)
+    """Return a pair of gears, an arm that follows one of them by a polynomial, and one that follows sums of three."""
+    body = bar("one", 0.2) + bar("two", 0.3) + bar("three", 0.2) + bar("four", 0.2)
     body += joint("J1", "base", "one") + joint("J2", "base", "two", "0.5 0 0") + joint("J3", "two", "three", "0.3 0 0")
+    body += joint("J4", "three", "four", "0.2 0 0", axis="0 0 1")
+    sums: dict[str, Any] = {
+        "joints": ["J4", "J1", "J2", "J3"],
+        "coefficients": [[2.0, 0.5, 0.0, -1.0], [0.0, 0.3, 1.0, -0.4]],
+    }
     loops = [
         {"name": "gear", "type": "gear", "joints": ["J1", "J2"], "polynomial": [0.1, -2.0]},
         {"name": "cam", "type": "gear", "joints": ["J3", "J1"], "polynomial": [0.2, 0.5, 0.3]},
+        {"name": "tendons", "type": "gear", **sums, "polynomial": [0.1, 0.8, 0.5, -0.2]},
     ]
-    return mechanism("gears", body, loops, [0.5, -0.2, 0.5], tip="three")
+    return mechanism("gears", body, loops, [0.5, -0.2, 0.5, 0.0], tip="four")
 
 
 def spatial_slider() -> RobotModel:

@@ -48,6 +48,17 @@ class MuJoCoLoops(LoopPeer):
 
     def _add(self, spec: Any, joint: LoopJoint, name: str) -> None:
         mj = self.mj
+        if joint.coefficients:
+            sides = [f"{name} {side}" for side in range(2)]
+            for side, row in zip(sides, joint.coefficients, strict=True):
+                length = spec.add_tendon(name=side)
+                for bound, coefficient in zip(joint.joints, row, strict=True):
+                    length.wrap_joint(bound, coefficient)
+            kinds = {"type": mj.mjtEq.mjEQ_TENDON, "objtype": mj.mjtObj.mjOBJ_TENDON}
+            made = spec.add_equality(name1=sides[0], name2=sides[1], **kinds)
+            made.data[:5] = joint.polynomial
+            self.made.append(("sums", tuple(sides)))
+            return
         if joint.type == "gear":
             names = dict(zip(("name1", "name2"), joint.joints, strict=False))
             made = spec.add_equality(type=mj.mjtEq.mjEQ_JOINT, objtype=mj.mjtObj.mjOBJ_JOINT, **names)
@@ -107,7 +118,7 @@ class MuJoCoLoops(LoopPeer):
         data, drift = self.data, np.zeros(len(G))
         for index, (kind, names) in enumerate(self.made):
             rows = np.flatnonzero(data.efc_id[: len(G)] == index)
-            if kind == "gear":
+            if kind in ("gear", "sums"):
                 drift[rows] = self._gear_drift(index, names)
                 continue
             J, rate = (a - b for a, b in zip(self._jacobians(names[0]), self._jacobians(names[1]), strict=True))
@@ -133,9 +144,14 @@ class MuJoCoLoops(LoopPeer):
         return made[0], made[1]
 
     def _gear_drift(self, index: int, names: tuple[str, ...]) -> float:
-        """Return −P″(q₂) q̇₂² of a gear."""
+        """Return −P″(x₂) ẋ₂² of a gear."""
         if len(names) == 1:
             return 0.0
         ratio = np.polynomial.Polynomial(self.model.eq_data[index, :5])
-        joint = self.data.joint(names[1])
-        return -float(ratio.deriv(2)(joint.qpos[0])) * float(joint.qvel[0]) ** 2
+        if self.made[index][0] == "sums":
+            second = self.data.tendon(names[1])
+            x, rate = float(second.length[0]), float(second.velocity[0])
+        else:
+            joint = self.data.joint(names[1])
+            x, rate = float(joint.qpos[0]), float(joint.qvel[0])
+        return -float(ratio.deriv(2)(x)) * rate**2

@@ -52,6 +52,10 @@ class LoopJoint(Protocol):
         """Names of the joints of a gear; one alone is held at c0."""
 
     @property
+    def coefficients(self) -> Sequence[Sequence[float]]:
+        """Of a gear between sums of joints, the coefficients of its joints in either."""
+
+    @property
     def polynomial(self) -> Sequence[float]:
         """c0 ... c4 of q1 = c0 + c1 q2 + ... of a gear."""
 

@@ -96,11 +96,11 @@ class LoopOracle:
         return np.asarray((apart_rate - along * (along @ apart_rate)) / length)
 
     def ratio(self, joint: LoopJoint, x: complex) -> complex:
-        """Return dP/dq₂ of a gear, by a complex step where x is real."""
+        """Return dP/dx₂ of a gear, by a complex step where x is real."""
         return complex(sum(k * c * x ** (k - 1) for k, c in enumerate(joint.polynomial) if k))
 
     def curvature(self, joint: LoopJoint, x: float) -> float:
-        """Return d²P/dq₂² of a gear, a complex step of its ratio."""
+        """Return d²P/dx₂² of a gear, a complex step of its ratio."""
         return float(np.imag(self.ratio(joint, x + 1j * STEP)) / STEP)
 
     def rows(self, joint: LoopJoint, pose: Pose, q: Array, v: Array) -> LoopRows:
@@ -132,13 +132,17 @@ class LoopOracle:
         return LoopRows(A, rate.T @ (v_a - v_b) + R.T @ (a_a - a_b), forces)
 
     def _gear(self, joint: LoopJoint, q: Array, v: Array) -> LoopRows:
-        one, *other = (self.oracle.tree.names.index(name) for name in joint.joints)
-        A, drift = np.zeros((1, len(q))), np.zeros(1)
-        A[0, one] = 1.0
-        for j in other:
-            A[0, j] -= self.ratio(joint, q[j]).real
-            drift[0] = -self.curvature(joint, float(q[j])) * v[j] ** 2
-        return LoopRows(A, drift, 0)
+        first, second = self._sums(joint)
+        x = float(second @ q)
+        A = first - self.ratio(joint, x).real * second
+        return LoopRows(A[None, :], np.array([-self.curvature(joint, x) * float(second @ v) ** 2]), 0)
+
+    def _sums(self, joint: LoopJoint) -> Array:
+        """Return the coefficients of all joints in the two sides of a gear (2, n)."""
+        made = np.zeros((2, len(self.oracle.tree.names)))
+        for row, given in zip(made, joint.coefficients or np.eye(2)[:, : len(joint.joints)], strict=True):
+            row[[self.oracle.tree.names.index(name) for name in joint.joints]] = given
+        return made
 
     def _side(self, joint: LoopJoint, pose: Pose, k: int) -> tuple[int, Array, Array]:
         """Return a side's body, the joint's point, m, and the joint's axes there, columns, base frame."""
@@ -163,8 +167,8 @@ class LoopOracle:
         pose, found = self.oracle.pose(q), [0.0]
         for joint in self.loops:
             if joint.type == "gear":
-                one, *other = (float(q[self.oracle.tree.names.index(name)]) for name in joint.joints)
-                found.append(abs(one - np.polynomial.Polynomial(joint.polynomial)(other[0] if other else 0.0)))
+                one, other = self._sums(joint) @ q
+                found.append(abs(float(one - np.polynomial.Polynomial(joint.polynomial)(other))))
                 continue
             (_, r_a, _), (_, r_b, axes_b) = (self._side(joint, pose, k) for k in range(2))
             if joint.type == "distance":

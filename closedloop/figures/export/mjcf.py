@@ -217,7 +217,16 @@ def add_equalities(root: ElementTree.Element, scene: Scene, mechanism: Any) -> N
         return
     held = element(root, "equality")
     for loop in scene.run.model.loops:
-        if loop.type == "gear":
+        if loop.coefficients:
+            made = element(root, "tendon") if (tendons := root.find("tendon")) is None else tendons
+            sides = [(f"{loop.name} {side}", each) for side, each in enumerate(loop.sums, 1) if each]
+            for name, each in sides:
+                length = element(made, "fixed", name=name)
+                for bound, coefficient in each.items():
+                    element(length, "joint", joint=bound, coef=coefficient)
+            names = {f"tendon{side}": name for side, (name, _) in enumerate(sides, 1)}
+            element(held, "tendon", name=loop.name, polycoef=loop.polynomial, **names)
+        elif loop.type == "gear":
             names = dict(zip(("joint1", "joint2"), loop.joints, strict=False))
             element(held, "joint", name=loop.name, polycoef=loop.polynomial, **names)
         elif loop.type == "distance":

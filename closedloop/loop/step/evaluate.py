@@ -39,6 +39,7 @@ from closedloop.loop.step.solve_contact import contact_force
 from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK
+from closedloop.mechanics.loops.drives import lose_undriven
 
 # Joint speed, rad/s (m/s), at which a run stops as diverged, long before the numbers overflow. The rates of three
 # revolute joints are as large as that only within some 1e-5 rad of the posture in which two of their axes are parallel.
@@ -199,8 +200,7 @@ def drive_torque(w: Work, constants: Constants, state: State) -> int:
     if state.loops.entry != 0:
         call_at(state.loops.entry, state.loops.perceived_at if state.loops.perceived_at != 0 else state.loops.at, DRIVE)
     else:
-        for j in range(w.q.shape[0]):
-            w.torque[j] *= constants.driven[j]
+        lose_undriven(constants.undriven, state.settings.undriven, w.torque)
     if limited and failed == 0:
         cut_torque(
             w.torque, w.drives.before, constants.torque_change, constants.torque_limit, not w.time > 0.0,

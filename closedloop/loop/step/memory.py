@@ -261,6 +261,7 @@ class Settings(Block):
     arm_at: int  # where in a row there is a `closedloop.loop.step.record_row.ArmRow`; 0: nowhere
     states_at: int  # where in a row the states of law and compensation are; 0: nowhere
     balls: int  # ball joints
+    undriven: int  # directions of torque that no drive gives, see `robot_models.model.RobotModel.undriven`
     feed_forward: int  # whether the law is told of the joints' desired acceleration
 
 
@@ -359,7 +360,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
     shaft_damping: Annotated[Array, N]
     motor_inertia: Annotated[Array, N]
-    driven: Annotated[Array, N]  # 0 for a joint without a drive
+    undriven: Annotated[Array, N, N]  # first rows: see `Settings.undriven`
     torque_limit: Annotated[Array, N]  # see `closedloop.control.drives`, as the next; infinite: none
     torque_change: Annotated[Array, N]  # from sample to sample
     joint_capture_speed: Annotated[Array, N]

@@ -16,6 +16,7 @@ from closedloop.mechanics.loops.memory import (
     IDLE,
     POSITION,
     ROTATION,
+    VALUES,
     Bound,
     LoopMemory,
     make_loop_memory,
@@ -39,9 +40,13 @@ def bound_by_loops(robot: Robot) -> Bound:
     model, tree = robot.model, robot.tree
     poses = link_poses(tree, model.home)
     rows: list[tuple[int, int, int, Array, Array, Array, Array, Array]] = []
+    sums = np.zeros((2, sum(loop.rows for loop in model.loops), tree.n))
     none, zero = np.zeros(5), np.zeros(3)
     for loop in model.loops:
         if loop.type == "gear":
+            for each, found in zip(loop.sums, sums, strict=True):
+                for joint, coefficient in each.items():
+                    found[len(rows), model.joint_names.index(joint)] = coefficient
             one, *other = (model.joint_names.index(name) for name in loop.joints)
             value = np.array(loop.polynomial)
             rows.append((GEAR, one, other[0] if other else -1, zero, zero, zero, zero, value))
@@ -56,10 +61,11 @@ def bound_by_loops(robot: Robot) -> Bound:
         for i, j in rotations:
             rows.append((ROTATION, a, b, at_a, at_b, axes_a[:, j], _sign(i, j) * axes_b[:, i], none))
     kinds, one_sides, other_sides, *parts = zip(*rows, strict=True)
-    undriven = (~model.driven).astype(np.float64)
     at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
     sides = np.array([kinds, one_sides, other_sides, np.zeros(len(kinds))], dtype=np.int64)
-    made = Bound(sides.ravel(), at_a, at_b, along_a, along_b, value, np.ones(len(kinds)), undriven)
+    made = Bound(
+        sides.ravel(), at_a, at_b, along_a, along_b, value, sums[0], sums[1], np.ones(len(kinds)), model.undriven
+    )
     idle, lengths = _lengths(tree, made)
     sides[0, idle] = IDLE
     return _with_points_shared(made._replace(sides=sides.ravel(), scale=1.0 / lengths))
@@ -101,7 +107,7 @@ def step_memory(robot: Robot) -> LoopMemory:
     bound = bound_by_loops(robot)
     sides = bound.sides.reshape(4, -1)
     moving = sides[0] != IDLE
-    parts = {name: getattr(bound, name)[moving] for name in ("at_a", "at_b", "along_a", "along_b", "value", "scale")}
+    parts = {name: getattr(bound, name)[moving] for name in VALUES}
     return make_loop_memory(robot.tree, _with_points_shared(bound._replace(sides=sides[:, moving].ravel(), **parts)))
 
 

@@ -1,14 +1,17 @@
 """Joints without a drive: what a law asks of them, and which of it the drives can give through the loops.
 
-A joint without a drive gives no torque. But a force of the loops gives no power to a motion that they allow, so that
-torques Q and Q' move the mechanism alike if vᵀQ = vᵀQ' for each v with G v = 0. Let d be the joints with a drive and
-p those without, and W an orthonormal basis of the motions of p alone, w with G_p w = 0: the mechanism's drives held.
+A joint without a drive gives no torque, and a drive that pulls several joints gives torques in one ratio. What all
+drives give is a space of torques; what is perpendicular to it they give none of. But a force of the loops gives no
+power to a motion that they allow, so that torques Q and Q' move the mechanism alike if vᵀQ = vᵀQ' for each v with
+G v = 0. Let d be the part of a vector in that space, as in the joints with a drive, and p the rest, along
+`robot_models.model.RobotModel.undriven`, and W an orthonormal basis of the motions of p alone, w with G w = 0 and
+w_d = 0: the mechanism's drives held.
 
     Q'_p = 0,   Q'_d = Q_d + the shortest x with v_dᵀ x = v_pᵀ (1 − W Wᵀ) Q_p for each v with G v = 0
 
 So where the drives span what the loops leave free, W is empty and Q' moves the mechanism just as Q would. Where they
 do not, W Wᵀ Q_p, which is what gives power to motions that no drive takes part in, is lost, and the rest goes through
-the loops. In a tree all of Q_p is lost: nothing that is asked of a joint without a drive acts, nor goes elsewhere.
+the loops. In a tree all of Q_p is lost.
 """
 
 from __future__ import annotations
@@ -30,6 +33,13 @@ from closedloop.mechanics.robot.pinocchio import Robot
 
 
 @kernel
+def lose_undriven(undriven: Array, count: int, x: Array) -> None:
+    """Take off a torque or motion x (n,) its components along `count` rows of `undriven`, which are orthonormal."""
+    for u in range(count):
+        take_off(x, row_of(undriven, u), x.shape[0])
+
+
+@kernel
 def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> int:
     """Replace a torque (n,) by one of the drives alone, with the rows factored last; return how many motions W has."""
     if links.undriven == 0:
@@ -39,16 +49,12 @@ def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> int:
     for i in range(count):
         Z = row_of(rows.drive_basis, i)
         free_motion(links, rows, i, Z)
-        for j in range(n):
-            if rows.undriven[j] != 0.0:
-                Z[j] = 0.0
+        lose_undriven(rows.undriven, links.undriven, Z)
     rank = orthonormal_rows(rows.drive_basis, count, rows.drive_order, rows.drive_coefficients, rows.drive_lengths)
     if rank < count:
         lose_power_of_undriven(links, rows, torque, rank)
         powers_of_undriven(links, rows, torque)
-    for j in range(n):
-        if rows.undriven[j] != 0.0:
-            torque[j] = 0.0
+    lose_undriven(rows.undriven, links.undriven, torque)
     meet_rows(
         rows.wanted, rows.drive_order, rows.drive_coefficients, rows.drive_basis, rank, rows.drive_lengths, rows.share
     )
@@ -63,9 +69,9 @@ def powers_of_undriven(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
     for i in range(links.n - links.rank):
         power = 0.0
         free_motion(links, rows, i, rows.share)
-        for j in range(links.n):
-            if rows.undriven[j] != 0.0:
-                power += rows.share[j] * torque[j]
+        for u in range(links.undriven):
+            direction = row_of(rows.undriven, u)
+            power += dot(rows.share, direction, links.n) * dot(torque, direction, links.n)
         rows.wanted[i] = power
 
 
@@ -85,8 +91,10 @@ def lose_power_of_undriven(links: LoopLinks, rows: LoopRows, torque: Array, rank
             for j in range(n):
                 W[j] -= a[k] * rows.share[j]
         for j in range(n):
-            if rows.undriven[j] == 0.0:
-                W[j] = 0.0
+            rows.share[j] = W[j]
+        lose_undriven(rows.undriven, links.undriven, rows.share)
+        for j in range(n):
+            W[j] -= rows.share[j]
         for _ in range(2):
             for m in range(rank, i):
                 take_off(W, row_of(rows.drive_basis, m), n)

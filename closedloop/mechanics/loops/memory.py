@@ -29,7 +29,7 @@ class LoopLinks(Block):
     free: int
     spanned: int  # directions of the basis
     known: int  # how many were where the loops were closed last, 0: not known
-    undriven: int  # joints without a drive
+    undriven: int  # directions of torque that no drive gives
     loop: int  # address of the memory of the loop that it is for, see `closedloop.loop.step.memory`; 0: none
     bound: int  # address of what each row binds, see `Bound.sides`
     order: int  # address of the rows and of the joints in the order of elimination
@@ -53,9 +53,11 @@ class LoopRows(Block, sizes=("n", "m")):
     at_b: Annotated[Array, M, 3]
     along_a: Annotated[Array, M, 3]  # and a direction
     along_b: Annotated[Array, M, 3]
-    value: Annotated[Array, M, 5]  # a distance, m, or the coefficients of a gear
+    value: Annotated[Array, M, 5]  # a distance, m, or the polynomial of a gear
+    first: Annotated[Array, M, N]  # of a gear the coefficients of the joints in x1 and in x2
+    second: Annotated[Array, M, N]
     scale: Annotated[Array, M]  # one over the usual length of each row
-    undriven: Annotated[Array, N]  # 1 for a joint without a drive
+    undriven: Annotated[Array, N, N]  # as many rows as `LoopLinks.undriven` says, see `robot_models.model`
     clear: Annotated[Array, M]  # of a point whose first error is above this, m, only errors and rates are written
     G: Annotated[Array, M, N]  # written, as all that follow: the rows, their drift, error and its rate
     drift: Annotated[Array, M]
@@ -124,27 +126,40 @@ class LoopMemory(NamedTuple):
         return int(self.links.address)
 
 
+#: What is told of each row, of those that `LoopRows` and `Bound` both have.
+VALUES = ("at_a", "at_b", "along_a", "along_b", "value", "first", "second", "scale")
+
+
 class Bound(NamedTuple):
     """What the m rows of a mechanism's loops bind."""
 
-    # (4 m,): kind of each row, see `closedloop.mechanics.loops.rows`; then the link (gear: the joint) of the one side
+    # (4 m,): kind of each row, see `closedloop.mechanics.loops.rows`; then the link (gear: a joint) of the one side
     # of each; then of the other; −1 is the base; then 1 for a row whose points are those of the row before it
     sides: IntArray
-    # at_a, at_b, along_a, along_b, value: (m, 3), ..., (m, 5): see `LoopRows`
+    # at_a, at_b, along_a, along_b, value, first, second: (m, 3), ..., (m, 5), (m, n), (m, n): see `LoopRows`
     at_a: Array
     at_b: Array
     along_a: Array
     along_b: Array
     value: Array
+    first: Array
+    second: Array
     # (m,): one over the usual length of each row, so that rows of any unit can be compared, and one that is short in
     # some posture is known to be
     scale: Array
-    undriven: Array  # (n,): 1 for a joint without a drive
+    undriven: Array  # (u, n), see `robot_models.model.RobotModel.undriven`
 
     @property
     def m(self) -> int:
         """How many rows there are."""
         return len(self.at_a)
+
+
+def bound_points(n: int, sides: IntArray, at_a: Array, at_b: Array, directions: Array) -> Bound:
+    """Return what rows of points (m, 3) of either link bind along directions (m, 3) of the other, in n joints."""
+    m, none = len(at_a), np.zeros((len(at_a), 3))
+    sums = np.zeros((m, n))
+    return Bound(sides, at_a, at_b, none, directions, np.zeros((m, 5)), sums, sums, np.ones(m), np.zeros((0, n)))
 
 
 def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
@@ -153,15 +168,16 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     links, rows = LoopLinks(np.zeros(LOOP_LINKS, dtype=np.int64)), LoopRows(np.zeros(LoopRows.count(*sizes)), *sizes)
     scratch = np.zeros(plain(work_size)(tree.n))
     links.address, links.numbers, links.total = address_of(links.memory), address_of(rows.memory), rows.memory.size
-    links.n, links.m, links.undriven = *sizes, int(bound.undriven.sum())
+    links.n, links.m, links.undriven = *sizes, len(bound.undriven)
     order = np.arange(bound.m + tree.n, dtype=np.int64)
     links.bound, links.order = address_of(bound.sides), address_of(order)
     links.tree_blocks, links.tree_carrier, links.tree_serial = tree.blocks, tree.carrier, tree.serial
     links.tree_links, links.tree_constants = address_of(tree.links), address_of(tree.constants)
     links.tree_constants_size, links.tree_balls = tree.constants.size, tree.balls
     links.scratch, links.scratch_size = address_of(scratch), scratch.size
-    for name in ("at_a", "at_b", "along_a", "along_b", "value", "scale", "undriven"):
+    for name in VALUES:
         getattr(rows, name)[:] = getattr(bound, name)
+    rows.undriven[: len(bound.undriven)] = bound.undriven
     rows.clear[:] = np.inf
     links.keep_alive(tree=tree, bound=bound, scratch=scratch, order=order)
     return LoopMemory(links, rows)

@@ -220,8 +220,11 @@ def share_of_rows(
     Of rows that are `independent` the part is unique: it takes a third of the time to factorise them as Q R.
     """
     m, n = rows.shape[1:]
-    held = None if at_stop is None or not at_stop.any() else at_stop[:, :, None]
     stops = np.eye(n) if stops is None else stops
+    held = None
+    if at_stop is not None and at_stop.any():
+        reached = at_stop.any(axis=0)  # the others carry nothing at any instant
+        held, stops = at_stop[:, reached, None], stops[reached]
     if independent and held is None:
         Q, R = np.linalg.qr(np.swapaxes(rows, 1, 2))
         return np.linalg.solve(R, np.swapaxes(Q, 1, 2) @ missing[:, :, None])[:, :, 0], np.zeros(missing.shape)

@@ -5,7 +5,7 @@ A row is of one of five kinds. With a and b points of either side, and u and w d
     POSITION    e = u·(a − b)       u fixed to the side of b: the two points stay together along u
     ROTATION    e = u·w             the two directions stay perpendicular
     DISTANCE    e = |a − b| − l
-    GEAR        e = q1 − P(q2)      P a polynomial
+    GEAR        e = x1 − P(x2)      P a polynomial, x1 and x2 sums of coefficients times joint positions
     IDLE        zeros               what no joint of the tree can move, as across a planar mechanism
 
 A loop joint of the paper is a set of them: its R (Eq. 2) has the forces of these rows as columns, and the drift is its
@@ -63,7 +63,7 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
         for j in range(links.n):
             rows.G[k, j] = 0.0
         if kind == GEAR:
-            _gear(rows, k, one, other)
+            _gear(rows, k, links.n)
             continue
         if kind == IDLE:
             rows.error[k], rows.rate[k], rows.drift[k] = 0.0, 0.0, 0.0
@@ -181,19 +181,22 @@ def _distance(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: 
 
 
 @kernel
-def _gear(rows: LoopRows, k: int, one: int, other: int) -> None:
-    """Write the row of a gear between two joints, or of one joint that is held."""
-    c, x, y = row_of(rows.value, k), 0.0, 0.0
-    if other >= 0:
-        x, y = rows.q[other], rows.v[other]
+def _gear(rows: LoopRows, k: int, n: int) -> None:
+    """Write the row of a gear between joints or sums of joints, or of what is held."""
+    c, first, second = row_of(rows.value, k), row_of(rows.first, k), row_of(rows.second, k)
+    one, x, rate, y = 0.0, 0.0, 0.0, 0.0  # x1, x2 and their rates
+    for j in range(n):
+        one += first[j] * rows.q[j]
+        rate += first[j] * rows.v[j]
+        x += second[j] * rows.q[j]
+        y += second[j] * rows.v[j]
     value = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4])))
     slope = c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * 4.0 * c[4]))
     curvature = 2.0 * c[2] + x * (6.0 * c[3] + x * 12.0 * c[4])
-    rows.G[k, one] = 1.0
-    if other >= 0:
-        rows.G[k, other] = -slope
-    rows.error[k] = rows.q[one] - value
-    rows.rate[k] = rows.v[one] - slope * y
+    for j in range(n):
+        rows.G[k, j] = first[j] - slope * second[j]
+    rows.error[k] = one - value
+    rows.rate[k] = rate - slope * y
     rows.drift[k] = -curvature * y * y
 
 

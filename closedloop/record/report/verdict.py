@@ -100,10 +100,10 @@ def motions_without_drive(run: Record) -> int:
     """Return how many independent motions at the first row no drive takes part in, see
     `closedloop.mechanics.loops.drives`."""
     model = run.model
-    if not len(run) or all(model.driven):
+    if not len(run) or not len(model.undriven):
         return 0
     if not model.loops:
-        return int(model.n - np.count_nonzero(model.driven))
+        return len(model.undriven)
     return torque_of_drives(robot_of(run.scenario, model), np.array(run.q[0]), np.zeros(model.n))[1]
 
 

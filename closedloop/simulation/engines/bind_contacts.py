@@ -45,7 +45,7 @@ from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.loops.bind import link_poses
-from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
+from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree.layout import (
@@ -304,8 +304,7 @@ def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
         [*[POSITION] * m, *(a for a, _ in sides), *(b for _, b in sides), *[0, 1, 1] * len(sections)], dtype=np.int64
     )
     points_a, points_b, directions = (np.array(rows, dtype=np.float64).reshape(m, 3) for rows in (at_a, at_b, along))
-    none = np.zeros((m, 3))
-    return Bound(kinds, points_a, points_b, none, directions, np.zeros((m, 5)), np.ones(m), np.zeros(robot.n))
+    return bound_points(robot.n, kinds, points_a, points_b, directions)
 
 
 def shapes_of(sections: tuple[ContactSection, ...], robot: Robot) -> tuple[Array, Array]:

@@ -105,7 +105,7 @@ def needs_general_form(scenario: Scenario) -> bool:
 
 def calls_law(scenario: Scenario, model: RobotModel) -> bool:
     """Whether the law is called by address: see `needs_general_form`."""
-    undriven = not model.loops and not all(model.driven)
+    undriven = not model.loops and len(model.undriven) > 0
     return needs_general_form(scenario) or has_stops(scenario, model) or undriven
 
 

@@ -34,7 +34,7 @@ from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.close import close_state, factor_rows
 from closedloop.mechanics.loops.drives import torque_of_drives
-from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
+from closedloop.mechanics.loops.memory import POSITION, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
@@ -56,8 +56,8 @@ def ball_memory(robot: Robot, surface: PlacedSurface, radius: float, loop: int) 
     poses = link_poses(robot.tree, robot.model.loop_home)
     link, _, point = placed_on_link(robot, poses, robot.tip, (0.0, 0.0, 0.0), "robot.tip")
     kinds = np.array([POSITION] * 3 + [link] * 3 + [-1] * 3 + [0, 1, 1], dtype=np.int64)
-    along, none = surface.frame if surface.fixed_plane else np.eye(3), np.zeros((3, 3))
-    bound = Bound(kinds, np.tile(point, (3, 1)), none, none, along, np.zeros((3, 5)), np.ones(3), np.zeros(robot.n))
+    along = surface.frame if surface.fixed_plane else np.eye(3)
+    bound = bound_points(robot.n, kinds, np.tile(point, (3, 1)), np.zeros((3, 3)), along)
     shape = np.zeros((1, SHAPE))
     shape[0, RADIUS] = radius
     rows, shapes = make_loop_memory(robot.tree, bound), make_shape_memory(robot.n, shape)
@@ -107,7 +107,8 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.law[:], constants.compensation[:] = problem.law.numbers, problem.compensation.numbers
     wrong = problem.scenario.model_error
     constants.mass_factor, constants.unknown_payload = wrong.masses, wrong.payload
-    constants.armature[:], constants.driven[:] = robot.model.rigid_armature, robot.model.driven
+    constants.armature[:] = robot.model.rigid_armature
+    constants.undriven[: len(robot.model.undriven)] = robot.model.undriven
     constants.turns[list(robot.model.balls)] = 1.0
     constants.measured[:] = robot.model.measured
     constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
@@ -143,7 +144,7 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     transmission = problem.scenario.transmission
     to.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
     to.encoder = reading_kind(problem.scenario)
-    to.balls = len(problem.robot.model.balls)
+    to.balls, to.undriven = len(problem.robot.model.balls), len(problem.robot.model.undriven)
     to.drives = problem.scenario.drives != DrivesSection()
     to.arm_at = Row.count(problem.robot.n) if arm_columns(problem.scenario) else 0
     states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none

@@ -25,6 +25,7 @@ from closedloop.loop.step.memory import State, loop_at
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import contacts_at
+from closedloop.mechanics.loops.drives import lose_undriven
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
 
@@ -203,11 +204,12 @@ def act(m: Member, a: Addresses, action: Array, plan: IntArray) -> None:
         if m.displaced != 0:
             table[begin, i] = boundary[i]
         boundary[i] = table[end, i]
-    m.displaced = 0
+    m.displaced, lost = 0, 0
     for i in range(plan.shape[0]):
         what, place, x = plan[i, 0], plan[i, 1], action[plan[i, 2]]
         if what == TORQUE:
-            w.torque[place] = x * constants.driven[place]
+            w.torque[place] = x
+            lost = state.settings.undriven
         elif what == FORCE:
             for t in range(begin, end + 1):
                 table[t, 2 * n + 9] = x
@@ -222,6 +224,7 @@ def act(m: Member, a: Addresses, action: Array, plan: IntArray) -> None:
                 table[t, place] += x
         else:
             constants.law[place] = x
+    lose_undriven(constants.undriven, lost, w.torque)
 
 
 @kernel

@@ -4,12 +4,16 @@ import errno
 import os
 import re
 
+import numpy as np
 import pytest
 
 import closedloop as cl
 import robot_models
 from closedloop.__main__ import main
 from closedloop.base.errors import SimulationError
+from closedloop.command.first_slide import SPEEDS, _with_gains, first_slide
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.scenario.modes import unresolved_feedback
 from robot_models.shipped import path_of
 
 ARMS = ("wam4", "pointmass3", "ur5", "ur10", "panda", "kinova", "talos_arm", "xarm7")
@@ -148,3 +152,30 @@ def test_a_full_disk_leaves_no_file(new, tmp_path, monkeypatch):
         patched.setattr("closedloop.base.files.os.fsync", meanwhile)
         assert "is there already and is not replaced" in new("mine", "--robot", "planar2")[2]
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("mine.toml", "theirs")]
+
+
+def test_gains_are_those_that_the_step_resolves(tmp_path):
+    """Joints of a long chain move faster together than each alone: the step has to carry that, too."""
+    axes, body = ("0 1 0", "0 0 1", "1 0 0"), '<geom type="capsule" fromto="0 0 0 .2 0 0" size=".03"/>'
+    links = "".join(f'<body pos=".2 0 0"><joint name="j{k}" axis="{axes[k % 3]}"/>{body}' for k in range(12))
+    path = tmp_path / "chain.xml"
+    path.write_text(f'<mujoco><worldbody>{links}<site name="tip" pos=".2 0 0"/>{12 * "</body>"}</worldbody></mujoco>')
+    robot, rng = Robot(robot_models.load(path), "tip"), np.random.default_rng(1)
+    for _ in range(6):
+        scenario = _with_gains(robot, str(path), 10.0, rng.uniform(-1.0, 1.0, 12), (0.0, 1.0, 0.0), 0.02)
+        assert not unresolved_feedback(scenario, robot)
+
+
+def test_a_finger_slides_as_far_as_it_reaches(tmp_path):
+    """The usual 60 mm are too far for it, so it slides slowly, and less."""
+    links = "".join(
+        f'<body pos="{x} 0 0"><joint name="j{k}" axis="{axis}" range="{low} {high}"/>'
+        '<geom type="capsule" fromto="0 0 0 .025 0 0" size=".008"/>'
+        for k, (x, axis, low, high) in enumerate(
+            [(0, "0 0 1", -20, 20), (0.01, "0 1 0", -10, 90), (0.025, "0 1 0", -10, 90), (0.025, "0 1 0", -10, 90)]
+        )
+    )
+    path = tmp_path / "finger.xml"
+    path.write_text(f'<mujoco><worldbody>{links}<site name="tip" pos=".025 0 0"/>{4 * "</body>"}</worldbody></mujoco>')
+    robot = Robot(robot_models.load(path), "tip")
+    assert first_slide(robot, str(path)).reference.speed < max(SPEEDS)

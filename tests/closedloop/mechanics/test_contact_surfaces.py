@@ -156,3 +156,32 @@ def test_what_is_wrong_with_a_surface_is_said_in_a_line(contact, said):
     with pytest.raises(cl.ScenarioError, match=said) as error:
         cl.prepare(cl.load_scenario("planar2_drop", changes))
     assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_mocap_body_moves_as_the_section_of_its_contact_says(tmp_path):
+    """A lift that is turned in the file carries a box along its own axes, and presses with m (g + s̈)."""
+    path = tmp_path / "lift.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="lift" mocap="true" pos="1 2 .5" euler="0 0 90">'
+        '<geom type="box" size=".2 .2 .1"/></body><body name="box" pos="1 2 .65"><freejoint/>'
+        '<geom type="box" size=".05 .05 .05" mass="2"/></body>'
+        "</worldbody></mujoco>"
+    )
+    moving = {"kind": "transfer", "shift": [0.1, 0.0, 0.2], "start": 0.1, "stop": 0.9}
+    lift = {"name": "lift", "link": "box", "at": "collision", "against": "lift", "through": [0, 0, 0.1]}
+    run = cl.simulate(
+        cl.load_scenario(
+            {
+                "robot": {"model": str(path)}, "contact": [lift | {"friction": 1.0, "motion": moving}],
+                "time": {"duration": 1.0, "integrator": "rk4"},
+                "stabiliser": {"kind": "baumgarte", "time_constant": 0.01},
+            }
+        ),
+        progress=False,
+    )  # fmt: skip
+    x = np.clip((run.time - 0.1) / 0.8, 0.0, 1.0)
+    part = x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi)
+    along = np.outer(part, [0.0, 0.1, 0.2])  # x of the lift is y of the base
+    np.testing.assert_allclose(run.q[:, :3], np.array([1.0, 2.0, 0.65]) + along, atol=1e-8)
+    rising = 0.2 * 2.0 * np.pi * np.sin(2.0 * np.pi * x) / 0.64
+    np.testing.assert_allclose(run.link_forces.sum(axis=1)[1:-1], 2.0 * (9.81 + rising)[1:-1], rtol=1e-6)

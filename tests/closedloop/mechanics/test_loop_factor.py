@@ -124,7 +124,7 @@ def test_drives_give_the_power_of_all_torques(memory):
     interpreted(factor)(links, rows, rows.drift, M)
     motions = np.linalg.svd(rows.G / np.linalg.norm(rows.G, axis=1, keepdims=True))[2][2:]
     for drives in (1, 2, 3):
-        rows.undriven[:] = np.arange(N) >= drives
+        rows.undriven[: N - drives] = np.eye(N)[drives:]
         links.undriven = N - drives
         asked = rng.normal(size=N)
         torque = asked.copy()

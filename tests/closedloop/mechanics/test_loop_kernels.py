@@ -20,9 +20,9 @@ def test_each_coefficient_of_a_gear_acts_on_value_slope_and_curvature(degree, x)
     P, v = Polynomial(c), np.array([0.4, -1.7])
     rows = SimpleNamespace(
         value=c[None], q=np.array([0.2, x]), v=v, G=np.zeros((1, 2)), error=np.zeros(1), rate=np.zeros(1),
-        drift=np.zeros(1),
+        drift=np.zeros(1), first=np.array([[1.0, 0.0]]), second=np.array([[0.0, 1.0]]),
     )  # fmt: skip
-    interpreted(_gear)(rows, 0, 0, 1)
+    interpreted(_gear)(rows, 0, 2)
     slope, curvature = P.deriv(1)(x), P.deriv(2)(x)
     np.testing.assert_allclose(rows.error, [0.2 - P(x)], rtol=1e-14)
     np.testing.assert_allclose(rows.G, [[1.0, -slope]], rtol=1e-14)

@@ -21,7 +21,7 @@ from validation.oracle.urdf import read_urdf
 # Mechanism to how many of its rows are independent.
 RANKS = {
     "four_bar": 2, "four_bar_point": 2, "doubled_four_bar": 3, "slider_crank": 2, "distance": 1, "six_bar": 4,
-    "bennett": 2, "bricard": 4, "cardan": 1, "gears": 2, "spatial_slider": 4, "cut_coupler": 3, "plate": 3,
+    "bennett": 2, "bricard": 4, "cardan": 1, "gears": 3, "spatial_slider": 4, "cut_coupler": 3, "plate": 3,
     "five_bar": 2, "delta": 18, "stewart": 18,
 }  # fmt: skip
 

@@ -52,6 +52,66 @@ def test_connect_of_mujoco_is_a_point(tmp_path):
     assert max(off) < 1e-3
 
 
+CHAIN = (
+    '<mujoco><option gravity="1 2 -9"/><worldbody><body><joint name="a" axis="0 1 0" ref=".2"/>{0}<body pos=".3 0 0">'
+    '<joint name="b" axis="0 1 0"/>{0}<body pos=".3 0 0"><joint name="c" axis="0 0 1"/>{0}<body pos=".3 0 0">'
+    '<joint name="d" axis="0 1 0" type="slide"/>{0}</body></body></body></body></worldbody><tendon><fixed name="s">'
+    '<joint joint="a" coef="1"/><joint joint="b" coef="-.5"/><joint joint="c" coef=".7"/></fixed><fixed name="t">'
+    '<joint joint="b" coef="1"/><joint joint="d" coef="2"/></fixed></tendon>'
+).format('<geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>')
+SUMS = {
+    "one sum": '<tendon name="h" tendon1="s" polycoef=".05 1 0 0 0" {}/>',
+    "two sums": '<tendon name="h" tendon1="s" tendon2="t" polycoef=".05 .4 0 0 0" {}/>',
+    "a polynomial of a sum": '<tendon name="h" tendon1="s" tendon2="t" polycoef=".05 .4 .3 -.2 .1" {}/>',
+}
+
+
+@pytest.mark.parametrize("equality", SUMS.values(), ids=SUMS)
+def test_equalities_of_tendons_over_many_joints_hold(tmp_path, equality):
+    """Rows and acceleration are MuJoCo's, the harder its force the nearer; a fall keeps them, and its energy."""
+    hard = equality.format('solref="-1e8 -2e4" solimp="0.99999 0.99999 0.001"')
+    path = tmp_path / "chain.xml"
+    path.write_text(f"{CHAIN}<equality>{hard}</equality></mujoco>")
+    model = robot_models.load(path)
+    again = robot_models.from_text(
+        model.text, "mjcf", name="again", armature=model.armature, tip=model.tip, home=model.home, locked={},
+        loops=[each.as_table() for each in model.loops],
+    )  # fmt: skip
+    assert again.loops == model.loops
+    closed, _ = closed_start(Robot(model, model.tip), np.array([0.4, 0.3, -0.2, 0.1]), np.zeros(4), assemble=True)
+    theirs = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(theirs)
+    data.qpos[:] = closed
+    mujoco.mj_forward(theirs, data)
+    rows, errors = rows_of_loops(Robot(model, model.tip), closed[None], np.zeros((1, 4)))
+    direction = data.efc_J.reshape(-1, 4)[0]
+    np.testing.assert_allclose(
+        rows[0, 0] / np.linalg.norm(rows[0, 0]), direction / np.linalg.norm(direction), atol=1e-14
+    )
+    assert max(abs(data.efc_pos[0]), np.abs(errors).max()) < 1e-14
+    ours = null_space_acceleration(model, closed, np.zeros(4), np.zeros(4))
+    np.testing.assert_allclose(data.qacc, ours, atol=2e-4 * np.abs(ours).max())
+    run = falling(model, duration=0.3, start={"q": closed.tolist(), "assemble": True})
+    np.testing.assert_allclose(run.acceleration[0], ours, atol=1e-10)
+    assert np.max(np.abs(run.q[-1] - closed)) > 0.1
+    for q in run.q[::100]:
+        data.qpos[:] = q
+        mujoco.mj_forward(theirs, data)
+        assert abs(data.efc_pos[0]) < 1e-9
+
+
+def test_a_lock_leaves_the_rest_of_a_sum_bound(tmp_path):
+    """The row of the joints that are left, with what the held ones add, is that of all where these are at rest."""
+    path = tmp_path / "chain.xml"
+    path.write_text(f"{CHAIN}<equality>{SUMS['a polynomial of a sum'].format('')}</equality></mujoco>")
+    whole, held = robot_models.load(path), robot_models.load(path, lock={"b": 0.3})
+    q = np.array([0.4, -0.2, 0.1])
+    few, few_errors = rows_of_loops(Robot(held, held.tip), q[None], np.zeros((1, 3)))
+    many, errors = rows_of_loops(Robot(whole, whole.tip), np.insert(q, 1, 0.3)[None], np.zeros((1, 4)))
+    np.testing.assert_allclose(few[0], np.delete(many[0], 1, axis=1), atol=1e-14)
+    np.testing.assert_allclose(few_errors, errors, atol=1e-14)
+
+
 def test_welds_and_gears_of_mujoco(tmp_path):
     """A weld at the reference pose locks what it joins; a gear is its polynomial."""
     welded = from_mjcf(tmp_path, '<weld body1="coupler" body2="crank"/>')

@@ -213,7 +213,10 @@ GRIPPER = (
 
 @pytest.mark.parametrize("angle", [0.1, 0.4])
 def test_a_gripper_presses_by_virtual_work(write, angle):
-    """Each pad moves by r cos θ along its normal: f r cos θ is half the tendon's force less the spring's torque."""
+    """Each pad moves by r cos θ along its normal: f r cos θ is half the tendon's force less the spring's torque.
+
+    So it is, too, of a torque that is asked of one of the drivers: the tendon's force with the same power acts.
+    """
     pull, radius, x = 2.0, 0.1, 0.03 - 0.1 * np.sin(angle) - 0.01
     contacts = "".join(
         f'[[contact]]\nname = "{side}"\nlink = "{side}_pad"\nat = [[{-sign * 0.01}, 0, 0], [{-sign * 0.01}, 0, 0.04]]\n'
@@ -223,7 +226,9 @@ def test_a_gripper_presses_by_virtual_work(write, angle):
     finger = f"{angle}, {-angle}, {angle}"
     robot = f'[robot]\nmodel = "arm.xml"\ntip = "left_pad"\nstops = true\n{contacts}[start]\nq = [{finger}, {finger}]\n'
     torque = np.array([pull / 2, 0.0, 0.0, pull / 2, 0.0, 0.0])
-    run = cl.simulate(write(GRIPPER, robot, 0.02), law=lambda x: torque, progress=False)
+    scenario = write(GRIPPER, robot, 0.02)
+    run, one = (cl.simulate(scenario, law=lambda x, Q=Q: Q, progress=False) for Q in (torque, pull * np.eye(6)[0]))
+    np.testing.assert_allclose(one.torque, np.tile(torque, (len(one.time), 1)), atol=1e-12)
     spring = 0.4 * (angle - np.radians(60.0))
     force = run.link_forces.reshape(len(run.time), 2, 2).sum(axis=2)
     assert force == pytest.approx(np.full(force.shape, (pull / 2 - spring) / (radius * np.cos(angle))), rel=1e-8)

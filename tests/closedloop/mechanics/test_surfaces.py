@@ -39,6 +39,14 @@ MOVES = {
     "none": {},
     "breathing": {"direction": (0.2, -0.3, 1.0), "amplitude": 0.05, "frequency": 0.7},
     "conveyor": {"velocity": (0.1, -0.2, 0.05)},
+    "transfer": {
+        "shift": (0.1, 0.2, -0.3),
+        "angle": 1.4,
+        "axis": (0.1, 0.3, 1.0),
+        "centre": (0.1, -0.4, 0.2),
+        "start": 0.0,
+        "stop": 2.0,
+    },
     "turntable": {"axis": (0.1, 0.3, 1.0), "centre": (0.1, -0.4, 0.2), "speed": 1.3},
 }
 NAMES = {"bowl": "sphere", "pipe": "cylinder"}

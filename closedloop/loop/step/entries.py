@@ -150,7 +150,7 @@ def _input(state: State, w: Work, arm: Any, tip: Any) -> LawInput:
     return LawInput(
         w.time, arm.q, arm.v, w.H, w.C, arm.L, tip.A, tip.X, tip.S, tip.drift_c, tip.p, tip.u, arm.r, arm.J, arm.drift,
         tip.frame, wanted.q, wanted.v, w.qdd_des, wanted.position, wanted.velocity, wanted.acceleration, wanted.force,
-        w.sensing.measured, pressed, w.scratch.numbers,
+        w.sensing.measured, w.sensing.tangential, pressed, w.scratch.numbers,
     )  # fmt: skip
 
 

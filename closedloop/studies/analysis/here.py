@@ -150,7 +150,7 @@ def put(instant: Instant, problem: Problem, loop: Loop) -> None:
             w.z[where] = mine
         elif name == "filter" and width:
             w.z[where] = instant.force
-    w.sensing.ring[:] = w.sensing.measured = instant.measured
+    w.sensing.ring[0] = w.sensing.measured = instant.measured
     state.row = row = round(instant.time / problem.h)
     w.time = row * problem.h
     state.mode, state.started, state.sampled, state.trial.off, state.cleared = instant.mode, 1, 1, 1, 1
@@ -265,7 +265,7 @@ class Here:
         state.settings.project = 0
         state.settings.semi_implicit = 0  # so that friction's states have rates
         sensor: Any = SensorParameters(constants.sensor, 0)
-        sensor.noise = sensor.quantisation = 0.0
+        sensor.noise = sensor.quantisation = sensor.jitter = sensor.saturation = 0.0
         if problem.encoder.size:
             encoder = EncoderParameters(constants.encoder, n)
             for name in ("noise", "quantisation", "velocity_noise"):

@@ -144,7 +144,7 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
         engine=engine,
         folder=Path(options.out) if options.out else Path("out") / scenario.name,
         earlier=earlier,
-        columns=_own_columns(options.record),
+        columns=_own_columns(options.record) | _wrenches(options.wrench, model),
     )
 
 
@@ -156,6 +156,26 @@ def _own_columns(names: list[str]) -> dict[str, Any]:
         if column in columns:
             raise ScenarioError(f"--record {name}: there is a column {column!r} already: use another name")
         columns[column] = import_function("--record", name, "my_columns:spring_power")
+    return columns
+
+
+def _wrenches(asked: list[str], model: Any) -> dict[str, Any]:
+    """Return the functions of the wrenches that --wrench names, by the names of their columns, with their unit."""
+    from closedloop.record.columns.joint_wrench import check_joint
+
+    def of(joint: str, frame: str) -> Any:
+        def wrench(run: Run) -> Any:
+            return run.joint_wrench(joint, frame)
+
+        wrench.__doc__ = f"force and moment of the inner on the outer side of {joint}, axes of {frame}"
+        return wrench, "N | N m"
+
+    columns = {}
+    for word in asked:
+        joint, _, frame = word.partition("@")
+        check_joint(model, joint, frame or "joint")
+        name = "_".join(["wrench", joint, *([frame] if frame else [])])
+        columns["".join(letter if letter.isalnum() else "_" for letter in name)[:60]] = of(joint, frame or "joint")
     return columns
 
 
@@ -242,6 +262,13 @@ def _parser() -> Parser:
     engines = ("pinocchio", "compiled")
     add("--engine", choices=engines, metavar="ENGINE", help="source of H, C, r, J: pinocchio (default), compiled")
     add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own as the law")
+    add(
+        "--wrench",
+        action="append",
+        default=[],
+        metavar="JOINT[@FRAME]",
+        help="the reaction wrench at a joint as a column, in its own axes, or those of a frame or of world",
+    )
     add("--record", action="append", default=[], metavar="MODULE:NAME", help="a function(run) of your own as a column")
     return parser
 

@@ -142,14 +142,25 @@ def set_anchor(w: Work, state: State) -> None:
 
 
 @kernel
+def flows(touch: Touch) -> bool:
+    """Whether the material of a surface flows along it where it has been asked."""
+    return touch.flow[1] != 0.0 or touch.flow[2] != 0.0
+
+
+@kernel
 def off_anchor(w: Work, state: State, tangent: int) -> float:
-    """Return how far the tip is from where it stuck, m, along tangent 1 or 2; 0 of a ball, which rolls on."""
+    """Return how far the tip is from where it stuck, m, along tangent 1 or 2.
+
+    It is 0 of a ball, which rolls on, and of what is stuck to material that flows: that moves on with it.
+    """
     if state.ball.entry != 0:
         return 0.0
     if state.surface.entry == 0:
         return float(w.tip.p[tangent] - w.tip.anchor[tangent])
     _, ask = ask_at(state.surface.at)
     touch, off = Touch(ask.touch), 0.0
+    if flows(touch):
+        return off
     for k in range(3):
         off += touch.local[tangent, k] * (touch.at[k] - w.tip.anchor[k])
     return off

@@ -353,6 +353,11 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     integrator, tolerance = integrator_of(scenario, joint_friction)
     if soft and tolerance is None:
         check_stiffness(scenario, robot, q, now)
+    if np.any(scenario.transmission.load_friction) and joint_friction.sticks != "rigid":
+        raise ScenarioError(
+            "transmission.load_friction: adds to a dry friction of the joints: give joint_friction.kind = 'coulomb', "
+            "'coulomb_viscous', 'stribeck' or 'karnopp', with joint_friction.kinetic = 0 where there is no other"
+        )
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
     placed = None if not (scenario.contact or has_stops(scenario, model)) else cache.get(

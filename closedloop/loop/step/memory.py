@@ -340,6 +340,16 @@ class State(Block):
     approached: int  # substeps in a row that began near a singular pose, see `closedloop.loop.step.singular`
 
 
+class Gears(Block, sizes=("n",)):
+    """What is between motors and links, see `closedloop.control.transmission`."""
+
+    stiffness: Annotated[Array, N]
+    damping: Annotated[Array, N]
+    motor_inertia: Annotated[Array, N]
+    play: Annotated[Array, N]  # half the backlash, rad (m)
+    load_friction: Annotated[Array, N]  # share of the torque passed on
+
+
 class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction", "compliance", "tendons")):
     """What does not change during a run of n joints."""
 
@@ -366,9 +376,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     armature: Annotated[Array, N]
     turns: Annotated[Array, N]  # 1 for the first of a ball joint's three, see `closedloop.loop.step.advance`
     tilt: Annotated[Array, 3, 3]  # of the contact frame that the controller believes in, in the true one
-    stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
-    shaft_damping: Annotated[Array, N]
-    motor_inertia: Annotated[Array, N]
+    gears: Gears
     driven: Annotated[Array, N]  # 0 for a joint without a drive
     torque_limit: Annotated[Array, N]  # see `closedloop.control.drives`, as the next; infinite: none
     torque_change: Annotated[Array, N]  # from sample to sample

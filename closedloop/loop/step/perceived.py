@@ -101,7 +101,7 @@ def perceive(H: Array, C: Array, w: Work, constants: Constants, state: State) ->
         apply_model_error(w, constants)
     if state.settings.elastic != 0:  # the controller takes the joints for rigid
         for j in range(n):
-            w.H[j, j] += constants.motor_inertia[j]
+            w.H[j, j] += constants.gears.motor_inertia[j]
     ends = integers_at(state.addresses.group_ends, state.n)
     status = int(factorise(w.H, perceived.A, perceived.L, perceived.X, perceived.S, constants.reach, ends))
     if status != OK:
@@ -136,7 +136,7 @@ def read_joints(w: Work, constants: Constants, state: State, table: Array) -> No
     for j in range(n):
         w.encoders.true_q[j], w.encoders.true_v[j] = w.q[j], w.v[j]
         q, v = w.q[j], w.v[j]
-        if state.settings.elastic == MOTORS_MEASURED and constants.motor_inertia[j] > 0.0:
+        if state.settings.elastic == MOTORS_MEASURED and constants.gears.motor_inertia[j] > 0.0:
             q, v = w.z[motors + j], w.z[motors + n + j]
         position, velocity = read_encoder(
             state.settings.encoder,

@@ -177,8 +177,8 @@ class ScenarioNumbers:
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
     drives : (2, n) array
         Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
-    transmission : (3, n) array
-        Stiffness, damping and motor inertia of elastic joints, see `closedloop.control.transmission`; zero: rigid.
+    transmission : (5, n) array
+        See `closedloop.control.transmission.transmission_constants`.
     encoder : (k,) array
         The parameters of the encoders.
     wanted : Desired

@@ -110,7 +110,10 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.armature[:], constants.driven[:] = robot.model.rigid_armature, robot.model.driven
     constants.turns[list(robot.model.balls)] = 1.0
     constants.measured[:] = robot.model.measured
-    constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
+    gears = constants.gears
+    gears.stiffness[:], gears.damping[:], gears.motor_inertia[:], gears.play[:], gears.load_friction[:] = (
+        problem.transmission
+    )
     constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
     constants.torque_limit[:], constants.torque_change[:] = problem.drives
     constants.compliance[:], constants.tendons[:] = problem.compliance.numbers, problem.tendons
@@ -195,9 +198,10 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
         held = terms.bias - felt * (problem.frame[0] @ terms.jacobian)
         if problem.robot.model.loops:
             held, _ = torque_of_drives(problem.robot, problem.q, held)
-        stiffness = problem.transmission[0]
+        stiffness, play = problem.transmission[0], problem.transmission[3]
         driven = stiffness > 0.0
-        w.z[-2 * n : -n] = problem.q + np.divide(held, stiffness, out=np.zeros(n), where=driven)
+        wound = np.divide(held, stiffness, out=np.zeros(n), where=driven)
+        w.z[-2 * n : -n] = problem.q + wound + np.where(driven, play * np.sign(held), 0.0)
         w.z[-n:] = np.where(driven, problem.v, 0.0)
 
 

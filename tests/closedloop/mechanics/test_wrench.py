@@ -125,14 +125,14 @@ def test_a_wrench_at_no_joint_is_refused(joint, frame, words):
 
 
 def test_the_command_line_records_a_wrench(command_line, tmp_path):
-    """--wrench is a column of run.nc, with its unit; one at no joint is refused before anything is simulated."""
+    """--record wrench:JOINT is a column of run.nc, with its unit; one at no joint is refused first."""
     options = ["wam_slide", "--time.duration", "0.01", "--no-figures", "--out", str(tmp_path / "out")]
-    assert command_line(*options, "--wrench", "J4", "--wrench", "J2@world").status == 0
+    assert command_line(*options, "--record", "wrench:J4", "--record", "wrench:J2@world").status == 0
     run = cl.load_run(tmp_path / "out" / "run.nc")
     assert np.array_equal(run["wrench_J4"], run.joint_wrench("J4"))
     assert np.array_equal(run["wrench_J2_world"], run.joint_wrench("J2", "world"))
     assert run.units("wrench_J4") == "N | N m"
-    assert "must be one of J1, J2, J3, J4" in command_line(*options[:4], "--wrench", "J9").refusal(2)
+    assert "must be one of J1, J2, J3, J4" in command_line(*options[:4], "--record", "wrench:J9").refusal(2)
 
 
 def test_a_hanging_tool_weighs_on_the_wrist():

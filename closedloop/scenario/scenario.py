@@ -74,12 +74,13 @@ class Scenario(Section):
         description="the control law, its gains, and the force to press with; without it there is no torque",
     )
     compensation: Annotated[Compensation, COMPENSATIONS] = Field(
-        default_factory=lambda: COMPENSATIONS["none"](), description="the controller's compensation of friction"
+        default_factory=lambda: COMPENSATIONS["none"](),
+        description="what the controller adds against friction, or for an unknown normal",
     )
     sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
     encoder: EncoderSection = Field(EncoderSection(), description="how the controller measures the joints")
     transmission: TransmissionSection = Field(
-        TransmissionSection(), description="elastic joints: stiffness, damping and motor inertia"
+        TransmissionSection(), description="gears: elastic joints, backlash, friction of the load"
     )
     drives: DrivesSection = Field(DrivesSection(), description="the joints' drives: limits of torque and of its rate")
     friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(

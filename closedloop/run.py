@@ -38,6 +38,9 @@ from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import import_function, import_law, member_digests
 
+# What --record says before the joint of a wrench.
+WRENCH = "wrench"
+
 if TYPE_CHECKING:
     from closedloop.command.results import Results
     from closedloop.record.run import Run
@@ -144,19 +147,36 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
         engine=engine,
         folder=Path(options.out) if options.out else Path("out") / scenario.name,
         earlier=earlier,
-        columns=_own_columns(options.record),
+        columns=_columns(options.record, model),
     )
 
 
-def _own_columns(names: list[str]) -> dict[str, Any]:
-    """Return the functions that --record names, each by its own name, which is that of its column."""
+def _columns(names: list[str], model: Any) -> dict[str, Any]:
+    """Return the functions that --record names, by the names of their columns: one's own, and wrenches at joints."""
     columns: dict[str, Any] = {}
     for name in names:
-        column = name.rpartition(":")[2]
+        kind, _, joint = name.partition(":")
+        own = kind != WRENCH
+        column = name.rpartition(":")[2] if own else "".join(x if x.isalnum() else "_" for x in name)[:60]
         if column in columns:
             raise ScenarioError(f"--record {name}: there is a column {column!r} already: use another name")
-        columns[column] = import_function("--record", name, "my_columns:spring_power")
+        columns[column] = import_function("--record", name, "my_columns:spring_power") if own else _wrench(joint, model)
     return columns
+
+
+def _wrench(word: str, model: Any) -> Any:
+    """Return what works out the wrench JOINT[@FRAME], and its unit."""
+    from closedloop.record.columns.joint_wrench import check_joint
+
+    joint, _, given = word.partition("@")
+    frame = given or "joint"
+    check_joint(model, joint, frame)
+
+    def wrench(run: Run) -> Any:
+        return run.joint_wrench(joint, frame)
+
+    wrench.__doc__ = f"force and moment of the inner on the outer side of {joint}, axes of {frame}"
+    return wrench, "N | N m"
 
 
 def _refuse_to_halve(scenario: Scenario) -> None:
@@ -242,7 +262,13 @@ def _parser() -> Parser:
     engines = ("pinocchio", "compiled")
     add("--engine", choices=engines, metavar="ENGINE", help="source of H, C, r, J: pinocchio (default), compiled")
     add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own as the law")
-    add("--record", action="append", default=[], metavar="MODULE:NAME", help="a function(run) of your own as a column")
+    add(
+        "--record",
+        action="append",
+        default=[],
+        metavar="MODULE:NAME",
+        help="a column: function(run), or wrench:JOINT[@FRAME]",
+    )
     return parser
 
 

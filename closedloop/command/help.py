@@ -66,10 +66,9 @@ def list_of_sections(names_only: bool = False) -> str:
             "Every other key can be set for all runs, with a value as in TOML: --law.kp 900.\n"
             "--help law lists the keys of a section, --explain law.kp explains one. Sections:\n"
         ) + names
-    return (
-        "Every key of the scenario is an option, with a value as in TOML: --law.force 15.\n"
-        "--help law lists the keys of a section, --explain law.kp explains one. Sections:\n"
-    ) + "\n".join(f"  {name:{COLUMN - 4}}{what}" for name, what in sections().items())
+    return "Each key is an option, with a value as in TOML: --law.force 15. Sections:\n" + "\n".join(
+        f"  {name:{COLUMN - 4}}{what}" for name, what in sections().items()
+    )
 
 
 class _Tell(argparse.Action):

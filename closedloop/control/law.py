@@ -82,6 +82,8 @@ class LawInput(NamedTuple):
         Desired contact force, N, of the surface on the tip along +n.
     f_measured : float
         Latest reading of the force sensor, N, as modelled by [sensor]; it belongs to an earlier instant.
+    f_tangential : (2,) array
+        Readings of the same instant along t1 and t2 of `frame`, N, of a sensor of three axes; else zero.
     pressed : float
         1 while the tip is in contact, else 0.
     scratch : array
@@ -112,6 +114,7 @@ class LawInput(NamedTuple):
     a_des: Array
     f_des: float
     f_measured: float
+    f_tangential: Array
     pressed: float
     scratch: Array
 
@@ -265,7 +268,7 @@ def _check_states(law: type[ControlLaw] | type[Compensation], key: str) -> None:
 
 
 class Compensation(Parameters):
-    """[compensation]: a torque against friction, added to that of the law.
+    """[compensation]: a torque against friction, or for a surface that is not as believed, added to that of the law.
 
     Its functions are those of a law (see `ControlLaw`), but `torque` adds to Q.
     """
@@ -273,6 +276,8 @@ class Compensation(Parameters):
     folder: ClassVar[str] = "closedloop.control.compensation"
     # Parameters that are values of friction as the controller believes it to be, see `model_error.friction`.
     friction_values: ClassVar[tuple[str, ...]] = ()
+    # Whether it needs what a force sensor of three axes reads along the tangents.
+    reads_tangential: ClassVar[bool] = False
     states: ClassVar[tuple[str, ...]] = ()
     joint_states: ClassVar[tuple[str, ...]] = ()
 

@@ -1,13 +1,18 @@
-"""The force sensor: a low-pass, then bias and noise, then quantisation, then a delay.
+"""The force sensor: cross-talk, a low-pass, then bias, drift and noise, saturation, quantisation, a delay.
 
-The low-pass is a state that is integrated with the arm's; all else happens to samples. A controller's reading
-is always a sample, hence of an earlier instant than its own.
+    s = (1 + X) F            X: cross-talk; F: the force on the tip along n, t1, t2 of the frame that the law sees
+    T ċ = s − c              low-pass
+    c_k = c(t_k − τ_k)       τ_k: jitter, uniform between 0 and its bound; c is linear between two samples
+    m_k = c_k + b + b' t_k + noise, cut to the range, in whole quanta          b, b': bias and drift, along n alone
+
+The low-pass is a state that is integrated with the arm's; what follows it happens to samples, but bias, drift and the
+range act between them too. A controller's reading is always a sample, hence of an earlier instant than its own.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -39,19 +44,41 @@ def _seed(value: Any) -> Any:
 
 Seed = Annotated[int, BeforeValidator(_seed), Unit("")]
 QUANTUM = Size(1e9, "N", "no sensor is so coarse", 1e-12, "no sensor is so fine")
+DRIFT = Size(1e9, "N/s", "no sensor drifts so fast")
+SHARE = Size(1e3, "", "no sensor is so wrong")
+_Share = Annotated[Number, SHARE]
+_Row = tuple[_Share, _Share, _Share]
 
 
 class SensorSection(Section):
     """[sensor]: the force sensor; by default ideal: the force at the latest sample."""
 
+    axes: Literal[1, 3] = Field(1, description="1: it reads the force along the normal; 3: along the two tangents too")
     noise: Annotated[NotNegative, FORCE] = Field(0.0, description="standard deviation of white noise, N")
-    bias: Annotated[Number, FORCE] = Field(0.0, description="constant error, N")
+    bias: Annotated[Number, FORCE] = Field(0.0, description="constant error along the normal, N")
+    drift: Annotated[Number, DRIFT] = Field(0.0, description="growth of the error along the normal, N/s")
+    cross_talk: tuple[_Row, _Row, _Row] = Field(
+        ((0.0, 0.0, 0.0),) * 3,
+        description="share of the force along n, t1 and t2 that is added to the reading of n, of t1 and of t2: three "
+        "rows of three",
+    )
+    saturation: Annotated[NotNegative, FORCE] = Field(
+        0.0, description="largest magnitude of a reading along an axis, N; 0: no limit"
+    )
     quantisation: Annotated[NotNegative, QUANTUM] = Field(0.0, description="step between two readings, N; 0: none")
     filter_time_constant: Annotated[NotNegative, PERIOD] = Field(
         0.0, description="time constant of a first-order low-pass, s; 0: none"
     )
     delay: Annotated[NotNegative, PERIOD] = Field(0.0, description="delay of a reading, s; a whole number of samples")
-    seed: Seed = Field(0, description="seed of the noise")
+    jitter: Annotated[NotNegative, PERIOD] = Field(
+        0.0, description="by how much a sample is late at most, s, evenly distributed from 0; at most one sample"
+    )
+    seed: Seed = Field(0, description="seed of noise and jitter")
+
+    @property
+    def talks_across(self) -> bool:
+        """Whether a reading depends on the forces along other axes."""
+        return bool(np.any(self.cross_talk))
 
 
 SensorParameters = parameter_block(SensorSection)
@@ -61,9 +88,10 @@ class PackedSensor(NamedTuple):
     """A sensor as the kernels read it."""
 
     par: Block  # its parameters by name
-    states: int  # 1 with a low-pass, else 0
+    axes: int
+    states: int  # one for each axis with a low-pass, else 0
     ring: int  # length of the ring buffer that `sense` needs: 1 and the delay in samples
-    sampled: bool  # whether noise, quantisation or delay make a reading differ from the continuous signal
+    sampled: bool  # whether noise, quantisation, delay or jitter make a reading differ from the continuous signal
 
 
 def pack_sensor(section: SensorSection, period: float) -> PackedSensor:
@@ -90,29 +118,67 @@ def pack_sensor(section: SensorSection, period: float) -> PackedSensor:
         raise ScenarioError(
             f"sensor.filter_time_constant = {constant:g} s: must be 0, or at least the {period:g} s between two samples"
         )
+    if section.jitter > period:
+        raise ScenarioError(
+            f"sensor.jitter = {section.jitter:g} s: must be at most the {period:g} s between two samples"
+        )
     par = SensorParameters(pack(section, 0, "sensor"), 0)
-    sampled = delay > 0 or section.noise > 0.0 or section.quantisation > 0.0
-    return PackedSensor(par, int(constant > 0.0), delay + 1, sampled)
+    sampled = delay > 0 or section.noise > 0.0 or section.quantisation > 0.0 or section.jitter > 0.0
+    return PackedSensor(par, section.axes, section.axes * int(constant > 0.0), delay + 1, sampled)
 
 
 def draws(section: SensorSection, count: int) -> Array:
-    """Return `count` standard normal numbers from the sensor's seed, one a sample."""
-    if section.noise == 0.0:
-        return np.zeros(count)
-    return np.random.default_rng(section.seed).standard_normal(count)
+    """Return the numbers drawn from the sensor's seed, (count, 4), one row a sample.
+
+    They are standard normal ones for the noise of each axis, and one from 0 to 1 for the jitter. A part that is not
+    asked for is zero, and changes none of the others.
+    """
+    found, generator = np.zeros((count, 4)), np.random.default_rng(section.seed)
+    if section.noise > 0.0:
+        found[:, 0] = generator.standard_normal(count)
+    if section.noise > 0.0 and section.axes > 1:
+        found[:, 1:3] = generator.standard_normal((count, 2))
+    if section.jitter > 0.0:
+        found[:, 3] = np.random.default_rng([section.seed, 1]).random(count)
+    return found
+
+
+@kernel
+def across(F: Array, axis: int, par: Any) -> float:
+    """Return what an axis of the sensor feels of a force F (3,), N."""
+    X = par.cross_talk
+    return float(F[axis] + (X[axis, 0] * F[0] + X[axis, 1] * F[1] + X[axis, 2] * F[2]))
 
 
 @kernel
 def sensor_rates(f_true: float, par: Any, z: Array, dz: Array) -> None:
-    """Write the rate of the low-pass z (1,), or nothing if there is none: ż = (f − z)/T."""
+    """Write the rate of the low-pass z (1,) of one axis, or nothing if there is none: ż = (f − z)/T."""
     if par.filter_time_constant > 0.0:
         dz[0] = (f_true - z[0]) / par.filter_time_constant
 
 
 @kernel
-def continuous_reading(f_true: float, par: Any, z: Array) -> float:
-    """Return the continuous reading at this instant, N: with low-pass and bias, without sampling."""
-    return float((z[0] if par.filter_time_constant > 0.0 else f_true) + par.bias)
+def signal_of(f_true: float, par: Any, z: Array) -> float:
+    """Return what is sampled of one axis, N: behind the low-pass z (1,), if there is one."""
+    return float(z[0] if par.filter_time_constant > 0.0 else f_true)
+
+
+@kernel
+def bias_at(t: float, axis: int, par: Any) -> float:
+    """Return the error of an axis at t, s, N."""
+    return float(par.bias + par.drift * t) if axis == 0 else 0.0
+
+
+@kernel
+def cut(reading: float, most: float) -> float:
+    """Return the reading within the sensor's range, N; 0: it has no end."""
+    return min(max(reading, -most), most) if most > 0.0 else reading
+
+
+@kernel
+def continuous_reading(signal: float, bias: float, par: Any) -> float:
+    """Return the reading of an axis at this instant, N, without sampling; see `signal_of` and `bias_at`."""
+    return float(cut(signal + bias, par.saturation))
 
 
 @kernel
@@ -124,32 +190,37 @@ def quantised(reading: float, quantum: float) -> float:
 
 
 @kernel
-def sense(f_true: float, sample: int, par: Any, z: Array, normal: float, ring: Array) -> float:
-    """Take a sample and return the controller's present reading, N.
+def sense(signal: float, bias: float, sample: int, par: Any, normal: float, ring: Array) -> float:
+    """Take a sample of one axis and return the controller's present reading, N.
 
     Parameters
     ----------
-    f_true : float
-        Contact force, N.
+    signal, bias : float
+        See `signal_of` and `bias_at`, N.
     sample : int
         How many samples were taken before this one.
-    par, z
-        See `PackedSensor`; z (1,) is the low-pass, read if there is one.
+    par
+        See `PackedSensor`.
     normal : float
         A standard normal number, for the noise.
     ring : (delay + 1,) array
         The latest samples; written.
     """
-    reading = quantised(continuous_reading(f_true, par, z) + par.noise * normal, par.quantisation)
+    reading = quantised(cut(signal + bias + par.noise * normal, par.saturation), par.quantisation)
     size = ring.shape[0]
     ring[sample % size] = reading
     return float(ring[(sample + 1) % size])
 
 
-def start_sensor(f_true: float, par: Any, z: Array, ring: Array) -> None:
-    """Write z and the ring of a sensor in steady state at f_true, N, without noise."""
-    if par.filter_time_constant > 0.0:
-        z[0] = f_true
-    reading = plain(quantised)(f_true + par.bias, par.quantisation)
-    for i in range(ring.shape[0]):
-        ring[i] = reading
+def start_sensor(f_true: float, sensor: PackedSensor, z: Array, signal: Array, ring: Array) -> None:
+    """Write the states, signals (3,) and rings (3, delay + 1) of a sensor in steady state, without noise.
+
+    The force is f_true, N, along the normal.
+    """
+    par: Any = sensor.par
+    F = np.array([f_true, 0.0, 0.0])
+    for axis in range(sensor.axes):
+        signal[axis] = plain(across)(F, axis, par)
+        z[axis : axis + 1] = signal[axis]
+        bias = plain(bias_at)(0.0, axis, par)
+        ring[axis] = plain(quantised)(plain(continuous_reading)(signal[axis], bias, par), par.quantisation)

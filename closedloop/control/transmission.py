@@ -1,4 +1,6 @@
-"""Elastic joints: between motor and link a spring and a damper, the motor with its inertia as a state of its own.
+"""Gears: friction that grows with the load, and elastic joints, with play or without.
+
+Elastic joints: between motor and link a spring and a damper, the motor with its inertia as a state of its own.
 
     τ = k (θ − q) + d (θ̇ − q̇)            what the transmission passes on to the link, in place of Q in Eq. 24
     B θ̈ = Q − τ                            the motor, with its inertia reflected to the joint
@@ -7,8 +9,20 @@ The motor's inertia is that of the drive, which a rigid joint adds to the mass m
 the motion goes to that of rigid joints as 1/k. A controller takes the joints for rigid: the H that it sees has the
 motors in it. Friction in the joints acts on the links.
 
-Source: M. Spong, Modeling and control of elastic joint robots, ASME J. Dynamic Systems, Measurement, and Control
-109(4), 1987, with the usual assumption that the motors' gyroscopic torques are small.
+Backlash, the play of 2 b between motor and link, is a dead zone of this spring: with δ = θ − q
+
+    τ = k (δ − b sign δ) + d δ̇      where |δ| > b and this pushes, else 0
+
+so that teeth push on the side where they touch, and never pull. Friction of a gear that grows with its load adds a
+share μ of the torque that the gear passes on, τ, or Q of a rigid joint, to the dry friction of the joint:
+
+    |τ_f| = c + μ |τ|               what is driven gets τ (1 − μ) − c, and drives back against τ (1 + μ) + c
+
+Sources: the dead zone in M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash - a survey,
+Automatica 38(10), 2002; friction that depends on the load in P. Hamon, M. Gautier and P. Garrec, Dynamic
+identification of robots with a dry friction model depending on load and velocity, IROS 2010. Elastic joints: M.
+Spong, Modeling and control of elastic joint robots, ASME J. Dynamic Systems, Measurement, and Control 109(4), 1987,
+with the usual assumption that the motors' gyroscopic torques are small.
 """
 
 from __future__ import annotations
@@ -20,7 +34,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.base.sections import Section, Size, stiffness_in, viscous_in
+from closedloop.base.sections import ANGLE, COEFFICIENT, Section, Size, stiffness_in, viscous_in
 from closedloop.control.drives import Limit
 from closedloop.control.encoder import EachJoint
 from closedloop.jit.parameters import per_joint
@@ -43,6 +57,14 @@ class TransmissionSection(Section):
         description="inertia of the motors, reflected to the joints, kg m², one number for all or one per joint; the "
         "robot's own drive inertia if left out",
     )
+    backlash: Annotated[EachJoint, ANGLE] = Field(
+        0.0, description="play between motor and link, from side to side, rad (m), one number for all or one per joint"
+    )
+    load_friction: Annotated[EachJoint, COEFFICIENT] = Field(
+        0.0,
+        description="friction of the gear, as a share of the torque that it passes on, one number for all or one per "
+        "joint; beside the dry friction of [joint_friction], of rigid joints too",
+    )
     measured: Literal["link", "motor"] = Field(
         "link", description="the side on which the controller measures positions and velocities"
     )
@@ -59,9 +81,11 @@ class TransmissionSection(Section):
 
 
 def transmission_constants(section: TransmissionSection, model: RobotModel) -> Array:
-    """Return stiffness, N m/rad, damping, N m s/rad, and motor inertia, kg m², of each joint, (3, n); zero: rigid.
+    """Return, of each joint, (5, n): what the next lines say.
 
-    Joints without a drive, which loops may have, have no motor, and are zero.
+    Stiffness, N m/rad, damping, N m s/rad, motor inertia, kg m², half the backlash, rad (m), and the share of the load
+    that rubs. A stiffness of zero is that of a rigid joint. Joints without a drive, which loops may have, have no
+    motor, and are zero.
 
     Raises
     ------
@@ -70,13 +94,15 @@ def transmission_constants(section: TransmissionSection, model: RobotModel) -> A
     """
     if section.stiffness is None:
         usual = TransmissionSection()
-        for key in ("damping", "motor_inertia", "measured"):
+        for key in ("damping", "motor_inertia", "backlash", "measured"):
             value = getattr(section, key)
             if value != getattr(usual, key):
                 raise ScenarioError(
                     f"transmission.{key} = {value!r}: goes with transmission.stiffness, which is left out: rigid joints"
                 )
-        return np.zeros((3, model.n))
+        none = np.zeros((5, model.n))
+        none[4] = per_joint("transmission.load_friction", section.load_friction, model.n, model.joint_names)
+        return none
 
     for drive in model.shared_drives:
         raise ScenarioError(
@@ -96,4 +122,5 @@ def transmission_constants(section: TransmissionSection, model: RobotModel) -> A
             f"transmission.motor_inertia is left out, and {model.name} has no drive inertia in {', '.join(lacking)}: "
             "give it in kg m², one number or one per joint"
         )
-    return np.stack([each("stiffness"), each("damping"), inertia])
+    play = 0.5 * each("backlash")
+    return np.stack([each("stiffness"), each("damping"), inertia, play, each("load_friction")])

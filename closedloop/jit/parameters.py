@@ -89,7 +89,7 @@ def _shape(annotation: Any) -> tuple[Any, ...] | None:
         return ()
     if get_origin(annotation) is tuple:
         entries = get_args(annotation)
-        return (_N,) if Ellipsis in entries else (len(entries),)
+        return (_N,) if Ellipsis in entries else (len(entries), *(_shape(entries[0]) or ()))
     shapes = [_shape(choice) for choice in get_args(annotation) if choice is not NoneType]
     if not shapes or any(shape is None for shape in shapes):
         return None

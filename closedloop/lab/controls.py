@@ -23,7 +23,7 @@ from closedloop.lab.curves import USUAL, nearest_round, span
 from closedloop.mechanics.surface.placed import contact_frame, unit
 from closedloop.scenario.messages import variants
 from closedloop.scenario.overrides import toml_value
-from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.scenario import Scenario, families, families_in
 from closedloop.scenario.tables import ALL, names_in, table_type
 from robot_models import RobotModel
 
@@ -78,7 +78,7 @@ def _value(scenario: Scenario, key: str, unit_name: str) -> Any:
 
 # The tabs of the lab, and the sections of the scenario in each.
 TABS: dict[str, tuple[str, ...]] = {
-    "law": ("law", "compensation", "sensor", "force_profile", "model_error"),
+    "law": ("law", "compensation", "sensor", "force_profile", "belief", "model_error"),
     "surface": ("surface", "surface_motion", "compliance", "impact", "contact"),
     "friction": ("friction", "joint_friction"),
     "arm": ("encoder", "drives", "transmission"),
@@ -92,7 +92,7 @@ ROUND = ("time.step",)
 # Units of a joint that turns, and what they are of one that slides.
 SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m"}
 # Sections whose lists are of other things than joints, however many they have.
-NO_JOINTS = ("tool", "surface", "surface_motion", "force_profile", "reference", "contact")
+NO_JOINTS = ("tool", "surface", "belief", "surface_motion", "force_profile", "reference", "contact")
 DIGITS = 3  # of a value from a logarithmic slider
 
 
@@ -206,10 +206,16 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
         hint = f"{about}; {own}" if own else about
         found.append(Control(f"{section}.kind", None, "choice", section, "", hint, held.kind, options=kinds))
     resolved: Mapping[str, Any] = getattr(held, "resolved", dict)()
-    fields = type(held).model_fields
+    own_type: type[Section] = type(held)
+    fields, inner_families = own_type.model_fields, families_in(own_type)
     for name in sorted(fields, key=lambda name: name != "force"):  # what most come for is at the top
         field = fields[name]
-        if name != "kind":
+        if name in inner_families:  # a section within: the numbers of it
+            inner = getattr(held, name)
+            for key, part in type(inner).model_fields.items() if inner is not None else ():
+                if field_units(part):
+                    found += _of_field(f"{section}.{name}.{key}", part, getattr(inner, key), scenario, model)
+        elif name != "kind":
             value = getattr(held, name)
             value = resolved.get(name) if value is None else value
             found += _of_field(f"{section}.{name}", field, value, scenario, model)

@@ -18,6 +18,7 @@ TIP, ALL_LINKS, LINKS = "friction", "all contacts of links", "contacts of links"
 # Groups by the scenario's section; keys of the law are told apart by their names.
 SECTIONS: dict[str, str] = {
     "force_profile": LAW, "compensation": "compensation", "model_error": "compensation",
+    "belief": "compensation",
     "friction": TIP, "joint_friction": "friction of the joints",
     "surface": "surface", "surface_motion": "surface", "compliance": "surface", "impact": "surface",
     "contact": LINKS,

@@ -23,6 +23,7 @@ from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
+from closedloop.record.columns.joint_wrench import joint_wrench
 from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, Event, columns_there, events_of
 from closedloop.record.report.summary import summarise
 from closedloop.record.save import CONVENTIONS, HDF5, attributes, save_run
@@ -320,6 +321,27 @@ class Run(_Columns):
             If the file cannot be written.
         """
         return called("show", self, path)
+
+    @arguments_checked()
+    def joint_wrench(self, joint: str, frame: str = "joint") -> NDArray[np.float64]:
+        """Return the reaction wrench at a joint, (N, 6): force, N, and moment, N m, of its inner on its outer side.
+
+        It is what moves all that hangs on the joint, less weight and contacts. The moment is about the joint's origin;
+        along the axis it is what drive, friction and stop give together. It is computed from the record.
+
+        Parameters
+        ----------
+        joint : str
+            A joint of the robot.
+        frame : str
+            Whose axes it is in: "joint", those of the joint's outer side; "world", the base's; or a frame of the robot.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such joint or frame, or the robot has loops.
+        """
+        return joint_wrench(self, joint, frame)
 
     def step_error(self, law: Any = None) -> dict[str, float | None]:
         """Return by how much the same run at half the step differs: ``force``, N, and ``position`` of the tip, m.

@@ -141,7 +141,7 @@ def check_transmission(scenario: Scenario, robot: Robot, q: Array) -> None:
 
     δ̈ = −(H⁻¹ + B⁻¹)(K δ + D δ̇), δ = θ − q. Contact holds the tip, and with it the links: it makes nothing swing faster.
     """
-    stiffness, damping, inertia = transmission_constants(scenario.transmission, robot.model)
+    stiffness, damping, inertia, _, _ = transmission_constants(scenario.transmission, robot.model)
     try:
         mobility = closed_mobility(robot, q, np.linalg.inv(robot.terms(q, np.zeros(robot.n)).mass_matrix))
         mobility += np.diag(np.divide(1.0, inertia, out=np.zeros(robot.n), where=inertia > 0.0))

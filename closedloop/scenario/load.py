@@ -29,13 +29,13 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.families import KEEP_ABSENT, Family
 from closedloop.base.sections import Section
 from closedloop.scenario.messages import explain, variant_keys
-from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.scenario import Scenario, families, families_in
 from closedloop.scenario.tables import (
     ALL,
     are_points,
     each_point,
-    families_in,
     names_of_members,
+    plain_section,
     set_points,
     table_type,
     tables_of,
@@ -248,7 +248,8 @@ def _override(data: dict[str, Any], key: str, value: Any) -> None:
     else:
         if (table_of := table_type(section)) and isinstance(value, list | tuple):
             value = [_named_in_table(each, "", table_of, f"{key}.{i}") for i, each in enumerate(value)]
-        _set(data, key.split("."), value, key, {})
+        within = families_in(plain) if (plain := plain_section(section)) is not None else {}
+        _set(data, key.split("."), value, key, within)
         each_point(section, data)
 
 
@@ -274,8 +275,9 @@ def _set(data: dict[str, Any], parts: list[str], value: Any, key: str, within: M
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
             raise ScenarioError(f"{key}: '{part}' is not a section")
-    if parts[-1] == "kind" and len(parts) == 2 and isinstance(value, str) and section.get("kind") != value:
-        family = within.get(parts[0])
+    family = within.get(parts[-2]) if len(parts) > 1 else None
+    of_a_section = len(parts) == 2 or family is not None
+    if parts[-1] == "kind" and of_a_section and isinstance(value, str) and section.get("kind") != value:
         known = variant_keys(parts[0], value) if family is None else set(getattr(family.get(value), "model_fields", ()))
         for stale in [k for k in section if k not in known]:
             del section[stale]

@@ -19,8 +19,8 @@ from pydantic_core import ErrorDetails
 from closedloop.base.errors import one_line
 from closedloop.base.families import NOT_NAMED, Family, how_to_name, users_named
 from closedloop.base.sections import Section, SizeError, field_units, is_left_out
-from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.tables import families_in, table_type
+from closedloop.scenario.scenario import Scenario, families_in
+from closedloop.scenario.tables import plain_section, table_type
 from robot_models.errors import shown as shown_value
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ _SECTIONS: dict[str, str] = {
     "actuator": "drives", "actuators": "drives", "motors": "drives", "limits": "drives", "restitution": "impact",
     "bounce": "impact", "force": "force_profile", "friction_compensation": "compensation", "end_effector": "tool",
     "payload": "model_error", "uncertainty": "model_error",
+    "believed_surface": "belief", "believed": "belief", "beliefs": "belief",
 }  # fmt: skip
 ALIKE = 0.5  # of difflib's ratio, from which on a word is taken for a misspelt one
 
@@ -249,7 +250,7 @@ def _explain(problem: ErrorDetails, data: dict[str, Any], length: int) -> tuple[
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
         shown = shown_value(problem["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
         kinds = _shipped_kinds(section)
-        if table := table_type(section):
+        if table := _with_inner(section):
             kinds = [kind for key, family in families_in(table).items() if key in path for kind in family.names()]
         name, cure = f"{name}.kind", f"must be {' or '.join(map(repr, kinds))}"
     elif kind == NOT_NAMED:
@@ -288,29 +289,37 @@ def _brief(key: str) -> str:
     return key if len(key) <= LONGEST_KEY else f"{key[:LONGEST_KEY]}..."
 
 
+def _with_inner(section: str) -> type[Section] | None:
+    """Return the type of a section, or of its tables, that may have sections of a family within, None of any other."""
+    plain = plain_section(section)
+    return table_type(section) or (plain if plain is not None and families_in(plain) else None)
+
+
 def _all_keys(section: str) -> set[str]:
-    if table := table_type(section):
+    if table := _with_inner(section):
         members = [member for family in families_in(table).values() for member in family.values()]
         return {key for each in (table, *members) for key in each.model_fields}
     return {key for kind in variants(section) for key in variant_keys(section, kind)}
 
 
-def _known_in_list(table: type[Section], path: list[str], data: dict[str, Any]) -> tuple[list[str], str]:
-    """Return the keys of a table of a list in place of an unknown one, or of a section in it, and whose they are."""
-    family = families_in(table).get(path[2]) if len(path) > 3 else None
+def _known_in(table: type[Section], path: list[str], data: Any, whole: str) -> tuple[list[str], str]:
+    """Return the keys of a table in place of an unknown one, or of a section in it, and whose they are."""
+    family = families_in(table).get(path[0]) if len(path) > 1 else None
     if family is None:
-        return sorted(table.model_fields), f"[[{path[0]}]] has"
-    given = data[path[0]][int(path[1])][path[2]]
-    kind = given.get("kind", family.usual or "")
-    return sorted(family[kind].model_fields), f"{path[2]} of kind {kind!r} has"
+        return sorted(table.model_fields), f"{whole} has"
+    kind = data[path[0]].get("kind", family.usual or "")
+    return sorted(family[kind].model_fields), f"{path[0]} of kind {kind!r} has"
 
 
 def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
     """Return which keys there are in place of an unknown one: the nearest, the kind that has it, or all."""
     if len(path) == 1:
         return _known_sections(section, data)
+    inner = plain_section(section)
     if table := table_type(section):
-        known, place = _known_in_list(table, path, data)
+        known, place = _known_in(table, path[2:], data[path[0]][int(path[1])], f"[[{section}]]")
+    elif inner is not None and path[1] in families_in(inner):
+        known, place = _known_in(inner, path[1:], data[section], f"[{section}]")
     else:
         kinds = variants(section)
         given = data[section] if isinstance(data[section], dict) else {}

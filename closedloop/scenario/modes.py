@@ -308,7 +308,7 @@ def _modes(
         return []
     modes: list[Mode] = []
     if scenario.transmission.elastic:
-        k, d, inertia = transmission_constants(scenario.transmission, robot.model)
+        k, d, inertia, _, _ = transmission_constants(scenario.transmission, robot.model)
         between = mobility + np.diag(np.divide(1.0, inertia, out=np.zeros(n), where=inertia > 0.0))
         modes.append(Mode("transmission.stiffness", between * k, between * d, name))
     A = np.linalg.svd(normal[None])[2] @ terms.jacobian  # along the normal and two tangents

@@ -1,4 +1,4 @@
-"""The robot of a scenario: [robot], the [tool] on its tip, each free [[body]] beside it, and [model_error]."""
+"""The robot of a scenario: [robot], the [tool] on its tip, each free [[body]] beside it, [belief] and [model_error]."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ from closedloop.base.sections import (
     Section,
     Size,
 )
+from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
+from closedloop.mechanics.surface.surface import SURFACES, Surface
 
 # The model of a scenario that has free bodies alone.
 NO_ROBOT = "none"
@@ -140,6 +142,22 @@ class BodySection(Section):
         """What `robot_models.bodies.FreeBody` calls its size, m."""
         values = (getattr(self, key) for key in MEASURES[self.shape])
         return tuple(x for value in values for x in (value if isinstance(value, tuple) else (value,)))
+
+
+class BeliefSection(Section):
+    """[belief]: the surface that path, law and compensation take for the true one; what is left out is as it is."""
+
+    surface: Annotated[Surface, SURFACES] | None = Field(
+        None, description="the surface that the controller believes in, with the keys of [surface]"
+    )
+    surface_motion: Annotated[SurfaceMotion, MOTIONS] | None = Field(
+        None, description="how the controller believes that it moves, with the keys of [surface_motion]"
+    )
+
+    @property
+    def differs(self) -> bool:
+        """Whether anything is said of a surface other than the true one."""
+        return self.surface is not None or self.surface_motion is not None
 
 
 class ModelErrorSection(Section):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -25,7 +25,7 @@ from closedloop.mechanics.contacts.sections import ContactSection, ImpactSection
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES, Compliance, Surface
-from closedloop.scenario.robot_sections import BodySection, ModelErrorSection, RobotSection, ToolSection
+from closedloop.scenario.robot_sections import BeliefSection, BodySection, ModelErrorSection, RobotSection, ToolSection
 from closedloop.scenario.time_sections import BaumgarteSection, Stabiliser, StartSection, TimeSection
 
 
@@ -54,6 +54,7 @@ class Scenario(Section):
     )
     tool: ToolSection = Field(ToolSection(), description="a tool on the tip: where its tip is, and its mass")
     model_error: ModelErrorSection = Field(ModelErrorSection(), description="errors of the controller's model")
+    belief: BeliefSection = Field(BeliefSection(), description="the surface that the controller believes in")
     compliance: Annotated[Compliance, COMPLIANCES] = Field(
         default_factory=lambda: COMPLIANCES["none"](), description="stiffness and damping of a soft surface"
     )
@@ -73,12 +74,13 @@ class Scenario(Section):
         description="the control law, its gains, and the force to press with; without it there is no torque",
     )
     compensation: Annotated[Compensation, COMPENSATIONS] = Field(
-        default_factory=lambda: COMPENSATIONS["none"](), description="the controller's compensation of friction"
+        default_factory=lambda: COMPENSATIONS["none"](),
+        description="what the controller adds against friction, or for an unknown normal",
     )
     sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
     encoder: EncoderSection = Field(EncoderSection(), description="how the controller measures the joints")
     transmission: TransmissionSection = Field(
-        TransmissionSection(), description="elastic joints: stiffness, damping and motor inertia"
+        TransmissionSection(), description="gears: elastic joints, backlash, friction of the load"
     )
     drives: DrivesSection = Field(DrivesSection(), description="the joints' drives: limits of torque and of its rate")
     friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(
@@ -176,4 +178,17 @@ def families() -> dict[str, Family[Any] | OneOf]:
         if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
             for key, inner in field.annotation.model_fields.items():
                 found |= {f"{section}.{key}": one for one in inner.metadata if isinstance(one, OneOf)}
+            found |= {f"{section}.{key}.kind": family for key, family in families_in(field.annotation).items()}
     return found
+
+
+@cache
+def families_in(section: type[Section]) -> dict[str, Family[Any]]:
+    """Return the keys of a section, or of a table of a list, that are sections of a family, and the family."""
+    return {
+        name: each
+        for name, field in section.model_fields.items()
+        for part in get_args(field.annotation)
+        for each in getattr(part, "__metadata__", ())
+        if isinstance(each, Family)
+    }

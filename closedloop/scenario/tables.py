@@ -21,10 +21,10 @@ from itertools import groupby
 from typing import Any, get_args
 
 from closedloop.base.errors import ScenarioError
-from closedloop.base.families import Family, OneOf
+from closedloop.base.families import OneOf
 from closedloop.base.sections import Section
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.scenario import Scenario, families, families_in
 from robot_models.errors import shown
 
 ALL = "*"
@@ -40,16 +40,13 @@ def table_type(section: str) -> type[Section] | None:
     return None
 
 
-@cache
-def families_in(table: type[Section]) -> dict[str, Family[Any]]:
-    """Return the keys of a table that are sections of a family, and the family."""
-    return {
-        name: each
-        for name, field in table.model_fields.items()
-        for part in get_args(field.annotation)
-        for each in getattr(part, "__metadata__", ())
-        if isinstance(each, Family)
-    }
+def plain_section(section: str) -> type[Section] | None:
+    """Return the type of a section that is no list of tables and has no kinds, None of any other."""
+    field = Scenario.model_fields.get(section)
+    kind: Any = None if field is None else field.annotation
+    if isinstance(kind, type) and issubclass(kind, Section) and f"{section}.kind" not in families():
+        return kind
+    return None
 
 
 @cache
@@ -169,11 +166,11 @@ def described_key(key: str) -> str:
     contact.0.surface.radius        surface.radius
     """
     section, _, rest = key.partition(".")
-    table = table_type(section)
+    table = table_type(section) or plain_section(section)
     if table is None or not rest:
         return key
     parts, within = rest.split("."), families_in(table)
-    while len(parts) > 1 and parts[0] not in within:
+    while table_type(section) and len(parts) > 1 and parts[0] not in within:
         del parts[0]
     family = within.get(parts[0]) if len(parts) > 1 else None
     if family is None:

@@ -158,10 +158,18 @@ def members_of_users(scenario: Scenario) -> dict[str, str]:
 
 def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key in families():
-        section, _, name = key.partition(".")
-        yield key, str(getattr(getattr(scenario, section), name))
+        if (name := _at(scenario, key)) is not None:
+            yield key, str(name)
     for i, contact in enumerate(scenario.contact or ()):
         yield f"contact.{i}.restitution_law", contact.restitution_law
+
+
+def _at(scenario: Scenario, key: str) -> Any:
+    """Return what a scenario has at a dotted key, None if a section on the way is left out."""
+    found: Any = scenario
+    for part in key.split("."):
+        found = getattr(found, part, None)
+    return found
 
 
 def refuse_absent(scenario: Scenario) -> None:
@@ -181,7 +189,7 @@ def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
     """Return the class of a member that a scenario has, None if it is absent."""
     if key not in families():  # of a table of a list
         return names_of_members(ContactSection)[key.rpartition(".")[2]].get(name)
-    section = getattr(scenario, key.partition(".")[0])
+    section = _at(scenario, key.rpartition(".")[0])
     if isinstance(section, Member | Absent):  # its own class, whatever else was given this name since
         return type(section) if isinstance(section, Member) else None
     return families()[key].get(name)

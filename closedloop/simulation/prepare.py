@@ -46,6 +46,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.placed import PlacedSurface, Touching, unit
 from closedloop.mechanics.surface.rates import check_rates
@@ -234,6 +235,31 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
     return surface, now, FREE if rate < -RESTING else PRESSED
 
 
+def believed_surface(scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array) -> PlacedSurface | None:
+    """Return the surface that the controller believes in, None if it is the true one.
+
+    What [belief] leaves out is as it is. A surface whose place is "start" lies where the true one does below the tip,
+    unless it has a `gap` of its own.
+    """
+    belief = scenario.belief
+    if not belief.differs:
+        return None
+    section = scenario.surface if belief.surface is None else belief.surface
+    motion = scenario.surface_motion if belief.surface_motion is None else belief.surface_motion
+    if isinstance(section, NoSurface) or not scenario.has_surface:
+        raise ScenarioError("belief: there must be a surface, and one that the controller believes in; leave it out")
+    if section is scenario.surface:
+        place = replace(surface, motion=motion, where="belief.surface")
+    else:
+        place = PlacedSurface.of(
+            section, motion, robot.position(q), radius=scenario.tool.radius, where="belief.surface"
+        )
+    if place.below_start and section is not scenario.surface and not section.gap:
+        place = replace(place, origin=place.origin - surface.touching(robot.position(q)).gap * place.normal)
+    check_rates(place, scenario.time.duration)
+    return place
+
+
 def _where_given(section: Surface, surface: PlacedSurface, tip: Array) -> tuple[str, str, str]:
     """Return key and value that place the surface, what the value may be for this start, and two ways to be on it."""
     own: Any
@@ -321,11 +347,17 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         lambda placed: SECTION_BYTES,
     )
     check_rates(surface, scenario.time.duration)
+    believed = believed_surface(scenario, robot, surface, q)
     soft = not isinstance(scenario.compliance, Rigid)
     joint_friction = joint_friction_of(scenario, model)
     integrator, tolerance = integrator_of(scenario, joint_friction)
     if soft and tolerance is None:
         check_stiffness(scenario, robot, q, now)
+    if np.any(scenario.transmission.load_friction) and joint_friction.sticks != "rigid":
+        raise ScenarioError(
+            "transmission.load_friction: adds to a dry friction of the joints: give joint_friction.kind = 'coulomb', "
+            "'coulomb_viscous', 'stribeck' or 'karnopp', with joint_friction.kinetic = 0 where there is no other"
+        )
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
     placed = None if not (scenario.contact or has_stops(scenario, model)) else cache.get(
@@ -335,11 +367,16 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     h, period = scenario.time.step, scenario.law.sample_period
     steps, hold = steps_and_hold(scenario, n)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
-        wanted, table = reference_table(scenario, robot, surface, q, steps, integrator.parts, cache)
+        taken = surface if believed is None else believed
+        wanted, table = reference_table(scenario, robot, taken, q, steps, integrator.parts, cache)
 
     law, start = _law_from(scenario, wanted)
     compensation = _believed_compensation(scenario)
     compensation.check(law)
+    if compensation.reads_tangential and scenario.sensor.axes == 1:
+        raise ScenarioError(
+            f"compensation.kind = {compensation.kind!r}: needs the force along the tangents too: set sensor.axes = 3"
+        )
     check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
 
     def packed(name: str, section: Any, how: Callable[[], PackedLaw]) -> PackedLaw:
@@ -351,8 +388,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return Problem(
-        scenario=scenario, robot=robot, surface=surface, frame=now.frame, integrator=integrator, tolerance=tolerance,
-        q=q, v=v, mode=mode, h=h, steps=steps, hold=hold, nodes=integrator.parts, table=table, wanted=wanted,
+        scenario=scenario, robot=robot, surface=surface, believed=believed, frame=now.frame,
+        integrator=integrator, tolerance=tolerance, q=q, v=v, mode=mode, h=h, steps=steps, hold=hold,
+        nodes=integrator.parts, table=table, wanted=wanted,
         pd_start=start, law=pack_law(law, n, model.joint_names), friction=friction, placed=placed,
         compensation=packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
         joint_friction=packed("joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)),
@@ -458,7 +496,7 @@ BEYOND = 1.001
 def reference_table(
     scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, steps: int, nodes: int, cache: Cache
 ) -> tuple[Desired, Array]:
-    """Return what is desired, and the table of it, `nodes` rows to a step, with noise in its last columns."""
+    """Return what is desired on a surface, and the table of it, `nodes` rows to a step, with noise behind it."""
     n = robot.n
     instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
     row = DrawnRow if scenario.reads_encoders else TableRow
@@ -477,15 +515,15 @@ def reference_table(
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
-    noisy = scenario.sensor.noise > 0.0
+    drawn = scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
     table = cache.get(
-        ("table", *motion, instants.size, float(instants[1]), spare, noisy),
+        ("table", *motion, instants.size, float(instants[1]), spare, drawn),
         lambda: wanted.table(instants, spare=spare),
         lambda made: made.nbytes,
     )
     table[:, Reference.place("force", n)] = force_at(wanted.profile, wanted.force, instants)
-    if noisy:  # else its column has the zeros that it was made with
-        table[::nodes, TableRow.place("noise", n)] = draws(scenario.sensor, steps + 1)
+    if drawn:  # else its columns have the zeros that they were made with
+        table[::nodes, TableRow.place("sensor", n)] = draws(scenario.sensor, steps + 1)
     if scenario.reads_encoders:
         table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(scenario.encoder, steps + 1, n)
     return wanted, table
@@ -495,5 +533,5 @@ def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
     """Return what of the surface the path depends on."""
     if surface.fixed_plane:
         return surface.normal.tobytes()
-    sections = scenario.surface.model_dump_json(), scenario.surface_motion.model_dump_json()
+    sections = surface.section.model_dump_json(), surface.motion.model_dump_json()
     return (*sections, surface.origin.tobytes(), scenario.time.duration)

@@ -183,7 +183,7 @@ class Loop:
             J=np.ascontiguousarray(terms.jacobian), Jdot_v=terms.drift.copy(), frame=np.ascontiguousarray(self.frame),
             q_des=np.array(q_des), v_des=np.array(v_des), qdd_des=np.zeros(len(q_des)),
             p_des=self.p_start + shift, u_des=np.array(u_des), a_des=np.array(a_des),
-            f_des=float(self.f_des), f_measured=float(self.f_measured),
+            f_des=float(self.f_des), f_measured=float(self.f_measured), f_tangential=np.zeros(2),
             pressed=float(self.pressed), scratch=self.scratch,
         )  # fmt: skip
         return x, terms

@@ -28,7 +28,7 @@ class TableRow(Block, sizes=("n",)):
     """A row of the table."""
 
     reference: Reference
-    noise: float  # of the force sensor, N
+    sensor: Annotated[Array, 4]  # see `closedloop.control.sensor.draws`
 
 
 class DrawnRow(TableRow, sizes=("n",)):

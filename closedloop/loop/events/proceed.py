@@ -107,7 +107,7 @@ def proceed(
         Terms at (q, q̇) in `w`; Jᵣ, r and J̇ᵣq̇ are in `w`.
     w, constants, state
         See `closedloop.loop.step.memory`.
-    table : (P, 2 n + 11) array
+    table : (P, 2 n + 14) array
         The reference at the instants of the stages, see `closedloop.loop.step.entries`.
     tableau : (S + 1, S) array
         See `closedloop.mechanics.integrators.Scheme.tableau`.

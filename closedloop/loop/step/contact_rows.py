@@ -12,7 +12,7 @@ from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at, integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.user_code import RAISED
-from closedloop.loop.step.locate import off_anchor
+from closedloop.loop.step.locate import flows, off_anchor
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.loop.step.tendons import joint_limits, part_of, rate_along, stops_of
 from closedloop.mechanics.closure.contact_force import FREE, baumgarte_acceleration
@@ -236,7 +236,7 @@ def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: fl
         c.drift[n + a] = N[a, 0] * d0 + N[a, 1] * d1 + N[a, 2] * d2 + touch.turning[a]
         if a > 0:
             c.located[n + a] = 0.0
-            for j in range(3):
+            for j in range(0 if flows(touch) else 3):
                 c.located[n + a] += touch.local[a, j] * (touch.at[j] - c.anchor[n + j])
     if links.shapes != 0 and rolls(shapes_at(links.shapes), i):
         joints, rows = loops_at(links.rows)

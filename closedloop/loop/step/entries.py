@@ -93,8 +93,11 @@ def transmit(w: Work, constants: Constants) -> None:
     n = w.q.shape[0]
     at = w.z.shape[0] - 2 * n
     for j in range(n):
-        spring = constants.stiffness[j] * (w.z[at + j] - w.q[j])
-        w.drives.transmitted[j] = spring + constants.shaft_damping[j] * (w.z[at + n + j] - w.v[j])
+        gap, wound = constants.gears.play[j], w.z[at + j] - w.q[j]
+        across = 0.0 if gap > 0.0 and abs(wound) <= gap else (wound - gap if wound > 0.0 else wound + gap)
+        passed = constants.gears.stiffness[j] * across + constants.gears.damping[j] * (w.z[at + n + j] - w.v[j])
+        # teeth push on the side where they touch, and do not pull
+        w.drives.transmitted[j] = 0.0 if gap > 0.0 and passed * across <= 0.0 else passed
 
 
 @kernel
@@ -104,8 +107,8 @@ def motor_rates(w: Work, constants: Constants) -> None:
     at = w.z.shape[0] - 2 * n
     for j in range(n):
         w.dz[at + j] = w.z[at + n + j]
-        if constants.motor_inertia[j] > 0.0:
-            w.dz[at + n + j] = (w.torque[j] - w.drives.transmitted[j]) / constants.motor_inertia[j]
+        if constants.gears.motor_inertia[j] > 0.0:
+            w.dz[at + n + j] = (w.torque[j] - w.drives.transmitted[j]) / constants.gears.motor_inertia[j]
         else:  # a joint without a drive
             w.dz[at + n + j] = 0.0
 
@@ -150,7 +153,7 @@ def _input(state: State, w: Work, arm: Any, tip: Any) -> LawInput:
     return LawInput(
         w.time, arm.q, arm.v, w.H, w.C, arm.L, tip.A, tip.X, tip.S, tip.drift_c, tip.p, tip.u, arm.r, arm.J, arm.drift,
         tip.frame, wanted.q, wanted.v, w.qdd_des, wanted.position, wanted.velocity, wanted.acceleration, wanted.force,
-        w.sensing.measured, pressed, w.scratch.numbers,
+        w.sensing.measured, w.sensing.tangential, pressed, w.scratch.numbers,
     )  # fmt: skip
 
 

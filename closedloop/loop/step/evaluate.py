@@ -14,7 +14,7 @@ from closedloop.base.arrays import Array
 from closedloop.control.drives import cut_torque
 from closedloop.control.law import Perceived
 from closedloop.control.laws.paper import PaperLaw, paper_law
-from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
+from closedloop.control.sensor import SensorParameters, bias_at, continuous_reading, sensor_rates, signal_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.parameters import parameter_block
@@ -33,12 +33,12 @@ from closedloop.loop.step.entries import (
 from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.loop.step.locate import in_contact_frame, locate_tip
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
-from closedloop.loop.step.perceived import keep_terms, perceive
+from closedloop.loop.step.perceived import keep_terms, perceive, sensor_feels
 from closedloop.loop.step.share_friction import share_friction
 from closedloop.loop.step.solve_contact import contact_force
 from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK
+from closedloop.mechanics.closure.solve import DIVERGED, LAW_FAILED, OK
 from closedloop.mechanics.loops.drives import lose_undriven
 
 # Joint speed, rad/s (m/s), at which a run stops as diverged, long before the numbers overflow. The rates of three
@@ -66,8 +66,8 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
         In: w.time, q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if it is held). Written: everything else.
     constants, state
         See `closedloop.loop.step.memory`.
-    table : (P, 2 n + 11) array
-        See `reference_row`; the last column is the noise of the force sensor.
+    table : (P, 2 n + 14) array
+        See `reference_row`; the last columns are what the force sensor draws.
     rows : (N, width) array
         The rows recorded so far: what the memory of friction reads.
     """
@@ -111,7 +111,7 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
 def ask_through_sensors(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array) -> int:
     """Ask the law for its torque, with what the controller sees of the state in `w`, and pass it on to the joints.
 
-    Returns OK, NOT_POSITIVE_DEFINITE or LAW_FAILED; see `evaluate`.
+    Returns OK, NOT_POSITIVE_DEFINITE, NO_NORMAL or LAW_FAILED; see `evaluate`.
     """
     if state.settings.feed_forward != 0:
         desired_acceleration(w.time, constants.node, table, w.qdd_des)
@@ -119,8 +119,9 @@ def ask_through_sensors(H: Array, C: Array, w: Work, constants: Constants, state
         in_contact_frame(w.tip.frame, w.tip.carried, w.tip.turning, w.reference)
         keep_terms(H, C, w)
     elif state.settings.encoder == 0:
-        if perceive(H, C, w, constants, state) != OK:
-            return NOT_POSITIVE_DEFINITE
+        status = perceive(H, C, w, constants, state)
+        if status != OK:
+            return status
     else:  # the law has been asked at the state that the encoders read, see `evaluate_law`
         perceived = Perceived(w.perceived, w.q.shape[0])
         in_contact_frame(perceived.frame, perceived.carried, perceived.turning, w.reference)
@@ -134,13 +135,16 @@ def ask_through_sensors(H: Array, C: Array, w: Work, constants: Constants, state
 @kernel_inlined
 def write_rates(w: Work, constants: Constants, state: State) -> None:
     """Write the sensor's reading, and the rates of the states of law, sensor, friction and motors, under the forces."""
-    sensor = w.z[state.law_states : state.law_states + state.sensor.states]
+    first, par = state.law_states, SensorParameters(constants.sensor, 0)
+    at = first + state.sensor.states
     w.sensing.reading = w.sensing.measured
     if state.sensor.sampled == 0:
-        w.sensing.reading = continuous_reading(w.tip.F[0], SensorParameters(constants.sensor, 0), sensor)
+        signal = signal_of(sensor_feels(0, w, par, state), par, w.z[first:at])
+        w.sensing.reading = continuous_reading(signal, bias_at(w.time, 0, par), par)
     call_law(state, RATES)
-    at = state.law_states + state.sensor.states
-    sensor_rates(w.tip.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
+    for axis in range(state.sensor.states):  # each is that of an axis
+        i = first + axis
+        sensor_rates(sensor_feels(axis, w, par, state), par, w.z[i : i + 1], w.dz[i : i + 1])
     for i in range(at, w.z.shape[0]):
         w.dz[i] = w.decays.rate[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
     if state.settings.semi_implicit == 0:
@@ -172,9 +176,8 @@ def evaluate_law(H: Array, C: Array, w: Work, constants: Constants, state: State
     reference_row(w.time, constants.node, table, w.q.shape[0], w.reference.memory)
     if state.settings.feed_forward != 0:
         desired_acceleration(w.time, constants.node, table, w.qdd_des)
-    if perceive(H, C, w, constants, state) != OK:
-        return NOT_POSITIVE_DEFINITE
-    return ask_law(w, constants, state)
+    status = perceive(H, C, w, constants, state)
+    return ask_law(w, constants, state) if status == OK else status
 
 
 @kernel

@@ -98,18 +98,9 @@ def ask_surface(w: Work, h: float, state: State) -> bool:
     Or if a tip in contact is coming to where it has none: a step of `h`, s, leads over a point without showing it, so
     that the run stops where |∇φ|, as it falls along the motion, would vanish within the step.
     """
-    links, ask = ask_at(state.surface.at)
-    ask.time = w.time
-    for i in range(3):
-        speed = 0.0
-        for j in range(w.v.shape[0]):
-            speed += w.J[i, j] * w.v[j]
-        ask.velocity[i] = speed
-        ask.r[i] = w.r[i]
-    answer = call_at(state.surface.entry, links.address, CONTACT)
-    if answer != FOUND:
-        state.raised = 1 if answer == RAISED else 0
+    if not ask_about_tip(w, state.surface.entry, state.surface.at, state):
         return False
+    _, ask = ask_at(state.surface.at)
     touch = Touch(ask.touch)
     if state.mode != FREE and touch.growth * h < -1.0:
         return False
@@ -119,6 +110,23 @@ def ask_surface(w: Work, h: float, state: State) -> bool:
         for k in range(3):
             w.tip.frame[i, k] = ask.frame[i, k]
     return True
+
+
+@kernel
+def ask_about_tip(w: Work, entry: int, at: int, state: State) -> bool:
+    """Ask a surface, whose memory is at an address, how the tip is to it; False if it has no normal there."""
+    links, ask = ask_at(at)
+    ask.time = w.time
+    for i in range(3):
+        speed = 0.0
+        for j in range(w.v.shape[0]):
+            speed += w.J[i, j] * w.v[j]
+        ask.velocity[i] = speed
+        ask.r[i] = w.r[i]
+    answer = call_at(entry, links.address, CONTACT)
+    if answer != FOUND:
+        state.raised = 1 if answer == RAISED else 0
+    return answer == FOUND
 
 
 @kernel
@@ -134,14 +142,25 @@ def set_anchor(w: Work, state: State) -> None:
 
 
 @kernel
+def flows(touch: Touch) -> bool:
+    """Whether the material of a surface flows along it where it has been asked."""
+    return touch.flow[1] != 0.0 or touch.flow[2] != 0.0
+
+
+@kernel
 def off_anchor(w: Work, state: State, tangent: int) -> float:
-    """Return how far the tip is from where it stuck, m, along tangent 1 or 2; 0 of a ball, which rolls on."""
+    """Return how far the tip is from where it stuck, m, along tangent 1 or 2.
+
+    It is 0 of a ball, which rolls on, and of what is stuck to material that flows: that moves on with it.
+    """
     if state.ball.entry != 0:
         return 0.0
     if state.surface.entry == 0:
         return float(w.tip.p[tangent] - w.tip.anchor[tangent])
     _, ask = ask_at(state.surface.at)
     touch, off = Touch(ask.touch), 0.0
+    if flows(touch):
+        return off
     for k in range(3):
         off += touch.local[tangent, k] * (touch.at[k] - w.tip.anchor[k])
     return off

@@ -137,7 +137,9 @@ class Sensing(Block, sizes=("ring",)):
 
     measured: float  # its reading of the latest row, N
     reading: float  # and at this instant
-    ring: Annotated[Array, RING]  # latest samples
+    tangential: Annotated[Array, 2]  # readings of the latest row along the tangents, N
+    signal: Annotated[Array, 3]  # what was sampled at the latest row, see `closedloop.control.sensor.signal_of`
+    ring: Annotated[Array, 3, RING]  # latest samples along n, t1, t2
 
 
 class Encoders(Block, sizes=("n",)):
@@ -215,6 +217,12 @@ class Called(Block):
     at: int  # address of its memory
 
 
+class TouchedSurface(Called):
+    """The surface, and the one that the controller believes in; without an entry of that it is the same."""
+
+    believed: Called
+
+
 class Loops(Called):
     """The loops of a mechanism."""
 
@@ -224,6 +232,7 @@ class Loops(Called):
 class Sensor(Block):
     """The force sensor."""
 
+    axes: int
     states: int
     ring: int  # samples kept
     sampled: int
@@ -256,6 +265,7 @@ class Settings(Block):
     model_error: int  # 1 if the controller is wrong about the arm
     encoder: int  # see `closedloop.control.encoder.encoder_kind`
     perceived: int  # 1 if the law sees `Work.perceived`, not the state itself
+    misjudged: int  # 1 if the contact frame that it sees is not the true one
     elastic: int  # 1 if the joints are; 2 if the motors are measured
     drives: int  # 1 if the drives have limits
     arm_at: int  # where in a row there is a `closedloop.loop.step.record_row.ArmRow`; 0: nowhere
@@ -297,7 +307,7 @@ class State(Block):
     friction: Member  # the tip's
     joint_friction: Member
     compliance: Member  # of the surface; without an entry it is rigid
-    surface: Called  # without an entry it is a plane at rest
+    surface: TouchedSurface  # without an entry it is a plane at rest
     surface_motion: Called
     loops: Loops  # of the mechanism
     contacts: Called  # of the links; without an entry there is none but the tip's
@@ -331,6 +341,16 @@ class State(Block):
     approached: int  # substeps in a row that began near a singular pose, see `closedloop.loop.step.singular`
 
 
+class Gears(Block, sizes=("n",)):
+    """What is between motors and links, see `closedloop.control.transmission`."""
+
+    stiffness: Annotated[Array, N]
+    damping: Annotated[Array, N]
+    motor_inertia: Annotated[Array, N]
+    play: Annotated[Array, N]  # half the backlash, rad (m)
+    load_friction: Annotated[Array, N]  # share of the torque passed on
+
+
 class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction", "compliance", "tendons")):
     """What does not change during a run of n joints."""
 
@@ -357,9 +377,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     armature: Annotated[Array, N]
     turns: Annotated[Array, N]  # 1 for the first of a ball joint's three, see `closedloop.loop.step.advance`
     tilt: Annotated[Array, 3, 3]  # of the contact frame that the controller believes in, in the true one
-    stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
-    shaft_damping: Annotated[Array, N]
-    motor_inertia: Annotated[Array, N]
+    gears: Gears
     undriven: Annotated[Array, N, N]  # first rows: see `Settings.undriven`
     torque_limit: Annotated[Array, N]  # see `closedloop.control.drives`, as the next; infinite: none
     torque_change: Annotated[Array, N]  # from sample to sample

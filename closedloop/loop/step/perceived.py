@@ -14,17 +14,22 @@ are closed: what it sees is the state nearest to the readings at which they are.
 
 from __future__ import annotations
 
+from typing import Any
+
 from closedloop.base.arrays import Array
 from closedloop.control.encoder import EncoderParameters, read_encoder
 from closedloop.control.law import Perceived
 from closedloop.control.reference.table import DrawnRow
+from closedloop.control.sensor import across
 from closedloop.jit.calls import call_at, integers_at, row_of
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.closed_loops import BIND_PERCEIVED, CLOSE
-from closedloop.loop.step.locate import in_contact_frame
+from closedloop.loop.step.locate import ask_about_tip, in_contact_frame
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.closure.contact_force import factorise, into_contact_frame
-from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.closure.solve import NO_NORMAL, NOT_POSITIVE_DEFINITE, OK
+from closedloop.mechanics.surface.contact import ask_at
+from closedloop.mechanics.surface.geometry import Touch
 
 
 @kernel
@@ -61,21 +66,27 @@ def keep_terms(H: Array, C: Array, w: Work) -> None:
 
 @kernel
 def perceive(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
-    """Write what the law sees of the state in `w`, whose terms are given; return OK, or that its own H is no inertia.
+    """Write what the law sees of the state in `w`, whose terms are given.
 
-    The normal that it believes in is the true one, turned by `constants.tilt`.
+    Its contact frame is that of the surface that it believes in, turned by `constants.tilt`. Returns OK, NO_NORMAL if
+    that surface has none at the tip, or NOT_POSITIVE_DEFINITE if the H that it believes in is no inertia.
     """
     n, tilt = w.q.shape[0], constants.tilt
     perceived, wanted = Perceived(w.perceived, n), w.reference
+    frame, carried, turning = w.tip.frame, w.tip.carried, w.tip.turning
+    if state.surface.believed.entry != 0:
+        if not ask_about_tip(w, state.surface.believed.entry, state.surface.believed.at, state):
+            return int(NO_NORMAL)
+        _, ask = ask_at(state.surface.believed.at)
+        touch = Touch(ask.touch)
+        frame, carried, turning = ask.frame, touch.carried, touch.turning
     for i in range(3):
         perceived.r[i], perceived.drift[i] = w.r[i], w.drift[i]
         perceived.carried[i], perceived.turning[i] = 0.0, 0.0
         for k in range(3):
-            perceived.carried[i] += tilt[i, k] * w.tip.carried[k]
-            perceived.turning[i] += tilt[i, k] * w.tip.turning[k]
-            perceived.frame[i, k] = (
-                tilt[i, 0] * w.tip.frame[0, k] + tilt[i, 1] * w.tip.frame[1, k] + tilt[i, 2] * w.tip.frame[2, k]
-            )
+            perceived.carried[i] += tilt[i, k] * carried[k]
+            perceived.turning[i] += tilt[i, k] * turning[k]
+            perceived.frame[i, k] = tilt[i, 0] * frame[0, k] + tilt[i, 1] * frame[1, k] + tilt[i, 2] * frame[2, k]
         for j in range(n):
             perceived.J[i, j] = w.J[i, j]
     for j in range(n):
@@ -90,12 +101,29 @@ def perceive(H: Array, C: Array, w: Work, constants: Constants, state: State) ->
         apply_model_error(w, constants)
     if state.settings.elastic != 0:  # the controller takes the joints for rigid
         for j in range(n):
-            w.H[j, j] += constants.motor_inertia[j]
+            w.H[j, j] += constants.gears.motor_inertia[j]
     ends = integers_at(state.addresses.group_ends, state.n)
     status = int(factorise(w.H, perceived.A, perceived.L, perceived.X, perceived.S, constants.reach, ends))
-    if status == OK and state.loops.perceived_at != 0:
+    if status != OK:
+        return int(NOT_POSITIVE_DEFINITE)
+    if state.loops.perceived_at != 0:
         call_at(state.loops.entry, state.loops.perceived_at, BIND_PERCEIVED)
-    return status
+    return int(OK)
+
+
+@kernel
+def sensor_feels(axis: int, w: Work, par: Any, state: State) -> float:
+    """Return the force on the tip that an axis of the sensor feels, N, in the contact frame that the law sees."""
+    F = w.scratch.force
+    for i in range(3):
+        F[i] = w.tip.F[i]
+    if state.settings.misjudged != 0:
+        frame, f = Perceived(w.perceived, w.q.shape[0]).frame, w.tip.frame
+        for i in range(3):
+            F[i] = 0.0
+            for k in range(3):
+                F[i] += frame[i, k] * (f[0, k] * w.tip.F[0] + f[1, k] * w.tip.F[1] + f[2, k] * w.tip.F[2])
+    return across(F, axis, par)
 
 
 @kernel
@@ -108,7 +136,7 @@ def read_joints(w: Work, constants: Constants, state: State, table: Array) -> No
     for j in range(n):
         w.encoders.true_q[j], w.encoders.true_v[j] = w.q[j], w.v[j]
         q, v = w.q[j], w.v[j]
-        if state.settings.elastic == MOTORS_MEASURED and constants.motor_inertia[j] > 0.0:
+        if state.settings.elastic == MOTORS_MEASURED and constants.gears.motor_inertia[j] > 0.0:
             q, v = w.z[motors + j], w.z[motors + n + j]
         position, velocity = read_encoder(
             state.settings.encoder,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.table import TableRow
-from closedloop.control.sensor import SensorParameters, sense
+from closedloop.control.sensor import SensorParameters, bias_at, sense, signal_of
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import integers_at, row_of
 from closedloop.jit.dual8 import has_derivatives
@@ -19,6 +19,7 @@ from closedloop.loop.step.closed_loops import REACTION, missing_torque
 from closedloop.loop.step.contact_rows import asked
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.memory import RIGID_STICK, Constants, K, N, State, Work, ask_loops, loop_at
+from closedloop.loop.step.perceived import sensor_feels
 from closedloop.mechanics.closure.conditioning import (
     BATCH,
     LONG_ARM,
@@ -172,17 +173,34 @@ def record(
         record_contacts(w, state, row_of(rows, place))
     if state.settings.general == 0:
         return
-    n, count, sensor = w.q.shape[0], state.law_states, state.sensor.states
-    w.sensing.measured = sense(
-        w.tip.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
-        TableRow(row_of(table, place * state.settings.nodes_per_step), n).noise, w.sensing.ring[0 : state.sensor.ring],
-    )  # fmt: skip
+    n = w.q.shape[0]
+    take_sample(w, constants, state, row_of(table, place * state.settings.nodes_per_step), place)
     if state.settings.arm_at != 0:
         record_arm(w, state, row_of(rows, place)[state.settings.arm_at :])
     Row(row_of(rows, place), n).measured_force = w.sensing.measured
     if state.settings.states_at != 0:
         for k in range(state.law_states):
             row_of(rows, place)[state.settings.states_at + k] = w.z[k]
+
+
+@kernel
+def take_sample(w: Work, constants: Constants, state: State, drawn: Array, place: int) -> None:
+    """Take the sample of the force sensor at row `place`, whose row of the table is `drawn`."""
+    par: Any = SensorParameters(constants.sensor, 0)
+    sensing = w.sensing
+    numbers, last = TableRow(drawn, w.q.shape[0]).sensor, state.law_states + state.sensor.states
+    late = par.jitter / constants.h * numbers[3]
+    for axis in range(state.sensor.axes):
+        feels = sensor_feels(axis, w, par, state)
+        signal = signal_of(feels, par, w.z[min(state.law_states + axis, last) : last])
+        sampled = signal - late * (signal - sensing.signal[axis])
+        sensing.signal[axis] = signal
+        bias, ring = bias_at(w.time, axis, par), row_of(sensing.ring, axis)
+        reading = sense(sampled, bias, place, par, numbers[axis], ring[0 : state.sensor.ring])
+        if axis == 0:
+            sensing.measured = reading
+        else:
+            sensing.tangential[axis - 1] = reading
 
 
 @kernel_inlined

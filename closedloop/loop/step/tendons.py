@@ -10,6 +10,7 @@ from __future__ import annotations
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
+from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.mechanics.friction.law import AT_REST
@@ -64,5 +65,7 @@ def joint_limits(w: Work, constants: Constants, state: State) -> None:
     for j in range(w.q.shape[0]):
         if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], AT_REST):
             w.joint_friction.limit[j] = abs(w.joint_friction.dry[j])
+        if constants.gears.load_friction[j] > 0.0:
+            w.joint_friction.limit[j] += constants.gears.load_friction[j] * abs(driving_torque(w, state, j))
     for t in range(state.tendons):
         w.joint_friction.limit[w.q.shape[0] + t] = constants.tendons[t, FRICTION]

@@ -468,7 +468,9 @@ def turn_on_surface(shapes: Shapes, ask: Ask) -> None:
     for a in range(3):
         slip[a] = 0.0  # the velocity relative to the surface, in the surface's axes
         for m in range(3):
-            slip[a] += touch.local[m, a] * (N[m, 0] * v[0] + N[m, 1] * v[1] + N[m, 2] * v[2] - touch.carried[m])
+            slip[a] += touch.local[m, a] * (
+                N[m, 0] * v[0] + N[m, 1] * v[1] + N[m, 2] * v[2] - touch.carried[m] + touch.flow[m]
+            )
     normal_rate(slip, touch, along)
     for a in range(3):
         turned[a] = 0.0  # ω relative to the surface, in its axes

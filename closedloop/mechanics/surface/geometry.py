@@ -15,6 +15,10 @@ moves relative to it with w = ṙ − ṡ − ω × d, and
     u = N ṙ − N (ṡ + ω × d),      u̇ = N r̈ + Ṅ v − N (s̈ + ω̇ × d + ω × (ω × d) + 2 ω × w),      N in base axes
 
 These are Eqs. 2-3 with R, Ṙ, v₀ and a₀ of a closure that is neither flat nor at rest.
+
+Material that flows along the surface with V (constant in the surface's axes but for V̇) leaves n, gap and their rates as
+they are. What rubs on it slips with t·v − t·V, so that along a tangent t the velocity u has − t·V more, and u̇ has
+− ṫ·V − t·V̇ more.
 """
 
 from __future__ import annotations
@@ -40,6 +44,8 @@ class Pose(Block):
     acceleration: Annotated[Array, 3]  # s̈, m/s²
     spin: Annotated[Array, 3]  # ω, rad/s
     spin_rate: Annotated[Array, 3]  # ω̇, rad/s²
+    flow: Annotated[Array, 3]  # V, m/s, and its rate, m/s², surface's axes
+    flow_rate: Annotated[Array, 3]
 
 
 class Touch(Block):
@@ -52,7 +58,9 @@ class Touch(Block):
     gradient: Annotated[Array, 3]
     hessian: Annotated[Array, 3, 3]
     local: Annotated[Array, 3, 3]  # N in the surface's axes
-    carried: Annotated[Array, 3]  # N (ṡ + ω × d), m/s, contact frame
+    carried: Annotated[Array, 3]  # N (ṡ + ω × d) and the flow, m/s, contact frame
+    flow: Annotated[Array, 3]  # the part of it that is the flow's: 0, t1·V, t2·V
+    bend: Annotated[Array, 3]  # ṅ, 1/s, surface's axes, of a surface that moves
     turning: Annotated[Array, 3]  # u̇ − N r̈, m/s², contact frame
 
 
@@ -190,6 +198,10 @@ def contact_geometry(pose: Pose, moving: bool, r: Array, velocity: Array, frame:
         v[i] = P[i, 0] * w0 + P[i, 1] * w1 + P[i, 2] * w2
     if not frame_and_turning(v, touch):
         return False
+    b1 = b2 = 0.0
+    if moving:
+        normal_rate(v, touch, touch.bend)
+        b1, b2 = tangent_rates(touch.bend, pose.flow, touch)
     for i in range(3):
         f0 = N[i, 0] * P[0, 0] + N[i, 1] * P[1, 0] + N[i, 2] * P[2, 0]
         f1 = N[i, 0] * P[0, 1] + N[i, 1] * P[1, 1] + N[i, 2] * P[2, 1]
@@ -197,4 +209,11 @@ def contact_geometry(pose: Pose, moving: bool, r: Array, velocity: Array, frame:
         frame[i, 0], frame[i, 1], frame[i, 2] = f0, f1, f2
         touch.carried[i] = f0 * c0 + f1 * c1 + f2 * c2
         touch.turning[i] -= f0 * a0 + f1 * a1 + f2 * a2
+        touch.flow[i] = 0.0
+        if moving and i > 0:
+            t0, t1, t2 = N[i, 0], N[i, 1], N[i, 2]
+            touch.flow[i] = t0 * pose.flow[0] + t1 * pose.flow[1] + t2 * pose.flow[2]
+            touch.carried[i] += touch.flow[i]
+            gains = t0 * pose.flow_rate[0] + t1 * pose.flow_rate[1] + t2 * pose.flow_rate[2]
+            touch.turning[i] -= gains + (b1 if i == 1 else b2)
     return True

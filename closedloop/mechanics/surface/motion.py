@@ -1,8 +1,9 @@
 """The base class of motions of a surface: a section of the scenario, and the displacement as a function of time.
 
-The surface is turned by an angle about an axis, and then shifted; both are functions of time, zero at t = 0. A motion
-of one's own is a class derived from `SurfaceMotion`, with its parameters as typed fields and the one function `move`.
-Those that ship are in `closedloop.mechanics.surface.motions`, one file each, written the same way.
+The surface is turned by an angle about an axis, and then shifted; both are functions of time, zero at t = 0. Its
+material may also flow along it, as a belt does, which moves nothing but what rubs on it. A motion of one's own is a
+class derived from `SurfaceMotion`, with its parameters as typed fields and the one function `move`. Those that ship
+are in `closedloop.mechanics.surface.motions`, one file each, written the same way.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ class Move(Block):
     shift: Annotated[Array, 3]  # m, base frame
     shift_rate: Annotated[Array, 3]  # m/s
     shift_acceleration: Annotated[Array, 3]  # m/s²
+    flow: Annotated[Array, 3]  # m/s, base frame at t = 0; it turns with the surface, and acts along the tangents alone
+    flow_rate: Annotated[Array, 3]  # m/s²
 
 
 class SurfaceMotion(Parameters):
@@ -56,7 +59,7 @@ def begin_move(m: Move) -> None:
     m.angle, m.rate, m.acceleration = 0.0, 0.0, 0.0
     for i in range(3):
         m.axis[i] = 1.0 if i == 2 else 0.0
-        m.centre[i] = m.shift[i] = m.shift_rate[i] = m.shift_acceleration[i] = 0.0
+        m.centre[i] = m.shift[i] = m.shift_rate[i] = m.shift_acceleration[i] = m.flow[i] = m.flow_rate[i] = 0.0
 
 
 @kernel
@@ -89,3 +92,5 @@ def displace(m: Move, origin: Array, axes: Array, pose: Pose) -> None:
         pose.origin[i] += m.centre[i] + m.shift[i]
         pose.velocity[i] += m.shift_rate[i]
         pose.acceleration[i] += m.shift_acceleration[i]
+        pose.flow[i] = axes[i, 0] * m.flow[0] + axes[i, 1] * m.flow[1] + axes[i, 2] * m.flow[2]
+        pose.flow_rate[i] = axes[i, 0] * m.flow_rate[0] + axes[i, 1] * m.flow_rate[1] + axes[i, 2] * m.flow_rate[2]

@@ -151,28 +151,30 @@ class PlacedSurface:
     below_start: bool  # whether it is placed `surface.gap` below the tip at the start
     # of a ball that touches it in place of a point, m: gaps are those of the ball about the point that is asked for
     radius: float = 0.0
+    where: str = "surface"  # key of its section, for messages
 
     @classmethod
     def of(
-        cls, section: Surface, motion: SurfaceMotion, tip: Array, depth: float = 0.0, radius: float = 0.0
-    ) -> PlacedSurface:
+        cls, section: Surface, motion: SurfaceMotion, tip: Array, depth: float = 0.0, radius: float = 0.0,
+        where: str = "surface",
+    ) -> PlacedSurface:  # fmt: skip
         """Place the surface of a scenario whose tip is at `tip` (3,), m, base frame, at the start.
 
         One that is soft, and placed below the tip, is placed so that the tip is `depth` in it, m. The tip is the centre
-        of a ball of this radius, m.
+        of a ball of this radius, m. `where` is the key of the section in messages.
 
         Raises
         ------
         ScenarioError
             If its parameters do not go together.
         """
-        normal = unit(section.normal, "surface.normal")
+        normal = unit(section.normal, f"{where}.normal")
         given = section.place(normal)
         if given is not None and section.gap:
             key = "offset" if isinstance(section, PlaneSurface) else "point"
-            raise ScenarioError(f'surface.gap: acts with {key} = "start" only; leave it out')
+            raise ScenarioError(f'{where}.gap: acts with {key} = "start" only; leave it out')
         origin = tip - (radius + section.gap - depth) * normal if given is None else given
-        return cls(section, motion, contact_frame(normal), origin, given is None, radius)
+        return cls(section, motion, contact_frame(normal), origin, given is None, radius, where)
 
     @property
     def fixed_plane(self) -> bool:
@@ -205,8 +207,10 @@ class PlacedSurface:
 
     def entries(self) -> dict[str, Any]:
         """Return what the loop calls, by the names that its state has for it; none of a plane at rest."""
-        if self.fixed_plane:
-            return {}
+        return {} if self.fixed_plane else self.all_entries()
+
+    def all_entries(self) -> dict[str, Any]:
+        """Return the same where the loop asks every surface, a plane at rest too."""
         found = {"surface": surface_entry(type(self.section))}
         return found | ({"surface_motion": motion_entry(type(self.motion))} if self.moves else {})
 
@@ -221,9 +225,9 @@ class PlacedSurface:
     @cached_property
     def _packed(self) -> tuple[Array, Array]:
         """The numbers of the surface and of its motion: a path asks for them at each of its knots."""
-        with of_users(self.section, "surface.kind"):
+        with of_users(self.section, f"{self.where}.kind"):
             par = pack(self.section, self.section.list_length(), "surface")
-        with of_users(self.motion, "surface_motion.kind"):
+        with of_users(self.motion, f"{self.where}_motion.kind"):
             return par, pack(self.motion, 0, "surface_motion")
 
     @cached_property
@@ -246,11 +250,13 @@ class PlacedSurface:
             return Touching(gap, self.frame, np.zeros(3), np.zeros(3), gap, math.inf)
         links, ask = self._interpreted
         ask.time, ask.r[:], ask.velocity[:] = t, r, 0.0 if velocity is None else velocity
-        with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
+        with np.errstate(all="ignore"), of_users(self.section, f"{self.where}.kind"):
             answer = interpreted(surface_entry(type(self.section)))(int(links.address), CONTACT)
         touch = Touch(ask.touch)
         if answer == NO_NORMAL:
-            raise ScenarioError(f"surface.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m")
+            raise ScenarioError(
+                f"{self.where}.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m"
+            )
         gap = float(touch.level / touch.size)
         inside = edge_distance(touch.at, ask.bounds, ask.solid)
         return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
@@ -267,7 +273,7 @@ class PlacedSurface:
         """Return where a surface that moves is at t, s, and how it moves: until it is asked again."""
         links, ask = self._interpreted
         ask.time = t
-        with of_users(self.motion, "surface_motion.kind"):
+        with of_users(self.motion, f"{self.where}_motion.kind"):
             interpreted(motion_entry(type(self.motion)))(int(links.address), 0)
         return Pose(ask.pose)
 
@@ -281,7 +287,10 @@ class PlacedSurface:
 
     def _say_what_is_raised(self, memory: SurfaceMemory, t: float, r: Array) -> None:
         """Ask a user's class again, interpreted, at a point r (3,), m, and an instant t, s; it may raise something."""
-        kinds = {"surface.kind": (self.section, surface_entry), "surface_motion.kind": (self.motion, motion_entry)}
+        kinds = {
+            f"{self.where}.kind": (self.section, surface_entry),
+            f"{self.where}_motion.kind": (self.motion, motion_entry),
+        }
         memory.ask.time, memory.ask.r[:], memory.links.motion = t, r, 0
         for key, (member, entry_of) in kinds.items():
             if is_users(member):
@@ -366,7 +375,7 @@ class PlacedSurface:
         found = [np.array(each, dtype=np.float64, order="C") for each in motion]
         place = address(surface_entry(type(self.section)))
         call = kernel if ready else interpreted(kernel)
-        with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
+        with np.errstate(all="ignore"), of_users(self.section, f"{self.where}.kind"):
             done = call(place, memory.address, *leading, np.ascontiguousarray(times), *found)
         if done < times.size and ready:  # of what a user's class has raised compiled code keeps no message
             self._say_what_is_raised(memory, float(times[done]), motion[0][done])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -135,22 +136,36 @@ def contact_torques(
     contacts, n = contacts_of(scenario, mechanism), mechanism.nv
     torques = np.zeros((len(q), n))
     frames = sorted({frame for each in contacts for frame in (each.point_frame, each.plane_frame)} - {0})
-    axes, origins, jacobians = _frames_in_rows(mechanism, np.ascontiguousarray(q), frames)
+    axes, origins, jacobians = frames_in_rows(mechanism, np.ascontiguousarray(q), frames)
+    carried = (forces, frictions, rolling, pivoting)
+    for frame, wrench in wrenches_on_links(contacts, times, axes, origins, carried):
+        if frame > 0:
+            torques += np.einsum("kij,ki->kj", jacobians[frame], wrench)
+    return torques
+
+
+def wrenches_on_links(
+    contacts: tuple[Touching, ...], times: Array, axes: Array, origins: Array,
+    carried: tuple[Array, Array, Array | None, Array | None],
+) -> Iterator[tuple[int, Array]]:  # fmt: skip
+    """Yield, of each contact on either of its links, the link and the wrench (N, 6), base axes, about its origin.
+
+    `axes` and `origins` are those of the links, see `frames_in_rows`; `carried` are forces, frictions, rolling and
+    pivoting moments, as `contact_torques` takes them.
+    """
+    forces, frictions, rolling, pivoting = carried
     for i, touching in enumerate(contacts):
-        at = axes, origins, times
-        both = slice(2 * i, 2 * i + 2)
+        at, both = (axes, origins, times), slice(2 * i, 2 * i + 2)
         place, force = touching.forces(forces[:, i], frictions[:, both], *at)
         moment = np.zeros(3)
         if rolling is not None and pivoting is not None:
             moment = touching.forces(pivoting[:, i], rolling[:, both], *at)[1]
-        for frame, sign in ((touching.point_frame, 1.0), (touching.plane_frame, -1.0)):
-            if frame > 0:
-                wrench = np.concatenate([force, np.cross(place - origins[:, frame], force) + moment], axis=1)
-                torques += sign * np.einsum("kij,ki->kj", jacobians[frame], wrench)
-    return torques
+        for link, sign in ((touching.point_frame, 1.0), (touching.plane_frame, -1.0)):
+            about = np.cross(place - origins[:, link], force) + moment
+            yield link, sign * np.concatenate([force, about], axis=1)
 
 
-def _frames_in_rows(mechanism: Any, q: Array, frames: list[int]) -> tuple[Array, Array, dict[int, Array]]:
+def frames_in_rows(mechanism: Any, q: Array, frames: list[int]) -> tuple[Array, Array, dict[int, Array]]:
     """Return the axes (N, n + 1, 3, 3) and origins (N, n + 1, 3), m, of these joints' frames in N rows, and their
     Jacobians (N, 6, n); the base has its own, the others zeros.
     """

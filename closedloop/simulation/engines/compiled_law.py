@@ -124,7 +124,7 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
                     x.t, _read(x.q), _read(x.v), _read2(x.H), _read(x.C), _read2(x.L), _read2(x.A), _read2(x.X),
                     _read2(x.S), _read(x.drift), _read(x.p), _read(x.u), _read(x.r), _read2(x.J), _read(x.Jdot_v),
                     _read2(x.frame), _read(x.q_des), _read(x.v_des), _read(x.qdd_des), _read(x.p_des), _read(x.u_des),
-                    _read(x.a_des), x.f_des, x.f_measured, x.pressed, x.scratch,
+                    _read(x.a_des), x.f_des, x.f_measured, _read(x.f_tangential), x.pressed, x.scratch,
                 ),
             )  # fmt: skip
 

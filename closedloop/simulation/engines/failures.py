@@ -44,9 +44,9 @@ from closedloop.mechanics.friction.laws.lugre import LuGre, is_passive, passive_
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.verdict import DIVERGES
 from closedloop.scenario.gains import feedbacks, gains_fault
-from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.tables import families_in, patches_of
-from closedloop.simulation.engines.problem import Problem, contact_members
+from closedloop.scenario.scenario import Scenario, families_in
+from closedloop.scenario.tables import patches_of
+from closedloop.simulation.engines.problem import MEMBERS, Problem, contact_members
 
 
 def not_finite(torque: Array) -> str:
@@ -215,9 +215,7 @@ def raised_by_member(problem: Problem, loop: Loop) -> LawError:
     """
     t = float(loop.w.time)
     problem.connect(loop, compiled=False)
-    for name, entry in problem.entries().items():
-        member = getattr(problem.scenario, name)
-        address = int(loop.state.surface.at) if name in ("surface", "surface_motion") else loop.address
+    for name, (member, entry, address) in _called_members(problem, loop).items():
         for what in range(CALLS) if is_users(member) else ():
             try:
                 with np.errstate(all="ignore"), of_users(member, f"{name}.kind"):
@@ -234,6 +232,20 @@ def raised_by_member(problem: Problem, loop: Loop) -> LawError:
     return LawError(f"{when(t)}: a function of a class of your own failed", t)
 
 
+def _called_members(problem: Problem, loop: Loop) -> dict[str, tuple[Any, Any, int]]:
+    """Return the members that the loop calls, their entries and the addresses that these take, by their keys."""
+    state = loop.state
+    surfaces = {name: int(state.surface.at) for name in MEMBERS}
+    found = {
+        name: (getattr(problem.scenario, name), entry, surfaces.get(name, loop.address))
+        for name, entry in problem.entries().items()
+    }
+    return found | {
+        f"belief.{name}": (getattr(problem.believed, MEMBERS[name]), entry, int(state.surface.believed.at))
+        for name, entry in problem.believed_entries().items()
+    }
+
+
 def _key_of(called: Called) -> str:
     """Return the key of a member of a contact of a link, or of the tip's."""
     return f"contact.{called.contact - 1}.{called.key}.kind" if called.contact else f"{called.key.split('_')[0]}.kind"
@@ -242,6 +254,7 @@ def _key_of(called: Called) -> str:
 def member_error(problem: Problem, error: Exception, t: float) -> LawError | None:
     """Return what a user's member raised in an interpreted run as the error of the run; None if none of them did."""
     members = {f"{name}.kind": getattr(problem.scenario, name) for name in problem.entries()}
+    members |= {f"belief.{name}.kind": getattr(problem.believed, MEMBERS[name]) for name in problem.believed_entries()}
     for i, section in enumerate(problem.scenario.contact or ()):
         members |= {f"contact.{i}.{key}.kind": getattr(section, key) for key in families_in(type(section))}
     for key, member in members.items():

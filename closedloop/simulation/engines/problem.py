@@ -43,6 +43,9 @@ from closedloop.simulation.engines.start_memory import (
     write_state,
 )
 
+# The members of a placed surface, by the names of its entries.
+MEMBERS = {"surface": "section", "surface_motion": "motion"}
+
 
 def as_it_is(entry: Any) -> Any:
     """Return an entry of floats."""
@@ -106,6 +109,10 @@ class Problem(ScenarioNumbers):
             memory = self.surface.memory()
             state.surface.at = memory.address
             loop.w.keep_alive(surface=memory)
+        if self.believed is not None:
+            memory = self.believed.memory()
+            state.surface.believed.at = memory.address
+            loop.w.keep_alive(believed=memory)
         if self.scenario.tool.radius > 0.0 and self.scenario.has_surface:
             ball = ball_memory(self.robot, self.surface, self.scenario.tool.radius, state.address)
             state.ball.at = ball.links.address
@@ -146,9 +153,13 @@ class Problem(ScenarioNumbers):
         """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
         return self.surface.entries() | entries_of(self.scenario, self.robot.model, user_law)
 
+    def believed_entries(self) -> dict[str, Any]:
+        """Return what is called of the surface that the controller believes in, by the keys of [belief]."""
+        return {} if self.believed is None else self.believed.all_entries()
+
     def called(self, loop: Loop, user_law: bool = False) -> list[Any]:
         """Return all entry kernels that the loop of this memory calls by address; see `loop` for `user_law`."""
-        entries = list(self.entries(user_law).values())
+        entries = [*self.entries(user_law).values(), *self.believed_entries().values()]
         if loop.state.loops.at != 0:
             entries.append(closed_loops)
         if loop.state.ball.at != 0:
@@ -206,6 +217,12 @@ class Problem(ScenarioNumbers):
                 members.connect(address)
         if loop.state.surface_motion.entry != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion.entry
+        for name, entry in self.believed_entries().items():
+            where = address_of_member(entry, f"belief.{name}", getattr(self.believed, MEMBERS[name]))
+            if name == "surface":
+                loop.state.surface.believed.entry = where
+            else:
+                loop.w.kept["believed"].links.motion = where
         if user_law is not None:
             user_law(compiled)
 

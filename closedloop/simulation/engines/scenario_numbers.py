@@ -98,6 +98,7 @@ def needs_general_form(scenario: Scenario) -> bool:
         or scenario.rubs_in_joints
         or scenario.sensor != _SENSOR
         or scenario.model_error != _MODEL_ERROR
+        or scenario.belief.differs
         or bool(arm_columns(scenario))
         or bool(scenario.contact)
     )
@@ -147,6 +148,8 @@ class ScenarioNumbers:
     ----------
     robot, surface, integrator
         The arm with its tip, the surface, the scheme.
+    believed : PlacedSurface or None
+        The surface that the controller believes in; None: the true one.
     frame : (3, 3) array
         Contact frame at t = 0: rows n, t1, t2 in base axes.
     q, v : (n,) arrays
@@ -163,9 +166,9 @@ class ScenarioNumbers:
         The law, its compensation of friction, friction, and the compliance of the surface, as numbers.
     sensor : PackedSensor
         The force sensor.
-    table : (steps · nodes + 1, 2 n + 11) array
+    table : (steps · nodes + 1, 2 n + 14) array
         The reference at every instant at which a stage is evaluated, see `closedloop.loop.step.entries`, and
-        a standard normal number for the force sensor.
+        the numbers that the force sensor draws.
     nodes : int
         Rows of the table to a step.
     project : bool
@@ -174,8 +177,8 @@ class ScenarioNumbers:
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
     drives : (2, n) array
         Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
-    transmission : (3, n) array
-        Stiffness, damping and motor inertia of elastic joints, see `closedloop.control.transmission`; zero: rigid.
+    transmission : (5, n) array
+        See `closedloop.control.transmission.transmission_constants`.
     encoder : (k,) array
         The parameters of the encoders.
     wanted : Desired
@@ -189,6 +192,7 @@ class ScenarioNumbers:
     scenario: Scenario
     robot: Robot
     surface: PlacedSurface
+    believed: PlacedSurface | None
     frame: Array
     integrator: type[Scheme]
     q: Array

@@ -111,7 +111,10 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.undriven[: len(robot.model.undriven)] = robot.model.undriven
     constants.turns[list(robot.model.balls)] = 1.0
     constants.measured[:] = robot.model.measured
-    constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
+    gears = constants.gears
+    gears.stiffness[:], gears.damping[:], gears.motor_inertia[:], gears.play[:], gears.load_friction[:] = (
+        problem.transmission
+    )
     constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
     constants.torque_limit[:], constants.torque_change[:] = problem.drives
     constants.compliance[:], constants.tendons[:] = problem.compliance.numbers, problem.tendons
@@ -140,7 +143,7 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
         sticking(problem.joint_friction),
     )
     to.feed_forward = problem.scenario.reference.orientation != "free"
-    state.sensor.sampled = problem.sensor.sampled
+    state.sensor.sampled, state.sensor.axes = problem.sensor.sampled, problem.sensor.axes
     transmission = problem.scenario.transmission
     to.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
     to.encoder = reading_kind(problem.scenario)
@@ -150,7 +153,8 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
     to.states_at = problem.row_width - states if states > 0 else 0
     to.model_error = problem.scenario.model_error != ModelErrorSection()
-    to.perceived = to.model_error or to.elastic or to.encoder
+    to.misjudged = problem.believed is not None or problem.scenario.model_error.normal != 0.0
+    to.perceived = to.model_error or to.misjudged or to.elastic or to.encoder
     state.mode, state.sampled, state.cleared = problem.mode, 1, 1
     if problem.project and problem.mode != FREE:
         state.phase, state.next_phase = PROJECTION, STEP_END
@@ -178,8 +182,9 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     sensor = int(state.law_states)
     friction = sensor + int(state.sensor.states)
     joints = friction + int(state.friction.states)
-    start_sensor(felt, problem.sensor.par, w.z[sensor:friction], w.sensing.ring)
-    w.sensing.measured, w.last_event = w.sensing.ring[0], -np.inf
+    start_sensor(felt, problem.sensor, w.z[sensor:friction], w.sensing.signal, w.sensing.ring)
+    w.sensing.measured, w.last_event = w.sensing.ring[0, 0], -np.inf
+    w.sensing.tangential[:] = w.sensing.ring[1:, 0]
     if joints > friction and problem.mode != FREE and slip <= STICK_SPEED:
         with of_users(problem.friction.member, "friction.kind"):
             w.z[friction:joints] = tip_contact(problem).rested()
@@ -194,9 +199,10 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
         held = terms.bias - felt * (problem.frame[0] @ terms.jacobian)
         if problem.robot.model.loops:
             held, _ = torque_of_drives(problem.robot, problem.q, held)
-        stiffness = problem.transmission[0]
+        stiffness, play = problem.transmission[0], problem.transmission[3]
         driven = stiffness > 0.0
-        w.z[-2 * n : -n] = problem.q + np.divide(held, stiffness, out=np.zeros(n), where=driven)
+        wound = np.divide(held, stiffness, out=np.zeros(n), where=driven)
+        w.z[-2 * n : -n] = problem.q + wound + np.where(driven, play * np.sign(held), 0.0)
         w.z[-n:] = np.where(driven, problem.v, 0.0)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.control.reference.table import TableRow
-from closedloop.control.sensor import SensorParameters, sense, sensor_rates
+from closedloop.control.sensor import SensorParameters, bias_at, sense, sensor_rates, signal_of
 from closedloop.jit.calls import address_of, call_at, entry_address, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel, kernel_inlined, plain
 from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
@@ -269,8 +269,10 @@ def put_back(g: Group, w: Work, row: Row, forces: Array, i: int) -> None:
         measured, told_force = told_force, force
         if state.settings.general != 0:
             sensor_rates(force, par, z, dz)
-            noise = TableRow(row_of(table, here * nodes), n).noise
-            told_force = sense(force, here, par, z, noise, own.sensing.ring[0 : state.sensor.ring])
+            noise, ring = TableRow(row_of(table, here * nodes), n).sensor[0], row_of(own.sensing.ring, 0)
+            own.sensing.signal[0] = signal_of(force, par, z)
+            bias = bias_at(here * h, 0, par)
+            told_force = sense(own.sensing.signal[0], bias, here, par, noise, ring[0 : state.sensor.ring])
         if step < m.steps:
             for j in range(sensor):
                 z[j] += h * dz[j]
@@ -303,7 +305,8 @@ def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: W
     members = problem.friction.member, problem.law.member
     asked = (
         settings.stages != 1, not settings.semi_implicit, settings.adaptive, settings.project, settings.encoder,
-        settings.elastic, settings.drives, settings.arm_at, settings.balls,
+        settings.elastic, settings.drives, settings.arm_at, settings.balls, settings.misjudged,
+        state.sensor.axes > 1, problem.scenario.sensor.talks_across, problem.scenario.sensor.jitter,
     )  # fmt: skip
     return (
         not jit_disabled()

@@ -201,7 +201,8 @@ def assembled(r: Reduced) -> LinearLoop:
         if r.problem.sensor.states:
             F[size, r.z0 + r.parts["filter"].start] = 1.0
         else:
-            F[size], E[size] = f[0][0], f[1][0]
+            feels = widened(r.all_of(r.plant, "felt"), torque)
+            F[size], E[size] = feels[0][0], feels[1][0]
         felt = F[size : size + 1].copy(), E[size : size + 1].copy()
         E[size, NOISE] += 1.0
         F[size + 1 : at_last, size : at_last - 1] = np.eye(ages - 1)

@@ -20,11 +20,13 @@ from closedloop.control.encoder import DIFFERENCE, NO_ENCODER, EncoderParameters
 from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.background import make_ready
+from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.advance import turn
 from closedloop.loop.step.memory import Loop
+from closedloop.loop.step.perceived import sensor_feels
 from closedloop.loop.step.record_row import Row, complete_record
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.close import closed_to
@@ -150,7 +152,7 @@ def put(instant: Instant, problem: Problem, loop: Loop) -> None:
             w.z[where] = mine
         elif name == "filter" and width:
             w.z[where] = instant.force
-    w.sensing.ring[:] = w.sensing.measured = instant.measured
+    w.sensing.ring[0] = w.sensing.measured = instant.measured
     state.row = row = round(instant.time / problem.h)
     w.time = row * problem.h
     state.mode, state.started, state.sampled, state.trial.off, state.cleared = instant.mode, 1, 1, 1, 1
@@ -265,7 +267,7 @@ class Here:
         state.settings.project = 0
         state.settings.semi_implicit = 0  # so that friction's states have rates
         sensor: Any = SensorParameters(constants.sensor, 0)
-        sensor.noise = sensor.quantisation = 0.0
+        sensor.noise = sensor.quantisation = sensor.jitter = sensor.saturation = 0.0
         if problem.encoder.size:
             encoder = EncoderParameters(constants.encoder, n)
             for name in ("noise", "quantisation", "velocity_noise"):
@@ -277,6 +279,12 @@ class Here:
                     f"linearise: {key}.kind = {kind!r} depends on the slip {lag:g} s earlier, which is not linearised; "
                     "take another law"
                 )
+        if problem.compensation.member.reads_tangential:
+            kind = problem.scenario.compensation.kind
+            raise ScenarioError(
+                f"linearise: compensation.kind = {kind!r} reads forces along the tangents, which is not part of the "
+                "linear loop: take another compensation"
+            )
         constants.s_v = constants.s_p = 0.0
         self.contacts = ClosedContacts(problem, loop) if self.instant.contacts else None
         touches = self.free or self.contacts is not None
@@ -299,7 +307,7 @@ class Here:
         self._force_nodes = problem.table[node : node + problem.nodes + 1, Reference.place("force", n)]
         self._asked = self._force_nodes.copy()
         sizes = {
-            "qdd": n, "dz": w.z.size, "f": 1, "reading": 1, "torque": n, "r": 3, "u": w.tip.u.size, "gap": 1,
+            "qdd": n, "dz": w.z.size, "f": 1, "felt": 1, "torque": n, "r": 3, "u": w.tip.u.size, "gap": 1,
             "last": 2 * n, **({} if self.contacts is None else self.contacts.sizes),
         }  # fmt: skip
         ends = np.cumsum(list(sizes.values())).tolist()
@@ -391,7 +399,7 @@ class Here:
             dz[motors][:n] = (self._saved[1][self._z] + changes.get("z", 0.0))[motors][n:]
         found[places["qdd"]], found[places["torque"]], found[places["r"]] = w.qdd, w.torque, w.r
         f = found[places["f"]] = w.tip.F[0]
-        found[places["reading"]] = w.sensing.reading if general else f
+        found[places["felt"]] = interpreted(sensor_feels)(0, w, self._sensor, state) if general else f
         found[places["u"]], found[places["gap"]] = w.tip.u, w.tip.gap
         last = found[places["last"]]
         last[:n], last[n:] = w.encoders.last_q, w.encoders.last_v

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from control_loop import Loop, force_loop_radius
+from sensor_chain import OneAxis
 
 import closedloop as cl
 from closedloop.base.errors import ScenarioError
@@ -18,7 +19,7 @@ from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.control.sensor import SensorSection, pack_sensor, sense, sensor_rates, start_sensor
+from closedloop.control.sensor import SensorSection
 from closedloop.control.stability import check_sampling, force_loop_settles
 from closedloop.jit.interpreted import interpreted
 
@@ -125,20 +126,17 @@ def test_admittance_moves_its_set_point_until_the_force_is_right():
 
 def sampled_force(feedback, integral, section, period, samples=4000):
     """Return the force of a rigid contact that reads its sensor every period, under a load of 1 N from the start on."""
-    sensor = pack_sensor(section, period)
-    ring, y, dy = np.zeros(sensor.ring), np.zeros(1), np.zeros(1)
-    start_sensor(10.0, sensor.par, y, ring)
+    chain = OneAxis(section, period, 10.0)
+    sensor = chain.sensor
     z, measured, forces = 0.0, 10.0, []
-    for k in range(samples):
+    for _ in range(samples):
         f = 10.0 + feedback * (10.0 - measured) + integral * z + 1.0
         forces.append(f)
         if abs(f) > 1e9:
             break
-        now = y[0] if sensor.states else f
+        now = chain.z[0] if sensor.states else f
         z += period * (10.0 - (measured if sensor.sampled else now))
-        measured = interpreted(sense)(f, k, sensor.par, y, 0.0, ring)
-        interpreted(sensor_rates)(f, sensor.par, y, dy)
-        y += period * dy
+        measured = chain.read(f)
     return np.array(forces)
 
 
@@ -222,17 +220,12 @@ def test_unfiltered_feedback_must_stay_below_one():
 
 def test_fast_feedback_behind_a_low_pass_in_the_closed_loop():
     """K_f = 5 behind a 20 ms low-pass settles in the arm's own loop at d/(1 + K_f)."""
-    section = SensorSection(filter_time_constant=0.02)
-    sensor = pack_sensor(section, 1e-3)
+    chain = OneAxis(SensorSection(filter_time_constant=0.02), 1e-3, 10.0)
     loop = Loop("wam4", OperationalSpaceLaw(force_feedback=5.0))
-    ring, y, dy = np.zeros(sensor.ring), np.zeros(1), np.zeros(1)
-    start_sensor(10.0, sensor.par, y, ring)
     push(loop, 3.0)
-    for k in range(100):
+    for _ in range(100):
         F, _ = loop.step(1e-3)
-        loop.f_measured = interpreted(sense)(F[0], k, sensor.par, y, 0.0, ring)
-        interpreted(sensor_rates)(F[0], sensor.par, y, dy)
-        y += 1e-3 * dy
+        loop.f_measured = chain.read(F[0])
     assert F[0] - 10.0 == pytest.approx(3.0 / 6.0, abs=1e-3)
 
 
@@ -250,14 +243,13 @@ def test_observer_faster_than_its_sensor_is_refused():
     grown = []
     for rate in (0.9 * limit, 1.1 * limit):
         loop = Loop("wam4", law, ObserverCompensation(rate=rate))
-        sensor = pack_sensor(late, 1e-3)
-        ring, readings = np.full(sensor.ring, 10.0), loop.rates
+        chain, readings = OneAxis(late, 1e-3, 10.0), loop.rates
         loop.rates = lambda x, f, torque, z=None: readings(x, loop.f_measured, torque, z)  # noqa: B023 - used at once
         push(loop, 0.1)
         forces = []
-        for k in range(600):
+        for _ in range(600):
             F, _ = loop.step(1e-3)
-            loop.f_measured = interpreted(sense)(F[0], k, sensor.par, np.zeros(0), 0.0, ring)
+            loop.f_measured = chain.read(F[0])
             forces.append(F[0])
         grown.append(np.ptp(forces[500:]) / np.ptp(forces[:100]))
     assert grown[0] < 0.5

@@ -11,6 +11,7 @@ from closedloop.control import law as control
 from closedloop.control.compensation.adaptive import AdaptiveCompensation
 from closedloop.control.compensation.model import ModelCompensation
 from closedloop.control.compensation.none import NoCompensation
+from closedloop.control.compensation.normal import NormalCompensation
 from closedloop.control.compensation.observer import ObserverCompensation
 from closedloop.control.law import ControlLaw
 from closedloop.control.laws.admittance import AdmittanceLaw
@@ -40,6 +41,7 @@ COMPENSATIONS = (
     ModelCompensation(),
     ObserverCompensation(),
     AdaptiveCompensation(),
+    NormalCompensation(),
 )
 
 
@@ -62,9 +64,9 @@ def test_number_of_states(law):
     assert pack_law(law, 7).states == {"admittance": 3, "servo_admittance": 3, "none": 0}.get(law.kind, 1)
 
 
-@pytest.mark.parametrize(("section", "states"), list(zip(COMPENSATIONS, (0, 0, 7, 2), strict=True)))
+@pytest.mark.parametrize(("section", "states"), list(zip(COMPENSATIONS, (0, 0, 7, 2, 2), strict=True)))
 def test_number_of_states_of_a_compensation(section, states):
-    """One for each joint for the observer, two for the adaptation."""
+    """One for each joint for the observer, two for the adaptation and for the normal."""
     assert pack_law(section, 7).states == states
 
 

@@ -145,7 +145,7 @@ def test_the_law_is_told_how_the_joints_are_to_accelerate():
     """q̈_des is the rate of a smooth q̇_des, to first order in the table's spacing, and zero where q̇_des jumps."""
     h, n = 1e-3, 2
     t = h * np.arange(1001)
-    table, qdd = np.zeros((t.size, 2 * n + 11)), np.zeros(n)
+    table, qdd = np.zeros((t.size, 2 * n + 14)), np.zeros(n)
     table[:, n], table[:, n + 1] = np.sin(3.0 * t), np.where(t < 0.5, 0.0, 0.02)
     for k in (100, 400, 499, 500, 900):
         plain(desired_acceleration)(t[k], h, table, qdd)

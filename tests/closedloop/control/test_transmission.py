@@ -37,16 +37,17 @@ def slider(changes, law=pushed, **options):
 def test_spring_damper_and_motor_are_their_formulas():
     """What is passed on, how motors accelerate, one that is no drive stays, and angles advance with the new rates."""
     random, states, (_, constants, w) = np.random.default_rng(0), 2, make_loop(3, extra=8)
-    for part in (w.q, w.v, w.z, w.torque, constants.stiffness, constants.shaft_damping, constants.motor_inertia):
+    gears = constants.gears
+    for part in (w.q, w.v, w.z, w.torque, gears.stiffness, gears.damping, gears.motor_inertia):
         part[:] = random.uniform(0.5, 2.0, part.size)
-    constants.motor_inertia[1] = 0.0
+    gears.motor_inertia[1] = 0.0
     w.dz[:] = 7.0
     angle, rate = w.z[states : states + 3].copy(), w.z[states + 3 :].copy()
     interpreted(transmit)(w, constants)
-    passed = constants.stiffness * (angle - w.q) + constants.shaft_damping * (rate - w.v)
+    passed = gears.stiffness * (angle - w.q) + gears.damping * (rate - w.v)
     assert w.drives.transmitted == pytest.approx(passed, rel=1e-14)
     interpreted(motor_rates)(w, constants)
-    inertia = np.array([constants.motor_inertia[0], np.inf, constants.motor_inertia[2]])
+    inertia = np.array([gears.motor_inertia[0], np.inf, gears.motor_inertia[2]])
     acceleration = (w.torque - passed) / inertia
     assert w.dz == pytest.approx([7.0, 7.0, *rate, *acceleration], rel=1e-13)
     for substep, share in ((False, 1.0), (True, 0.5)):
@@ -64,6 +65,96 @@ def test_a_motor_and_a_mass_swing_as_two_masses_do():
     assert within(512, centre, Q * run.time**2 / (2 * (M + B)))
     assert np.allclose(run.transmitted_torque[:, 0], K * (run.motor_position - run.q)[:, 0], rtol=0, atol=1e-10)
     assert np.max(np.abs(run.motor_position[:, 1])) < 1e-15  # nothing is released that nothing acts on
+
+
+PLAY = 0.004
+
+
+def backlash_exactly(t):
+    """Return δ = θ − q under a constant push from rest in the middle of the play: parabolas and swings, in turn.
+
+    In the play δ̈ = a, between its ends and b; behind it x = δ − b swings about a/ω² with the speed that it came with.
+    """
+    b, a, rate = 0.5 * PLAY, Q / B, np.sqrt(K * (1 / B + 1 / M))
+    fall, speed = np.sqrt(2 * b / a), np.sqrt(2 * a * b)
+    swing = 2 * (np.pi - np.arctan(speed * rate / a)) / rate
+    s = np.mod(t, 2 * fall + swing)
+    x = a / rate**2 * (1 - np.cos(rate * (s - fall))) + speed / rate * np.sin(rate * (s - fall))
+    back = 2 * fall + swing - s
+    return np.where(s < fall, 0.5 * a * s**2, np.where(s < fall + swing, b + x, 0.5 * a * back**2))
+
+
+def test_backlash_is_a_dead_zone_of_the_spring():
+    """A pushed motor falls through its play, swings against the mass, and falls back: exactly known, piece by piece.
+
+    The error falls as h² over the ends of the play, where a scheme of order 4 has a kink within its step.
+    """
+    off = []
+    for h in (0.001, 0.00025):
+        run = slider({"transmission.backlash": [PLAY, 0.0, 0.0], "time.step": h, "time.duration": 1.0})
+        delta = run.motor_position[:, 0] - run.q[:, 0]
+        off.append(np.max(np.abs(delta - backlash_exactly(run.time))))
+        passed = K * np.sign(delta) * np.maximum(np.abs(delta) - 0.5 * PLAY, 0.0)
+        assert np.allclose(run.transmitted_torque[:, 0], passed, rtol=0, atol=1e-12)
+        centre = (B * run.motor_position[:, 0] + M * run.q[:, 0]) / (M + B)
+        assert np.allclose(centre, Q * run.time**2 / (2 * (M + B)), rtol=0, atol=1e-12)
+    assert off[1] < 2e-6
+    assert off[0] > 6.0 * off[1]
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_backlash_starts_on_the_side_that_it_pushes_and_does_not_pull(engine):
+    """A joint under load lies on its side of the play; damped teeth push or are apart, on the arm too."""
+    play = {"transmission.backlash": 0.01} | ELASTIC
+    run = cl.simulate(cl.load_scenario("wam_slide", MOVING | play), engine=engine)
+    wound = run.motor_position - run.q
+    held = np.abs(run.transmitted_torque[0]) > 1e-3
+    assert held.sum() >= 2
+    expected = run.transmitted_torque[0] / np.array(ELASTIC["transmission.stiffness"])
+    assert np.allclose(wound[0, held], (expected + 0.005 * np.sign(expected))[held], rtol=0, atol=1e-12)
+    assert np.min(run.transmitted_torque * np.sign(wound)) >= 0.0
+    apart = np.abs(wound) <= 0.005
+    assert np.any(apart)
+    assert not np.any(run.transmitted_torque[apart])
+
+
+@pytest.mark.parametrize("elastic", [False, True])
+def test_friction_that_grows_with_the_load(elastic):
+    """A driven link gets Q (1 − μ) − c, one that drives back is braked by Q (1 + μ) + c, and one at rest is held."""
+    mu, c, speed = 0.2, 0.3, 0.4
+    rigid = {key: value for key, value in SLIDER.items() if not key.startswith("transmission")}
+    rough = {"joint_friction": {"kind": "coulomb", "kinetic": c}, "transmission.load_friction": mu,
+             "robot.drive_inertia": False, "start.v": [speed, -speed, 0.0]}  # fmt: skip
+    stiff = {"transmission.stiffness": 1e6, "transmission.motor_inertia": 1e-3, "transmission.damping": 30.0,
+             "time.step": 1e-5, "time.duration": 0.02} if elastic else {"time.duration": 0.1}  # fmt: skip
+
+    def law(x):
+        torque = x.C.copy()
+        torque[:2] += Q
+        return torque
+
+    run = cl.simulate(cl.load_scenario("planar2_drop", rigid | rough | stiff), law=law)
+    mass = M + (1e-3 if elastic else 0.0)
+    gained = (run.v[-1, :2] - run.v[0, :2]) / run.time[-1]
+    expected = np.array([Q * (1 - mu) - c, Q * (1 + mu) + c]) / mass
+    assert np.allclose(gained, expected, rtol=5e-3 if elastic else 1e-9, atol=0)
+
+
+def test_a_gear_at_rest_holds_what_its_friction_can():
+    """With a push below c/(1 − μ) nothing moves; just above it does."""
+    mu, c = 0.2, 2.0
+    rigid = {key: value for key, value in SLIDER.items() if not key.startswith("transmission")}
+    rough = {"joint_friction": {"kind": "coulomb", "kinetic": c}, "transmission.load_friction": mu,
+             "robot.drive_inertia": False, "time.duration": 0.05}  # fmt: skip
+    for share in (0.99, 1.01):
+
+        def law(x, push=share * c / (1.0 - mu)):
+            torque = x.C.copy()
+            torque[0] += push
+            return torque
+
+        run = cl.simulate(cl.load_scenario("planar2_drop", rigid | rough), law=law)
+        assert (abs(run.v[-1, 0]) > 1e-6) == (share > 1.0)
 
 
 @pytest.mark.parametrize(("integrator", "order"), [("semi_implicit_euler", 1), ("rk4", 4)])
@@ -169,6 +260,11 @@ def test_a_step_too_long_is_refused_with_the_step_that_would_do():
 
 
 REFUSED = {
+    "no spring behind the play": (
+        {"transmission.backlash": 0.1},
+        "transmission.backlash = 0.1: goes with transmission",
+    ),
+    "no dry friction": ({"transmission.load_friction": 0.1}, "transmission.load_friction: adds to a dry friction"),
     "no spring": ({"transmission.damping": 1.0}, "transmission.damping = 1.0: goes with transmission.stiffness"),
     "no inertia": (
         {"transmission.stiffness": 1e3, "robot.drive_inertia": False},

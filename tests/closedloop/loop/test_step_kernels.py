@@ -280,10 +280,10 @@ def test_encoders_read_the_side_they_are_on(elastic):
     stiff = {"transmission.stiffness": 1e4, "encoder.seed": 1}
     loop, _, rng = loop_at_random("wam_slide", SHORT | stiff)
     state, constants, w = loop.state, loop.constants, loop.w
-    state.settings.elastic, constants.motor_inertia[:], w.q[:] = elastic, [0.1, 0.0, 0.1, 0.1], rng.normal(size=4)
+    state.settings.elastic, constants.gears.motor_inertia[:], w.q[:] = elastic, [0.1, 0.0, 0.1, 0.1], rng.normal(size=4)
     q, v, motors = w.q.copy(), w.v.copy(), w.z[-8:].copy()
     interpreted(read_joints)(w, constants, state, np.zeros((40, 40)))
-    on_motors = (constants.motor_inertia > 0.0) & (elastic == MOTORS_MEASURED)
+    on_motors = (constants.gears.motor_inertia > 0.0) & (elastic == MOTORS_MEASURED)
     np.testing.assert_array_equal([w.q, w.encoders.q], [np.where(on_motors, motors[:4], q)] * 2)
     np.testing.assert_array_equal([w.v, w.encoders.v], [np.where(on_motors, motors[4:], v)] * 2)
     np.testing.assert_array_equal([w.encoders.true_q, w.encoders.true_v], [q, v])

@@ -47,6 +47,7 @@ MOVES = {
         "start": 0.0,
         "stop": 2.0,
     },
+    "belt": {"velocity": (0.1, -0.2, 0.05)},
     "turntable": {"axis": (0.1, 0.3, 1.0), "centre": (0.1, -0.4, 0.2), "speed": 1.3},
 }
 NAMES = {"bowl": "sphere", "pipe": "cylinder"}
@@ -272,11 +273,12 @@ def test_energy_is_accounted_for_with_an_order():
     assert left[1] < 1e-8
 
 
-def test_a_belt_carries_what_lies_on_it():
+@pytest.mark.parametrize("motion", ["conveyor", "belt"])
+def test_a_belt_carries_what_lies_on_it(motion):
     """It accelerates with μ g until it moves with the belt, and stays where it stuck on it."""
     mu, speed = 0.2, 0.3
     scenario = point_mass(
-        surface_motion={"kind": "conveyor", "velocity": [speed, 0.0, 0.0]}, surface__contact="unilateral",
+        surface_motion={"kind": motion, "velocity": [speed, 0.0, 0.0]}, surface__contact="unilateral",
         friction={"kind": "coulomb", "coefficient": mu}, time__duration=0.5,
     )  # fmt: skip
     run = cl.simulate(scenario, law=no_torque)
@@ -291,6 +293,43 @@ def test_a_belt_carries_what_lies_on_it():
     mass = float(cl.prepare(scenario).robot.terms(run.q[0], run.v[0]).mass_matrix[0, 0])
     assert lost == pytest.approx(0.5 * mass * speed**2, rel=1e-3)  # the trapezoidal rule over the rows
     assert run.summary()["max_energy_residual"] < 1e-9
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_a_belt_runs_over_a_surface_that_stays(engine):
+    """On a ball it drags with μ f along its projection, and leaves normal, gap and a smooth tip as they are at rest."""
+    mu, flow = 0.3, np.array([0.05, 0.2, 0.1])
+    ball = {"surface.kind": "sphere", "surface.radius": 0.3, "time.duration": 0.6, "reference.start": 0.0}
+    belt = ball | {"surface_motion": {"kind": "belt", "velocity": flow.tolist()}}
+    rough = {"friction": {"kind": "coulomb", "coefficient": mu}}
+    still, smooth, dragged = (
+        cl.simulate(cl.load_scenario("wam_slide", changes), engine=engine) for changes in (ball, belt, belt | rough)
+    )
+    assert np.allclose(smooth.contact_force, still.contact_force, rtol=0, atol=1e-9)
+    assert np.allclose(smooth.reference_tip, still.reference_tip, rtol=0, atol=1e-12)
+    n = dragged.surface_normal
+    centre = dragged.position - 0.3 * n
+    assert np.allclose(centre, centre[0], rtol=0, atol=1e-7)
+    slip = dragged.velocity - flow
+    slip -= np.sum(slip * n, axis=1)[:, None] * n
+    assert np.allclose(dragged.slip_velocity, slip, rtol=0, atol=1e-7)
+    against = -mu * dragged.contact_force[:, None] * slip / np.linalg.norm(slip, axis=1)[:, None]
+    assert np.allclose(dragged.friction_force, against, rtol=0, atol=1e-5)
+    assert np.min(np.sum(dragged.friction_force * flow, axis=1)) > 0.0
+
+
+def test_a_tip_that_sticks_to_a_belt_stays_on_it():
+    """On a plane its way is the belt's, with every scheme and a stabiliser."""
+    for integrator in ("semi_implicit_euler", "rk4"):
+        run = cl.simulate(
+            point_mass(
+                surface_motion={"kind": "belt", "velocity": [0.2, 0.1, 0.0]}, surface__contact="unilateral",
+                friction={"kind": "coulomb", "coefficient": 0.5}, start__v=[0.2, 0.1, 0.0], time__integrator=integrator,
+                stabiliser={"kind": "baumgarte"},
+            ), law=no_torque,
+        )  # fmt: skip
+        assert np.all(run.mode == 2)
+        assert np.allclose(run.position - run.position[0], np.outer(run.time, [0.2, 0.1, 0.0]), rtol=0, atol=1e-9)
 
 
 def test_a_mass_on_a_turntable_goes_round():

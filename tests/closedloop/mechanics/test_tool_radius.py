@@ -16,6 +16,7 @@ SURFACES = {
 MOTIONS = {
     "turntable": {"kind": "turntable", "speed": 2.0},
     "conveyor": {"kind": "conveyor", "velocity": [0.1, 0.05, 0]},
+    "belt": {"kind": "belt", "velocity": [0.1, 0.05, 0]},
 }
 SOFT = {"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 100.0}
 
@@ -49,7 +50,7 @@ def both(surface, motion=None, compliance=None, **changes):
 
 
 @pytest.mark.parametrize("kind", SURFACES)
-@pytest.mark.parametrize("way", ["at rest", "turntable", "conveyor", "soft"])
+@pytest.mark.parametrize("way", ["at rest", "turntable", "conveyor", "belt", "soft"])
 def test_a_round_end_is_a_ball_about_the_tip(kind, way):
     """Pressed on and drawn along with friction: the same motion, force and friction to rounding."""
     tip, link = both(SURFACES[kind], MOTIONS.get(way), SOFT if way == "soft" else None)

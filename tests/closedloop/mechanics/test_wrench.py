@@ -48,6 +48,93 @@ def test_the_wrist_wrench_is_that_of_a_recursion(tool):
         assert np.allclose(run.wrist_wrench[k], data.f[joint].vector, rtol=0, atol=1e-11)
 
 
+def axis_of(joint):
+    """Return the axis of a joint of Pinocchio's that turns about x, y or z, in its own axes."""
+    return np.eye(3)["XYZ".index(joint.shortname().removeprefix("JointModelR"))]
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_a_joint_carries_what_hangs_on_it(engine):
+    """Of each joint the force is m (a − g) of the bodies outward less that on the tip; the moment is that of momentum.
+
+    Along its axis the moment is Q less the drive's own inertia.
+    """
+    run = cl.simulate(cl.load_scenario("wam_slide", SHORT | TOOL), engine=engine)
+    robot = cl.prepare(run.scenario).robot
+    _, _, _, model, data = robot.passes
+    wrenches = {name: run.joint_wrench(name, "world") for name in run.model.joint_names}
+    for k in range(0, len(run), 100):
+        q, v, a = run.q[k].copy(), run.v[k].copy(), run.acceleration[k].copy()
+        pin.centerOfMass(model, data, q, v, a)
+        pin.computeCentroidalMomentumTimeVariation(model, data, q, v, a)
+        rate = data.dhg.angular.copy()
+        pin.centerOfMass(model, data, q, v, a)
+        for j, name in enumerate(run.model.joint_names, 1):
+            turn = data.oMi[j].rotation
+            needed = data.mass[j] * (turn @ data.acom[j] - model.gravity.linear) - run.tip_force[k]
+            assert np.allclose(wrenches[name][k, :3], needed, rtol=0, atol=1e-9)
+            axis = turn @ axis_of(model.joints[j])
+            drives = run.torque[k, j - 1] - run.model.armature[j - 1] * a[j - 1]
+            assert wrenches[name][k, 3:] @ axis == pytest.approx(drives, abs=1e-9)
+        first = wrenches[run.model.joint_names[0]][k]
+        arms = [place - data.com[0] for place in (data.oMi[1].translation, run.position[k])]
+        moment = first[3:] + np.cross(arms[0], first[:3]) + np.cross(arms[1], run.tip_force[k])
+        assert np.allclose(moment, rate, rtol=0, atol=1e-9)
+
+
+def test_the_frame_of_a_wrench_turns_it_alone():
+    """In the joint's own axes, the base's and those of a frame it has one size, and is its turned self."""
+    run = cl.simulate(cl.load_scenario("wam_slide", SHORT | {"time.duration": 0.02}))
+    own, base, tip = (run.joint_wrench("J3", frame) for frame in ("joint", "world", "tip"))
+    robot = cl.prepare(run.scenario).robot
+    axes = robot.tip_axes(run.q)
+    for part in (slice(0, 3), slice(3, 6)):
+        assert np.allclose(np.einsum("kij,kj->ki", axes, tip[:, part]), base[:, part], rtol=0, atol=1e-10)
+        assert np.allclose(np.linalg.norm(own[:, part], axis=1), np.linalg.norm(base[:, part], axis=1), atol=1e-10)
+    recorded = cl.simulate(run.scenario, record={"elbow": (lambda run: run.joint_wrench("J3"), "N | N m")})
+    assert np.array_equal(recorded["elbow"], own)
+
+
+def test_contacts_of_links_are_part_of_what_hangs_on_a_joint():
+    """On four feet each leg's joint carries the force of its foot: along the axis it is the drive's torque."""
+    run = cl.simulate(cl.load_scenario("quadruped", {"time.duration": 0.05}))
+    assert np.max(run.link_forces) > 10.0
+    q = run.model.joint_names
+    legs = [j for j, kind in enumerate(run.model.joint_types) if kind == "revolute"]
+    model = run.model.pinocchio_model()
+    assert len(legs) >= 8
+    for j in legs:
+        joint = model.joints[model.getJointId(q[j])]
+        axis = axis_of(joint)
+        drives = run.torque[:, j] - run.model.armature[j] * run.acceleration[:, j] + run.joint_friction[:, j]
+        assert np.allclose(run.joint_wrench(q[j])[:, 3:] @ axis, drives, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("joint", "frame", "words"),
+    [("J9", "joint", r"joint = 'J9': must be one of J1, J2, J3, J4"), ("J1", "hand", "hand")],
+)
+def test_a_wrench_at_no_joint_is_refused(joint, frame, words):
+    """One line with the joints that there are."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.002}))
+    with pytest.raises(cl.ClosedLoopError, match=words):
+        run.joint_wrench(joint, frame)
+    loops = cl.simulate(cl.load_scenario("four_bar", {"time.duration": 0.002}))
+    with pytest.raises(cl.ScenarioError, match=r"has loops, .* run\.loops"):
+        loops.joint_wrench(loops.model.joint_names[0])
+
+
+def test_the_command_line_records_a_wrench(command_line, tmp_path):
+    """--record wrench:JOINT is a column of run.nc, with its unit; one at no joint is refused first."""
+    options = ["wam_slide", "--time.duration", "0.01", "--no-figures", "--out", str(tmp_path / "out")]
+    assert command_line(*options, "--record", "wrench:J4", "--record", "wrench:J2@world").status == 0
+    run = cl.load_run(tmp_path / "out" / "run.nc")
+    assert np.array_equal(run["wrench_J4"], run.joint_wrench("J4"))
+    assert np.array_equal(run["wrench_J2_world"], run.joint_wrench("J2", "world"))
+    assert run.units("wrench_J4") == "N | N m"
+    assert "must be one of J1, J2, J3, J4" in command_line(*options[:4], "--record", "wrench:J9").refusal(2)
+
+
 def test_a_hanging_tool_weighs_on_the_wrist():
     """At rest, off the surface: m g upwards and its moment about the wrist, in the axes of the tip's frame."""
     changes = TOOL | {"surface.contact": "unilateral", "surface.gap": 0.1, "time.duration": 0.05, "law.force": 0.0,

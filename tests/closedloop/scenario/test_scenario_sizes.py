@@ -116,7 +116,7 @@ def test_reading_of_more_quanta_than_digits_is_left_alone():
     """A coarse quantum rounds; one finer than the digits of a reading changes nothing."""
     for force, quantum in ((1e9, 1e-12), (1e9, 1e-6), (12.3456, 1e-3), (-12.3456, 0.5)):
         sensor = pack_sensor(SensorSection(quantisation=quantum), 1e-3)
-        reading = interpreted(sense)(force, 0, sensor.par, np.zeros(0), 0.0, np.zeros(sensor.ring))
+        reading = interpreted(sense)(force, 0.0, 0, sensor.par, 0.0, np.zeros(sensor.ring))
         assert abs(reading - force) <= 0.5 * quantum + 1e-16 * abs(force)
         if abs(force) >= MOST_QUANTA * quantum:
             assert reading == force

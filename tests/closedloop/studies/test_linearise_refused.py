@@ -21,6 +21,7 @@ from closedloop.studies.analysis.closed_contacts import contacts_of
         ("push_block", {"contact.foot 2.friction": 0.0, "contact.foot 2.friction_law": {
             "kind": "dahl", "coefficient": 0.4, "stiffness": 1e4}}, 0.1,
          "contact 'foot 2' is closed, whose friction has a memory"),
+        ("hidden_bump", {"compensation.kind": "normal", "time.duration": 0.2}, 0.1, "'normal' reads forces along"),
         ("wam_slide", {"drives.torque_limit": 1.0}, 1.0, "the drive of joint J[1-4] is at its limit at t = 1 s"),
     ],
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""[surface_motion] kind = "conveyor": at constant velocity."""
+"""[surface_motion] kind = "conveyor": at constant velocity, with its shape and its edges; `belt` leaves them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Speed = Annotated[Number, SPEED]
 
 
 class Conveyor(SurfaceMotion):
-    """A belt, or a table that is driven at constant velocity."""
+    """A table that is driven at constant velocity, with its shape and its edges."""
 
     velocity: Annotated[tuple[Speed, Speed, Speed], AfterValidator(moving)] = Field(
         description="velocity of the surface, base frame, m/s"

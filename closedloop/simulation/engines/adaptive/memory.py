@@ -10,6 +10,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError
+from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.calls import address_of
 from closedloop.jit.interpreted import interpreted
@@ -117,7 +118,7 @@ class Memory:
 
     def set_time(self, t: float, interval: Interval) -> None:
         """Set the time and the reference to the instant t, s, of the interval."""
-        self._wanted[0, :-1] = interval.at(t)
+        self._wanted[0, : Reference.count(self._problem.robot.n)] = interval.at(t)
         instant, begins = t, self._problem.pd_start
         if interval.start < begins <= interval.end + BEFORE * self.h:
             instant = min(t, max(interval.start, interval.end - BEFORE * self.h))
@@ -234,7 +235,8 @@ class Memory:
         """Evaluate the state in the memory."""
         phase, self.state.phase, self.state.query = int(self.state.phase), QUERY, use
         if use == RECORD:
-            self._wanted[0, -1] = self._problem.table[self.state.row * self._problem.nodes, -1]  # the sensor's noise
+            drawn = slice(Reference.count(self._problem.robot.n), None)  # what the sensor draws
+            self._wanted[0, drawn] = self._problem.table[self.state.row * self._problem.nodes, drawn]
         self._terms()
         self._proceed()
         self._check(OK)

@@ -107,7 +107,6 @@ class TimeStep(Block, sizes=("k",)):
     begun: float  # 1 if the substep began within it
     span: float  # the longest that the next substep may be, and after which friction points along slow slips, s
     within: float  # the same of the substep under way
-    settling: float  # in their place where the integrator chooses its steps, and of soft contacts alone, s; else 0
     force: Annotated[Array, 3 * K]  # N
     friction_cut: float  # what is taken from each μ in it, a share; 0 again once modes are found
     struck: float  # when the last tangential impact was, s

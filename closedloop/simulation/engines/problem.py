@@ -25,7 +25,6 @@ from closedloop.loop.step.record_row import ContactRow
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.sections import AS_IMPACT
 from closedloop.mechanics.contacts.surfaces import Called
-from closedloop.mechanics.contacts.turning import SETTLING
 from closedloop.mechanics.friction.law import Slip
 from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.single import RESTITUTIONS, coefficient_at
@@ -132,7 +131,6 @@ class Problem(ScenarioNumbers):
             state.contacts.at, contacts.links.loop = contacts.address, state.address
             points = len(self.scenario.contact or ())
             contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(points)
-            contacts.contacts.step.settling = 0.0 if self.tolerance is None else SETTLING
             contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
             held = stops_at_start(contacts, loop.constants, self.q, self.v)
             state.coupled = int(self.placed.starts_closed or held)

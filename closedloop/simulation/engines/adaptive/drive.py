@@ -45,6 +45,7 @@ from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
+from closedloop.mechanics.contacts.turning import settling_time
 from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
 from closedloop.simulation.engines.adaptive.smooth import Interval, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
@@ -52,6 +53,7 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
 
 stops_slip: Any = interpreted(stops_slipping)
+settling_of: Any = interpreted(settling_time)
 Rate = Callable[[float, Array], Array]
 
 EXPLICIT, IMPLICIT, FIXED_DIRECTION = range(3)
@@ -82,15 +84,15 @@ def slips(w: Work, state: State) -> list[Slip]:
         friction, tip = float(np.hypot(*w.friction.c) * abs(w.tip.F[0])), w.tip
         return [_slip(tip.u[1:], friction, tip.S[1, 1] + tip.S[2, 2], tip.A[1:], tip.A[1:] @ w.qdd + tip.drift_c[1:])]
     links, c = w.kept["contacts"]
-    found = []
+    found, settling = [], settling_of(c, int(links.joints))
     for i in range(int(links.joints)):
         t = slice(3 * i + 1, 3 * i + 3)
         if c.mode[i] == PRESSED and stops_slip(c, i):
             mobility, rows, shared = c.W[t, t].trace(), c.G[t], float(c.friction.shared[i])
             friction = shared * abs(c.F[3 * i]) or float(np.hypot(*c.F[t]))
             slip = _slip(c.u[t], friction, mobility, rows, rows @ w.qdd + c.drift[t])
-            # friction that ends a slip within `settling` turns none faster
-            found.append(slip._replace(speed=slip.speed + c.step.settling * slip.turning) if shared else slip)
+            # friction that ends a slip within this time turns none faster
+            found.append(slip._replace(speed=slip.speed + settling * slip.turning))
     return [slip for slip in found if slip.speed > SETTLED]
 
 

@@ -79,6 +79,10 @@ def test_a_force_along_the_estimated_normal_is_the_desired_one():
     rest = {"reference.stop": 0.4, "time.duration": 1.2, "law.motion_damping": 60.0}
     plain = run_of(UPHILL, rest, {"compensation": {"kind": "none"}})
     mended = run_of(UPHILL, rest)
+    # At rest f n − f_c n_b is a force Λ a of the law, with a along the believed plane: n_b S (f n − f_c n_b) = 0.
+    terms = cl.prepare(plain.scenario).robot.terms(plain.q[-1], np.zeros(4))
+    S = terms.jacobian @ np.linalg.solve(terms.mass_matrix, terms.jacobian.T)
+    assert plain.contact_force[-1] == pytest.approx(10.0 * S[2, 2] / (S[2] @ plain.surface_normal[-1]), abs=2e-3)
     assert abs(plain.contact_force[-1] - 10.0) > 0.5
     assert mended.contact_force[-1] == pytest.approx(10.0, abs=2e-3)
     off = [np.linalg.norm(run.position[-1, :2] - run.reference_tip[-1, :2]) for run in (plain, mended)]

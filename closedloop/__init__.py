@@ -156,7 +156,6 @@ _HOME = {
     "identify_contact": "studies.identify.contact.identify_contact",
     "lab": "lab.start",
     "linearise": "studies.analysis.assembly",
-    "linearize": "studies.analysis.assembly",
     "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",
@@ -171,7 +170,7 @@ _HOME = {
 }
 
 _SPELLED = {"linearize": "linearise"}  # works, and is not listed
-_NAMES = sorted(_HOME.keys() - _SPELLED.keys())
+_NAMES = sorted(_HOME)
 # What is looked for by another name.
 _CALLED = {
     "run": "simulate(scenario) simulates, and load_run(path) reads a run", "sim": "simulate(scenario)",
@@ -197,10 +196,12 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("closedloop")
+    if name in _SPELLED:
+        return __getattr__(_SPELLED[name])
     if name not in _HOME:
         raise AttributeError(f"module 'closedloop' has no attribute '{name}'{_meant(name)}")
     module = import_module(f"closedloop.{_HOME[name]}")
-    value = module if _HOME[name] == name else getattr(module, _SPELLED.get(name, name))
+    value = module if _HOME[name] == name else getattr(module, name)
     globals()[name] = value
     return value
 

@@ -38,7 +38,7 @@ GOOD = {
                   "workers": 1},
     "sensitivities": {"scenario": SCENARIO, "keys": ["law.force"], "of": ["contact_force"], "model": None,
                       "workers": 1},
-    "tune": {"scenario": SCENARIO, "vary": {"law.force": [5.0, 15.0]}, "minimise": "rms_force_error",
+    "tune": {"scenario": SCENARIO, "vary": {"law.force": [5.0, 15.0]}, "minimise": "rms_force_error", "minimize": None,
              "subject_to": ["max_kkt_residual < 1"], "over": None, "robust": "worst", "log": (), "starts": 1,
              "seed": 0, "iterations": 1, "kept": None, "workers": 1},
     "excite": {"robot": "planar2", "target": ["no such"], "duration": 1.0, "harmonics": 1, "rate": 20.0, "noise": None,

@@ -16,9 +16,11 @@ from closedloop.simulation.prepare import prepare
 def test_a_joint_without_a_drive_has_no_motor():
     """Its armature, if the robot's file has one, is no motor's."""
     driven, names = np.array([True, False, True, True]), ("a", "b", "c", "d")
-    loose = SimpleNamespace(n=4, name="loose", joint_names=names, driven=driven, armature=np.full(4, 0.3))
+    loose = SimpleNamespace(
+        n=4, name="loose", joint_names=names, driven=driven, armature=np.full(4, 0.3), shared_drives=()
+    )
     inertia = transmission_constants(TransmissionSection(stiffness=1e4), loose)
-    np.testing.assert_array_equal(inertia, [[1e4, 0, 1e4, 1e4], [0] * 4, [0.3, 0, 0.3, 0.3]])
+    np.testing.assert_array_equal(inertia, [[1e4, 0, 1e4, 1e4], [0] * 4, [0.3, 0, 0.3, 0.3], [0] * 4, [0] * 4])
 
 
 def test_a_normal_turns_at_right_angles_to_itself_though_the_point_leaves_the_surface():

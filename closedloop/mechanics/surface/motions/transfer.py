@@ -26,16 +26,14 @@ class Transfer(SurfaceMotion):
     angle: Annotated[Number, ANGLE] = Field(0.0, description="rotation in the end, rad")
     axis: Direction = Field((0.0, 0.0, 1.0), description="axis of rotation, base frame; any length but zero")
     centre: tuple[Place, Place, Place] = Field((0.0, 0.0, 0.0), description="a point of the axis, base frame, m")
-    start: Instant = Field(0.5, description="instant at which it starts to move, s")
+    start: Instant = Field(0.0, description="instant at which it starts to move, s")
     stop: Instant = Field(description="instant at which it stops, s")
 
     @model_validator(mode="after")
     def _moves(self) -> Self:
-        """Refuse a motion without duration, and one that goes nowhere."""
+        """Refuse a motion without duration."""
         if not self.stop > self.start:
             raise ValueError(f"stop must be later than start = {self.start:g}")
-        if not any((*self.shift, self.angle)):
-            raise ValueError('shift or angle must not be zero; a surface at rest is kind = "none"')
         return self
 
     def resolved(self) -> dict[str, Any]:

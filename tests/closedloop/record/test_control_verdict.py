@@ -25,7 +25,7 @@ from closedloop.simulation.batch import worker
 
 FORCE, DURATION = 10.0, 10.0
 # Shipped scenarios whose subject is control that is bad; of all others it is good.
-BAD_ON_PURPOSE = {"payload_mismatch", "wam_slide_friction", "wam_stick_slip"}
+BAD_ON_PURPOSE = {"hidden_bump", "payload_mismatch", "wam_slide_friction", "wam_stick_slip"}
 
 
 def drawn(miss=0.0, h=1e-3, *, touching=True, off=None, touchdowns=(), sparse=False, wanted=FORCE):

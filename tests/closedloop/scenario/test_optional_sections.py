@@ -23,7 +23,7 @@ OPTIONAL = ("surface", "reference", "law")
 def without(name, sections, duration=0.02):
     """Return the shipped scenario without some sections, as its file would be read."""
     data = tomllib.loads(scenario_text(name)[0])
-    for section in sections:
+    for section in (*sections, *(["belief"] if "surface" in sections else [])):  # a belief in another surface
         data.pop(section, None)
     data["time"]["duration"] = duration
     return parse_scenario(tomli_w.dumps(data), name)

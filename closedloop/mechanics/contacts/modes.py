@@ -13,7 +13,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import solve_contacts
-from closedloop.mechanics.contacts.friction import STILL, has_law, slide, stick_as_spring, stops_slipping, write_limits
+from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
 from closedloop.mechanics.contacts.given_modes import NEGLIGIBLE, energy_gained, stop
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
@@ -257,11 +257,7 @@ def remove_motion(links: ContactLinks, c: Contacts, k: int) -> int:
     for i in range(k if links.shapes != 0 else 0):  # those that part are not pressed in
         parts = c.problem.form[i] == OFF and c.near[i] != 0.0 and c.located[3 * i] <= TOUCHING and c.past_edge[i] == 0.0
         stopped = stopped and not (parts and -NEGLIGIBLE < c.problem.after[3 * i] < -RESTING <= c.before[3 * i])
-    for i in range(0 if stopped else k):
-        for r in range(3 * i, 3 * i + 3):
-            c.F[r], c.problem.after[r] = 0.0, c.before[r]
-        speed = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
-        if c.problem.form[i] in (CONE, DOUBLE) and c.mode[i] == PRESSED and speed > STILL:  # it goes on as it slips
-            c.direction[i, 0], c.direction[i, 1] = c.u[3 * i + 1] / speed, c.u[3 * i + 2] / speed
+    for r in range(0 if stopped else 3 * k):
+        c.F[r], c.problem.after[r] = 0.0, c.before[r]
     c.event.energy_lost = c.event.energy_rested = -energy_gained(c, k)
     return OK

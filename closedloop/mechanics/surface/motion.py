@@ -11,8 +11,11 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, ClassVar
 
+from pydantic import AfterValidator
+
 from closedloop.base.arrays import Array
 from closedloop.base.families import Family, Parameters
+from closedloop.base.sections import SPEED, Number
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.surface.geometry import Pose
@@ -51,6 +54,12 @@ def moving(value: Any) -> Any:
     if not any(value if isinstance(value, tuple) else (value,)):
         raise ValueError('must not be zero; a surface at rest is kind = "none"')
     return value
+
+
+#: How fast a surface, or what runs along it, moves, m/s: not zero.
+Velocity = Annotated[
+    tuple[Annotated[Number, SPEED], Annotated[Number, SPEED], Annotated[Number, SPEED]], AfterValidator(moving)
+]
 
 
 @kernel

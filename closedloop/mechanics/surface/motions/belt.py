@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
-from closedloop.base.sections import SPEED, Number
-from closedloop.mechanics.surface.motion import SurfaceMotion, moving
-
-Speed = Annotated[Number, SPEED]
+from closedloop.mechanics.surface.motion import SurfaceMotion, Velocity
 
 
 class Belt(SurfaceMotion):
     """A belt that runs over the surface: its shape, edges and normal stay where they are."""
 
-    velocity: Annotated[tuple[Speed, Speed, Speed], AfterValidator(moving)] = Field(
+    velocity: Velocity = Field(
         description="velocity of the material, base frame, m/s; what of it is along the normal does not act"
     )
 

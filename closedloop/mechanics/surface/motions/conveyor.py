@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
-from closedloop.base.sections import SPEED, Number
-from closedloop.mechanics.surface.motion import SurfaceMotion, moving
-
-Speed = Annotated[Number, SPEED]
+from closedloop.mechanics.surface.motion import SurfaceMotion, Velocity
 
 
 class Conveyor(SurfaceMotion):
     """A table that is driven at constant velocity, with its shape and its edges."""
 
-    velocity: Annotated[tuple[Speed, Speed, Speed], AfterValidator(moving)] = Field(
-        description="velocity of the surface, base frame, m/s"
-    )
+    velocity: Velocity = Field(description="velocity of the surface, base frame, m/s")
 
     @staticmethod
     def move(t: float, par: Any, m: Any) -> None:

@@ -12,8 +12,8 @@ explicit scheme, whose steps are a few 1/λ, needs some μ|f| S/(3 j t₀) of th
 rounding. The solution is smooth: the direction follows the applied force. So
 
     FIXED_DIRECTION  up to the speed SETTLED, friction of the tip acts against the direction of break-away. The slip
-                     turns by no more than 1e-5 rad in that time, with an effect below 1e-14 m/s. Contacts of links
-                     do so by themselves up to that speed
+                     turns by no more than 1e-5 rad in that time, with an effect below 1e-14 m/s. That of contacts of
+                     links points to where the slip goes (`closedloop.mechanics.contacts.turning`)
     IMPLICIT         from there on, as long as λ is large and slip changes slowly in 1/λ: Radau IIA of order five
                      (Hairer and Wanner, Solving Ordinary Differential Equations II, IV.8, as in scipy)
     EXPLICIT         everywhere else: DOP853

@@ -18,7 +18,7 @@ from closedloop.mechanics.contacts.given_modes import NEGLIGIBLE, energy_gained,
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
-from closedloop.mechanics.contacts.soft import write_shared
+from closedloop.mechanics.contacts.soft import soft_gap, write_shared
 
 # Within the first gap a contact touches, m; after it has parted, until it has been clear by the second. At the start
 # the second counts: a posture is given in few digits.
@@ -108,6 +108,8 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             if mode == STUCK and c.mode[i] != STUCK:
                 for j in range(3 * i, 3 * i + 3):
                     c.anchor[j] = c.at[j]
+            if c.soft[i] != 0.0 and mode != FREE and c.mode[i] == FREE and links.fresh == 0:
+                c.floor[i] = c.located[3 * i] if c.located[3 * i] < -HOVERING else 0.0
             if mode == FREE and c.mode[i] != FREE:
                 c.cleared[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
             if mode == FREE:  # it parts from where it is, be that inside by the error of a step
@@ -134,7 +136,7 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
                 continue
         elif not pulls and (not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > PARTING and c.soft[i] == 0.0)):
             continue
-        if not pulls and c.soft[i] != 0.0 and c.located[at] >= 0.0 and c.u[at] > 0.0:
+        if not pulls and c.soft[i] != 0.0 and soft_gap(c, i) >= 0.0 and c.u[at] > 0.0:
             continue
         u1, u2 = c.u[at + 1], c.u[at + 2]
         speed = math.hypot(u1, u2)

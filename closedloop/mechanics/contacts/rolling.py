@@ -293,9 +293,23 @@ def left_of_rolling(shapes: Shapes, i: int, h: float) -> float:
 
 
 @kernel
-def left_of_standing(shapes: Shapes, i: int, h: float) -> float:
-    """Return what is left until contact i, which stands, rolls or stands on another point: negative once it does."""
+def stands_on_feet(shapes: Shapes, c: Contacts, i: int) -> bool:
+    """Whether three feet or more of the disc of contact i are closed."""
+    feet = 0
+    for j in range(c.mode.shape[0]):
+        feet += 1 if int(shapes.rim.foot_of[j]) == i and c.mode[j] != FREE else 0
+    return bool(feet >= 3)
+
+
+@kernel
+def left_of_standing(shapes: Shapes, c: Contacts, i: int, h: float) -> float:
+    """Return what is left until contact i, which stands, rolls or stands on another point: negative once it does.
+
+    A soft one beside three feet stays: its spring would raise each point that it goes to, and then go to the opposite.
+    """
     rim = shapes.rim
+    if c.soft[i] != 0.0 and stands_on_feet(shapes, c, i):
+        return APART
     size, deeper = rim.radius[i] * rim.tilt[i], rim.radius[i] * rim.tilt[i] * (1.0 - rim.apart[i])
     limit, tilt = h * rim.tilt_rate[i] + RESOLVED * LEAST_TILT, RESOLVED * rim.tilt[i]
     rolls = max(AGAIN * limit - tilt, deeper - NEAR * size - DEEPER)
@@ -304,10 +318,11 @@ def left_of_standing(shapes: Shapes, i: int, h: float) -> float:
 
 @kernel
 def is_idle(shapes: Shapes, c: Contacts, j: int, h: float) -> bool:
-    """Whether contact j is a foot of a disc whose edge rolls; those of soft contacts are springs of their own."""
+    """Whether contact j, open, is a foot of a disc whose edge rolls; or, of soft ones, the edge beside three feet."""
+    if c.soft[j] != 0.0:
+        return bool(shapes.rim.radius[j] > 0.0 and stands_on_feet(shapes, c, j))
     i = int(shapes.rim.foot_of[j])
-    rolls = i > 0 and c.mode[i] != FREE and shapes.rim.stands[i] == 0.0 and left_of_rolling(shapes, i, h) >= 0.0
-    return bool(rolls and c.soft[i] == 0.0)
+    return bool(i > 0 and c.mode[i] != FREE and shapes.rim.stands[i] == 0.0 and left_of_rolling(shapes, i, h) >= 0.0)
 
 
 @kernel
@@ -317,7 +332,7 @@ def rim_margin(links: ContactLinks, c: Contacts, h: float) -> float:
     for i in range(1, links.points):
         if shapes.rim.radius[i] > 0.0 and c.mode[i] != FREE:
             stands = shapes.rim.stands[i] != 0.0
-            least = min(least, left_of_standing(shapes, i, h) if stands else left_of_rolling(shapes, i, h))
+            least = min(least, left_of_standing(shapes, c, i, h) if stands else left_of_rolling(shapes, i, h))
     return float(least)
 
 
@@ -346,16 +361,20 @@ def longest_roll(links: ContactLinks, c: Contacts) -> float:
 def leave_seats(links: ContactLinks, c: Contacts, h: float) -> bool:
     """Let discs stand on the next point, or roll, where they do no longer stand as they did; whether there are any.
 
-    What rolls again has no feet.
+    What rolls again has no feet. A soft contact that goes to a deeper point has the force there that it had.
     """
     shapes, left = shapes_at(links.shapes), False
     rim = shapes.rim
     for i in range(1, links.points):
-        if rim.stands[i] == 0.0 or c.mode[i] == FREE or left_of_standing(shapes, i, h) >= 0.0:
+        if rim.stands[i] == 0.0 or c.mode[i] == FREE or left_of_standing(shapes, c, i, h) >= 0.0:
             continue
         left = True
         size = rim.radius[i] * rim.tilt[i]
-        if DEEPER + SHARE_DEEPER * size < (1.0 - rim.apart[i]) * size:
+        deeper = (1.0 - rim.apart[i]) * size
+        on = DEEPER + SHARE_DEEPER * size < deeper
+        if c.soft[i] != 0.0 and not (on and rim.apart[i] > FAR):
+            c.floor[i] -= deeper
+        if on:
             seat_next(shapes, i)
             continue
         rim.stands[i] = 0.0
@@ -387,10 +406,7 @@ def rest_on_feet(links: ContactLinks, c: Contacts) -> None:
     for i in range(1, links.points):
         if shapes.rim.stands[i] == 0.0 or c.mode[i] == FREE or c.soft[i] != 0.0:
             continue
-        feet = 0
-        for j in range(1, links.points):
-            feet += 1 if shapes.rim.foot_of[j] == i and c.mode[j] != FREE else 0
-        if feet >= 3:
+        if stands_on_feet(shapes, c, i):
             c.mode[i], c.cleared[i], c.floor[i] = FREE, 0.0, min(c.located[3 * i], 0.0)
 
 

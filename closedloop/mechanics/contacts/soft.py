@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.jit.calls import Entry, address_of, call_at, integers_at, vector_at
+from closedloop.jit.calls import Entry, address_of, call_at, integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import pack, parameter_block
 from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
@@ -33,7 +33,6 @@ from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts, joints_rub
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.contacts.shortest import solve_any_rank
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 
@@ -112,9 +111,9 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
         if c.soft[i] == 0.0:
             continue
         n, f = 3 * i, 0.0
-        if c.past_edge[i] == 0.0 and (c.mode[i] != FREE or c.located[n] <= 0.0):
+        if c.past_edge[i] == 0.0 and (c.mode[i] != FREE or soft_gap(c, i) <= 0.0):
             query = vector_at(where[2 * i + 1], QUERY)
-            query[0], query[1] = -c.located[n], -c.u[n]
+            query[0], query[1] = -soft_gap(c, i), -c.u[n]
             f = soft_force(links, i, query)
             f = f if c.friction.pulls[i] != 0.0 else max(f, 0.0)
         own = max(c.W[n, n], c.W[n + 1, n + 1], c.W[n + 2, n + 2])
@@ -124,6 +123,12 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
         c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
         for j in range(n + 1, n + 3):
             c.W[j, j] += (CREEP_BESIDE_DRY if joints_rub(links) else CREEP) * own
+
+
+@kernel
+def soft_gap(c: Contacts, i: int) -> float:
+    """Return the gap of a soft contact, m, above where its force is zero: below its surface where it began inside."""
+    return float(c.located[3 * i] - c.floor[i])
 
 
 @kernel
@@ -139,7 +144,7 @@ def soft_force(links: ContactLinks, i: int, query: Array) -> float:
 def stored_in(links: ContactLinks, c: Contacts, i: int) -> float:
     """Return what the spring of a soft contact has stored, J; see `closedloop.mechanics.surface.surface`."""
     query = vector_at(integers_at(links.compliances, 2 * links.k)[2 * i + 1], QUERY)
-    gap, stored = c.located[3 * i], 0.0
+    gap, stored = soft_gap(c, i), 0.0
     for k in range(4):
         for side in range(2):
             s = 0.5 * (1.0 + (POINTS[k] if side == 0 else -POINTS[k]))
@@ -154,18 +159,20 @@ def soft_margin(c: Contacts, i: int) -> float:
 
     Just after it began the gap may be a rounding above zero: what moves into the surface is in contact.
     """
-    left = -AS_FORCE * c.located[3 * i]
+    left = -AS_FORCE * soft_gap(c, i)
     return float(left if c.u[3 * i] > 0.0 else max(left, 0.0))
 
 
-# Friction is at its limit within the first share. Of the accelerations that bodies have, the second is taken with those
-# that they have not.
-AT_EDGE, SHARE = 1e-9, 1e-5
+# Friction is at its limit within the first share. Motions that move contacts along their surfaces by less than the
+# second, of others, are none.
+AT_EDGE, SPANNED = 1e-9, 1e-3
 
 
 @kernel
 def write_shared(links: ContactLinks, c: Contacts) -> None:
     """Write of each soft contact beside other closed ones the largest |F_t|/f, as `along` has it, or μ.
+
+    Of its resistances likewise.
 
     With f known, friction that points to where the slips are at the end of a step is determined, but for how feet of
     one body share it. Such contacts have no mode of sticking: their slips end by themselves, in a step or a few.
@@ -175,7 +182,9 @@ def write_shared(links: ContactLinks, c: Contacts) -> None:
     for i in range(k):
         closed += 1 if c.problem.form[i] != OFF else 0
     for i in range(k):
-        ends = c.soft[i] != 0.0 and stops_slipping(c, i) and c.friction.sticks[i] != SPRING_STICK
+        owner = int(c.friction.resistance.owner[i])
+        ends = c.soft[i if owner < 0 else owner] != 0.0 and stops_slipping(c, i)
+        ends = ends and c.friction.sticks[i] != SPRING_STICK
         level = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
         c.friction.shared[i] = 0.0
         if closed > 1 and ends and not dry and c.problem.form[i] != OFF:
@@ -208,31 +217,85 @@ def shared_friction(c: Contacts) -> float:
 
 
 @kernel
-def drop_contradictions(c: Contacts, k: int, largest: float) -> None:
-    """Take from the accelerations of packed soft contacts, and of points, what no motion of their bodies has.
+def drop_contradictions(c: Contacts, k: int) -> None:
+    """Take from q of packed soft contacts, and of points, along their surfaces, what hardly any motion of bodies has.
 
-    Feet of one body that turns accelerate towards its axis, with the square of its speed. They do not slip by that,
-    but friction that is to stop it would be as large as it can be.
+    Feet of one body that turns accelerate towards its axis, with the square of its speed, and those at heights that
+    hardly differ slip by what little it rocks. Friction that is to stop this would be as large as it can be, between
+    feet that press against each other. What motions have is spanned by columns of X, each row divided by the root of
+    its contact's mobility, and then by W times these: what is left out then moves nothing by what is not.
     """
-    S, unknown, p, contact = c.scratch.system, c.scratch.unknown, 0, c.scratch.packed.contact
+    S, unknown, scale, p, n = c.scratch.system, c.scratch.unknown, c.scratch.multiples, 0, c.X.shape[1]
     for i in range(k):
-        j = int(contact[i])
+        j = int(c.scratch.packed.contact[i])
         if c.scratch.turned[j] != 0.0 and (c.friction.shared[j] > 0.0 or c.problem.points > 0.0):
-            unknown[p], unknown[p + 1] = 3 * i + 1, 3 * i + 2
-            p += 2
+            own = max(c.W[3 * i + 1, 3 * i + 1], c.W[3 * i + 2, 3 * i + 2])
+            for r in range(3 * i + 1, 3 * i + 3 if own > 0.0 else 0):
+                unknown[p], scale[p] = r, math.sqrt(own)
+                for m in range(n):
+                    S[m, p] = c.X[3 * j + r - 3 * i, m] / scale[p]
+                p += 1
+    rank = orthonormal_columns(S, n, p, SPANNED)
+    if rank == p:
+        return
+    for m in range(rank):
+        for r in range(p):
+            c.scratch.trial[r] = 0.0
+            for s in range(p):
+                c.scratch.trial[r] += c.W[int(unknown[r]), int(unknown[s])] * S[m, s] / (scale[r] * scale[s])
+        for r in range(p):
+            S[m, r] = c.scratch.trial[r]
+    rank = orthonormal_columns(S, rank, p, 0.0)
+    for m in range(rank):
+        row, share = row_of(S, m), 0.0
+        for r in range(p):
+            share += row[r] * c.problem.q[int(unknown[r])] / scale[r]
+        c.scratch.sum[m] = share
     for r in range(p):
-        row = int(unknown[r])
-        for s in range(p):
-            S[r, s] = c.W[row, int(unknown[s])]
-        S[r, r] += SHARE * largest
-        S[r, p] = c.drift[3 * int(contact[row // 3]) + row % 3]
-    solve_any_rank(S, p, 1, c.scratch.column_order, c.scratch.solution, 0.0)
+        left = 0.0
+        for m in range(rank):
+            left += S[m, r] * c.scratch.sum[m]
+        c.problem.q[int(unknown[r])] = scale[r] * left
+
+
+@kernel
+def orthonormal_columns(S: Array, n: int, p: int, least: float) -> int:
+    """Replace the first rows of n in S, of p numbers each, by an orthonormal basis of all; return how many it has.
+
+    Gram and Schmidt's method, modified, twice; the longest that is left is next, down to the share `least`.
+    """
+    first = 0.0
+    for m in range(min(n, p)):
+        best, longest = m, 0.0
+        for i in range(m, n):
+            square, row = 0.0, row_of(S, i)
+            for r in range(p):
+                square += row[r] * row[r]
+            if square > longest:
+                best, longest = i, square
+        first = max(first, longest)
+        if not longest > least * least * first:
+            return m
+        row = row_of(S, m)
+        for r in range(p):
+            row[r], S[best, r] = S[best, r], row[r]
+        for i in range(m):
+            take_along(row, row_of(S, i), p)
+        longest = 0.0
+        for r in range(p):
+            longest += row[r] * row[r]
+        for r in range(p):
+            row[r] /= math.sqrt(longest)
+        for i in range(m + 1, n):
+            take_along(row_of(S, i), row, p)
+    return min(n, p)
+
+
+@kernel
+def take_along(x: Array, unit: Array, p: int) -> None:
+    """Take from the first p numbers of x what is along those of a vector of length one."""
+    share = 0.0
     for r in range(p):
-        row = int(unknown[r])
-        j = int(contact[row // 3])
-        left = -c.drift[3 * j + row % 3]
-        if c.friction.shared[j] > 0.0:
-            left -= CREEP * c.W[row - row % 3, row - row % 3] * c.scratch.solution[0, r]
-        for s in range(p):
-            left += c.W[row, int(unknown[s])] * c.scratch.solution[0, s]
-        c.scratch.sought[row] += left
+        share += x[r] * unit[r]
+    for r in range(p):
+        x[r] -= share * unit[r]

@@ -62,9 +62,8 @@ HELD = 1e9
 INSIDE = 1.0 - 1e-6
 # Rounds of the method that solves the problem, and its steps in all turns, solutions for one τ counted as steps.
 ROUNDS, MOST_STEPS = 3, 400
-# Sweeps for soft contacts beside others where that finds nothing: feet of one body share their friction in many ways,
-# between which Newton's method does not decide; and the residual, of the largest force, that a solution may have.
-SWEEPS, NEAR = 100, 1e-7
+# The residual, of the largest force, that a solution may have.
+NEAR = 1e-7
 
 
 @kernel
@@ -207,7 +206,6 @@ def pack_problem(c: Contacts, k: int, h: float, ends: bool) -> int:
     count = pack(c, k)
     for r in range(3 * count):
         c.scratch.sought[r] = c.problem.q[r]
-    drop_contradictions(c, count, largest_mobility(c, count))
     return int(count)
 
 
@@ -278,17 +276,14 @@ def solve_within(c: Contacts, k: int, rate: float) -> bool:
             u1, u2 = slip_of(c, i)
             c.problem.q[3 * i + 1] += rate * u1
             c.problem.q[3 * i + 2] += rate * u2
+    drop_contradictions(c, k)
     if c.problem.points > 0.0:
         # Contacts of shapes wander, and forces that follow the last ones follow them: the shortest
         # change their directions from step to step, and contacts that have parted are pressed in again and again.
         harden(c, k, c.problem.inner)
     # q has the slips divided by τ: a residual that is small beside it may be large beside the forces.
     if not solve_from_here(c, k, 0, ROUNDS, c.problem.inner) or not is_near(c, k):
-        if not some_share(c, c.friction.shared.shape[0]):
-            return False
-        solve_from_here(c, k, SWEEPS, 1)
-        if not is_near(c, k):
-            return False
+        return False
     if has_derivatives(c.F[0]):  # those of the solution follow by one step from its value
         largest = largest_mobility(c, k)
         write_residuals(c, k, c.F, largest)
@@ -354,7 +349,7 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     share = -1.0 / f if within and shared else -math.copysign(level / size, f)
     change = math.hypot(share * x1 - c.problem.along[i, 0], share * x2 - c.problem.along[i, 1])
     c.problem.along[i, 0], c.problem.along[i, 1] = share * x1, share * x2
-    return float(change / level)
+    return 0.0 * size if shared else float(change / level)  # with f known it is found at once
 
 
 # Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then;

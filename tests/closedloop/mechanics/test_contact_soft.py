@@ -204,3 +204,41 @@ def test_soft_pads_of_a_gripper_do_not_make_its_other_contacts_chatter(soft, sti
     rub = np.hypot(run.link_frictions[:, ::2], run.link_frictions[:, 1::2])
     assert np.all(rub <= 0.4 * run.link_forces + 1e-12)
     assert np.min(run.link_gaps[:, 2 * soft :]) > -1e-9
+
+
+def fallen(shape, k, d, duration=0.3, step=1e-3, integrator="rk4", friction=0.3, **more):
+    """Return the run of a disc of 50 g that falls nearly flat on a soft floor, with its sizes, `more` of its contact."""
+    body = {
+        "name": "disc", "shape": "cylinder", "mass": 0.05, **shape, "quaternion": [1.0, 5e-5, 2e-5, 0.0],
+        "position": [0.0, 0.0, 0.5 * shape["length"] + 1e-4], "velocity": [0.05, 0.0, -0.02], "spin": [0.3, 0.1, 0.5],
+    }  # fmt: skip
+    contact = {"link": "disc", "at": "collision", "friction": friction, "compliance": soft(k, d), **more}
+    times = {"duration": duration, "step": step, "integrator": integrator}
+    changes = {"robot": {"model": "none"}, "body": [body], "contact": [contact], "time": times}
+    return cl.simulate(cl.load_scenario(changes), progress=False)
+
+
+COIN, CAN = {"radius": 0.03, "length": 0.006}, {"radius": 0.03, "length": 0.1}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [COIN, CAN])
+@pytest.mark.parametrize("more", [{}, {"rolling": 1e-3, "pivoting": 1e-3}])
+def test_a_disc_that_lands_flat_on_a_soft_floor_rests_in_few_events(shape, more):
+    """Its edge went from one side to the other for ever, each time to the point that its own spring had not raised."""
+    run = fallen(shape, 5e3, 5.0, **more)
+    assert len(run.event_time) < 60
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.max(energy) <= energy[0] * (1.0 + 1e-9)
+    assert np.max(np.abs(run.v[-1])) < 1e-3
+    assert np.sum(run.link_forces[-1]) == pytest.approx(0.05 * 9.81, rel=0.02)
+
+
+def test_feet_of_one_body_do_not_press_against_each_other():
+    """A coin that slides on, nearly flat, while it rocks: the friction of its feet is along its slip, none across it."""
+    run = fallen(COIN, 5e3, 5.0, duration=0.02)
+    rub = run.link_frictions.reshape(len(run.time), -1, 2)
+    several = np.sum(run.link_forces > 0.0, axis=1) > 1
+    assert np.sum(several) > 5
+    total, apart = np.linalg.norm(np.sum(rub, axis=1), axis=1), np.sum(np.linalg.norm(rub, axis=2), axis=1)
+    assert np.all(total[several] > 0.5 * apart[several])

@@ -376,7 +376,7 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
     for i in range(links.k):
         c.friction.against[i] = c.friction.next_against[i]
         if c.located[3 * i] > HOVERING:
-            c.cleared[i], c.floor[i], c.past_edge[i] = 1.0, 0.0, 0.0
+            c.cleared[i], c.floor[i], c.unloaded[i], c.past_edge[i] = 1.0, 0.0, 0.0, 0.0
             if c.mode[i] == FREE:
                 continue
         speed = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])

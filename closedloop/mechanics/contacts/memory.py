@@ -228,6 +228,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     moves: Moves
     cleared: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
     floor: Annotated[Array, K]  # the gap at which it parted, m, if that was negative
+    unloaded: Annotated[Array, K]  # the gap at which a soft one has no force, m, negative where it began inside
     direction: Annotated[Array, K, 2]  # of its slip at the beginning of the substep
     anchor: Annotated[Array, 3 * K]  # where it stuck
     located: Annotated[Array, 3 * K]  # gap and place along the surface, m

@@ -108,8 +108,6 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             if mode == STUCK and c.mode[i] != STUCK:
                 for j in range(3 * i, 3 * i + 3):
                     c.anchor[j] = c.at[j]
-            if c.soft[i] != 0.0 and mode != FREE and c.mode[i] == FREE and links.fresh == 0:
-                c.floor[i] = c.located[3 * i] if c.located[3 * i] < -HOVERING else 0.0
             if mode == FREE and c.mode[i] != FREE:
                 c.cleared[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
             if mode == FREE:  # it parts from where it is, be that inside by the error of a step

@@ -47,6 +47,7 @@ from closedloop.jit.calls import address_of, integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
+from closedloop.mechanics.contacts.modes import CAME, HOVERING
 from closedloop.mechanics.contacts.sections import THIN, ContactSection
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import ALONG, turn_direction
@@ -373,7 +374,7 @@ def leave_seats(links: ContactLinks, c: Contacts, h: float) -> bool:
         deeper = (1.0 - rim.apart[i]) * size
         on = DEEPER + SHARE_DEEPER * size < deeper
         if c.soft[i] != 0.0 and not (on and rim.apart[i] > FAR):
-            c.floor[i] -= deeper
+            c.unloaded[i] -= deeper
         if on:
             seat_next(shapes, i)
             continue
@@ -400,10 +401,14 @@ def seat_next(shapes: Shapes, i: int) -> None:
 def rest_on_feet(links: ContactLinks, c: Contacts) -> None:
     """Open the edge of a disc that stands on its feet: it is a fourth point of the same plane.
 
-    Not of a soft one: what its springs carry does not go elsewhere at once.
+    Not of a soft one: what its springs carry does not go elsewhere at once. One that comes beside fewer feet, inside
+    the surface, begins without force.
     """
     shapes = shapes_at(links.shapes)
     for i in range(1, links.points):
+        came = shapes.rim.radius[i] > 0.0 and c.soft[i] != 0.0 and c.event.happened[i] == CAME
+        if came and c.located[3 * i] < -HOVERING:
+            c.unloaded[i] = c.located[3 * i]
         if shapes.rim.stands[i] == 0.0 or c.mode[i] == FREE or c.soft[i] != 0.0:
             continue
         if stands_on_feet(shapes, c, i):

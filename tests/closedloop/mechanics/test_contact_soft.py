@@ -207,7 +207,7 @@ def test_soft_pads_of_a_gripper_do_not_make_its_other_contacts_chatter(soft, sti
 
 
 def fallen(shape, k, d, duration=0.3, step=1e-3, integrator="rk4", friction=0.3, **more):
-    """Return the run of a disc of 50 g that falls nearly flat on a soft floor, with its sizes, `more` of its contact."""
+    """Return the run of a disc of 50 g that falls nearly flat on a soft floor; `more` is of its contact."""
     body = {
         "name": "disc", "shape": "cylinder", "mass": 0.05, **shape, "quaternion": [1.0, 5e-5, 2e-5, 0.0],
         "position": [0.0, 0.0, 0.5 * shape["length"] + 1e-4], "velocity": [0.05, 0.0, -0.02], "spin": [0.3, 0.1, 0.5],
@@ -235,7 +235,7 @@ def test_a_disc_that_lands_flat_on_a_soft_floor_rests_in_few_events(shape, more)
 
 
 def test_feet_of_one_body_do_not_press_against_each_other():
-    """A coin that slides on, nearly flat, while it rocks: the friction of its feet is along its slip, none across it."""
+    """A coin that slides on, nearly flat, while it rocks: the friction of its feet is along its slip."""
     run = fallen(COIN, 5e3, 5.0, duration=0.02)
     rub = run.link_frictions.reshape(len(run.time), -1, 2)
     several = np.sum(run.link_forces > 0.0, axis=1) > 1

@@ -73,6 +73,8 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
     """
     if robot.turns_freely:
         raise ScenarioError(f"--robot: {robot.model.name} has joints that turn freely: only an arm is set to slide")
+    if not robot.model.driven.any():
+        raise ScenarioError(f"--robot: {robot.model.name} has no joint with a drive: only an arm is set to slide")
     faults: Faults = {}
     runs = 0
     postures = list(_postures(robot, faults))

@@ -58,7 +58,10 @@ def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, 
             ends = _ends(model, names, k)
             pulled = [frame for frame, body in ends if model.body_mocapid[body] >= 0]
             if pulled:
-                warnings.append(f"{title} {name!r} to the mocap body {pulled[0]!r} is left out: a law moves the robot")
+                warnings.append(
+                    f"{title} {name!r} to the mocap body {pulled[0]!r} is left out, since a law moves the robot: a "
+                    f"[[closed_loop]] of a sidecar with frames = [..., {pulled[0]!r}] would hold it where that stands"
+                )
                 continue
             made.append(_frames(model, k, kind, name, ends))
         else:

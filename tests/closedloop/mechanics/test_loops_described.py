@@ -208,7 +208,7 @@ def test_equalities_bind_what_they_bind_in_mujoco(tmp_path, case):
 
 
 def test_an_equality_to_a_mocap_body_is_left_out(tmp_path):
-    """It is a means of moving a robot, and here a law moves it; a loop joint of a sidecar holds it there, as is said."""
+    """It is a means of moving a robot, and here a law moves it; one of a sidecar holds it there, as is said."""
     text = TREE.format('<weld name="hold" body1="m" body2="d"/>')
     model = from_mjcf_text(tmp_path, text)
     assert model.loops == ()

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, field_validator
 
+from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import PLACE, Instant, Number
 from closedloop.mechanics.surface.motion import SurfaceMotion
 
@@ -29,6 +30,8 @@ SEGMENT, ORDER = 37, 6
 SMALL = 0.1
 # A smaller one, rad, has no axis to speak of.
 SAME = 1e-9
+# Instants that are closer than this share of the whole do not determine a spline; and s, of the whole.
+CLOSEST, SHORTEST = 1e-9, 1e-9
 
 
 class Poses(SurfaceMotion):
@@ -62,12 +65,19 @@ class Poses(SurfaceMotion):
         return SEGMENT * (len(self.poses) - 1) + 4
 
     def resolved(self) -> dict[str, Any]:
-        """Return the segments of the spline, the instant at which the last ends, s, and where the first began, m."""
+        """Return the segments of the spline, the instant at which the last ends, s, and where the first began, m.
+
+        Raises
+        ------
+        ScenarioError
+            If two instants are too close, or all.
+        """
         from scipy.interpolate import make_interp_spline
         from scipy.spatial.transform import Rotation
 
         poses = np.array(self.poses)
-        turns = Rotation.from_quat(poses[:, [5, 6, 7, 4]])
+        turned = poses[:, [5, 6, 7, 4]]
+        turns = Rotation.from_quat(turned / np.max(np.abs(turned), axis=1, keepdims=True))  # no square overflows
         angles = (turns * turns[0].inv()).as_rotvec()
         for k in range(1, len(angles)):  # of the rotation vectors of an orientation the nearest to the one before
             size = float(np.linalg.norm(angles[k]))
@@ -75,9 +85,16 @@ class Poses(SurfaceMotion):
             angles[k] = axis * (size + 2.0 * np.pi * np.round((axis @ angles[k - 1] - size) / (2.0 * np.pi)))
         rest = [(1, np.zeros(6)), (2, np.zeros(6))]
         path = np.hstack([poses[:, 1:4] - poses[0, 1:4], angles])
-        spline, begins = make_interp_spline(poses[:, 0], path, k=ORDER - 1, bc_type=(rest, rest)), poses[:-1, 0]
-        taylor = [spline.derivative(j)(begins) / math.factorial(j) for j in reversed(range(ORDER))]
-        segments = np.column_stack([begins, np.stack(taylor, axis=2).reshape(len(begins), -1)])
+        whole = poses[-1, 0] - poses[0, 0]
+        times = (poses[:, 0] - poses[0, 0]) / whole
+        if whole < SHORTEST or np.min(np.diff(times)) < CLOSEST:
+            raise ScenarioError(
+                f"surface_motion.poses: two instants are closer than {CLOSEST:g} of the whole, {whole:.4g} s, or than "
+                f"{SHORTEST:g} s: leave one of them out"
+            )
+        spline = make_interp_spline(times, path, k=ORDER - 1, bc_type=(rest, rest))
+        taylor = [spline.derivative(j)(times[:-1]) / math.factorial(j) / whole**j for j in reversed(range(ORDER))]
+        segments = np.column_stack([poses[:-1, 0], np.stack(taylor, axis=2).reshape(len(times) - 1, -1)])
         return {"poses": (*segments.ravel(), poses[-1, 0], *poses[0, 1:4])}
 
     @staticmethod

@@ -12,20 +12,20 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import PLACE, Instant, Number
 from closedloop.mechanics.surface.motion import SurfaceMotion
 
 Place = Annotated[Number, PLACE]
-Pose = tuple[Instant, Place, Place, Place, Number, Number, Number, Number]
+Pose = tuple[Place, Place, Place, Number, Number, Number, Number]
 
-# Numbers of a segment: the instant at which it begins, s, and six coefficients of each of p and φ, the highest first.
-SEGMENT, ORDER = 37, 6
+# Numbers of a segment: six coefficients of each of p and φ, the highest first.
+SEGMENT, ORDER = 36, 6
 # Below this angle, rad, what has differences of nearly equal numbers is summed as a series.
 SMALL = 0.1
 # A smaller one, rad, has no axis to speak of.
@@ -41,31 +41,45 @@ class Poses(SurfaceMotion):
     than half a turn.
     """
 
+    times: tuple[Instant, ...] = Field(description="instants of the poses, s, ascending; two or more")
     poses: tuple[Pose, ...] = Field(
-        description="lists [t, x, y, z, qw, qx, qy, qz] of an instant, s, a position, m, and a quaternion of any "
-        "length, base frame; two or more, the instants ascending"
+        description="lists [x, y, z, qw, qx, qy, qz], one for each instant, of a position, m, and a quaternion of any "
+        "length, base frame"
     )
+
+    @field_validator("times")
+    @classmethod
+    def _in_order(cls, value: tuple[float, ...]) -> Any:
+        """Refuse fewer than two instants, and those that do not ascend."""
+        if len(value) < 2:
+            raise ValueError("must be two instants or more")
+        for before, after in pairwise(value):
+            if not after > before:
+                raise ValueError(f"{after:g} s must be later than the instant before it, {before:g} s")
+        return value
 
     @field_validator("poses")
     @classmethod
-    def _in_order(cls, value: tuple[tuple[float, ...], ...]) -> Any:
-        """Refuse fewer than two poses, instants that do not ascend, and quaternions of length zero."""
-        if len(value) < 2:
-            raise ValueError("must be two poses or more")
-        for before, after in pairwise(value):
-            if not after[0] > before[0]:
-                raise ValueError(f"the instant {after[0]:g} s must be later than the one before it, {before[0]:g} s")
+    def _have_orientations(cls, value: tuple[tuple[float, ...], ...]) -> Any:
+        """Refuse quaternions of length zero."""
         for pose in value:
-            if not 0.0 < math.hypot(*pose[4:]) < math.inf:
+            if not 0.0 < math.hypot(*pose[3:]) < math.inf:
                 raise ValueError(f"{list(pose)}: its quaternion must not be zero")
         return value
 
+    @model_validator(mode="after")
+    def _as_many(self) -> Self:
+        """Refuse another number of poses than of instants."""
+        if len(self.poses) != len(self.times):
+            raise ValueError(f"poses must be as many as times, {len(self.times)}, and not {len(self.poses)}")
+        return self
+
     def list_length(self) -> int:
         """Return the length of what `resolved` gives."""
-        return SEGMENT * (len(self.poses) - 1) + 4
+        return SEGMENT * (len(self.poses) - 1) + 3
 
     def resolved(self) -> dict[str, Any]:
-        """Return the segments of the spline, the instant at which the last ends, s, and where the first began, m.
+        """Return the instants, s, the last one repeated, and the segments of the spline with where they begin, m.
 
         Raises
         ------
@@ -76,7 +90,7 @@ class Poses(SurfaceMotion):
         from scipy.spatial.transform import Rotation
 
         poses = np.array(self.poses)
-        turned = poses[:, [5, 6, 7, 4]]
+        turned = poses[:, [4, 5, 6, 3]]
         turns = Rotation.from_quat(turned / np.max(np.abs(turned), axis=1, keepdims=True))  # no square overflows
         angles = (turns * turns[0].inv()).as_rotvec()
         for k in range(1, len(angles)):  # of the rotation vectors of an orientation the nearest to the one before
@@ -84,42 +98,42 @@ class Poses(SurfaceMotion):
             axis = _direction(angles[k] if size > SAME else angles[k - 1])
             angles[k] = axis * (size + 2.0 * np.pi * np.round((axis @ angles[k - 1] - size) / (2.0 * np.pi)))
         rest = [(1, np.zeros(6)), (2, np.zeros(6))]
-        path = np.hstack([poses[:, 1:4] - poses[0, 1:4], angles])
-        whole = poses[-1, 0] - poses[0, 0]
-        times = (poses[:, 0] - poses[0, 0]) / whole
+        path = np.hstack([poses[:, :3] - poses[0, :3], angles])
+        whole = self.times[-1] - self.times[0]
+        times = (np.array(self.times) - self.times[0]) / whole
         if whole < SHORTEST or np.min(np.diff(times)) < CLOSEST:
             raise ScenarioError(
-                f"surface_motion.poses: two instants are closer than {CLOSEST:g} of the whole, {whole:.4g} s, or than "
+                f"surface_motion.times: two instants are closer than {CLOSEST:g} of the whole, {whole:.4g} s, or than "
                 f"{SHORTEST:g} s: leave one of them out"
             )
         spline = make_interp_spline(times, path, k=ORDER - 1, bc_type=(rest, rest))
         taylor = [spline.derivative(j)(times[:-1]) / math.factorial(j) / whole**j for j in reversed(range(ORDER))]
-        segments = np.column_stack([poses[:-1, 0], np.stack(taylor, axis=2).reshape(len(times) - 1, -1)])
-        return {"poses": (*segments.ravel(), poses[-1, 0], *poses[0, 1:4])}
+        more = (self.times[-1],) * (self.list_length() - len(times))
+        return {"times": (*self.times, *more), "poses": (*np.stack(taylor, axis=2).ravel(), *poses[0, :3])}
 
     @staticmethod
     def move(t: float, par: Any, m: Any) -> None:
         """Write shift, angle and spin at t, s."""
-        c = par.poses
-        end = c.shape[0] - 4
-        t = min(max(t, c[0]), c[end])
+        c, times = par.poses, par.times
+        end = c.shape[0] - 3
         k, last = 0, end // SEGMENT - 1
+        t = min(max(t, times[0]), times[last + 1])
         while k < last:
             middle = (k + last + 1) // 2
-            if c[SEGMENT * middle] <= t:
+            if times[middle] <= t:
                 k = middle
             else:
                 last = middle - 1
-        at, x = SEGMENT * k, t - c[SEGMENT * k]
+        x = t - times[k]
         for i in range(6):
-            first = at + 1 + ORDER * i
+            first = SEGMENT * k + ORDER * i
             value, rate, half = 0.0, 0.0, 0.0  # half the second derivative: Horner's scheme of the Taylor expansion
             for j in range(ORDER):
                 half = half * x + rate
                 rate = rate * x + value
                 value = value * x + c[first + j]
             if i < 3:
-                m.centre[i] = c[end + 1 + i]
+                m.centre[i] = c[end + i]
                 m.shift[i], m.shift_rate[i], m.shift_acceleration[i] = value, rate, 2.0 * half
             else:
                 m.axis[i - 3], m.spin[i - 3], m.spin_rate[i - 3] = value, rate, 2.0 * half

@@ -111,7 +111,8 @@ def with_bodies(model: RobotModel, bodies: Sequence[FreeBody]) -> RobotModel:
     found = from_text(
         ET.tostring(root, encoding="unicode"), model.format, name=model.name, armature=np.zeros(n), tip=model.tip,
         home=np.ones(len(model.home) + 7 * len(bodies)), locked=model.locked, gravity=model.gravity,
-        description=model.description, source=model.source, drives=model.drives,
+        description=model.description, source=model.source, drives=model.drives or (),
+        undriven=model.drives == (),
         loops=[loop.as_table() for loop in model.loops],
     )  # fmt: skip
     home = dict(zip(model.coordinate_names, model.home.tolist(), strict=True))

@@ -116,7 +116,7 @@ def _of_urdf(text: str, name: str, where: str) -> Description:
     """Return the description of a plain URDF: a joint that mimics another is bound to it and has no drive."""
     loops, warnings = urdf.mimics(text, where)
     bound = {loop.joints[0] for loop in loops}
-    drives = tuple(name for name in joint_names(text, "urdf") if name not in bound) if loops else ()
+    drives = tuple(name for name in joint_names(text, "urdf") if name not in bound) if loops else None
     return Description(name, text, "urdf", where, Sidecar(closed_loop=loops, drives=drives), warnings)
 
 

@@ -111,6 +111,7 @@ def from_text(
     source: str = "",
     loops: Sequence[Mapping[str, object]] = (),
     drives: Sequence[str] = (),
+    undriven: bool = False,
 ) -> RobotModel:
     """Rebuild a robot from the text that a run stored, without reading a file.
 
@@ -128,6 +129,8 @@ def from_text(
         Its loop joints, see `robot_models.loop_joint`.
     drives : sequence of str, optional
         Joints with a drive; all if left out.
+    undriven : bool
+        Whether no joint has one.
 
     Raises
     ------
@@ -139,7 +142,7 @@ def from_text(
     own = canonical(text, format, name, name, None)
     own = _held(own, locked)
     closed = tuple(loop_joint(table, name) for table in loops) or own.sidecar.closed_loop
-    acting = tuple(drives) or own.sidecar.drives
+    acting = () if undriven else tuple(drives) or own.sidecar.drives
     sidecar = Sidecar(description=description, source=source, closed_loop=closed, drives=acting)
     found = _with_coordinates(replace(own, sidecar=sidecar))
     built = build.build(found.text, format, locked, name)
@@ -167,7 +170,7 @@ def _with_coordinates(found: Description) -> Description:
     """Return a description in which the loop joints that act have coordinates, see `robot_models.loop_coordinate`."""
     sidecar = found.sidecar
     where = sidecar.where or found.where
-    text, loops = with_coordinates(found.text, found.format, sidecar.closed_loop, sidecar.drives, where)
+    text, loops = with_coordinates(found.text, found.format, sidecar.closed_loop, sidecar.drives or (), where)
     return replace(found, text=text, sidecar=replace(sidecar, closed_loop=loops))
 
 
@@ -212,9 +215,9 @@ def _held(found: Description, locked: Mapping[str, float]) -> Description:
         ):
             continue
         loops.append(without(loop, locked) if locked.keys() & loop.joints else loop)
-    drives = tuple(name for name in sidecar.drives if name not in locked)
-    if locked and {*drives, *locked} >= set(joint_names(found.text, found.format)):
-        drives = ()  # every one that is left
+    drives = None if sidecar.drives is None else tuple(name for name in sidecar.drives if name not in locked)
+    if drives and {*drives, *locked} >= set(joint_names(found.text, found.format)):
+        drives = None  # every one that is left
     return replace(found, warnings=warnings, sidecar=replace(sidecar, closed_loop=tuple(loops), drives=drives))
 
 
@@ -301,10 +304,12 @@ def _frames(model: "pin.Model") -> tuple[str, ...]:
     return tuple(name for name in named if times[name] == 1)
 
 
-def _drives(sidecar: Sidecar, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the joints with a drive: a loop joint that is a joint of the tree has none unless it is named."""
+def _drives(sidecar: Sidecar, joints: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Return the joints with a drive, None if all: a loop joint that is a joint of the tree has none unless named."""
     made = stands_for(sidecar.closed_loop)
-    return sidecar.drives or (tuple(joint for joint in joints if joint not in made) if made else ())
+    if sidecar.drives is None and made:
+        return tuple(joint for joint in joints if joint not in made)
+    return sidecar.drives
 
 
 def _vector(value: ArrayLike, n: int, what: str) -> NDArray[np.float64]:
@@ -360,7 +365,7 @@ def _finish(
     )
     if robot.loops:
         _refuse_loops(built, robot.loops, found.where)
-    check_loops(robot.loops, robot.drives, robot.frames, joints, found.sidecar.where or found.where)
+    check_loops(robot.loops, robot.drives or (), robot.frames, joints, found.sidecar.where or found.where)
     if tip is not None:
         robot.require_frame(tip)
     return robot

@@ -71,7 +71,7 @@ class Mjcf(NamedTuple):
     loops
         Its equalities.
     drives
-        Joints with a drive; all if empty.
+        Joints with a drive; None: all.
     warnings
         What was left out, a line each.
     """
@@ -79,7 +79,7 @@ class Mjcf(NamedTuple):
     text: str
     home: dict[str, float]
     loops: tuple[LoopJoint, ...]
-    drives: tuple[str, ...]
+    drives: tuple[str, ...] | None
     warnings: list[str]
 
 

@@ -58,7 +58,10 @@ def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, 
             ends = _ends(model, names, k)
             pulled = [frame for frame, body in ends if model.body_mocapid[body] >= 0]
             if pulled:
-                warnings.append(f"{title} {name!r} to the mocap body {pulled[0]!r} is left out: a law moves the robot")
+                warnings.append(
+                    f"{title} {name!r} to the mocap body {pulled[0]!r} is left out, since a law moves the robot: a "
+                    f"[[closed_loop]] of a sidecar with frames = [..., {pulled[0]!r}] would hold it where that stands"
+                )
                 continue
             made.append(_frames(model, k, kind, name, ends))
         else:
@@ -67,6 +70,10 @@ def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, 
         if what := _OTHER_TRANSMISSIONS.get(int(model.actuator_trntype[a])):
             name = names.own("actuator", a) or str(a + 1)
             warnings.append(f"actuator {name!r} acts on {what} and is left out: drives are of joints and fixed tendons")
+    if drives(model, names.joint) == ():
+        warnings.append(
+            "no joint has a drive, and a law gives no torque: drives of a sidecar says which joints have one"
+        )
     return tuple(made), warnings
 
 
@@ -207,11 +214,14 @@ def pulled_tendons(model: Any) -> set[int]:
     return at if any(len({joint for joint, c in tendon_joints(model, t) if c}) > 1 for t in at) else set()
 
 
-def drives(model: Any, joints: list[str]) -> tuple[str, ...]:
-    """Return the joints of one coordinate that have a drive, of all named `joints`; none if that is every one."""
+def drives(model: Any, joints: list[str]) -> tuple[str, ...] | None:
+    """Return the joints of one coordinate that have a drive, of all named `joints`; None if that is every one.
+
+    That is also where the file has no actuator at all: a law is then to drive it.
+    """
     driven = {joint for _, joint, ratio in _actuated(model) if ratio and model.jnt_type[joint] > 1}
     single = {joint for joint in range(model.njnt) if model.jnt_type[joint] > 1}
-    return tuple(joints[joint] for joint in sorted(driven)) if driven != single else ()
+    return tuple(joints[joint] for joint in sorted(driven)) if model.nu and driven != single else None
 
 
 def torque_limits(model: Any) -> dict[int, float]:

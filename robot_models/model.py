@@ -77,8 +77,8 @@ class RobotModel:
     warnings: list[str] = field(default_factory=list)
     #: What closes its loops; joint names, frames and arrays are those of the tree that is left without them.
     loops: tuple[LoopJoint, ...] = ()
-    #: Joints with a drive; all if empty. The others turn freely.
-    drives: tuple[str, ...] = ()
+    #: Joints with a drive; None: all. The others turn freely.
+    drives: tuple[str, ...] | None = None
     #: Whether the drives stand behind springs: their inertia is then not in the mass matrix.
     elastic: bool = False
     #: Whether the links that stand for coordinates of loop joints share no mass, see `robot_models.loop_posture`.
@@ -179,7 +179,7 @@ class RobotModel:
     @property
     def driven(self) -> NDArray[np.bool_]:
         """(n,) whether each joint has a drive; a free joint or a ball joint has none."""
-        return np.array([not self.drives or name in self.drives for name in self.joint_names]) & ~self.free
+        return np.array([self.drives is None or name in self.drives for name in self.joint_names]) & ~self.free
 
     @cached_property
     def pulls(self) -> tuple[Mapping[str, float], ...]:

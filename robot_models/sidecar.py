@@ -58,7 +58,7 @@ class Sidecar:
     home: Mapping[str, float] = field(default_factory=dict)
     lock: Mapping[str, float] = field(default_factory=dict)
     drive_inertia: Mapping[str, float] = field(default_factory=dict)
-    drives: tuple[str, ...] = ()
+    drives: tuple[str, ...] | None = None
     closed_loop: tuple[LoopJoint, ...] = ()
     where: str = ""
 
@@ -109,7 +109,7 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
             raise ModelError(f"{path}: {key} is {shown(value)}: it must be {wanted}")
     if not all(isinstance(name, str) for name in table.get("drives", ())):
         raise ModelError(f"{path}: drives is {shown(table['drives'])}: it must be a list of joints")
-    table["drives"] = tuple(table.get("drives", ()))
+    table["drives"] = tuple(table["drives"]) if "drives" in table else None
     table["closed_loop"] = loops
     return Sidecar(**table, where=str(path))
 

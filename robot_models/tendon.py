@@ -132,6 +132,15 @@ def springs(found: Sequence[Tendon], joints: Sequence[str]) -> NDArray[np.float6
     return np.array(rows).reshape(len(rows), SPRING + len(joints))
 
 
+def spring_torque(rows: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the gradient of the energy of `springs` at joint positions q (n,): (n,), N m (N), as it stands in C."""
+    k, k1, k2, short, long = rows[:, :SPRING].T
+    length = rows[:, SPRING:] @ q
+    x = length - np.minimum(np.maximum(length, short), long)
+    torque: NDArray[np.float64] = (x * (k + x * (k1 + x * k2))) @ rows[:, SPRING:]
+    return torque
+
+
 def rough_tendons(found: Sequence[Tendon], joints: Sequence[str], friction: bool, stops: bool) -> NDArray[np.float64]:
     """Return a row for each tendon that rubs or has stops, (m, ROUGH + n): b, b', b'', f_c, both stops, coefficients.
 

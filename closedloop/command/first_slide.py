@@ -73,6 +73,8 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
     """
     if robot.turns_freely:
         raise ScenarioError(f"--robot: {robot.model.name} has joints that turn freely: only an arm is set to slide")
+    if not robot.model.driven.any():
+        raise ScenarioError(f"--robot: {robot.model.name} has no joint with a drive: only an arm is set to slide")
     faults: Faults = {}
     runs = 0
     postures = list(_postures(robot, faults))
@@ -189,10 +191,11 @@ def _pressing(robot: Robot, posture: Posture, force: float, faults: Faults) -> P
     effort = float(torque[weakest] / model.effort_limit[weakest])
     if effort <= MOST_EFFORT:
         return posture._replace(score=posture.score * (1.0 - effort))
+    what = f"to press with {force:g} N: that" if posture.along[weakest] else "for what it carries at rest, which"
     faults.setdefault(
         EFFORT,
-        f"joint {model.joint_names[weakest]} is too weak to press with {force:g} N: that takes {effort:.0%} of its "
-        f"effort limit, and at most {MOST_EFFORT:.0%} are used",
+        f"joint {model.joint_names[weakest]} is too weak {what} takes {effort:.0%} of its effort limit, and at most "
+        f"{MOST_EFFORT:.0%} are used",
     )
     return None
 

@@ -235,7 +235,7 @@ def _path(kernel: str) -> None:
     from closedloop.mechanics.surface.gradient import gradients_on_surface
     from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 
-    memory = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3), (np.inf, np.inf))
+    memory = make_memory(np.zeros(0), np.zeros(0), (0, 0), np.zeros(3), np.eye(3), (np.inf, np.inf))
     nothing = np.zeros((0, 3))
     place, now = entry_address(surface_entry(PlaneSurface)), np.zeros(0)
     if kernel == "gradients_on_surface":

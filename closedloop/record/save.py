@@ -74,7 +74,9 @@ def question(
     robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
     robot["locked"] = dict(model.locked)
     if model.loops or model.drives:  # a tree has none, in files of any version
-        robot |= {"loops": [loop.as_table() for loop in model.loops], "drives": list(model.drives)}
+        robot |= {"loops": [loop.as_table() for loop in model.loops], "drives": list(model.drives or ())}
+    if model.drives == ():
+        robot["undriven"] = True
     return {
         "scenario": scenario.to_toml(),
         "robot_text": model.text,

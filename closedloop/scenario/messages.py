@@ -181,7 +181,7 @@ CURES = {
     "tuple_type": "must be a list of numbers",
 }
 # Lengths of lists of fixed length: of a line, a vector, a quaternion, a tensor.
-COUNTS = {2: "two", 3: "three", 4: "four", 6: "six"}
+COUNTS = {2: "two", 3: "three", 4: "four", 6: "six", 7: "seven"}
 
 LONGEST_KEY = 60  # characters, more than any has; a joint's name may
 MOST_FAULTS = 20  # lines; a list of ten thousand points may have a fault in each

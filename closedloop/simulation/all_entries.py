@@ -25,7 +25,7 @@ def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
 
     Of friction these are the free bodies alone, which have none. Lists of any other length are left as they are.
     """
-    names, driven = model.loop_coordinates, model.drives or model.joint_names
+    names, driven = model.loop_coordinates, model.joint_names if model.drives is None else model.drives
     given = np.array([name not in names or name in driven for name in model.joint_names], dtype=bool) & ~model.free
     count = int(given.sum())
     if count == model.n:

@@ -119,6 +119,26 @@ def test_an_actuator_that_pulls_no_joint_is_left_out_with_a_warning(tmp_path):
     assert robot.driven.tolist() == [True, False]
 
 
+def test_a_file_whose_actuators_pull_no_joint_drives_none(tmp_path):
+    """As of a copter: said, kept by a run's file, no law has a torque; nor where all joints with a drive are held."""
+    thrust = '<motor name="jet" site="touch" gear="0 0 1 0 0 0"/>'
+    robot = load(tmp_path, driven(thrust))
+    assert not robot.driven.any()
+    assert len(robot.undriven) == robot.n
+    assert any("no joint has a drive" in line for line in robot.warnings)
+    (tmp_path / "copter.xml").write_text(driven(thrust))
+    (tmp_path / "run.toml").write_text(
+        '[robot]\nmodel = "copter.xml"\ntip = "touch"\n[law]\nkind = "impedance"\n[time]\nduration = 0.01\n'
+    )
+    run = cl.simulate(cl.load_scenario(tmp_path / "run.toml"))
+    assert run.v.any()
+    assert not run.torque.any()
+    run.save(tmp_path / "run.nc")
+    assert not cl.load_run(tmp_path / "run.nc").model.driven.any()
+    (tmp_path / "one.xml").write_text(driven('<motor joint="shoulder"/>'))
+    assert robot_models.load(tmp_path / "one.xml", lock=["shoulder"]).driven.tolist() == [False]
+
+
 def test_drives_of_several_joints_give_what_their_forces_give(tmp_path):
     """Of any torque the part along their rows acts, in MuJoCo's model too, and the rest of it does not."""
     tendons = "".join(
@@ -134,7 +154,7 @@ def test_drives_of_several_joints_give_what_their_forces_give(tmp_path):
         robot.text, "mjcf", name="again", armature=robot.armature, tip=robot.tip, home=robot.home, locked={}
     )
     np.testing.assert_array_equal(again.undriven, robot.undriven)
-    assert again.drives == robot.drives == ()
+    assert again.drives is robot.drives is None
     rows, asked = (
         np.array([[1.0, -0.5, 0.7, 0.0], [0.0, 1.0, 2.0, 0.0], [0, 0, 0, 1.0]]),
         np.array([3.0, 1.0, -2.0, 1.0]),

@@ -105,7 +105,7 @@ def test_panda_fingers():
     one = robot_models.load("panda", lock={"panda_finger_joint2": 0.0})
     assert one.joint_names[-1] == "panda_finger_joint1"
     assert one.joint_types[-1] == "prismatic"
-    assert (one.loops, one.drives) == ((), ())
+    assert (one.loops, one.drives) == ((), None)
     both = robot_models.load("panda", lock=["panda_joint7"])
     assert [loop.joints for loop in both.loops] == [("panda_finger_joint2", "panda_finger_joint1")]
     assert both.driven.tolist() == [name != "panda_finger_joint2" for name in both.joint_names]

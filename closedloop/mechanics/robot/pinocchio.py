@@ -17,11 +17,12 @@ from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
-from closedloop.mechanics.robot.tree.energy import add_springs, spring_energy
+from closedloop.mechanics.robot.tree.energy import spring_energy
 from closedloop.mechanics.robot.tree.model import last_velocity
 from robot_models import RobotModel
 from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions, with_rotation_vectors
 from robot_models.loop_joint import WORLD
+from robot_models.tendon import spring_torque
 from robot_models.tool import carried_by
 
 
@@ -145,7 +146,7 @@ class Robot:
             own = np.zeros(self.n)
             own[single] = q[places]
             q = own
-        interpreted(add_springs)(self.tree, q, torque)
+        torque += spring_torque(self.model.springs, q)
 
     @property
     def _single(self) -> tuple[list[int], list[int]]:

@@ -46,6 +46,7 @@ class Links(Block):
     size: int  # of the surface's parameters
     motion_size: int  # and of its motion's
     entries: int  # in each list of the surface's parameters
+    motion_entries: int  # and of its motion's
     motion: int  # address of the entry of the motion, 0: the surface is at rest
 
 
@@ -92,7 +93,7 @@ class SurfaceMemory(NamedTuple):
 
 
 def make_memory(
-    par: Array, motion_par: Array, entries: int, origin: Array, axes: Array, bounds: tuple[float, float],
+    par: Array, motion_par: Array, entries: tuple[int, int], origin: Array, axes: Array, bounds: tuple[float, float],
     radius: float = 0.0, solid: tuple[float, ...] = (0.0,) * 5,
 ) -> SurfaceMemory:  # fmt: skip
     """Return the memory of a surface at rest.
@@ -101,8 +102,8 @@ def make_memory(
     ----------
     par, motion_par : arrays
         The parameters of the surface and of its motion, see `closedloop.jit.parameters.pack`.
-    entries : int
-        Entries in each list of the surface's parameters.
+    entries : tuple of two int
+        Entries in each list of the surface's parameters, and of its motion's.
     origin, axes : (3,), (3, 3) arrays
         Of the surface at t = 0: m, and rows x, y, z; base frame.
     bounds : tuple of two floats
@@ -115,7 +116,7 @@ def make_memory(
     sizes = par.size, motion_par.size
     links, ask = Links(np.zeros(LINKS, dtype=np.int64)), Ask(np.zeros(Ask.count(*sizes)), *sizes)
     links.address, links.numbers, links.total = address_of(links.memory), address_of(ask.memory), ask.memory.size
-    links.size, links.motion_size, links.entries = *sizes, entries
+    links.size, links.motion_size, links.entries, links.motion_entries = *sizes, *entries
     ask.par[:], ask.motion_par[:], ask.origin[:], ask.axes[:] = par, motion_par, origin, axes
     ask.bounds[:], ask.radius, ask.solid[:] = bounds, radius, solid
     pose = Pose(ask.pose)
@@ -201,10 +202,10 @@ def motion_entry(member: type[SurfaceMotion]) -> Entry:
     Parameters, move = parameter_block(member), function_of(member, "move")
 
     def entry(address: int, what: int) -> int:
-        _, ask = ask_at(address)
+        links, ask = ask_at(address)
         moved = Move(ask.move)
         begin_move(moved)
-        move(ask.time, Parameters(ask.motion_par, 0), moved)
+        move(ask.time, Parameters(ask.motion_par, links.motion_entries), moved)
         displace(moved, ask.origin, ask.axes, Pose(ask.pose))
         return 0
 

@@ -1,9 +1,10 @@
 """The base class of motions of a surface: a section of the scenario, and the displacement as a function of time.
 
-The surface is turned by an angle about an axis, and then shifted; both are functions of time, zero at t = 0. Its
-material may also flow along it, as a belt does, which moves nothing but what rubs on it. A motion of one's own is a
-class derived from `SurfaceMotion`, with its parameters as typed fields and the one function `move`. Those that ship
-are in `closedloop.mechanics.surface.motions`, one file each, written the same way.
+The surface is turned by an angle about an axis, and then shifted; both are functions of time, zero at t = 0. Where the
+axis turns too, `spin` has what angle and axis leave out of the angular velocity. Its material may also flow along it,
+as a belt does, which moves nothing but what rubs on it. A motion of one's own is a class derived from `SurfaceMotion`,
+with its parameters as typed fields and the one function `move`. Those that ship are in
+`closedloop.mechanics.surface.motions`, one file each, written the same way.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ class Move(Block):
     acceleration: float  # rad/s²
     axis: Annotated[Array, 3]  # unit vector, base frame
     centre: Annotated[Array, 3]  # m, base frame
+    # angular velocity beside that about a fixed axis, rad/s, base frame, and its rate, rad/s²: of an axis that turns
+    spin: Annotated[Array, 3]
+    spin_rate: Annotated[Array, 3]
     shift: Annotated[Array, 3]  # m, base frame
     shift_rate: Annotated[Array, 3]  # m/s
     shift_acceleration: Annotated[Array, 3]  # m/s²
@@ -40,6 +44,10 @@ class SurfaceMotion(Parameters):
     """[surface_motion]: how the surface moves (v₀ and a₀ of Eqs. 2-3)."""
 
     folder: ClassVar[str] = "closedloop.mechanics.surface.motions"
+
+    def list_length(self) -> int:
+        """Return how many entries each parameter has that is a list."""
+        return 0
 
     @staticmethod
     def move(t: float, par: Any, m: Any) -> None:
@@ -69,6 +77,7 @@ def begin_move(m: Move) -> None:
     for i in range(3):
         m.axis[i] = 1.0 if i == 2 else 0.0
         m.centre[i] = m.shift[i] = m.shift_rate[i] = m.shift_acceleration[i] = m.flow[i] = m.flow_rate[i] = 0.0
+        m.spin[i] = m.spin_rate[i] = 0.0
 
 
 @kernel
@@ -90,7 +99,7 @@ def displace(m: Move, origin: Array, axes: Array, pose: Pose) -> None:
             pose.origin[0], pose.origin[1], pose.origin[2] = y0, y1, y2  # from the centre, until it is added below
     o, p = pose.spin, pose.origin
     for i in range(3):
-        o[i], pose.spin_rate[i] = k[i] * m.rate, k[i] * m.acceleration
+        o[i], pose.spin_rate[i] = k[i] * m.rate + m.spin[i], k[i] * m.acceleration + m.spin_rate[i]
     a = pose.spin_rate
     c0, c1, c2 = o[1] * p[2] - o[2] * p[1], o[2] * p[0] - o[0] * p[2], o[0] * p[1] - o[1] * p[0]
     pose.velocity[0], pose.velocity[1], pose.velocity[2] = c0, c1, c2

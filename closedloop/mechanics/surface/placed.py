@@ -219,7 +219,8 @@ class PlacedSurface:
         (par, motion_par), bounds = self._packed, self.section.bounds()
         solid = self.section.solid() if self.radius == 0.0 else (0.0,) * 5  # a ball goes round the edges
         return make_memory(
-            par, motion_par, self.section.list_length(), self.origin, self.frame[[1, 2, 0]], bounds, self.radius, solid
+            par, motion_par, (self.section.list_length(), self.motion.list_length()), self.origin,
+            self.frame[[1, 2, 0]], bounds, self.radius, solid,
         )  # fmt: skip
 
     @cached_property
@@ -228,7 +229,7 @@ class PlacedSurface:
         with of_users(self.section, f"{self.where}.kind"):
             par = pack(self.section, self.section.list_length(), "surface")
         with of_users(self.motion, f"{self.where}_motion.kind"):
-            return par, pack(self.motion, 0, "surface_motion")
+            return par, pack(self.motion, self.motion.list_length(), "surface_motion")
 
     @cached_property
     def _interpreted(self) -> SurfaceMemory:

@@ -31,6 +31,18 @@ def new(capsys, monkeypatch, tmp_path):
     return call
 
 
+def test_a_joint_that_does_not_move_the_tip_is_not_too_weak_to_press(new, tmp_path):
+    """It is too weak for the weight that hangs on it, as a wheel on a spring that the file does not have."""
+    geom = '<geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>'
+    upper, lower = (f'<joint name="{name}" axis="0 1 0"/>{geom}' for name in ("a", "b"))
+    arm = f'<body>{upper}<body pos=".3 0 0">{lower}<site name="end" pos=".3 0 0"/></body></body>'
+    wheel = f'<body><joint name="wheel" axis="0 0 1" type="slide" actuatorfrcrange="-5 5"/>{geom}</body>'
+    (tmp_path / "cart.xml").write_text(f"<mujoco><worldbody>{arm}{wheel}</worldbody></mujoco>")
+    status, _, err = new("mine", "--robot", "cart.xml", "--tip", "end")
+    assert status == 2
+    assert "joint wheel is too weak for what it carries at rest, which takes 196% of its effort limit" in err
+
+
 @pytest.mark.parametrize("robot", ["planar2", *(pytest.param(arm, marks=pytest.mark.slow) for arm in ARMS)])
 def test_what_is_written_runs_with_a_good_verdict(robot, new, tmp_path):
     """The file has a comment on its robot, and its run slides, presses as asked and is good."""

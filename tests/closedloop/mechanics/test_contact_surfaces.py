@@ -159,8 +159,24 @@ def test_what_is_wrong_with_a_surface_is_said_in_a_line(contact, said):
     assert len(str(error.value).splitlines()) == 1
 
 
-def test_a_mocap_body_moves_as_the_section_of_its_contact_says(tmp_path):
+WAYS = {
+    "transfer": (
+        {"shift": [0.1, 0.0, 0.2], "start": 0.1, "stop": 0.9},
+        lambda x: x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi),
+        lambda x: 2.0 * np.pi * np.sin(2.0 * np.pi * x),
+    ),
+    "poses": (
+        {"times": [0.1, 0.9], "poses": [[5.0, 4.0, 3.0, 0.0, 2.0, 0.0, 1.0], [5.1, 4.0, 3.2, 0.0, -2.0, 0.0, -1.0]]},
+        lambda x: x**3 * (10.0 - 15.0 * x + 6.0 * x * x),  # of two poses the quintic of minimum jerk
+        lambda x: 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", WAYS)
+def test_a_mocap_body_moves_as_the_section_of_its_contact_says(tmp_path, kind):
     """A lift that is turned in the file carries a box along its own axes, and presses with m (g + s̈)."""
+    keys, way, acceleration = WAYS[kind]
     path = tmp_path / "lift.xml"
     path.write_text(
         '<mujoco><worldbody><body name="lift" mocap="true" pos="1 2 .5" euler="0 0 90">'
@@ -168,7 +184,7 @@ def test_a_mocap_body_moves_as_the_section_of_its_contact_says(tmp_path):
         '<geom type="box" size=".05 .05 .05" mass="2"/></body>'
         "</worldbody></mujoco>"
     )
-    moving = {"kind": "transfer", "shift": [0.1, 0.0, 0.2], "start": 0.1, "stop": 0.9}
+    moving = {"kind": kind, **keys}
     lift = {"name": "lift", "link": "box", "at": "collision", "against": "lift", "through": [0, 0, 0.1]}
     run = cl.simulate(
         cl.load_scenario(
@@ -181,8 +197,7 @@ def test_a_mocap_body_moves_as_the_section_of_its_contact_says(tmp_path):
         progress=False,
     )  # fmt: skip
     x = np.clip((run.time - 0.1) / 0.8, 0.0, 1.0)
-    part = x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi)
-    along = np.outer(part, [0.0, 0.1, 0.2])  # x of the lift is y of the base
+    along = np.outer(way(x), [0.0, 0.1, 0.2])  # x of the lift is y of the base
     np.testing.assert_allclose(run.q[:, :3], np.array([1.0, 2.0, 0.65]) + along, atol=1e-8)
-    rising = 0.2 * 2.0 * np.pi * np.sin(2.0 * np.pi * x) / 0.64
+    rising = 0.2 * acceleration(x) / 0.64
     np.testing.assert_allclose(run.link_forces.sum(axis=1)[1:-1], 2.0 * (9.81 + rising)[1:-1], rtol=1e-6)

@@ -1,5 +1,6 @@
-"""The shipped hand and quadruped: weight carried, nothing slips, energy, by closed forms."""
+"""The shipped hand and quadruped: weight carried, nothing slips, energy, by closed forms. A gripper: virtual work."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -51,3 +52,65 @@ def test_a_quadruped_carries_its_weight_before_and_after_a_push():
     assert np.abs(run.q[:, 2] - 0.279).max() < 0.01
     assert run.summary()["verdict"]["good"]
     assert run.summary()["control_verdict"]["good"]
+
+
+# A finger as of common grippers: the driver carries a coupler, whose stop a spring holds, and the spring link the pad.
+FINGER = """<body name="{0} driver" pos="0 {1} .05" quat="{2}"><joint name="{0} driver" axis="1 0 0" range="0 .9"/>
+ <inertial pos="0 .01 0" mass=".01" diaginertia="2e-6 2e-6 2e-6"/>
+ <body name="{0} coupler" pos="0 .03 -.004"><joint name="{0} coupler" axis="1 0 0" range="-1.5 0"/>
+  <inertial pos="0 .003 .02" mass=".015" diaginertia="4e-6 4e-6 4e-6"/></body></body>
+<body name="{0} link" pos="0 {3} .056" quat="{2}">
+ <joint name="{0} link" axis="1 0 0" stiffness=".05" springref="2.6"/>
+ <inertial pos="0 .02 .02" mass=".02" diaginertia="8e-6 8e-6 8e-6"/>
+ <body name="{0} pad" pos="0 .052 .036"><joint name="{0} pad" axis="1 0 0" pos="0 -.017 .006"/>
+  <inertial pos="0 -.01 .02" mass=".016" diaginertia="4e-6 4e-6 4e-6"/><site name="{0} tip" pos="0 -.026 .042"/>
+ </body></body>"""
+GRIPPER = (
+    '<mujoco><compiler angle="radian" autolimits="true"/><option gravity="0 1 -9"/><worldbody>'
+    + FINGER.format("right", ".03", "1 0 0 0", ".013")
+    + FINGER.format("left", "-.03", "0 0 0 1", "-.013")
+    + "</worldbody><equality>"
+    + "".join(f'<connect body1="{s} pad" body2="{s} coupler" anchor="0 -.001 .002"/>' for s in ("right", "left"))
+    + '<joint joint1="right driver" joint2="left driver"/></equality><tendon><fixed name="both">'
+    '<joint joint="right driver" coef=".5"/><joint joint="left driver" coef=".5"/></fixed></tendon>'
+    '<actuator><motor tendon="both"/></actuator></mujoco>'
+)
+
+
+@pytest.mark.parametrize("sides", [("right", "left"), ("right",)])
+def test_a_tendon_presses_each_pad_of_a_gripper_as_virtual_work_says(tmp_path, sides):
+    """F L' = Σ N s', less what gravity and springs give, along the one motion that loops, gear and stops leave.
+
+    Motion, springs and gravity are MuJoCo's; F pulls both drivers, though it is asked of one alone.
+    """
+    (tmp_path / "gripper.xml").write_text(GRIPPER)
+    model = mujoco.MjModel.from_xml_string(GRIPPER)
+    data, held = mujoco.MjData(model), [1, 5]  # the couplers, at their stops
+    data.qpos[[0, 4]] = 0.3
+    for _ in range(30):  # Newton's steps on MuJoCo's errors, the drivers and the couplers held
+        mujoco.mj_forward(model, data)
+        equalities = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        rows = data.efc_J.reshape(-1, model.nv)[equalities]
+        bound = np.vstack([rows, np.eye(model.nv)[[0, 4, *held]]])
+        data.qpos -= np.linalg.lstsq(bound, np.append(data.efc_pos[equalities], np.zeros(4)))[0]
+    assert np.abs(data.efc_pos[equalities]).max() < 1e-12
+    _, sizes, motions = np.linalg.svd(np.vstack([rows, np.eye(model.nv)[held]]))
+    assert np.count_nonzero(sizes > 1e-9) == model.nv - 1
+    v, force, pad = motions[-1] / motions[-1][0], 3.0, np.zeros((3, model.nv))
+    speeds = {}
+    for side in ("right", "left"):
+        mujoco.mj_jacSite(model, data, pad, None, model.site(f"{side} tip").id)
+        speeds[side] = (pad @ v)[1]
+    power = force * 0.5 * (v[0] + v[4]) - (data.qfrc_bias - data.qfrc_passive) @ v
+    text = f'[robot]\nmodel = "gripper.xml"\ntip = "right tip"\nstops = true\n[start]\nq = {data.qpos.tolist()}\n'
+    for side in sides:
+        normal, place = [0.0, -float(np.sign(speeds[side])), 0.0], data.site(f"{side} tip").xpos.tolist()
+        text += f'[[contact]]\nlink = "{side} tip"\nnormal = {normal}\nthrough = {place}\n'
+    (tmp_path / "run.toml").write_text(text + "[time]\nduration = 0.005\nstep = 0.001\n")
+    asked = np.zeros(8)
+    asked[0] = force
+    run = cl.simulate(cl.load_scenario(tmp_path / "run.toml"), law=lambda *_: asked)
+    assert run.torque[:, [0, 4]] == pytest.approx(np.full((len(run), 2), 0.5 * force))
+    assert run.link_forces @ [abs(speeds[side]) for side in sides] == pytest.approx(np.full(len(run), power), rel=1e-8)
+    assert run.link_forces == pytest.approx(np.full(run.link_forces.shape, run.link_forces[0, 0]), rel=1e-5)
+    assert run.link_forces[0, 0] > 10.0

@@ -208,10 +208,18 @@ def test_equalities_bind_what_they_bind_in_mujoco(tmp_path, case):
 
 
 def test_an_equality_to_a_mocap_body_is_left_out(tmp_path):
-    """It is a means of moving a robot, and here a law moves it."""
-    model = from_mjcf_text(tmp_path, TREE.format('<weld name="hold" body1="m" body2="d"/>'))
+    """It is a means of moving a robot, and here a law moves it; one of a sidecar holds it there, as is said."""
+    text = TREE.format('<weld name="hold" body1="m" body2="d"/>')
+    model = from_mjcf_text(tmp_path, text)
     assert model.loops == ()
-    assert any("'hold'" in line and "'m'" in line for line in model.warnings)
+    assert any("'hold'" in line and "frames = [..., 'm']" in line for line in model.warnings)
+    (tmp_path / "m.toml").write_text('[[closed_loop]]\ntype = "weld"\nframes = ["d", "m"]\n')
+    held = Robot(from_mjcf_text(tmp_path, text))
+    at_world = Robot(from_mjcf_text(tmp_path, TREE.format('<weld body1="d"/>').replace(' mocap="true"', "")))
+    q = np.linspace(-0.4, 0.5, 5)[None]
+    theirs = rows_of_loops(at_world, q, q)[0]
+    assert np.linalg.matrix_rank(np.concatenate([rows_of_loops(held, q, q)[0], theirs], axis=1)[0]) == 2
+    assert np.linalg.matrix_rank(theirs[0]) == 2
 
 
 def from_mjcf_text(tmp_path, text):

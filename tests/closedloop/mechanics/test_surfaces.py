@@ -48,6 +48,15 @@ MOVES = {
         "stop": 2.0,
     },
     "belt": {"velocity": (0.1, -0.2, 0.05)},
+    "poses": {
+        "times": (0.1, 1.1, 2.3, 3.0),
+        "poses": (
+            (0.0, 0.0, 0.0, 1.0, 0.2, 0.0, 0.1),
+            (0.1, -0.1, 0.05, 0.8, -0.2, 0.3, 0.1),
+            (0.2, 0.1, 0.1, 0.2, 0.3, 0.9, 0.1),
+            (0.3, 0.0, -0.1, -0.2, 0.4, 0.8, 0.1),
+        ),
+    },
     "turntable": {"axis": (0.1, 0.3, 1.0), "centre": (0.1, -0.4, 0.2), "speed": 1.3},
 }
 NAMES = {"bowl": "sphere", "pipe": "cylinder"}
@@ -129,6 +138,35 @@ def test_a_displacement_is_a_rotation_and_then_a_shift():
         (pose.acceleration, around + m.shift_acceleration),
     ):  # fmt: skip
         assert within(64, part, wanted, 1.0)
+
+
+def test_poses_are_passed_through_and_left_at_rest():
+    """Where the table says, relative to its first pose; accelerations are continuous; whole turns are kept."""
+    times, rows = (np.array(MOVES["poses"][key]) for key in ("times", "poses"))
+    moved = surface("plane", "poses")
+    turns = Rotation.from_quat(rows[:, [4, 5, 6, 3]])
+    for t, place, turn in zip(times, rows[:, :3], turns, strict=True):
+        pose = moved.pose(t)
+        relative = (turn * turns[0].inv()).as_matrix()
+        assert within(64, pose.axes, moved.frame[[1, 2, 0]] @ relative.T)
+        assert within(64, pose.origin, place + relative @ (moved.origin - rows[0, :3]))
+
+    def accelerations(t):
+        pose = moved.pose(t)
+        return np.concatenate([pose.spin_rate, pose.acceleration])
+
+    for t in (0.0, 0.1, 3.0, 9.0):
+        pose = moved.pose(t)
+        assert np.allclose([pose.velocity, pose.acceleration, pose.spin, pose.spin_rate], 0.0, rtol=0, atol=1e-11)
+    for t in (1.1, 2.3):
+        assert np.allclose(accelerations(t - 1e-9), accelerations(t + 1e-9), rtol=0, atol=1e-5)
+    # about one axis it is an angle: twice over, beyond half a turn
+    angle = [0.0, 2.0, 4.0, 7.0, 9.0]
+    table = tuple((0.0, 0.0, 0.0, np.cos(a / 2), 0.0, np.sin(a / 2), 0.0) for a in angle)
+    turned = PlacedSurface.of(SURFACES["plane"](), MOTIONS["poses"](times=(0.0, 1.0, 2.0, 3.0, 4.0), poses=table), TIP)
+    end = Rotation.from_rotvec([0.0, angle[-1], 0.0]).as_matrix()
+    assert turned.pose(2.5).spin[1] > 2.0
+    assert within(64, turned.pose(4.0).axes, turned.frame[[1, 2, 0]] @ end.T)
 
 
 def test_gradients_at_many_instants():

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SPANS = (0.06, 2.0)  # s
-GAINS, STIFFNESSES = np.geomspace(0.125, 4.0, 6), np.geomspace(0.01, 100.0, 5)  # of the map: 1, and of the fitted one
+GAINS, STIFFNESSES = np.geomspace(0.125, 2.0, 5), np.geomspace(0.01, 100.0, 5)  # of the map: 1, and of the fitted one
 
 
 @styled()

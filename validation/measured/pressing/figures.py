@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SPANS = (0.06, 2.0)  # s
-GAINS, STIFFNESSES = np.geomspace(0.125, 2.0, 5), np.geomspace(0.01, 100.0, 5)  # of the map: 1, and of the fitted one
+GAINS, STIFFNESSES = np.geomspace(0.125, 2.0, 5), np.geomspace(0.005, 50.0, 5)  # of the map: 1, and of the fitted one
 
 
 @styled()
@@ -60,12 +60,15 @@ def swing_map(
     axis = figure.subplots()
     drawn = axis.contourf(values[key] * STIFFNESSES, GAINS, damping, levels=12, cmap="viridis")
     figure.colorbar(drawn, label="damping ratio of the loop at rest")
+    named: set[str] = set()
     for test in tests:
         swing = measured_figures(test)
         ratio = swing.decay / (2.0 * np.pi * swing.frequency)
         at = values[f"stiffness_{test.place}"], test.gain
         axis.plot(*at, "o", color=drawn.cmap(drawn.norm(ratio)), mec="white")
-        axis.annotate(f"{test.force:g} N", at, xytext=(4, 4), textcoords="offset points", fontsize=6, color="white")
+        if test.place not in named:
+            axis.annotate(test.place, at, xytext=(4, 5), textcoords="offset points", fontsize=7, color="white")
+        named.add(test.place)
     axis.set(xscale="log", yscale="log", xlabel="stiffness of the surface at 1 mm, N/m", ylabel="gain scaling")
     axis.set_title(f"as at {first.place}, {first.force:g} N; circles: measured", loc="left", fontsize=9)
     return figure

@@ -77,7 +77,7 @@ for label, changes in (("friction 0.15", {}), ("no friction", {"friction": {"kin
     shown = time < 1.5
     axis.plot(time[shown], force[shown], label=label)
 axis.set(xlabel="time from first contact, s", ylabel="force, N", ylim=(0.0, 150.0))
-axis.legend()
+legend = axis.legend()
 # %% [markdown]
 # ## Why it swings
 #
@@ -99,7 +99,7 @@ for stiffer in (0.1, 1.0, 10.0):
             print(f"gain scaling {gain:.3g}: {pole.frequency:.2f} Hz, damping ratio {pole.damping:.3f}")
 axes[0].set(xlabel="gain scaling", ylabel="frequency, Hz")
 axes[1].set(xlabel="gain scaling", ylabel="damping ratio")
-axes[0].legend()
+legend = axes[0].legend()
 # %% [markdown]
 # ## What stops it
 #
@@ -112,4 +112,4 @@ for damping in (0.0, 500.0, 1000.0):
     shown = time < 1.5
     axis.plot(time[shown], force[shown], label=f"damping {damping:g} N s/m more")
 axis.set(xlabel="time from first contact, s", ylabel="force, N", ylim=(0.0, 150.0))
-axis.legend()
+legend = axis.legend()

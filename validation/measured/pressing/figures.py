@@ -56,16 +56,17 @@ def swing_map(
         for g in GAINS
     ]
     damping = np.array([[np.nan if one is None else one.damping for one in row] for row in found])
+    levels = np.linspace(0.0, 0.2, 11)
     figure = new_figure(3.6)
     axis = figure.subplots()
-    drawn = axis.contourf(values[key] * STIFFNESSES, GAINS, damping, levels=12, cmap="viridis")
+    drawn = axis.contourf(values[key] * STIFFNESSES, GAINS, damping, levels=levels, extend="both", cmap="viridis")
     figure.colorbar(drawn, label="damping ratio of the loop at rest")
     named: set[str] = set()
     for test in tests:
         swing = measured_figures(test)
         ratio = swing.decay / (2.0 * np.pi * swing.frequency)
         at = values[f"stiffness_{test.place}"], test.gain
-        axis.plot(*at, "o", color=drawn.cmap(drawn.norm(ratio)), mec="white")
+        axis.scatter(*at, c=[ratio], cmap=drawn.cmap, vmin=levels[0], vmax=levels[-1], edgecolors="white")
         if test.place not in named:
             axis.annotate(test.place, at, xytext=(4, 5), textcoords="offset points", fontsize=7, color="white")
         named.add(test.place)

@@ -99,6 +99,7 @@ class Cache:
         self._limit, self._shared, self._lock = limit, shared, threading.Lock()
         self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
+        self.last: tuple[Scenario, Problem] | None = None  # what was prepared last, whose table is still its own
 
     def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
         """Return the entry with this key, made now if it is not there; `size` gives its bytes, about."""
@@ -115,7 +116,7 @@ class Cache:
     def clear(self) -> None:
         """Remove all entries of this thread; those shared with others stay."""
         self._entries.clear()
-        self._bytes = 0
+        self._bytes, self.last = 0, None
 
     def get_shared(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
         """Return an entry that is only read: one for all threads, made under a lock by the first that needs it."""
@@ -331,6 +332,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     """
     refuse_absent(scenario)
     cache = Cache() if cache is None else cache
+    if cache.last is not None and cache.last[0] is scenario:
+        return cache.last[1]
+    given, cache.last = scenario, None
     robot = _robot(scenario, model, cache)
     model = robot.model
     scenario = completed(scenario, model)
@@ -387,7 +391,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     if friction.member.sticks != "elastic" and mode == PRESSED:
         u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
-    return Problem(
+    problem = Problem(
         scenario=scenario, robot=robot, surface=surface, believed=believed, frame=now.frame,
         integrator=integrator, tolerance=tolerance, q=q, v=v, mode=mode, h=h, steps=steps, hold=hold,
         nodes=integrator.parts, table=table, wanted=wanted,
@@ -408,6 +412,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         stabiliser=np.array(stabiliser_gains(scenario)),
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
     )  # fmt: skip
+    cache.last = given, problem
+    return problem
 
 
 def _law_from(scenario: Scenario, wanted: Desired) -> tuple[ControlLaw, float]:

@@ -13,6 +13,7 @@ FIGURES = {
     "controllers": 3,
     "drift": 2,
     "figures_4_to_7": 4,
+    "force_mode": 4,
     "learn_to_press": 2,
     "log_to_controller": 3,
     "surfaces": 7,

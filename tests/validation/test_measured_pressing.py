@@ -5,11 +5,13 @@ import json
 import numpy as np
 import pytest
 
+import closedloop as cl
 from closedloop.base.errors import ModelError
 from validation.measured.__main__ import main
-from validation.measured.pressing.fitting import intervals, residuals
+from validation.measured.pressing.__main__ import main as draw
+from validation.measured.pressing.fitting import Fit, intervals, residuals
 from validation.measured.pressing.judging import fits_of, judge
-from validation.measured.pressing.machine import CONTACT, MACHINE, ClosedLoopArm, pose, scenario
+from validation.measured.pressing.machine import CONTACT, MACHINE, SIZES, ClosedLoopArm, pose, scenario
 from validation.measured.pressing.measures import figures
 from validation.measured.pressing.mujoco import MuJoCoArm
 from validation.measured.pressing.touchdowns import Touchdown, read
@@ -71,6 +73,54 @@ def test_a_fit_is_written_and_names_its_tests(made, monkeypatch):
     assert fits_of([], made / "made.npz", path)["closedloop"]["cost"] == fits["closedloop"]["cost"]
 
 
+def test_fits_to_halves_are_told(made, monkeypatch):
+    """The table has what each half of the tests gives, and names a number in which they differ too much."""
+    ten = {n: (0.9 * x, 1.1 * x) for n, x in VALUES.items()}
+
+    def searched(engine, tests, told):
+        late = 2.0 if [test.name for test in tests] == [NAMES[1]] else 1.0
+        return Fit(VALUES | {"delay": late * VALUES["delay"]}, ten, 1.0, 1)
+
+    monkeypatch.setattr("validation.measured.pressing.judging.find_spec", lambda name: None)
+    monkeypatch.setattr("validation.measured.pressing.judging.TRAINING", NAMES)
+    monkeypatch.setattr("validation.measured.pressing.judging.fit", searched)
+    path = made / "halves.json"
+    fits = fits_of(read(made / "made.npz"), made / "made.npz", path)
+    fits["closedloop"]["tests"] = [NAMES[0]]
+    path.write_text(json.dumps(fits))
+    judged = judge(made / "made.npz", path)
+    assert judged.numbers["closedloop"]["halves_differ"] == ["delay"]
+    assert sum(line.endswith("halves differ") for line in judged.lines) == 1
+
+
+def test_a_tip_that_sticks_makes_the_arm_stiffer():
+    """The square of the swing's frequency at rest is as the stiffness along n, with the tip held sideways or not."""
+    test = Touchdown(NAMES[0], "straight", 55.0, 1.0, 0.25, 0.2, 3.2, np.zeros(0), np.zeros(0))
+    held = scenario(VALUES, test)
+    poles = [
+        min((p for p in cl.linearise(one, at=3.0).poles() if p.s.imag > 0.0 and p.participation.get("law", 0.0) > 0.4),
+            key=lambda p: p.frequency)
+        for one in (held, held.replace({"friction": {"kind": "none"}}))
+    ]  # fmt: skip
+    problem = cl.prepare(held)
+    A = problem.frame @ problem.robot.terms(problem.q, np.zeros(6)).jacobian
+    gives = 1.0 / SIZES * (1.0 / VALUES["joint_stiffness"] + 1.0 / VALUES["servo_stiffness"])
+    compliance = A * gives @ A.T
+    stiffer = np.linalg.inv(compliance)[0, 0] * compliance[0, 0]
+    assert stiffer > 1.5
+    assert (abs(poles[0].s) / abs(poles[1].s)) ** 2 == pytest.approx(stiffer, rel=0.15)
+
+
+def test_the_map_and_the_figures_are_drawn(made, monkeypatch):
+    """The force of each test, its scenario, and the map of the loop at rest, are written."""
+    monkeypatch.setattr("validation.measured.pressing.figures.GAINS", np.array([0.5, 1.0]))
+    monkeypatch.setattr("validation.measured.pressing.figures.STIFFNESSES", np.array([1.0, 10.0]))
+    words = ["--data", made / "made.npz", "--fitted", made / "fit.json", "--figures", made, "--map", made / "map.png"]
+    assert draw([str(word) for word in words]) == 0
+    for name in (*NAMES, "map"):
+        assert (made / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_figures_of_a_known_force():
     """A decaying swing: its peak, frequency, decay, settling time and mean are those of its formula."""
     t = np.arange(0.0, 4.0, 1e-4)
@@ -88,10 +138,9 @@ def test_figures_of_a_known_force():
 def test_mujoco_has_the_same_machine():
     """Both engines settle at the commanded force, and their first peaks are alike."""
     test = Touchdown(NAMES[0], "straight", 55.0, 1.0, 0.25, 0.2, 3.2, np.zeros(0), np.zeros(0))
-    peer = MuJoCoArm(VALUES)
     found = [
-        figures(*engine.simulate(values, test), 55.0, 3.2)
-        for engine, values in ((ClosedLoopArm(), VALUES), (peer, {p.name: p.first for p in peer.parameters}))
+        figures(*engine.simulate({p.name: p.first for p in engine.parameters}, test), 55.0, 3.2)
+        for engine in (ClosedLoopArm(), MuJoCoArm())
     ]
     assert [one.mean for one in found] == pytest.approx([55.0, 55.0], abs=0.5)
     assert found[1].peak == pytest.approx(found[0].peak, rel=0.4)

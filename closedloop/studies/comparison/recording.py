@@ -61,7 +61,7 @@ class Recording:
     v : (N, n), optional
         Joint velocities, rad/s (m/s): only compared with the rates of the positions, to find wrong units and orders.
     speed : (N,), optional
-        Size of the tip's velocity, m/s.
+        Size of the tip's velocity, m/s; where a contact is identified from it, it may have the sign of the direction.
     """
 
     time: Array
@@ -76,10 +76,7 @@ class Recording:
     def positions(self) -> Array:
         """Joint positions q (N, n); LogError if the recording has none."""
         if self.q is None:
-            raise LogError(
-                f"{self.source}: has no joint positions q: a contact is identified from how deep the tip is, which "
-                "force and speed alone do not tell; where the tip's path is known, it is q of --robot pointmass3"
-            )
+            raise LogError(f"{self.source}: has no joint positions q: the force of the torques is not known")
         return self.q
 
     @property

@@ -7,6 +7,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.simulation import prepare as prepare_module
 
 CHANGES = (
     {},
@@ -101,3 +102,16 @@ def test_a_run_keeps_its_numbers():
     kept = {name: values.copy() for name, values in columns_of(first).items()}
     cl.simulate(scenario_with({"law.force": 30.0, "sensor.noise": 0.5}))
     assert all(np.array_equal(kept[name], first[name], equal_nan=True) for name in kept)
+
+
+def test_the_same_scenario_is_prepared_once(monkeypatch):
+    """A second call of the same scenario reuses its problem; after another scenario, or a refused one, it does not."""
+    scenario, made = scenario_with({}), []
+    problem_of = prepare_module.Problem
+    monkeypatch.setattr(prepare_module, "Problem", lambda **numbers: made.append(1) or problem_of(**numbers))
+    louder = scenario_with({"sensor.noise": 0.1, "law.force": 30.0})
+    refused = scenario_with({"compensation.kind": "normal", "law.force": 30.0})
+    runs = [outcome(one, "pinocchio") for one in (scenario, scenario, louder, scenario, refused, scenario)]
+    assert isinstance(runs[4], cl.ScenarioError)
+    assert len(made) == 4
+    assert all(same(runs[k], runs[0]) for k in (1, 3, 5))

@@ -287,3 +287,23 @@ def test_a_constant_force_tells_no_gain(tmp_path):
     assert found.closed == 1.0
     assert all(each.why for each in found.estimates)
     found.figure().savefig(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_force_and_speed_alone_tell_the_surface(signed, tmp_path, capsys):
+    """Of a tip that moves along the normal its speed tells how deep it is, with the sign or without."""
+    t, r, v, _ = motion(slides=0.0)
+    rng = np.random.default_rng(4)
+    force = force_of(r, v)[:, 2] + 0.1 * rng.normal(size=len(t))
+    speed = v[:, 2] + 1e-5 * rng.normal(size=len(t))
+    log = cl.Recording(t, force=force, speed=speed if signed else abs(speed))
+    found = cl.identify_contact(log, point(), delay=0.0)
+    assert found["stiffness"].value == pytest.approx(TRUE["stiffness"], rel=0.003)
+    assert found["damping"].value == pytest.approx(TRUE["damping"], rel=0.01)
+    assert "no positions" in found["surface_offset"].why
+    assert "normal force only" in found["friction"].why
+    np.savetxt(tmp_path / "log.csv", np.stack([t, force, log.speed], 1), delimiter=",", header="time,force,speed",
+               comments="")  # fmt: skip
+    words = [str(tmp_path / "log.csv"), "--robot", "pointmass3", "--contact", "0,0,1", "--out", str(tmp_path / "out")]
+    assert main([*words, "--delay", "0"]) == 0
+    assert "stiffness" in capsys.readouterr().out

@@ -12,7 +12,7 @@ from pathlib import Path
 from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written, write_whole
 from closedloop.command.border import Parser, as_command
-from validation.measured.pressing.judging import OURS, engines, fits_of
+from validation.measured.pressing.judging import OURS, engines, fits_of, swing_pole
 from validation.measured.pressing.machine import scenario
 from validation.measured.pressing.touchdowns import read
 
@@ -25,17 +25,26 @@ def main(words: list[str]) -> int:
     parser.add_argument("--fitted", metavar="FILE", required=True, help="fitted numbers; written if not there yet")
     parser.add_argument("--figures", metavar="DIR", help="draw measured and simulated force of each test, PNG, here")
     parser.add_argument("--scenarios", metavar="DIR", help="write the scenario of each test, .toml, here")
+    parser.add_argument(
+        "--map", metavar="FILE", help="draw how the loop at rest swings, with the tests in it, PNG, here"
+    )
     options = parser.parse_args(words)
     folders = [Path(name) for name in (options.figures, options.scenarios) if name]
-    if not folders:
-        parser.error("say what to do: --figures DIR or --scenarios DIR")
+    if not folders and not options.map:
+        parser.error("say what to do: --figures DIR, --scenarios DIR or --map FILE")
     for folder in folders:
         if not folder.is_dir():
             raise OutputError(f"{folder}: is no folder: name one that exists")
     tests = read(Path(options.data))
     fits = fits_of(tests, Path(options.data), Path(options.fitted))
     written = []
-    for test in tests:
+    if options.map:
+        from validation.measured.pressing.figures import swing_map
+
+        image = io.BytesIO()
+        swing_map(fits[OURS]["values"], tests, swing_pole).savefig(image)
+        written.append(write_whole(Path(options.map), image.getvalue()))
+    for test in tests if folders else ():
         if options.scenarios:
             text = scenario(fits[OURS]["values"], test).to_toml()
             written.append(write_whole(Path(options.scenarios) / f"{test.name}.toml", text.encode()))

@@ -47,22 +47,25 @@ class Parameter(NamedTuple):
 
 
 MACHINE = (
-    Parameter("joint_stiffness", "N m/rad", 2e4, 5e3, 5e5),  # of the three large joints
+    Parameter("joint_stiffness", "N m/rad", 1.9e4, 5e3, 5e5),  # of the three large joints
     Parameter("joint_damping", "N m s/rad", 100.0, 5.0, 600.0),
-    Parameter("motor_inertia", "kg m²", 12.0, 0.5, 60.0),
-    Parameter("servo_stiffness", "N m/rad", 1.5e4, 2e3, 2e5),
-    Parameter("servo_damping", "N m s/rad", 150.0, 30.0, 6e3),
-    Parameter("mode_inertia", "kg", 40.0, 15.0, 150.0),
-    Parameter("mode_damping", "N s/m", 180.0, 5.0, 4e3),
-    Parameter("delay", "s", 0.0025, 0.002, 0.03),  # of the reading: the time constant of its low-pass
+    Parameter("motor_inertia", "kg m²", 7.5, 0.5, 60.0),
+    Parameter("servo_stiffness", "N m/rad", 1.4e4, 2e3, 2e5),
+    Parameter("servo_damping", "N m s/rad", 53.0, 30.0, 6e3),
+    Parameter("mode_inertia", "kg", 39.0, 15.0, 150.0),
+    Parameter("mode_damping", "N s/m", 250.0, 5.0, 4e3),
+    Parameter("delay", "s", 0.011, 0.002, 0.03),  # of the reading: the time constant of its low-pass
 )
 # The stiffness is the mean one at this depth, m: f = k d (depth/d)^exponent.
 DEPTH = 1e-3
-FIRST = {"direct": (2e6, 1.1), "straight": (6e4, 4.0), "ramp": (2e5, 1.1)}  # N/m, and the exponent
+FIRST = {"direct": (2.0e6, 1.0), "straight": (1.6e4, 4.6), "ramp": (1.9e5, 1.1)}  # N/m, and the exponent
+# μ of steel on steel, as of handbooks. A tip that sticks is held along the surface, which makes the arm stiffer along
+# the normal for as long as μf holds it: the frequency of the swing rises with the force.
+FRICTION = 0.15
 CONTACT = (
     *(Parameter(f"stiffness_{place}", "N/m", k, 1e4, 1e8) for place, (k, _) in FIRST.items()),
     *(Parameter(f"exponent_{place}", "1", n, 1.0, 6.0) for place, (_, n) in FIRST.items()),
-    Parameter("dissipation", "s/m", 2.0, 1e-2, 30.0),
+    Parameter("dissipation", "s/m", 0.87, 1e-2, 30.0),
 )
 
 
@@ -95,6 +98,7 @@ def scenario(values: Mapping[str, float], test: Touchdown) -> Scenario:
             "kind": "hunt_crossley", "exponent": exponent, "dissipation": values["dissipation"],
             "stiffness": values[f"stiffness_{test.place}"] * DEPTH ** (1.0 - exponent),
         },
+        "friction": {"kind": "coulomb", "coefficient": FRICTION},
         "transmission": {
             "stiffness": list(values["joint_stiffness"] * SIZES), "damping": list(values["joint_damping"] * SIZES),
             "motor_inertia": list(values["motor_inertia"] * SIZES), "measured": "motor",

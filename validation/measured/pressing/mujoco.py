@@ -1,7 +1,7 @@
 """MuJoCo: the same machine, with its soft contact in place of Hunt and Crossley's.
 
 The arm is MuJoCo's, from the same URDF. Motors, servo and force mode are written out here, as `scenario` of `machine`
-has them, with the fitted numbers of the machine: what is fitted here is MuJoCo's own, its contact.
+has them. All their numbers are fitted to MuJoCo's own forces, beside those of its contact.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from validation.measured.pressing.machine import (
     CENTRE,
     CYCLE,
     FLANGE,
+    FRICTION,
     GAP,
+    MACHINE,
     MASS,
     PLACES,
     SIZES,
@@ -35,25 +37,22 @@ FIRST = {"direct": 1.7e5, "straight": 6e4, "ramp": 1.7e4}  # 1/s²
 
 
 class MuJoCoArm:
-    """Fitted: stiffness, 1/s², of the contact at each place and one damping ratio (solref)."""
+    """Fitted: the machine, and the contact: stiffness, 1/s², at each place and one damping ratio (solref)."""
 
     name: ClassVar = "mujoco"
     parameters: ClassVar[Sequence[Parameter]] = (
+        *MACHINE,
         *(Parameter(f"stiffness_{place}", "1/s²", k, 1e2, 5e6) for place, k in FIRST.items()),
         Parameter("damping_ratio", "1", 0.5, 0.01, 5.0),
     )  # fmt: skip
-
-    def __init__(self, machine: Mapping[str, float]) -> None:
-        """Take the fitted numbers of the machine."""
-        self.machine = machine
 
     def simulate(self, values: Mapping[str, float], test: Touchdown) -> tuple[Array, Array]:
         """Return time (N,), s, 0 at the first contact, and force (N,), N."""
         import mujoco
 
-        m = self.machine
-        k = values[f"stiffness_{test.place}"]
-        model = _model(mujoco, test.place, (-k, -2.0 * values["damping_ratio"] * float(np.sqrt(k))))
+        m, k = values, values[f"stiffness_{test.place}"]
+        reference = (-k, -2.0 * values["damping_ratio"] * float(np.sqrt(k)))
+        model = _model(mujoco, test.place, reference)
         data = mujoco.MjData(model)
         tip = model.site("tip").id
         q, rates = pose(test.place)
@@ -96,12 +95,12 @@ def _model(mujoco: Any, place: str, reference: tuple[float, float]) -> Any:
     """Return the arm with its tool over a plane, with solref (−stiffness, −damping) of their contact."""
     spec = mujoco.MjSpec.from_string(URDF.read_text(encoding="utf-8"))
     spec.compiler.fusestatic = False
-    spec.option.timestep = STEP
+    spec.option.timestep, spec.option.cone = STEP, mujoco.mjtCone.mjCONE_ELLIPTIC
     flange = spec.body(FLANGE)
     tool = flange.add_body(name="tool")
     tool.mass, tool.ipos, tool.explicitinertial = MASS, CENTRE, True
     tool.inertia = TENSOR[:3]
-    kept = {"solref": reference, "condim": 1}
+    kept = {"solref": reference, "condim": 3, "friction": [FRICTION, 0.0, 0.0]}
     tool.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], pos=[TIP[0], TIP[1], TIP[2] - RADIUS], **kept)
     tool.add_site(name="tip", pos=TIP)
     height = PLACES[place][2] - GAP

@@ -31,7 +31,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.recording import EDGE, Recording, expected_force
 from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.identify import WHITENESS_LEVEL, Estimate
-from closedloop.studies.identify.log import Log
+from closedloop.studies.identify.log import Log, LogError
 from closedloop.studies.identify.motion import EVALUATIONS, Motion, motion, usual_cutoff, white_noise
 from robot_models.tool import carried_by
 
@@ -41,6 +41,8 @@ SURELY, LEAST, NOISES = 0.5, 0.02, 5.0
 DEEPER = 1.5
 # Windows on either side of a change that do not count: the filter smears what happens in one into those beside it.
 MARGIN = 2
+# Rows of a speed that the next one continues.
+CONTINUED = 5
 # Windows that a cutoff should leave.
 WINDOWS = 200
 
@@ -91,6 +93,34 @@ def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
     forces = None if force is None else force.reshape(len(time), -1)
     touch = Touch(time, position, forces, axes, normal, none, none, recording.source)
     return touch if forces is None else _told(touch)
+
+
+def touch_of_speed(recording: Recording, normal: Array) -> Touch:
+    """Return the same of a recording of force and speed alone, of a tip that moves along the normal.
+
+    Its height above where it is in the first row is the integral of its speed. Of a size the sign is that which
+    continues the rows before, and of both signs of the whole the one with which a deeper tip has a larger force.
+    """
+    time, force, speed = recording.time, recording.force, recording.speed
+    if force is None or speed is None:
+        raise LogError(f"{recording.source}: has no joint positions q: without them it needs both force and speed")
+    force = force @ normal if force.ndim == 2 else force
+    rate = np.array(speed)
+    if rate.min() >= 0.0:
+        steady = np.arange(CONTINUED) - 0.5 * (CONTINUED - 1)
+        slope = steady / float(steady @ steady)
+        for k in range(CONTINUED, len(rate)):
+            before = rate[k - CONTINUED : k]
+            next_one = float(before.mean() + slope @ before * 0.5 * (CONTINUED + 1))
+            rate[k] = np.copysign(rate[k], next_one)
+    height = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    if np.cov(height, force)[0, 1] > 0.0:
+        height = -height
+    stride = -(-len(time) // EVALUATIONS)
+    if stride > 1:
+        time, height, force = (_averaged(x, stride) for x in (time, height, force))
+    axes, none = np.broadcast_to(np.eye(3), (len(time), 3, 3)), np.zeros(len(time), dtype=bool)
+    return _told(Touch(time, np.outer(height, normal), force[:, None], axes, normal, none, none, recording.source))
 
 
 def _averaged(x: Array, stride: int) -> Array:

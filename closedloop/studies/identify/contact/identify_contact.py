@@ -26,6 +26,7 @@ from closedloop.studies.identify.contact.found import (
     beside_torques,
     of_free_rows,
     touch_of,
+    touch_of_speed,
     unknown,
 )
 from closedloop.studies.identify.contact.restitution import restitution_of
@@ -141,7 +142,8 @@ def identify_contact(
     log : Recording, Run or path
         Joint positions and, but for restitution, the contact force: along the normal, or three components in the base's
         axes, on the robot. With the torques of the drives, the sensor's gain and delay too. If it is a run, the run's
-        own surface, sensor and encoders are used.
+        own surface, sensor and encoders are used. A log without positions needs force and speed of a tip that moves
+        along the normal: its height is the integral of its speed.
     robot : RobotModel, or what `robot_models.load` takes
         Its kinematics give the position of the tip. If the log is a run, the run's own robot is used.
     normal : (3,)
@@ -187,13 +189,17 @@ def identify_contact(
         model = robot if isinstance(robot, RobotModel) else robot_models.load(robot)
         recording = log if isinstance(log, Recording) else read_recording(log, model)
     recording = checked(recording, model)
-    if not isinstance(log, Run):
-        check_positions(recording.positions, model, recording.source)
-    if np.ptp(recording.positions, axis=0).max() == 0.0:
-        raise LogError(f"{recording.source}: the robot rests: no joint moves, nothing can be found")
     mechanics = Robot(model, tip)
     z = float(stats.norm.ppf(0.5 + 0.5 * confidence))
-    touch = touch_of(recording, mechanics, out)
+    if recording.q is None:
+        touch = touch_of_speed(recording, out)
+        moves = touch.position
+    else:
+        touch, moves = touch_of(recording, mechanics, out), recording.q
+        if not isinstance(log, Run):
+            check_positions(moves, model, recording.source)
+    if np.ptp(moves, axis=0).max() == 0.0:
+        raise LogError(f"{recording.source}: the robot rests: no joint moves, nothing can be found")
     parts: list[Part] = []
     if touch.force is not None:
         windows = Windows.of(touch, cutoff)
@@ -210,6 +216,11 @@ def identify_contact(
                 own = [e for e in surface.estimates if e.name == "delay" and not e.why]
                 surface = compliance_of(windows, sensor, z)
                 surface.estimates += own
+        if recording.q is None:
+            why = "the log has no positions: its heights are those above the first row"
+            surface.estimates = [
+                unknown(e.name, e.unit, why) if e.name == "surface_offset" else e for e in surface.estimates
+            ]
         parts = [sensor.part, beside, surface, friction_of(windows, sensor, z)]
     else:
         why = "the log has no force: name its columns, as in force=fx,fy,fz"

@@ -115,7 +115,7 @@ class Picture:
         self._most = max(self._most, 2.0 * abs(wanted), 1.0, *forces.tolist())
         bar.clear()
         bar.bar(places, forces, color=ARROWS["contact force"], width=0.8)
-        bar.axhline(wanted, color=WANTED, linewidth=2.0)
+        bar.axhline(wanted, color=ARROWS["commanded force"], linewidth=2.0)
         bar.set(xlim=(-0.6, len(names) - 0.4), ylim=(0.0, self._most), title="force in N")
         bar.set_xticks(places if len(names) > 1 else [], names if len(names) > 1 else [], rotation=90, fontsize=7)
 

@@ -134,7 +134,8 @@ def test_a_pin_is_drawn_in_the_unit_of_the_axis(page, lab):
     """A pin of −35 µm stands at −0.035 below an axis in mm; the pin is named; labels of ticks tell them apart."""
     page.keyboard.press("p")
     page.locator("#unpin").wait_for()
-    lab.changed("law.kp", [9.0, 9.0, 4.0, 3.0])
+    lab.changed("friction.kind", "coulomb")
+    lab.changed("law.kp", [90.0, 90.0, 40.0, 30.0])
     settled(page, lab)
     titles = page.evaluate("run.panels.map((p) => p.title)")
     assert "tip error [mm]" in titles

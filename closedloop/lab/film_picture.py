@@ -185,11 +185,13 @@ class Solids:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         bright = AMBIENT + BRIGHT * np.abs(normals @ LIGHT) + FROM_SIDE * np.abs(normals[:, 0])
         height, width = int(np.ceil(box.height)), int(np.ceil(box.width))
-        found = np.zeros((FINE * height, FINE * width, 4), dtype=np.float32)
-        draw_triangles(corners, self._colours * bright[:, None], found)
-        found = sum(found[i::FINE, j::FINE] for i in range(FINE) for j in range(FINE)) / np.float32(FINE**2)
-        covered = np.maximum(found[..., 3:], np.float32(1e-30))
-        found[..., :3] /= covered  # of the points that are covered
+        fine = np.zeros((FINE * height, FINE * width, 4))
+        draw_triangles(corners, self._colours * bright[:, None], fine)
+        found = np.zeros((height, width, 4))
+        for i in range(FINE):
+            for j in range(FINE):
+                found += fine[i::FINE, j::FINE] / FINE**2
+        found[..., :3] /= np.maximum(found[..., 3:], 1e-30)  # of the points that are covered
         found[..., 3] *= self._opacity
         return (255.0 * np.minimum(found, 1.0) + 0.5).astype(np.uint8)
 

@@ -75,7 +75,7 @@ def test_points_have_the_moments_of_their_area():
 @pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
 @pytest.mark.parametrize(
     ("depth", "tilt", "error"),
-    [(1e-3, 0.0, 1e-9), (1e-3, 0.02, 1e-9), (1e-3, 0.06, 3e-3), (3e-4, 0.05, 3e-3), (-2e-4, 0.05, 0.01)],
+    [(1e-3, 0.0, 1e-9), (1e-3, 0.02, 1e-9), (1e-3, 0.06, 3e-3), (3e-4, 0.05, 5e-3), (-2e-4, 0.05, 0.01)],
 )
 def test_a_tilted_disc_presses_as_its_foundation_does(depth, tilt, error, engine):
     """Force, moment and centre of pressure in the first row; pressed whole they are exact, else to the edge's cells."""
@@ -90,18 +90,17 @@ def test_a_tilted_disc_presses_as_its_foundation_does(depth, tilt, error, engine
 
 
 def test_engines_and_batches_agree_and_a_pad_comes_to_rest_on_its_weight():
-    """A tilted pad settles: all forces are those of both engines and of a batch; the last carries its weight."""
-    scenario = placed(2e-4, 0.02, face="rectangle = [0.04, 0.02], points = [4, 3]", friction=0.2).replace(
-        {"time.duration": 0.3}
-    )
+    """A tilted pad settles: forces and velocities are those of both engines and a batch; the last carries the weight."""
+    scenario = placed(2e-4, 0.02, face="rectangle = [0.04, 0.02], points = [4, 3]")
+    scenario = scenario.replace({"time.duration": 0.2, "time.step": 5e-4})
     runs = [cl.simulate(scenario, engine=engine) for engine in ("pinocchio", "compiled")]
     np.testing.assert_allclose(runs[0].link_forces, runs[1].link_forces, rtol=0, atol=1e-7)
     assert runs[0].contact_wrench("face")[-1, 2] == pytest.approx(MASS * 9.81, rel=0.02)
     masses = [0.4, 0.5]
-    table = cl.simulate_batch(scenario, {"body.pad.mass": masses}, engine="compiled", keep=["link_forces"], workers=1)
+    table = cl.simulate_batch(scenario, {"body.pad.mass": masses}, engine="compiled", keep=["v"], workers=1)
     assert table["status"].to_pylist() == ["done", "done"]
-    kept = np.array(table["link_forces"].to_pylist()[1]).reshape(runs[1].link_forces.shape)
-    np.testing.assert_allclose(kept, runs[1].link_forces, rtol=0, atol=1e-9)
+    kept = np.array(table["v"].to_pylist()[1]).reshape(runs[1].v.shape)
+    np.testing.assert_allclose(kept, runs[1].v, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

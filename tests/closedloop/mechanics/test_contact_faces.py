@@ -90,7 +90,7 @@ def test_a_tilted_disc_presses_as_its_foundation_does(depth, tilt, error, engine
 
 
 def test_engines_and_batches_agree_and_a_pad_comes_to_rest_on_its_weight():
-    """A tilted pad settles: forces and velocities are those of both engines and a batch; the last carries the weight."""
+    """A tilted pad settles: forces and velocities are those of both engines and a batch; the last is the weight."""
     scenario = placed(2e-4, 0.02, face="rectangle = [0.04, 0.02], points = [4, 3]")
     scenario = scenario.replace({"time.duration": 0.2, "time.step": 5e-4})
     runs = [cl.simulate(scenario, engine=engine) for engine in ("pinocchio", "compiled")]

@@ -361,3 +361,13 @@ def test_the_gallery_opens_with_an_arm_above_its_table():
     surface = np.max(run.position[run.mode != 0, 2])
     _, origins = scene_of(run).joint_places(len(run) - 1)
     assert origins[4, 2] > surface + 0.1  # the elbow
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["joint_friction", "wam_edge", "wam_hybrid_friction", "wam_slide_friction", "planar2_drop", "panda_wipe"]
+)
+def test_no_link_passes_through_the_surface(name):
+    """From the start to the end of the run the arm is drawn clear of its table; only the ball at the tip touches it."""
+    run = cl.simulate(cl.load_scenario(name), engine="compiled")
+    assert run.summary()["clearance"]["distance"] > 0.0

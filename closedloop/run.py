@@ -38,8 +38,8 @@ from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import import_function, import_law, member_digests
 
-# What --record says before the joint of a wrench.
-WRENCH = "wrench"
+# What --record says before the joint of a wrench, and before the name of a contact.
+WRENCH, CONTACT = "wrench", "contact"
 
 if TYPE_CHECKING:
     from closedloop.command.results import Results
@@ -156,12 +156,25 @@ def _columns(names: list[str], model: Any) -> dict[str, Any]:
     columns: dict[str, Any] = {}
     for name in names:
         kind, _, joint = name.partition(":")
-        own = kind != WRENCH
+        own = kind not in (WRENCH, CONTACT)
         column = name.rpartition(":")[2] if own else "".join(x if x.isalnum() else "_" for x in name)[:60]
         if column in columns:
             raise ScenarioError(f"--record {name}: there is a column {column!r} already: use another name")
-        columns[column] = import_function("--record", name, "my_columns:spring_power") if own else _wrench(joint, model)
+        if own:
+            columns[column] = import_function("--record", name, "my_columns:spring_power")
+        else:
+            columns[column] = _wrench(joint, model) if kind == WRENCH else _contact(joint)
     return columns
+
+
+def _contact(name: str) -> Any:
+    """Return what works out the wrench of a contact, with its centre of pressure, and its unit."""
+
+    def contact(run: Run) -> Any:
+        return run.contact_wrench(name)
+
+    contact.__doc__ = f"force, moment and centre of pressure of {name}, axes of the base"
+    return contact, "N | N m | m"
 
 
 def _wrench(word: str, model: Any) -> Any:
@@ -267,7 +280,7 @@ def _parser() -> Parser:
         action="append",
         default=[],
         metavar="MODULE:NAME",
-        help="a column: function(run), or wrench:JOINT[@FRAME]",
+        help="column: wrench:JOINT[@FRAME], contact:NAME, or own",
     )
     return parser
 

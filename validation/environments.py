@@ -81,7 +81,7 @@ def contestants(count: int, rate: float, threads: int | None) -> dict[str, Any]:
     """Return what is measured: by name a function of a number of control steps, and the physics steps in each."""
     fixed: dict[str, Any] = {"ranges": {}, "control_rate": rate, "actions": {"torque": (-TORQUE, TORQUE)}}
     # What MuJoCo's environment observes and is rewarded for, and no more.
-    fixed |= {"endings": {}, "observations": ("q", "v", "force", "phase"), "rewards": {"force": 1.0}}
+    fixed |= {"endings": {}, "observations": ("q", "v", "f_measured", "phase"), "rewards": {"force": 1.0}}
     scenario = closedloop.gym.TASKS["slide"].load_scenario()
     short = cl.load_scenario(str(closedloop.gym.TASKS["slide"].scenario), {"time.duration": 10.0 * scenario.time.step})
     run = cl.simulate(short)

@@ -19,8 +19,8 @@ share μ of the torque that the gear passes on, τ, or Q of a rigid joint, to th
     |τ_f| = c + μ |τ|               what is driven gets τ (1 − μ) − c, and drives back against τ (1 + μ) + c
 
 Sources: the dead zone in M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash - a survey,
-Automatica 38(10), 2002; friction that depends on the load in P. Hamon, M. Gautier and P. Garrec, Dynamic
-identification of robots with a dry friction model depending on load and velocity, IROS 2010. Elastic joints: M.
+Automatica 38(10), 2002; friction that depends on the load is that of P. Hamon, M. Gautier and P. Garrec, who identified
+it on robots about 2010. Elastic joints: M.
 Spong, Modeling and control of elastic joint robots, ASME J. Dynamic Systems, Measurement, and Control 109(4), 1987,
 with the usual assumption that the motors' gyroscopic torques are small.
 """

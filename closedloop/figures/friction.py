@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from closedloop.base.arrays import Array
 from closedloop.figures.closure import directions, sideways
 from closedloop.figures.style import COLOURS, dress, explain_contact, legend_beside_title, no_upper_labels, panels
 from closedloop.mechanics.closure.contact_force import FREE
@@ -38,8 +39,24 @@ def friction_levels(law: Any) -> list[tuple[float, str, str]]:
     return [each for each in levels if each[0] > 0.0]
 
 
+def friction_bounds(run: Run) -> list[tuple[Array, str, str]]:
+    """Return the cone of a run's friction: each level times f, and the viscous part b |u|, which f does not bound.
+
+    Each is an array (N,), N, with its name and stroke.
+    """
+    law = run.scenario.friction
+    b = float(getattr(law, "viscous", 0.0))
+    touching = run.mode != FREE
+    viscous = b * np.linalg.norm(run.slip_velocity, axis=1) if b > 0.0 else np.zeros(len(run))
+    more = " + b |u|" if b > 0.0 else ""
+    return [
+        (np.where(touching, level * run.contact_force + viscous, 0.0), f"{name}{more}", stroke)
+        for level, name, stroke in friction_levels(law)
+    ]
+
+
 def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-    """Draw friction along the path inside the friction cone, ±μf, and the velocity of slip along the path.
+    """Draw friction along the path inside the friction cone, ±(μf + b|u|), and the velocity of slip along the path.
 
     Both are signed along the direction of the path, see `closedloop.figures.closure.directions`: friction that resists
     slip along the path is negative. Its part across the path is drawn beside it, where there is any.
@@ -49,11 +66,13 @@ def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     across = sideways(run, along)
     slip = np.where(run.mode != FREE, np.sum(run.slip_velocity * along, axis=1), np.nan)
     figure, (above, below) = panels(2, 4.8, ax)
-    for level, name, stroke in friction_levels(run.scenario.friction):
+    for (bound, name, stroke), (level, *_) in zip(
+        friction_bounds(run), friction_levels(run.scenario.friction), strict=True
+    ):
         for sign in (1.0, -1.0):
+            label = f"±({name}), μ = {level:g}" if "+" in name else f"±{name}, μ = {level:g}"
             above.plot(
-                run.time, sign * level * run.contact_force, stroke, color="0.6", linewidth=1.8,
-                label=f"±{name}, μ = {level:g}" if sign > 0 else None,
+                run.time, sign * bound, stroke, color="0.6", linewidth=1.8, label=label if sign > 0 else None
             )  # fmt: skip
     above.plot(run.time, np.sum(force * along, axis=1), color=COLOURS[0], label="along the path")
     beside = np.sum(force * across, axis=1)

@@ -36,6 +36,11 @@ class Page(Figure):
         self.whole: dict[Text, tuple[str, str]] = {}  # titles in several lines: what they were, and what they are
         super().__init__(**more, layout=PageLayout())
 
+    def __repr__(self) -> str:
+        """Return what a notebook shows of any figure: its size in pixels, and how many panels it has."""
+        width, height = self.bbox.size
+        return f"<Figure size {width:g}x{height:g} with {len(self.axes)} Axes>"
+
     def savefig(self, fname: Any, **more: Any) -> None:
         """Save the figure as `matplotlib.figure.Figure.savefig` does, with its own settings."""
         with mpl.rc_context(self.settings):

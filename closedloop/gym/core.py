@@ -138,7 +138,7 @@ class Core:
         self.parameters[i] = values
         self._drawn[i] = [values[key] for key in self.drawn_keys]
         now, n = self.now, problem.robot.n
-        now.wanted_force[i] = problem.table[0, 2 * n + 9]
+        now.f_des[i] = problem.table[0, 2 * n + 9]
         for each in (now.time, now.phase, now.on_target, now.jammed, now.force_sum, now.force_square):
             each[i] = 0.0
         now.left[i], now.touched[i] = self.instants, False
@@ -244,7 +244,7 @@ class Core:
         now.on_target *= near
         if now.link_forces.shape[1]:
             now.jammed[:] = np.where(went & now.held, now.jammed + period, 0.0)
-        now.force_sum += period * np.where(touching & went, now.wanted_force - now.measured, 0.0)
+        now.force_sum += period * np.where(touching & went, now.f_des - now.f_measured, 0.0)
         now.force_square += np.where(went, period * error * error, 0.0)
 
     def _judge(self, going: Mask, at_end: Mask) -> None:

@@ -152,7 +152,7 @@ def truth_of(core: Core) -> dict[str, Array]:
     """
     now = core.now
     names = (
-        "time", "force", "wanted_force", "largest_force", "largest_link_force", "impulse", "contact", "path_error",
+        "time", "f", "f_des", "f_measured", "largest_force", "largest_link_force", "impulse", "contact", "path_error",
     )  # fmt: skip
     mean = np.divide(now.force_square, now.time, out=np.zeros(core.count), where=now.time > 0.0)
     return {name: getattr(now, name) for name in names} | {

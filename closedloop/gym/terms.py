@@ -43,14 +43,14 @@ class Now:
     ----------
     q, v, acceleration, torque : (N, n) arrays
     tip, tip_velocity, normal, slip_velocity, friction_force : (N, 3) arrays
-    force, measured, gap, gap_rate : (N,) arrays
+    f, f_measured, gap, gap_rate : (N,) arrays
         Contact force; the force sensor's latest reading, as a control law has it; distance from the surface, m, and
         its rate.
     link_forces, link_gaps : (N, c) arrays
         Of each `[[contact]]`: the force along its normal, N, and its gap, m.
     wanted_tip, wanted_tip_velocity, wanted_q : (N, 3), (N, 3), (N, n) arrays
         Those of the reference, as the action has displaced it.
-    wanted_force : (N,) array
+    f_des : (N,) array
         The force of the task, N, whatever the action sets.
     path_error : (N,) array
         Distance of the tip from the reference along the surface, m.
@@ -72,9 +72,9 @@ class Now:
         Time for which a `[[contact]]` has been closed and the tip slower than 2 mm/s, although the desired position is
         more than 2 mm away, s.
     force_sum : (N,) array
-        ∫ (wanted_force − measured) dt while in contact, N s.
+        ∫ (f_des − f_measured) dt while in contact, N s.
     force_square : (N,) array
-        ∫ (wanted_force − force)² dt since the reset, N² s.
+        ∫ (f_des − f)² dt since the reset, N² s.
     action, action_before : (N, k) arrays
         From −1 to 1.
     period : float
@@ -98,7 +98,7 @@ class Now:
         self.q, self.v, self.acceleration, self.torque = map(part, ("q", "v", "acceleration", "torque"))
         self.tip, self.tip_velocity, self.normal = map(part, ("position", "velocity", "surface_normal"))
         self.slip_velocity, self.friction_force = map(part, ("slip_velocity", "friction_force"))
-        self.force = part("contact_force")
+        self.f = part("contact_force")
         self.gap, self.gap_rate, self._mode = part("closure_error"), part("closure_rate"), part("mode")
         self.wanted_q, self.wanted_tip, self.wanted_tip_velocity = (
             wanted[:, Reference.place(x, n)] for x in ("q", "position", "velocity")
@@ -107,8 +107,8 @@ class Now:
             between[:, Between.place(x)]
             for x in ("largest_force", "smallest_force", "largest_link_force", "free_rows", "events", "impulse")
         )
-        self.measured, self.path_error = between[:, Between.place("measured")], between[:, Between.place("path_error")]
-        self.wanted_force: Array = np.zeros(count)
+        self.f_measured, self.path_error = (between[:, Between.place(x)] for x in ("measured", "path_error"))
+        self.f_des: Array = np.zeros(count)
         self.time: Array = np.zeros(count)
         self.phase: Array = np.zeros(count)
         self.left: Array = np.zeros(count)
@@ -149,7 +149,7 @@ class Now:
     @property
     def force_error(self) -> Array:
         """True force minus the desired one, N."""
-        return self._once("force_error", lambda: self.force - self.wanted_force)
+        return self._once("force_error", lambda: self.f - self.f_des)
 
     @property
     def held(self) -> Mask:
@@ -183,8 +183,8 @@ PARTS: dict[str, Part] = {
     "joint_error": Part(lambda now: now.q - now.wanted_q, lambda n, a, c: n, -FAR, FAR, "rad"),
     "tip_error": Part(lambda now: now.tip - now.wanted_tip, lambda n, a, c: 3, -FAR, FAR, "m"),
     "tip_velocity": Part(lambda now: now.tip_velocity, lambda n, a, c: 3, -FAST, FAST, "m/s"),
-    "force": Part(lambda now: _one(now.measured), lambda n, a, c: 1, -STRONG, STRONG, "N"),
-    "force_error": Part(lambda now: _one(now.wanted_force - now.measured), lambda n, a, c: 1, -STRONG, STRONG, "N"),
+    "f_measured": Part(lambda now: _one(now.f_measured), lambda n, a, c: 1, -STRONG, STRONG, "N"),
+    "force_error": Part(lambda now: _one(now.f_des - now.f_measured), lambda n, a, c: 1, -STRONG, STRONG, "N"),
     "force_sum": Part(lambda now: _one(now.force_sum), lambda n, a, c: 1, -STRONG, STRONG, "N s"),
     "contact": Part(lambda now: _one(now.contact.astype(np.float64)), lambda n, a, c: 1, 0.0, 1.0, "1"),
     "sticks": Part(lambda now: _one(now.sticks.astype(np.float64)), lambda n, a, c: 1, 0.0, 1.0, "1"),
@@ -193,7 +193,7 @@ PARTS: dict[str, Part] = {
 }
 # The truth, for critics; what an episode draws stands behind it.
 TRUTH: dict[str, Part] = {
-    "true_force": Part(lambda now: _one(now.force), lambda n, a, c: 1, -STRONG, STRONG, "N"),
+    "f": Part(lambda now: _one(now.f), lambda n, a, c: 1, -STRONG, STRONG, "N"),
     "friction_force": Part(lambda now: now.friction_force, lambda n, a, c: 3, -STRONG, STRONG, "N"),
     "slip_velocity": Part(lambda now: now.slip_velocity, lambda n, a, c: 3, -FAST, FAST, "m/s"),
     "gap": Part(lambda now: _one(now.gap), lambda n, a, c: 1, -FAR, FAR, "m"),
@@ -209,7 +209,7 @@ class Observations:
     Attributes
     ----------
     names : tuple of str
-        Of each number: "q.0", "q.1", ..., "force".
+        Of each number: "q.0", "q.1", ..., "f_measured".
     low, high : (k,) arrays
         Bounds, to which what is observed is cut.
     """
@@ -242,7 +242,7 @@ Ending = Callable[[Now], Mask]
 
 def force(now: Now) -> Array:
     """−|f − f_des|/f_des, at least −1."""
-    scale = np.maximum(np.abs(now.wanted_force), 1.0)
+    scale = np.maximum(np.abs(now.f_des), 1.0)
     return -np.minimum(np.abs(now.force_error) / scale, 1.0)
 
 
@@ -259,7 +259,7 @@ def smooth(now: Now) -> Array:
 
 def overload(now: Now) -> Array:
     """−(how far the largest force is above twice the wanted one)/f_des, at least −1."""
-    scale = np.maximum(np.abs(now.wanted_force), 1.0)
+    scale = np.maximum(np.abs(now.f_des), 1.0)
     return -np.clip((now.largest_force - 2.0 * scale) / scale, 0.0, 1.0)
 
 

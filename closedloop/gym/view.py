@@ -100,7 +100,7 @@ class Picture:
         path = problem.table[:, 2 * problem.robot.n : 2 * problem.robot.n + 3]
         axes.plot(*path[:: max(1, len(path) // TRAIL)].T, color=WANTED, linewidth=1.0)
         axes.scatter(*now.wanted_tip[i][:, None], color=PATH, s=12)
-        for force, kind in ((now.force[i] * now.normal[i], "contact force"), (now.friction_force[i], "friction")):
+        for force, kind in ((now.f[i] * now.normal[i], "contact force"), (now.friction_force[i], "friction")):
             axes.quiver(*tip, *(arm.scale * force), color=ARROWS[kind], linewidth=2.0, arrow_length_ratio=0.15)
         middle, half = 0.5 * (line.min(axis=0) + line.max(axis=0)), 0.5 * np.ptp(line, axis=0).max() + 0.05
         axes.set(
@@ -111,11 +111,11 @@ class Picture:
         axes.view_init(20.0, -60.0)
         axes.text2D(0.03, 0.95, f"t = {now.time[i]:.2f} s", transform=axes.transAxes)
         (names, forces), bar = shown_forces(core, i), self._bar
-        wanted, places = float(now.wanted_force[i]), np.arange(len(names))
+        wanted, places = float(now.f_des[i]), np.arange(len(names))
         self._most = max(self._most, 2.0 * abs(wanted), 1.0, *forces.tolist())
         bar.clear()
         bar.bar(places, forces, color=ARROWS["contact force"], width=0.8)
-        bar.axhline(wanted, color=WANTED, linewidth=2.0)
+        bar.axhline(wanted, color=ARROWS["commanded force"], linewidth=2.0)
         bar.set(xlim=(-0.6, len(names) - 0.4), ylim=(0.0, self._most), title="force in N")
         bar.set_xticks(places if len(names) > 1 else [], names if len(names) > 1 else [], rotation=90, fontsize=7)
 
@@ -167,7 +167,7 @@ class Browser:
         if self._past and time < self._past[-1][0]:  # an episode begins
             self._past.clear()
         names, forces = shown_forces(self._core, i)
-        self._past = [*self._past[-TRAIL:], (time, *forces.tolist(), float(now.wanted_force[i]))]
+        self._past = [*self._past[-TRAIL:], (time, *forces.tolist(), float(now.f_des[i]))]
         times, *found, wanted = np.array(self._past).T
         self._steps += 1
         traces = [
@@ -190,7 +190,7 @@ class Browser:
         now = self._core.now
         axes, origins = self._arm.places(now.q[i])
         places = np.vstack([np.hstack([quaternions(axes), origins]), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
-        forces = np.array([now.force[i] * now.normal[i], now.friction_force[i]])
+        forces = np.array([now.f[i] * now.normal[i], now.friction_force[i]])
         tails = np.array([now.tip[i], now.tip[i]])
         return {"time": np.array([now.time[i]]), "places": places, "tails": tails, "forces": forces}
 
@@ -243,7 +243,7 @@ def shown_forces(core: Core, i: int) -> tuple[list[str], Array]:
     """Return the names and forces (k,), N, that environment `i` shows: on the tip; without a surface on links."""
     scenario, now = core.ensemble.problem(i).scenario, core.now
     if scenario.has_surface or not scenario.contact:
-        return ["f"], np.array([now.force[i]])
+        return ["f"], np.array([now.f[i]])
     return [contact.name or f"contact {k + 1}" for k, contact in enumerate(scenario.contact)], now.link_forces[i].copy()
 
 

@@ -23,7 +23,7 @@ from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.actions import act
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.controls import Control, begin_values
-from closedloop.lab.curves import panels
+from closedloop.lab.curves import Panel, beside, panels
 from closedloop.lab.details import Details
 from closedloop.lab.drawn import Message, curves, frames, run_message
 from closedloop.lab.gallery import cards, pictures
@@ -31,13 +31,15 @@ from closedloop.lab.groups import all_controls, rows_in_groups
 from closedloop.lab.history import IN_A_FILE, Changes, History, Pins
 from closedloop.lab.mapping_work import MapWork
 from closedloop.lab.messages import pack
-from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, Server, in_notebook, new_token
+from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, Server, in_notebook, new_token, proxied
 from closedloop.lab.share import hello, page
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import variants
+from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
 from closedloop.simulation.prepare import prepare
+from closedloop.simulation.simulate import law_name
 from robot_models import RobotModel
 
 logger = logging.getLogger(__name__)
@@ -121,9 +123,11 @@ class Lab:
         self.ghosts = ()
         self.answers = Answers(history, law, model, self.say, self._show_part)
         self.controls: dict[tuple[str, int | None], Control] = {}
-        self._first = {
-            at: control.own for at, control in all_controls(history.base, self.answers.model(history.base)).items()
-        }
+        self._first = {at: control.own for at, control in self._controls(history.base).items()}
+
+    def _controls(self, scenario: Scenario) -> dict[tuple[str, int | None], Control]:
+        law = self.answers.law
+        return all_controls(scenario, self.answers.model(scenario), "" if law is None else law_name(law))
 
     @property
     def url(self) -> str:
@@ -131,6 +135,12 @@ class Lab:
         host = self.server.host
         host = "127.0.0.1" if host == "0.0.0.0" else f"[{host}]" if ":" in host else host
         return f"http://{host}:{self.server.port}/?token={self._token}"
+
+    @property
+    def framed_url(self) -> str:
+        """The address for a frame in a notebook: below that of Jupyter's server, where this passes the port on."""
+        path = proxied(self.server.port)
+        return f"{path}?token={self._token}" if path else self.url
 
     @property
     def run(self) -> Run | None:
@@ -182,7 +192,7 @@ class Lab:
         """Let all controls show the scenario as it is now, if it can be read."""
         with contextlib.suppress(ClosedLoopError):
             scenario = self.history.scenario()
-            found = all_controls(scenario, self.answers.model(scenario))
+            found = self._controls(scenario)
             with self._lock:  # a span that a value has widened, or that a slider began with, stays
                 for at, control in self.controls.items():
                     new = found.get(at)
@@ -260,7 +270,7 @@ class Lab:
     def _send_run(self, run: Run, **more: Any) -> None:
         """Send the curves of a run to every page, then the robot at the instant that each page shows."""
         self._count += 1
-        there, more = panels(run), more | {"n": self._count}
+        there, more = self._panels(run), more | {"n": self._count}
         made: dict[Any, bytes] = {}
 
         def message(window: Window = None, columns: tuple[str, ...] = ()) -> bytes:
@@ -281,12 +291,17 @@ class Lab:
                 row = min(round(client.time / run.scenario.time.step), len(run) - 1)
                 client.put("frame", pack({"kind": "frame", "robot": robot, **frames(scene, [row])}))
 
+    def _panels(self, run: Run) -> list[Panel]:
+        """Return the panels of a run, in units that those of the pinned runs share."""
+        return beside(panels(run), [panel for pin in self.pins.held for panel in pin.panels])
+
     def show_again(self, client: Client) -> None:
         """Send the run to one page again, whose window or columns are others now."""
         answer = self.answer
         if answer is not None and answer.run is not None:
             found = run_message(
-                answer.run, curves(answer.run, client.window, client.columns), n=self._count, partial=False,
+                answer.run, curves(answer.run, client.window, client.columns, there=self._panels(answer.run)),
+                n=self._count, partial=False,
                 point=self.map.point(answer.run.scenario), stale=self.map.stale(answer.run.scenario),
             )  # fmt: skip
             client.put(RUN, pack(found))

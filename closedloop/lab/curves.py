@@ -28,7 +28,7 @@ from pydantic.fields import FieldInfo
 from closedloop.base.arrays import Array
 from closedloop.base.sections import field_units, sizes
 from closedloop.figures.closure import tip_errors
-from closedloop.figures.friction import friction_levels
+from closedloop.figures.friction import friction_bounds
 from closedloop.figures.link_contacts import contacts_drawn
 from closedloop.figures.scene.ground import Ground
 from closedloop.figures.scene.solids import errors_in
@@ -197,13 +197,13 @@ def tiles(
             continue
         tile = _tile(label, factor * number, unit, hint)
         if key == "torque_share" and number > 1.0:
-            tile["good"] = False
+            tile |= {"good": False, "why": f"a joint's torque is {number:.3g} times what the robot's file allows"}
         found.append(tile | _change(number, None if before is None else before.get(key), less, factor, name))
     if passing := passing_note(summary["clearance"]):
         near = summary["clearance"]
         found.append(
             {"name": "clearance", "text": f"{1e3 * near['distance']:.3g}", "unit": "mm", "hint": passing,
-             "good": False, "at": near["time"]}
+             "good": False, "at": near["time"], "why": passing}
         )  # fmt: skip
     return found
 
@@ -211,7 +211,8 @@ def tiles(
 def margin_tiles(margins: Mapping[str, Any], stable: bool, before: Mapping[str, Any] | None, name: str) -> list[Tile]:
     """Return the tiles of a loop's margins, as `Margins.as_dict` gives them, beside those of another."""
     if not stable:
-        return [{"name": "loop", "text": "unstable", "unit": "", "hint": "a pole of the loop grows", "good": False}]
+        why = "a pole of the force loop grows: see the tab analysis"
+        return [{"name": "loop", "text": "unstable", "unit": "", "hint": why, "good": False, "why": why}]
     found = []
     for label, (key, unit, hint) in MARGINS.items():
         factor = 1e3 if key == "delay" else 1.0
@@ -282,7 +283,7 @@ class Panel:
     """Curves over one time: a name of `TITLES`, the unit of the values, the times (N,), s, and the traces.
 
     `band` is how far from its dashed curve the first other may be, 0 where there is no such bound. `note` is what the
-    title says besides.
+    title says besides. `factor` is from metres to the unit, where that was chosen by the size of a length.
     """
 
     name: str
@@ -291,6 +292,7 @@ class Panel:
     traces: tuple[Trace, ...]
     band: float = 0.0
     note: str = ""
+    factor: float = 1.0
 
     @property
     def main(self) -> Trace:
@@ -314,6 +316,17 @@ def panels(run: Run) -> list[Panel]:
     found = [*_torques(run), *tip, *friction, *closure, *loops]
     force = [_force(run)] if run.scenario.has_surface or not (links or found) else []
     return [*force, *links, *found]
+
+
+def beside(there: Sequence[Panel], pinned: Sequence[Panel]) -> list[Panel]:
+    """Return the panels of a run in units in which those of runs that are pinned can be read too: the larger one."""
+    found = []
+    for panel in there:
+        largest = min((p for p in (panel, *pinned) if p.name == panel.name), key=lambda p: p.factor)
+        ratio = largest.factor / panel.factor
+        traces = tuple(replace(t, values=ratio * t.values) for t in panel.traces) if ratio != 1.0 else panel.traces
+        found.append(replace(panel, traces=traces, unit=largest.unit, factor=largest.factor))
+    return found
 
 
 def main_panel(run: Run) -> Panel:
@@ -359,7 +372,7 @@ def _closure(run: Run) -> Panel:
     values = np.maximum(-run.closure_error, 0.0) if soft else run.closure_error
     factor, name = length_unit(_largest(values))
     trace = Trace("depth" if soft else "e", COLOURS[0], factor * values)
-    return Panel("penetration" if soft else "closure", name, run.time, (trace,), note=_note(run, values))
+    return Panel("penetration" if soft else "closure", name, run.time, (trace,), note=_note(run, values), factor=factor)
 
 
 def _note(run: Run, errors: Array, times: float = 1.0) -> str:
@@ -382,7 +395,7 @@ def _loops(run: Run) -> Panel:
     )
     turning = any("N m" in (unit for _, unit in parts_of(run.model, loop)) for loop in run.model.loops)
     unit = f"{name}, {name[:-1]}rad" if turning else name
-    return Panel("loops", unit, run.time[rows], traces, note=_note(run, errors, CHAINS))
+    return Panel("loops", unit, run.time[rows], traces, note=_note(run, errors, CHAINS), factor=factor)
 
 
 def _tip(run: Run) -> Panel:
@@ -391,7 +404,7 @@ def _tip(run: Run) -> Panel:
     columns = tip_errors(run)[: len(names)]
     factor, unit_name = length_unit(_largest(*columns))
     traces = tuple(Trace(n, COLOURS[k], factor * columns[k]) for k, n in enumerate(names))
-    return Panel("tip", unit_name, run.time, traces)
+    return Panel("tip", unit_name, run.time, traces, factor=factor)
 
 
 def _torques(run: Run) -> list[Panel]:
@@ -417,10 +430,9 @@ def _torques(run: Run) -> list[Panel]:
 
 
 def _friction(run: Run) -> Panel:
-    """Return the size of friction at the tip beside its cone: the levels that the law has, times f."""
+    """Return the size of friction at the tip beside its cone, see `closedloop.figures.friction.friction_bounds`."""
     traces = [Trace("|Ft|", COLOURS[0], np.linalg.norm(run.friction_force, axis=1))]
-    for k, (level, name, _) in enumerate(friction_levels(run.scenario.friction)):
-        cone = np.where(run.mode == FREE, 0.0, level * run.contact_force)
+    for k, (cone, name, _) in enumerate(friction_bounds(run)):
         traces.append(Trace(name, COLOURS[6 if k == 0 else 5], cone, limit=True))
     return Panel("friction", "N", run.time, tuple(traces))
 

@@ -12,7 +12,7 @@ import numpy as np
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.figures.scene.scene import Scene, scene_of
 from closedloop.lab.answers import Answer
-from closedloop.lab.curves import margin_tiles, panels, reduced, tiles, values
+from closedloop.lab.curves import margin_tiles, reduced, tiles, values
 from closedloop.lab.drawn import Message, robot_message, space_message, spread
 from closedloop.lab.history import Changes, Pin, compared
 from closedloop.lab.protocol import Lab
@@ -72,7 +72,7 @@ class Details:
     def pinned(self) -> None:
         """Send the runs that are kept, and what is compared with them."""
         lab = self._lab
-        found = [{"name": p.name, "colour": p.colour, "panels": _mains(p.run)} for p in lab.pins.held]
+        found = [{"name": p.name, "colour": p.colour, "panels": _mains(p)} for p in lab.pins.held]
         lab.tell("pins", {"kind": "pins", "pins": found})
         names = {pin.name for pin in lab.pins.held}
         self._pinned = {name: margins for name, margins in self._pinned.items() if name in names}
@@ -198,10 +198,10 @@ def compare_message(pins: list[Pin], run: Run, changes: Changes) -> Message:
 LESS_IS_BETTER = ("rms_force_error", "force_settled_at", "rms_path_error", "max_abs_closure_error")
 
 
-def _mains(run: Run) -> dict[str, Message]:
-    """Return the curve that stands for a run in each of its panels."""
+def _mains(pin: Pin) -> dict[str, Message]:
+    """Return the curve that stands for a pinned run in each of its panels."""
     found: dict[str, Message] = {}
-    for panel in panels(run):
-        few = reduced(panel, float(run.time[0]), float(run.time[-1]))
-        found[panel.name] = {"time": few.time, "values": few.main.values}
+    for panel in pin.panels:
+        few = reduced(panel, float(pin.run.time[0]), float(pin.run.time[-1]))
+        found[panel.name] = {"time": few.time, "values": few.main.values, "factor": panel.factor}
     return found

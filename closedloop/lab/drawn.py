@@ -59,6 +59,7 @@ def curves(
 def _panel(panel: Panel) -> Message:
     return {
         "name": panel.name, "title": panel.title, "time": panel.time, "band": panel.band, "main": panel.main.label,
+        "factor": panel.factor,
         "traces": [
             {"label": t.label, "colour": t.colour, "limit": t.limit, "values": t.values} for t in panel.traces
         ],

@@ -6,7 +6,7 @@ What stands still is drawn once. For each frame it is copied, and what moves is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,17 +24,17 @@ from closedloop.lab.curves import Panel
 
 # Inches, and dots for each: 1000 by 500 pixels; without curves 560 by 460.
 SIZE, ALONE, DOTS = (10.0, 5.0), (5.6, 4.6), 100
-# Triangles that are drawn in each frame at most. An arm of more, of meshes, is drawn as a line along its joints.
-MOST_TRIANGLES = 6000
 # The axis of the curves shows at least this share of the largest value.
 FINEST = 0.02
 # Curves with a name at most.
 MOST_NAMED = 8
 # Where a line through several parts is not drawn.
 GAP = np.full(3, np.nan)
-ROD = "#4D738F"
-# The direction of the light, and the least brightness of a face.
-LIGHT, DARKEST = np.array([0.4, -0.5, 0.77]), 0.55
+# The light of a face, as the page has it, see `web/draw_space.js`: of all, of a direction, and from the sides.
+AMBIENT, BRIGHT, FROM_SIDE = 0.45, 0.4, 0.15
+LIGHT = np.array([0.4, -0.5, 0.8]) / np.linalg.norm([0.4, -0.5, 0.8])
+# Points to a pixel along each axis, of which it has the mean: edges are smooth.
+FINE = 2
 
 
 class Picture:
@@ -47,12 +47,10 @@ class Picture:
         self._canvas = canvas(figure)
         grid = figure.add_gridspec(1, 2, width_ratios=[1.1, 1.0]) if panel else figure.add_gridspec(1, 1)
         self._space: Any = figure.add_subplot(grid[0], projection="3d")
-        self._as_rods = sum(len(shape.faces) for shape in scene.shapes) > MOST_TRIANGLES
-        self._solid = Solids([s for s in scene.shapes if s.joint in scene.body_frames or not self._as_rods])
+        self._solid = Solids(scene.shapes)
         self._ghosts = [
             (ghost, Solids([replace(s, joint=0) for s in ghost.shapes], COLOUR, OPACITY)) for ghost in scene.ghosts
         ]
-        self._rod = self._line("-o", ROD, 4, markersize=5, solid_capstyle="round")
         self._arrows = {kind: self._line("-", ARROWS[kind], 2) for kind in scene.kinds}
         self._done = self._line("-", PATH, 2)
         wanted = run.reference_tip[:: max(1, len(run) // 400)]
@@ -65,7 +63,7 @@ class Picture:
             self._space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
         self._frame_view()
         self._draw_legend()
-        self._moving, self._cursor = [self._rod, self._done, *self._arrows.values()], None
+        self._moving, self._cursor = [self._done, *self._arrows.values()], None
         if panel:
             self._cursor = self._draw_curves(figure.add_subplot(grid[1]), panel)
             figure.suptitle(self._title())
@@ -80,8 +78,6 @@ class Picture:
         """Return the picture of a row of the run: red, green, blue and opacity of its pixels (height, width, 4)."""
         scene, run, there = self.scene, self.scene.run, self.scene.joint_places(row)
         self._canvas.restore_region(self._still)
-        if self._as_rods:
-            self._rod.set_data_3d(*rods(scene, row).T)
         self._done.set_data_3d(*run.position[: row + 1 : max(1, row // 300)].T)
         (arrows,) = scene.arrows([row])
         for kind, line in self._arrows.items():  # one line for all of a kind, with a gap after each
@@ -91,10 +87,12 @@ class Picture:
             self._cursor.set_xdata([run.time[row]] * 2)
             self._clock.set_text(f"t = {run.time[row]:.3f} s")
         ghosts = [(solids, ghost.place(float(run.time[row]))) for ghost, solids in self._ghosts]
-        faces = [self._solid.seen(self._space, *there)]
-        faces += [solids.seen(self._space, turn[None], origin[None]) for solids, (turn, origin) in ghosts]
+        seen = [self._solid.seen(self._space, *there)]
+        seen += [solids.seen(self._space, turn[None], origin[None]) for solids, (turn, origin) in ghosts]
         renderer = self._canvas.get_renderer()
-        for part in (*faces, *self._moving):
+        for solids in seen:
+            renderer.draw_image(renderer.new_gc(), *np.round(self._space.bbox.p0), solids)
+        for part in self._moving:
             part.draw(renderer)
         return np.array(self._canvas.buffer_rgba())
 
@@ -132,8 +130,6 @@ class Picture:
         rows = np.unique(np.linspace(0, len(scene.run) - 1, 20).astype(int))
         places = [(float(scene.run.time[row]), *scene.joint_places(int(row))) for row in rows]
         points = [scene.surface[0], scene.run.position[rows] if scene.ground.there else np.zeros((0, 3))]
-        if self._as_rods:
-            points += [rods(scene, int(row)) for row in rows]
         for t, axes, origins in places:
             points.append(self._solid.points(axes, origins))
             for ghost, solids in self._ghosts:
@@ -148,26 +144,8 @@ class Picture:
         space.view_init(elev=22.0, azim=-35.0)
 
 
-@dataclass(frozen=True)
-class Faces:
-    """Triangles in the plane of axes, (k, 3, 2), their colours with opacity (k, 4), and the axes.
-
-    The renderer takes all at once and draws each half a pixel larger, so that two have no gap between them. Polygons
-    of matplotlib, a path each, take twice the time.
-    """
-
-    corners: Array
-    colours: Array
-    axes: Any
-
-    def draw(self, renderer: Any) -> None:
-        """Draw them in their order."""
-        colours = np.repeat(self.colours[:, None], 3, axis=1)
-        renderer.draw_gouraud_triangles(renderer.new_gc(), self.corners, colours, self.axes.transData.frozen())
-
-
 class Solids:
-    """Shapes as triangles, whose front sides are drawn from the farthest to the nearest.
+    """Shapes as triangles, of which the nearest is seen at each point of the picture.
 
     Parameters
     ----------
@@ -192,34 +170,60 @@ class Solids:
         """Return the vertices (k, 3), m, base frame, where the joints' frames are so."""
         return np.einsum("kij,kj->ki", axes[self._joints], self._vertices) + origins[self._joints]
 
-    def seen(self, space: Any, axes: Array, origins: Array) -> Faces:
-        """Return the front sides as faces in the picture, where the joints' frames are so."""
-        points = self.points(axes, origins)
+    def seen(self, space: Any, axes: Array, origins: Array) -> NDArray[np.uint8]:
+        """Return what is seen of them in the panel `space`, where the joints' frames are so.
+
+        Red, green, blue and opacity (height, width, 4) of the panel's pixels, the first row below. The light is that of
+        the page.
+        """
+        points, box = self.points(axes, origins), space.bbox
         projected = np.column_stack([points, np.ones(len(points))]) @ np.asarray(space.M).T
-        flat, depth = projected[:, :2] / projected[:, 3:], projected[:, 2] / projected[:, 3]
-        corners = flat[self._faces]
-        (a, b), c = (corners[:, k] - corners[:, 0] for k in (1, 2)), self._faces
-        front = np.flatnonzero(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 0.0)
-        order = front[np.argsort(-depth[c[front]].mean(axis=1))]
-        sides = points[c[order]]
+        shown = space.transData.transform(projected[:, :2] / projected[:, 3:]) - box.p0
+        corners = np.column_stack([FINE * shown, projected[:, 2] / projected[:, 3]])[self._faces]
+        sides = points[self._faces]
         normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        bright = DARKEST + (1.0 - DARKEST) * 0.5 * (1.0 + normals @ LIGHT)
-        colours = np.column_stack([self._colours[order] * bright[:, None], np.full(len(order), self._opacity)])
-        return Faces(corners[order], colours, space)
+        bright = AMBIENT + BRIGHT * np.abs(normals @ LIGHT) + FROM_SIDE * np.abs(normals[:, 0])
+        height, width = int(np.ceil(box.height)), int(np.ceil(box.width))
+        fine = np.zeros((FINE * height, FINE * width, 4))
+        draw_triangles(corners, self._colours * bright[:, None], fine)
+        found = np.zeros((height, width, 4))
+        for i in range(FINE):
+            for j in range(FINE):
+                found += fine[i::FINE, j::FINE] / FINE**2
+        found[..., :3] /= np.maximum(found[..., 3:], 1e-30)  # of the points that are covered
+        found[..., 3] *= self._opacity
+        return (255.0 * np.minimum(found, 1.0) + 0.5).astype(np.uint8)
 
 
-def rods(scene: Scene, row: int) -> Array:
-    """Return the line (k, 3), m, along the joints to the tip, and those to the sides of loops and to contacts."""
-    axes, origins = scene.joint_places(row)
-    ends = [(scene.last_joint, scene.tip_place(row))]
-    for loop in scene.joined.loops:
-        ends += [(side.frame, origins[side.frame] + axes[side.frame] @ side.point) for side in loop.sides]
-    for touching in scene.touching:
-        place, _ = touching.force(0.0, np.zeros(2), axes, origins)
-        ends.append((touching.point_frame, place))
-    free, lines = scene.body_frames, [GAP[None]]
-    for frame, place in ends:
-        if frame not in free:
-            lines += [origins[scene.supports(frame)], place[None], GAP[None]]
-    return np.vstack(lines)
+def draw_triangles(corners: Array, colours: Array, picture: Array) -> None:
+    """Draw triangles into a picture: each of its points has the colour of the nearest one that covers it.
+
+    Parameters
+    ----------
+    corners : (k, 3, 3) array
+        x to the right and y upwards, points of the picture; depth, larger is farther.
+    colours : (k, 3) array
+        Red, green, blue, from 0 to 1.
+    picture : (height, width, 4) array
+        Written where a triangle is; its last number is then 1.
+    """
+    height, width = picture.shape[:2]
+    first = np.maximum(np.ceil(corners[..., :2].min(axis=1) - 0.5), 0.0).astype(int)
+    last = np.minimum(np.ceil(corners[..., :2].max(axis=1) - 0.5), [width, height]).astype(int)
+    wide, high = np.maximum(last - first, 0).T
+    counts = wide * high  # points of the rectangle about each triangle
+    k = np.repeat(np.arange(len(corners)), counts)
+    i, j = np.divmod(np.arange(len(k)) - np.repeat(np.cumsum(counts) - counts, counts), wide[k])
+    j, i = j + first[k, 0], i + first[k, 1]
+    origin, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = one[:, 0] * other[:, 1] - other[:, 0] * one[:, 1]
+    x, y = j + 0.5 - origin[k, 0], i + 0.5 - origin[k, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a triangle seen from its edge covers nothing
+        b = (x * other[k, 1] - other[k, 0] * y) / area[k]
+        c = (one[k, 0] * y - x * one[k, 1]) / area[k]
+        covered = np.flatnonzero((b >= 0.0) & (c >= 0.0) & (b + c <= 1.0))
+    k, b, c = k[covered], b[covered], c[covered]
+    depth = origin[k, 2] + b * one[k, 2] + c * other[k, 2]
+    order = np.argsort(-depth, kind="stable")  # the nearest is written last
+    picture[i[covered][order], j[covered][order]] = np.column_stack([colours, np.ones(len(colours))])[k[order]]

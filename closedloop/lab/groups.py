@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from closedloop.lab.controls import TABS, Control, controls, toml_text
@@ -30,6 +31,8 @@ ORDER = (LAW, STIFFNESS, DAMPING, MORE, ALL_LINKS, *dict.fromkeys(g for g in SEC
 # Groups that are open at first; contacts of links are if they have so few rows.
 OPEN = (LAW, STIFFNESS, DAMPING, TIP, ALL_LINKS)
 FEW = 20
+# Keys of the law that mean something where it is a function.
+OF_A_FUNCTION = ("law.kind", "law.force", "law.sample_period")
 
 
 def group_of(key: str) -> str:
@@ -49,16 +52,23 @@ def group_of(key: str) -> str:
     return MORE
 
 
-def all_controls(scenario: Scenario, model: RobotModel) -> dict[tuple[str, int | None], Control]:
-    """Return every control of a scenario, by its key and the number of its entry."""
+def all_controls(scenario: Scenario, model: RobotModel, law: str = "") -> dict[tuple[str, int | None], Control]:
+    """Return every control of a scenario, by its key and the number of its entry.
+
+    `law` is the name of a function that is the law in place of the scenario's, whose gains then mean nothing.
+    """
     sections = (section for tab in TABS.values() for section in tab)
     found = (control for section in sections for control in controls(scenario, section, model))
     absent = () if scenario.has_law else ("law.", "force_profile.")  # nothing is commanded
-    return {
+    there = {
         (control.key, control.index): control
         for control in found
         if control.key == "law.kind" or not control.key.startswith(absent)
     }
+    if law:
+        there = {at: c for at, c in there.items() if not at[0].startswith("law.") or at[0] in OF_A_FUNCTION}
+        there["law.kind", None] = replace(there["law.kind", None], value=law, options=(law,))
+    return there
 
 
 def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None], Any], changes: Changes) -> list[Row]:
@@ -75,6 +85,10 @@ def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None],
         groups[group_of(control.key)].append(_row(control, first, changes))
         if control.key == "surface.kind" and control.value == "none":  # the tip touches nothing
             opened.discard(TIP)
+        if (
+            control.key == "law.kind" and ":" in control.value
+        ):  # a law of the user's own: its gains have their own names
+            opened.add(MORE)
     if len(groups[LINKS]) <= FEW:
         opened.add(LINKS)
     return [{"name": name, "open": name in opened, "rows": rows} for name, rows in groups.items() if rows]

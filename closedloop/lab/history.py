@@ -24,6 +24,7 @@ from closedloop.base.errors import OutputError, ScenarioError, printable
 from closedloop.base.files import reason_of, write_whole
 from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.controls import toml_text
+from closedloop.lab.curves import Panel, panels
 from closedloop.lab.share import share
 from closedloop.record.report.control_verdict import told
 from closedloop.record.report.measures import MEASURES
@@ -227,12 +228,13 @@ VALUES = (
 
 @dataclass(frozen=True)
 class Pin:
-    """A run that is kept: its name, its colour, the changes that made it, and the run."""
+    """A run that is kept: its name, its colour, the changes that made it, the run, and its curves."""
 
     name: str
     colour: str
     changes: Changes
     run: Run
+    panels: tuple[Panel, ...]
 
 
 @dataclass
@@ -249,7 +251,7 @@ class Pins:
         self._count += 1
         taken = {pin.colour for pin in self.held}
         colour = next(colour for colour in COLOURS if colour not in taken)
-        pin = Pin(f"pin {self._count}", colour, dict(changes), run)
+        pin = Pin(f"pin {self._count}", colour, dict(changes), run, tuple(panels(run)))
         self.held.append(pin)
         return pin
 

@@ -21,6 +21,7 @@ import errno
 import json
 import logging
 import math
+import os
 import secrets
 import socket
 import sys
@@ -30,6 +31,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from http import HTTPStatus
+from importlib.util import find_spec
 from typing import Any, Generic, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
@@ -144,6 +146,23 @@ def in_notebook() -> bool:
 
     shell = get_ipython()
     return shell is not None and hasattr(shell, "kernel")
+
+
+def proxied(port: int) -> str:
+    """Return the path at which Jupyter's own server passes this port on, "" if it does not.
+
+    Where the notebook runs on another computer, as over SSH, the browser reaches Jupyter's server alone. It passes
+    ports on if jupyter-server-proxy is installed: ``/proxy/8080/`` below the server's base address.
+    """
+    if find_spec("jupyter_server_proxy") is None:
+        return ""
+    base = os.environ.get("JUPYTERHUB_SERVICE_PREFIX", "")
+    if not base:
+        from jupyter_server.serverapp import list_running_servers
+
+        servers = {int(server["pid"]): str(server["base_url"]) for server in list_running_servers()}
+        base = servers.get(os.getppid(), "")
+    return f"{base.rstrip('/')}/proxy/{port}/" if base else ""
 
 
 FIRST_PORT, LAST_PORT, PORTS = 8080, 65535, 100  # how many are tried, one after the other
@@ -267,7 +286,8 @@ class Server:
         self._lock = threading.Lock()
         self.host, self.port = host, _free_port(host, port)
         self._page, self._opened, self._said, self._closed = page, opened, said, closed
-        gate = partial(self._checked_answer, is_loopback(host), token)
+        # Jupyter's server passes on the name by which the browser knows it: there the token alone lets in
+        gate = partial(self._checked_answer, is_loopback(host) and not framed, token)
         self._server = serve(
             self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, close_timeout=1.0,
             ping_interval=PING, logger=_quiet(), server_header=None, open_timeout=PATIENCE,
@@ -328,7 +348,7 @@ class Server:
             return None
         if not path:
             found = connection.respond(HTTPStatus.FOUND, "")
-            found.headers["Location"] = f"/{token}"
+            found.headers["Location"] = f"./{token}"  # relative: a proxy may serve it below a path of its own
         elif path == "/":
             found = connection.respond(HTTPStatus.OK, self._page(nonce))
             del found.headers["Content-Type"]

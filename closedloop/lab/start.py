@@ -132,7 +132,7 @@ def _show(lab: Lab) -> None:
     if in_notebook():
         from IPython.display import IFrame, display
 
-        display(IFrame(lab.url, width="100%", height=HEIGHT))  # type: ignore[no-untyped-call]
+        display(IFrame(lab.framed_url, width="100%", height=HEIGHT))  # type: ignore[no-untyped-call]
     else:
         open_in_browser(lab.url)
 

@@ -23,6 +23,7 @@ from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
+from closedloop.record.columns.face import face_wrench
 from closedloop.record.columns.joint_wrench import joint_wrench
 from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, Event, columns_there, events_of
 from closedloop.record.report.summary import summarise
@@ -342,6 +343,26 @@ class Run(_Columns):
             If there is no such joint or frame, or the robot has loops.
         """
         return joint_wrench(self, joint, frame)
+
+    @arguments_checked()
+    def contact_wrench(self, name: str) -> NDArray[np.float64]:
+        """Return what the contacts of a name do together, (N, 9): force, N, moment, N m, and centre of pressure, m.
+
+        The force is that on the link that has the points, axes of the base. The moment is about the middle of the
+        points. The centre of pressure is the mean of the places, weighted by the normal forces; NaN where nothing
+        touches. Moments against rolling and pivoting of single points are left out.
+
+        Parameters
+        ----------
+        name : str
+            Of a [[contact]]: of a face or a list of points that of all of them.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such contact.
+        """
+        return face_wrench(self, name)
 
     def step_error(self, law: Any = None) -> dict[str, float | None]:
         """Return by how much the same run at half the step differs: ``force``, N, and ``position`` of the tip, m.

@@ -7,7 +7,7 @@ contact.0.friction              of the first
 contact.*.friction              of all
 
 A table whose key `at` is a list of points is a table for each of them, "floor 1", "floor 2" ... of one with the name
-"floor", which is still the name of all of them.
+"floor", which is still the name of all of them. So is one whose `at` is a face, see `closedloop.scenario.faces`.
 
 What the contacts of the links are called, in messages and in columns.
 """
@@ -24,6 +24,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.families import OneOf
 from closedloop.base.sections import Section
 from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.scenario.faces import points_of_face, share_of
 from closedloop.scenario.scenario import Scenario, families, families_in
 from robot_models.errors import shown
 
@@ -76,6 +77,9 @@ def each_point(section: str, data: dict[str, Any]) -> None:
     tables: list[Any] = []
     for name, table in zip(names_in(section, given), given, strict=True):
         points: Any = table.get("at") if isinstance(table, dict) else None
+        if isinstance(points, dict):
+            points = points_of_face(points, name)
+            table = table | {"compliance": share_of(table.get("compliance"), len(points), name)}
         tables += [table] if not are_points(points) else _at_points([table], name, points)
     data[section] = tables
 

@@ -145,6 +145,10 @@ class StepState:
         """0 free, 1 pressed (sliding or at rest), 2 stuck, as in `Run.mode`."""
         return int(self._part("mode"))
 
+    # By the names of a run's columns and symbols.
+    closure_error = e = gap
+    r, n, Q, surface_normal = position, normal, torque, normal
+
     @property
     def events(self) -> tuple[Event, ...]:
         """What happened to the contact since the state before, in order of time."""

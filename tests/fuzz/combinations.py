@@ -57,6 +57,13 @@ def value_of(draw: random.Random, dotted: str, field: Any, held: Any) -> Any:
     return draw.choice((1, 1, 1, -1)) * size * 10.0 ** draw.uniform(-2.0, 1.0)
 
 
+# Members of a family within a section: surfaces and motions that the controller believes in.
+WITHIN: dict[str, tuple[dict[str, Any], ...]] = {
+    "belief.surface": ({"kind": "plane", "normal": [0.05, -0.02, 1.0]}, {"kind": "plane", "offset": 0.002}),
+    "belief.surface_motion": tuple({"kind": kind, "velocity": [0.0, 0.01, 0.0]} for kind in ("belt", "conveyor")),
+}
+
+
 def change(draw: random.Random, data: dict[str, Any]) -> str:
     """Change a kind or a key of a scenario's tables, and return what was changed."""
     section = draw.choice([name for name in Scenario.model_fields if variants(name)])
@@ -74,7 +81,10 @@ def change(draw: random.Random, data: dict[str, Any]) -> str:
     key = draw.choice(list(kinds[kind].model_fields))
     if key == "kind" or f"{section}.{key}" in FIXED:
         return ""
-    table[key] = value_of(draw, f"{section}.{key}", kinds[kind].model_fields[key], table.get(key))
+    if f"{section}.{key}" in WITHIN:
+        table[key] = deepcopy(draw.choice(WITHIN[f"{section}.{key}"]))
+    else:
+        table[key] = value_of(draw, f"{section}.{key}", kinds[kind].model_fields[key], table.get(key))
     return f"{section}.{key} = {table[key]}"
 
 
@@ -106,6 +116,9 @@ def add_bodies(draw: random.Random, data: dict[str, Any]) -> str:
     corners = [[x * 0.5 * size, y * 0.6 * size, -half] for x in (-1, 1) for y in (-1, 1)]
     contact: dict[str, Any] = {"name": "floor", "link": "thing", "friction": draw.choice((0.0, 0.1, 0.5))}
     contact |= {"radius": size} if ball else {"at": corners}
+    if not ball and draw.random() < 0.3:
+        face = draw.choice(({"disc": 0.4 * size, "rings": 2}, {"rectangle": [size, 1.2 * size], "points": [3, 2]}))
+        contact |= {"at": face | {"centre": [0.0, 0.0, -half]}, "compliance": deepcopy(draw.choice(LAWS["compliance"]))}
     if draw.random() < 0.6:
         body["velocity"] = [draw.uniform(-0.5, 0.5), draw.uniform(-0.5, 0.5), 0.0]
     data.setdefault("body", []).append(body)

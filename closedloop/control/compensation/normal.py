@@ -11,7 +11,7 @@ the controller believes in to n̂: what is added is −f_des Jᵣᵀ(n̂ − n).
 is not known, and below `least_force` nothing presses: the estimate then stays.
 
 Source: T. Yoshikawa and A. Sudou, Dynamic hybrid position/force control of robot manipulators: on-line estimation of
-unknown constraint, IEEE Trans. Robotics and Automation 9(2), 1993, who take the normal from the measured force, and the
+unknown constraint, IEEE Trans. Robotics and Automation, 1993, who take the normal from the measured force, and the
 tangent from the motion.
 """
 

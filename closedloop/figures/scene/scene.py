@@ -38,7 +38,7 @@ ARROWS: dict[str, tuple[float, float, float]] = {
     LOOP: (0.90, 0.62, 0.0),
     TOUCH: (0.337, 0.706, 0.914),
 }
-PATH, WANTED = (0.80, 0.47, 0.65), (0.0, 0.62, 0.451)
+PATH, WANTED = (0.80, 0.47, 0.65), (0.50, 0.31, 0.13)
 # The largest force of a run is drawn as long as this share of the arm's reach.
 LONGEST = 0.3
 

@@ -132,7 +132,7 @@ class Controls {
       made.unit = make("span", { className: "unit", textContent: given.unit, title: given.unit });
       made.box = make("div", { className: "row" }, label, made.range, made.box_, made.unit, reset, made.fault);
     } else if (given.form === "choice") {
-      made.box_ = make("select", { id: key }, ...given.options.map((o) => new Option(o.replace(/_/g, " "), o)));
+      made.box_ = make("select", { id: key }, ...given.options.map((o) => new Option(o.includes(":") ? `${o.split(":")[1]} (${o.split(":")[0]})` : o.replace(/_/g, " "), o)));
       made.box_.onchange = () => ask(made.box_.value);
       made.box = make("div", { className: "row wide" }, label, made.box_, reset, made.fault);
     } else if (given.form === "flag") {

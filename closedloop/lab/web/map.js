@@ -167,12 +167,13 @@ class MapTab {
     g.textAlign = "center";
     const range = (axis) => [axis.values[0], axis.values[axis.values.length - 1]];
     const marks = (axis, count) => (axis.log ? logTicks(...range(axis)) : ticks(...range(axis), count));
-    for (const v of marks(m.x, width / 60)) { const x = l + width * this.along(m.x, v); g.fillRect(x, t + height, 1, 4); g.fillText(short(v), x, t + height + 15); }
+    const [across, up] = [marks(m.x, width / 60), marks(m.y, height / 40)], texts = [across, up].map(labels);
+    across.forEach((v, k) => { const x = l + width * this.along(m.x, v); g.fillRect(x, t + height, 1, 4); g.fillText(texts[0][k], x, t + height + 15); });
     const title = `${m.quantity.replaceAll("_", " ")}${m.unit ? ` [${m.unit}]` : ""}`;
     g.fillText(title, Math.min(l + width / 2, w - g.measureText(title).width / 2), 13);
     g.fillText(fitted(g, m.x.label, w), Math.min(l + width / 2, w - g.measureText(fitted(g, m.x.label, w)).width / 2), h - 4);
     g.textAlign = "right";
-    for (const v of marks(m.y, height / 40)) { const y = t + height * (1 - this.along(m.y, v)); g.fillRect(l - 4, y, 4, 1); g.fillText(short(v), l - 7, y + 4); }
+    up.forEach((v, k) => { const y = t + height * (1 - this.along(m.y, v)); g.fillRect(l - 4, y, 4, 1); g.fillText(texts[1][k], l - 7, y + 4, l - 25); });
     g.save();
     g.translate(11, h / 2);
     g.rotate(-Math.PI / 2);

@@ -51,6 +51,16 @@ function ticks(low, high, wanted) {
   for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) + 1e-300 && found.length < 30; k++) found.push(Number((k * step).toPrecision(12)) || 0);
   return found.length < 2 && wanted < 16 ? ticks(low, high, 2 * wanted) : found; // one value alone shows no scale
 }
+// The labels of ticks: with as many digits as tell them apart, none cut off.
+function labels(found) {
+  if (found.length < 2) return found.map((v) => short(v));
+  const most = Math.max(...found.map(Math.abs)), apart = Math.min(...found.slice(1).map((v, k) => Math.abs(v - found[k])));
+  const digits = Math.min(Math.max(4, 1 + Math.floor(Math.log10(most / apart) + 1e-9) + 1), 12);
+  return found.map((v) => {
+    const plain = short(Math.abs(v) < 1e-9 * most ? 0 : v, digits);
+    return plain.replace(/[-.]/g, "").length <= 7 ? plain : Number(v.toPrecision(digits)).toExponential().replace("e+", "e");
+  });
+}
 // Of ticks along so many px those whose numbers have room one above the other: all, or the first and the last.
 const few = (found, height) => (found.length > 2 && 13 * found.length > height ? [found[0], found[found.length - 1]] : found);
 function logTicks(low, high) {

@@ -73,6 +73,9 @@ const on = {
   frame(m) { if (m.robot === space.about?.robot) { still = m; frames = null; draw_space(); } },
   strip(m) {
     $("strip").replaceChildren(...m.tiles.map(tile));
+    const red = m.tiles.filter((t) => t.good === false && t.why); // why, beside the tiles
+    $("why").hidden = !red.length;
+    $("why").replaceChildren(...red.map((t) => make("span", { title: t.why }, make("b", { textContent: t.name }), ` ${t.why}`)));
   },
   robot(m) {
     space.robot(m);
@@ -103,7 +106,7 @@ const on = {
   pins(m) {
     plots.pins = m.pins;
     $("unpin").hidden = !m.pins.length;
-    if (run) plots.draw();
+    if (run) plots.show(run);
   },
   map_keys(m) { map.keys(m); },
   map(m) { map.show(m); },

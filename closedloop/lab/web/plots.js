@@ -71,10 +71,10 @@ class Plot {
   }
 
   take(panel, first) {
-    const labels = panel.traces.map((t) => t.label).join("\n") + panel.title;
+    const names = panel.traces.map((t) => t.label).join("\n") + panel.title + (first ? this.all.pins.map((p) => p.name).join() : "");
     this.panel = panel;
     this.first = first;
-    if (labels !== this.labels) this.name_all(labels);
+    if (names !== this.labels) this.name_all(names);
   }
 
   name_all(labels) {
@@ -96,7 +96,8 @@ class Plot {
     this.more = make("span");
     this.fits = "";
     this.modes_ = this.first && this.all.run.modes ? make("span", { className: "modes", title: "the stripe below: what the tip does" }) : null;
-    this.names.replaceChildren(make("b", { textContent: this.panel.title + (dashed ? ", friction dashed" : "") }), ...this.listed, this.more, this.modes_ ?? "");
+    this.names.replaceChildren(make("b", { textContent: this.panel.title + (dashed ? ", friction dashed" : "") }), ...this.listed, this.more,
+      ...(this.first ? this.all.pins : []).map((p) => Object.assign(make("span", { textContent: p.name, title: "a pinned run: its curves" }), { style: `color:${tint(p.colour)}` })), this.modes_ ?? "");
     if (this.all.tell.extra(this.name)) {
       const close = make("button", { className: "close", textContent: "close", title: "show this column no longer" });
       close.onclick = () => this.all.tell.close(this.name);
@@ -179,12 +180,18 @@ class Plot {
     return [low - margin, high + margin];
   }
 
+  // The curves of the pinned runs, in the unit of this panel.
+  pinned() {
+    return this.all.pins.map((p) => ({ colour: p.colour, ...p.panels[this.name] })).filter((p) => p.time)
+      .map((p) => ({ ...p, values: p.values.map((v) => (v * this.panel.factor) / p.factor) }));
+  }
+
   draw() {
     const [g, w, h] = sized(this.base);
     if (!this.panel || w < 80) return;
     const [a, b] = this.all.range, run = this.all.run, strip = this.first && run.modes ? MODE : 0;
     const [x0, y0, width, height] = [LEFT, 4, w - LEFT - RIGHT, h - 4 - BELOW - strip];
-    const pinned = this.all.pins.map((p) => ({ colour: p.colour, ...p.panels[this.name] })).filter((p) => p.time);
+    const pinned = this.pinned();
     const [low, high] = this.span(pinned);
     this.largest = Math.max(Math.abs(low), Math.abs(high));
     const x = (t) => x0 + (width * (t - a)) / (b - a);
@@ -196,13 +203,15 @@ class Plot {
     g.lineWidth = 1;
     const line = (xa, ya, xb, yb) => { g.beginPath(); g.moveTo(xa, ya); g.lineTo(xb, yb); g.stroke(); };
     g.textAlign = "right";
-    for (const v of few(ticks(low, high, Math.max(2, height / 34)), height)) { line(x0, y(v), x0 + width, y(v)); g.fillText(short(v), x0 - 6, y(v) + 4); }
+    const [levels, instants] = [few(ticks(low, high, Math.max(2, height / 34)), height), ticks(a, b, Math.max(3, width / 90))];
+    labels(levels).forEach((text, k) => { line(x0, y(levels[k]), x0 + width, y(levels[k])); g.fillText(text, x0 - 6, y(levels[k]) + 4, x0 - 8); });
     g.textAlign = "center";
-    for (const t of ticks(a, b, Math.max(3, width / 90))) {
+    labels(instants).forEach((text, k) => {
+      const t = instants[k];
       line(x(t), y0, x(t), y0 + height);
       g.textAlign = x(t) > x0 + width - 14 ? "right" : "center";
-      g.fillText(`${short(t)}${this.first ? " s" : ""}`, g.textAlign === "right" ? w - 1 : x(t), h - 4);
-    }
+      g.fillText(`${text}${this.first ? " s" : ""}`, g.textAlign === "right" ? w - 1 : x(t), h - 4);
+    });
     g.save();
     g.beginPath();
     g.rect(x0, y0 - 3, width, height + 6);

@@ -217,13 +217,13 @@ class Space {
     });
   }
 
-  // The sizes of the forces at the tip, to be put beside their arrows.
+  // The names and sizes of the forces, to be put beside their arrows where there is room.
   texts(camera, v) {
     const spans = [], taken = [];
     const { clientWidth: w, clientHeight: h } = this.canvas;
     this.each_arrow(v, (i, tail, d) => {
-      const a = this.scene.arrows[i], name = SHOWN[a.kind] ?? (this.scene.arrows.length < 12 ? "" : null);
-      if (name === null || norm(d) < 0.04 * v.radius) return;
+      const a = this.scene.arrows[i], name = SHOWN[a.kind] ?? `${a.name.slice(a.kind.length + 1)}:`;
+      if (norm(d) < 0.04 * v.radius) return;
       const [x, y, , k] = [0, 1, 2, 3].map((r) => [...plus(tail, d), 1].reduce((sum, e, j) => sum + camera[4 * j + r] * e, 0));
       if (k <= 0) return;
       const text = `${name} ${short(norm(this.frame.arrows[i].force), 3)} N`, wide = 8 * text.length + 14;

@@ -53,7 +53,8 @@ function bode(canvas, m, which, title, marks) {
   g.strokeStyle = ink("--line");
   g.fillStyle = ink("--faint");
   g.textAlign = "right";
-  for (const v of few(ticks(low, high, h / 36), h)) { line(44, y(v), w - 10, y(v)); g.fillText(short(v), 40, y(v) + 4); }
+  const levels = few(ticks(low, high, h / 36), h);
+  labels(levels).forEach((text, k) => { line(44, y(levels[k]), w - 10, y(levels[k])); g.fillText(text, 40, y(levels[k]) + 4, 38); });
   g.textAlign = "center";
   for (const f of logTicks(a, b)) { line(x(f), top, x(f), h - 20); g.fillText(short(f), x(f), h - 7); }
   g.textAlign = "right";

@@ -91,7 +91,8 @@ class ContactSection(Section):
     link: str = Field(description="frame that the point belongs to")
     at: Annotated[Place, BeforeValidator(_a_place)] = Field(
         (0.0, 0.0, 0.0),
-        description="the point, m, axes of that frame; or a list of points, each a contact of its own; or "
+        description="the point, m, axes of that frame; or a list of points, each a contact of its own; or a face, "
+        "{ disc = radius } or { rectangle = [length, width] }, of which the pad of `compliance` presses; or "
         '"collision": the corners, balls, capsules, ellipsoids and rims of the collision shapes of the link',
     )
     radius: Annotated[NotNegative, PLACE] = Field(

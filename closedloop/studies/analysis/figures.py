@@ -1,4 +1,7 @@
-"""Figures of a force loop: Bode and Nyquist of its transfer, its poles, its sensitivity, and where it is stable."""
+"""Figures of a force loop: Bode and Nyquist of its transfer, its poles, its sensitivity, and where it is stable.
+
+With `ax` each is drawn on axes of the user's own, see `closedloop.figures`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from closedloop.figures.files import IMAGES, write_figure
-from closedloop.figures.style import COLOURS, MANY, legend_beside_title, new_figure, styled
+from closedloop.figures.style import COLOURS, MANY, legend_beside_title, new_figure, panels, styled
 from closedloop.scenario.messages import key_unit, with_unit
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.analysis.page import Page
@@ -46,13 +49,12 @@ def _unless_unstable(margins: Margins, said: str, otherwise: str = "the loop is 
 
 
 @styled()
-def bode(page: Page) -> Figure:
+def bode(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Return Bode's diagram of the loop transfer, at the sensor if the law reads it, with its margins."""
     loop, margins = page.loop, page.weakest
     f = loop.grid
     L = loop.loop_transfer(f, margins.cut)
-    figure = new_figure(4.6)
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure, (upper, lower) = panels(2, 4.6, ax)
     upper.semilogx(f, 20.0 * np.log10(np.maximum(np.abs(L), 1e-12)), color=COLOURS[0])
     upper.axhline(0.0, color="0.5", linewidth=0.8, label="|L| = 1")
     upper.set_ylabel("|L| [dB]")
@@ -82,12 +84,11 @@ def bode(page: Page) -> Figure:
 
 
 @styled()
-def nyquist(page: Page) -> Figure:
+def nyquist(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Return Nyquist's diagram, with the circle about −1 that the loop keeps clear of."""
     loop, margins = page.loop, page.weakest
     L = loop.loop_transfer(loop.grid, margins.cut)
-    figure = new_figure(4.6)
-    axes = figure.subplots()
+    figure, (axes,) = panels(1, 4.6, ax)
     shown = np.where(np.abs(L) < 4.0 * NYQUIST, L, np.nan)
     axes.plot(shown.real, shown.imag, color=COLOURS[0])
     axes.plot(shown.real, -shown.imag, color=COLOURS[0], linestyle=":", linewidth=0.8)
@@ -105,10 +106,13 @@ def nyquist(page: Page) -> Figure:
 
 
 @styled()
-def poles(page: Page) -> Figure:
+def poles(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Return the poles in the planes of z and, the slowest, of s, each in the colour of the part it belongs to."""
-    figure = new_figure(3.4)
-    axes, slow = figure.subplots(1, 2)
+    if ax is None:
+        figure = new_figure(3.4)
+        axes, slow = figure.subplots(1, 2)
+    else:
+        figure, (axes, slow) = panels(2, 3.4, ax)
     _unit_circle(axes)
     slow.axvline(0.0, color="0.6", linewidth=0.8)
     shown = [pole for pole in page.loop.poles() if math.isfinite(pole.s.real)][:SLOWEST]  # what grows comes first
@@ -138,13 +142,12 @@ def _unit_circle(axes: Axes) -> None:
 
 
 @styled()
-def sensitivity(page: Page) -> Figure:
+def sensitivity(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Return |S| and |T| where the loop is cut, and the command's and the disturbance's way to f."""
     loop, margins = page.loop, page.weakest
     f = loop.grid
     S = 1.0 / (1.0 + loop.loop_transfer(f, margins.cut))
-    figure = new_figure(3.4)
-    axes = figure.subplots()
+    figure, (axes,) = panels(1, 3.4, ax)
     curves = [("S", S), ("T = 1 − S", 1.0 - S),
               ("f/f_des", loop.frequency_response("force command", "contact force", f))]  # fmt: skip
     for (name, y), colour in zip(curves, COLOURS, strict=True):
@@ -160,13 +163,13 @@ def sensitivity(page: Page) -> Figure:
 
 @styled()
 def locus(
-    loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequence[Limit], scenario: Scenario | None = None
-) -> Figure:
+    loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequence[Limit], scenario: Scenario | None = None,
+    ax: Axes | None = None,
+) -> Figure:  # fmt: skip
     """Return the poles as a key goes through its range, from light to dark, and where they leave the unit circle."""
     import matplotlib as mpl
 
-    figure = new_figure(4.6)
-    axes = figure.subplots()
+    figure, (axes,) = panels(1, 4.6, ax)
     _unit_circle(axes)
     colours = mpl.colormaps["viridis_r"]
     for value, loop in loops:
@@ -185,11 +188,10 @@ def locus(
 @styled()
 def stability_map(
     boundary: Sequence[tuple[float, Limit]], over: Range, along: Range, here: tuple[float, float] | None,
-    trials: Sequence[Trial], scenario: Scenario | None = None,
+    trials: Sequence[Trial], scenario: Scenario | None = None, ax: Axes | None = None,
 ) -> Figure:  # fmt: skip
     """Return the boundary over two keys, with the scenario's own place and the whole runs beside it."""
-    figure = new_figure(4.0)
-    axes = figure.subplots()
+    figure, (axes,) = panels(1, 4.0, ax)
     x, y = np.array([value for value, _ in boundary]), np.array([limit.value for _, limit in boundary])
     if boundary:
         axes.plot(x, y, ".-" if len(x) < 100 else "-", color=COLOURS[0], label="boundary", markersize=4)

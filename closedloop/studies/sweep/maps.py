@@ -16,7 +16,7 @@ import stat
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import OutputError, ScenarioError
 from closedloop.base.files import kind_of, reason_of, write_whole
 from closedloop.figures.style import COLOURS, WIDE, length_unit, page_width, styled
+from closedloop.figures.style import panels as panels_on
 from closedloop.scenario.messages import typeset, with_unit
 from closedloop.studies.sweep.join import pieces, unreadable_is_none
 
@@ -121,6 +122,16 @@ TWO_ABREAST = 6.0
 MOST_CURVES = 6
 
 
+@overload
+def sweep_plot(
+    table: str | Path | pa.Table, of: Sequence[str] | None = None, *, x: str | None = None, y: str | None = None,
+    out: str | Path | None = None, ax: None = None,
+) -> Path: ...  # fmt: skip
+@overload
+def sweep_plot(
+    table: str | Path | pa.Table, of: Sequence[str] | None = None, *, x: str | None = None, y: str | None = None,
+    out: None = None, ax: Axes | Sequence[Axes],
+) -> Figure: ...  # fmt: skip
 @arguments_checked()
 def sweep_plot(
     table: str | Path | pa.Table,
@@ -129,8 +140,9 @@ def sweep_plot(
     x: str | None = None,
     y: str | None = None,
     out: str | Path | None = None,
-) -> Path:
-    """Draw values of a sweep and return the path of the picture.
+    ax: Axes | Sequence[Axes] | None = None,
+) -> Path | Figure:
+    """Draw values of a sweep and return the path of the picture; with `ax`, draw on axes, and return their figure.
 
     Parameters
     ----------
@@ -142,14 +154,21 @@ def sweep_plot(
         Keys along the axes; the first two that changed if left out.
     out : path, optional
         The picture, .png, .svg or .pdf; if left out, beside the table's file under its name with .png.
+    ax : Axes or sequence of Axes, optional
+        One for the first panel, or one for each. No file is written then.
 
     Raises
     ------
     ScenarioError
-        If there is no such table, column or key.
+        If there is no such table, column or key, or as many axes are given as are no number of panels.
     OutputError
         If the picture cannot be written.
     """
+    if ax is not None:
+        if out is not None:
+            raise ScenarioError("out: cannot be given with ax: save the figure that the axes are of")
+        with styled():
+            return draw_maps(_read(Path(table)) if isinstance(table, (str, Path)) else table, of, x, y, ax)
     if out is None:
         if not isinstance(table, (str, Path)) or not Path(table).name:
             raise ScenarioError("out: name the picture's file, such as out='maps.png'")
@@ -165,8 +184,11 @@ def sweep_plot(
     return write_whole(out, picture.getvalue())
 
 
-def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = None, y: str | None = None) -> Figure:
-    """Return the figure of `sweep_plot`, to be put anywhere."""
+def draw_maps(
+    table: pa.Table, of: Sequence[str] | None = None, x: str | None = None, y: str | None = None,
+    ax: Axes | Sequence[Axes] | None = None,
+) -> Figure:  # fmt: skip
+    """Return the figure of `sweep_plot`, to be put anywhere, or drawn on given axes."""
     from matplotlib.figure import Figure
 
     names = table.column_names
@@ -194,6 +216,14 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
     if y is not None and first == y:
         raise ScenarioError(f"{y}: is the only key of this sweep; --y needs another")
     second = y or (next((key for key in keys if key != first), None) if x is None or y is not None else None)
+    if ax is not None:
+        try:
+            figure, given = panels_on(len(wanted), 3.4, ax)
+        except ValueError as error:
+            raise ScenarioError(str(error)) from None
+        for panel, name in zip(given, wanted, strict=True):
+            _panel(figure, panel, table, keys, first, second, name)
+        return figure
     width = page_width()
     columns = 1 if len(wanted) == 1 or width < TWO_ABREAST else 2
     rows = -(-len(wanted) // columns)
@@ -203,10 +233,7 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel, name in zip(panels, wanted, strict=False):
-        if second is None:
-            _curves(panel, table, first, name, [key for key in keys if key != first])
-        else:
-            _map(figure, panel, table, first, second, name)
+        _panel(figure, panel, table, keys, first, second, name)
     for panel in panels[len(wanted) :]:
         panel.remove()
     others = [key for key in keys if key not in (first, second)]
@@ -214,6 +241,15 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
         _headline(table, others if second is not None or len(others) > 1 else []), fontsize="medium", x=0.01, ha="left"
     )
     return figure
+
+
+def _panel(
+    figure: Figure, axes: Axes, table: pa.Table, keys: Sequence[str], first: str, second: str | None, name: str
+) -> None:
+    if second is None:
+        _curves(axes, table, first, name, [key for key in keys if key != first])
+    else:
+        _map(figure, axes, table, first, second, name)
 
 
 def _meant(name: str, known: Sequence[str]) -> str:

@@ -1,5 +1,6 @@
 """The lab's page in a browser without a screen: what is dragged there is what runs."""
 
+import contextlib
 import shlex
 import socket
 import threading
@@ -11,6 +12,7 @@ from lab_page import plotted, row, settled
 
 import closedloop as cl
 from closedloop.__main__ import main
+from closedloop.figures.closure import tip_errors
 from closedloop.lab import in_browser, mapping_work
 from closedloop.lab.in_browser import wait_until
 from closedloop.serve.watch import Watch
@@ -126,6 +128,60 @@ def test_the_strip_answers_whether_the_run_is_good(page, lab):
     page.locator("#tab-compare").click()
     assert "pin 1" in page.locator("#pane").inner_text()
     assert page.evaluate("plots.pins.length") == 1
+
+
+def test_a_pin_is_drawn_in_the_unit_of_the_axis(page, lab):
+    """A pin of −35 µm stands at −0.035 below an axis in mm; the pin is named; labels of ticks tell them apart."""
+    page.keyboard.press("p")
+    page.locator("#unpin").wait_for()
+    lab.changed("friction.kind", "coulomb")
+    lab.changed("law.kp", [90.0, 90.0, 40.0, 30.0])
+    settled(page, lab)
+    titles = page.evaluate("run.panels.map((p) => p.title)")
+    assert "tip error [mm]" in titles
+    along = 1e3 * tip_errors(lab.pins.held[0].run)[0].min()
+    assert along == pytest.approx(-0.035, abs=1e-3)
+    drawn = page.evaluate("Math.min(...plots.plots.get('tip').pinned()[0].values)")
+    assert drawn == pytest.approx(along, rel=1e-5)
+    assert "pin 1" in page.locator(".plot.first .names").inner_text()
+    assert page.evaluate("labels([10.0002, 10.0004, 10.0006])") == ["10.0002", "10.0004", "10.0006"]
+    assert page.evaluate("labels([0, 1e6, 2e6])") == ["0", "1000000", "2000000"]
+    assert page.evaluate("labels([0, 1e-9, 2e-9])") == ["0", "1e-9", "2e-9"]
+
+
+def test_the_page_works_below_a_path_of_a_proxy(browser, lab):
+    """A proxy that serves the lab at /proxy/8000/, as Jupyter's does: page and socket open, a slider moves the run."""
+    listening = socket.create_server(("127.0.0.1", 0))
+
+    def pipe(source, sink):
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                sink.sendall(data)
+            sink.shutdown(socket.SHUT_WR)
+
+    def serve():
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = listening.accept()
+                asked = client.recv(65536)
+                assert asked.startswith(b"GET /proxy/8000/")
+                behind = socket.create_connection(("127.0.0.1", lab.server.port))
+                behind.sendall(asked.replace(b"/proxy/8000/", b"/", 1))
+                for ends in ((client, behind), (behind, client)):
+                    threading.Thread(target=pipe, args=ends, daemon=True).start()
+
+    threading.Thread(target=serve, daemon=True).start()
+    page = browser.new_page()
+    token = lab.url.partition("=")[2]
+    page.goto(f"http://127.0.0.1:{listening.getsockname()[1]}/proxy/8000/?token={token}")
+    page.get_by_text("steps in").wait_for(timeout=60_000)
+    row(page, "law.force").locator(".num").fill("12")
+    page.keyboard.press("Enter")
+    settled(page, lab)
+    assert page.url.endswith(f"/proxy/8000/{token}")
+    assert plotted(page)["commanded"] == 12.0
+    page.close()
+    listening.close()
 
 
 def test_the_page_is_timed_from_the_pointer_to_the_plot(page, lab):

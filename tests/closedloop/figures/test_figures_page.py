@@ -106,3 +106,8 @@ def test_symbols_of_the_equations_name_columns(run):
         assert run[symbol] is run[column]
         assert run.units(symbol) == run.units(column)
         assert symbol in dir(run)
+
+
+def test_a_notebook_names_a_figure_as_matplotlib_does(run):
+    """The value of a cell reads as that of any figure."""
+    assert re.fullmatch(r"<Figure size [\d.]+x[\d.]+ with \d Axes>", repr(figures.contact_force(run)))

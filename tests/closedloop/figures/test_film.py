@@ -49,27 +49,32 @@ def test_a_ghost_is_drawn_where_it_is(thrown):
     assert [np.count_nonzero(each[..., 0] - each[..., 2] > 40) > 400 for each in pictures] == [True, False]
 
 
-def test_an_arm_of_many_triangles_is_a_line_and_the_body_is_not(monkeypatch):
-    """The line goes to the tip, and not to the contacts of the body, whose joints start at the world's origin."""
-    run = cl.simulate(cl.load_scenario("push_block", {"time.duration": 0.002}))
-    scene = scene_of(run)
-    assert scene.body_frames == {5, 6, 7, 8}
-    line = film_picture.rods(scene, 0)
-    assert np.nanmin(np.linalg.norm(line - run.position[0], axis=1)) < 1e-9
-    block = run.q[0, 4:7]
-    assert np.nanmin(np.linalg.norm(line - block, axis=1)) > 0.05
-    monkeypatch.setattr(film_picture, "MOST_TRIANGLES", 100)
+def test_a_robot_of_meshes_is_drawn_as_its_meshes():
+    """All triangles of an arm of many are drawn, in the colours of its shapes, where its links are."""
+    run = cl.simulate(cl.load_scenario("panda_slide", {"time.duration": 0.002}))
     picture = picture_of(run)
-    assert len(picture._solid._faces) == 12
-    assert picture.pixels(1).shape == (500, 1000, 4)
-
-
-def test_faces_are_drawn_from_outside_and_from_far_to_near():
-    """Of a cube three sides are seen, or fewer; the one nearest to the eye is drawn last."""
-    run = cl.simulate(cl.load_scenario("cube_toss", {"time.duration": 0.002}))
-    picture = picture_of(run)
+    assert len(picture._solid._faces) == sum(len(shape.faces) for shape in picture.scene.shapes) > 10_000
     seen = picture._solid.seen(picture._space, *picture.scene.joint_places(0))
-    assert 2 <= len(seen.corners) <= 6
+    solid = seen[seen[..., 3] == 255].astype(int)
+    assert len(solid) > 5000
+    assert np.median(solid[:, 0]) > 180  # white links
+    assert np.count_nonzero(solid[:, :3].max(axis=1) < 100) > 100  # black covers
+
+
+def test_the_nearest_triangle_is_seen_wherever_two_overlap():
+    """Two that pass through each other: each is seen where it is nearer, in whatever order they are drawn."""
+    across = np.array([[0.0, 0.0], [40.0, 0.0], [0.0, 40.0]])
+    near_left, near_right = (np.column_stack([across, depth]) for depth in ([0.0, 40.0, 0.0], [20.0, 20.0, 20.0]))
+    colours, pictures = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), []
+    for order in ([0, 1], [1, 0]):
+        picture = np.zeros((40, 40, 4), dtype=np.float32)
+        film_picture.draw_triangles(np.array([near_left, near_right])[order], colours[order], picture)
+        pictures.append(picture)
+    assert np.array_equal(*pictures)
+    i, j = np.mgrid[:40, :40] + 0.5
+    covered = i + j <= 40.0
+    assert np.array_equal(pictures[0][..., 3] > 0.0, covered)
+    assert np.array_equal(pictures[0][..., 0] > 0.0, covered & (j < 20.0))
 
 
 def test_a_picture_without_curves_is_space_alone():

@@ -146,7 +146,7 @@ def test_an_episode_is_the_scenario_that_it_says():
     run = cl.simulate(scenario, engine="compiled")
     for k in range(10, 501, 10):
         *_, info = env.step(np.zeros(1))
-        assert info["force"] == run.contact_force[k]
+        assert info["f"] == run.contact_force[k]
     assert info["reason"] == "time is up"
     assert np.array_equal(Row(env.core.ensemble.rows[0], 4).q, run.q[500])
 
@@ -204,7 +204,7 @@ def test_rewards_are_composed_of_named_terms():
         _, reward, _, _, info = env.step(np.zeros(1))
         parts = [info[f"reward/{name}"] for name in terms]
         assert reward == pytest.approx(sum(parts), rel=1e-15)
-        assert info["reward/force"] == -2.0 * min(abs(info["force"] - 10.0) / 10.0, 1.0)
+        assert info["reward/force"] == -2.0 * min(abs(info["f"] - 10.0) / 10.0, 1.0)
     env = made("press", rewards={"bad": lambda now: now.time * np.nan}, **FORTH)
     env.reset(seed=0)
     with pytest.raises(cl.ScenarioError, match="bad = nan"):
@@ -257,7 +257,7 @@ def test_critics_see_the_truth():
     assert seen in env.observation_space
     assert np.array_equal(seen["critic"], info["privileged"])
     told = dict(zip(names, info["privileged"], strict=True))
-    assert told["true_force"] == info["force"]
+    assert told["f"] == info["f"]
     assert told["compliance.stiffness"] == info["parameters"]["compliance.stiffness"]
     many = ContactVectorEnv(2, "press", privileged=True, **FORTH)
     assert np.array_equal(many.reset(seed=0)[0]["critic"][0], seen["critic"])
@@ -377,7 +377,7 @@ def test_a_policy_becomes_a_law(tmp_path, monkeypatch):
     values, forces = info["parameters"], []
     for _ in range(20):
         seen, *_, info = env.step(policy.act(seen)[0])
-        forces.append(info["force"])
+        forces.append(info["f"])
     assert policy.write_law(tmp_path / "learned.py", env.core).is_file()
     monkeypatch.syspath_prepend(str(tmp_path))
     given = {**values, "time.duration": 0.4, "law.kind": "learned:Policy"}

@@ -131,7 +131,7 @@ def test_what_is_shown_has_the_forces_of_the_contacts():
     press = gymnasium.make("closedloop/Press-v0").unwrapped
     press.reset(seed=0)
     press.step(np.zeros(1))
-    assert shown_forces(press.core, 0) == (["f"], press.core.now.force[:1])
+    assert shown_forces(press.core, 0) == (["f"], press.core.now.f[:1])
 
 
 def test_the_hole_is_drawn_where_the_peg_touches_it():

@@ -30,11 +30,11 @@ def now_of(count=1, period=0.02, **given):
 
 
 TERMS = [
-    ("force", {"force": [15, 5, 30, 10], "wanted_force": 10}, [-0.5, -0.5, -1, 0]),
-    ("force", {"force": [0.75, -8, -30], "wanted_force": [0.5, -10, -10]}, [-0.25, -0.2, -1]),
+    ("force", {"f": [15, 5, 30, 10], "f_des": 10}, [-0.5, -0.5, -1, 0]),
+    ("force", {"f": [0.75, -8, -30], "f_des": [0.5, -10, -10]}, [-0.25, -0.2, -1]),
     ("path", {"path_error": [0, 0.004, 0.02]}, [0, -0.4, -1]),
     ("smooth", {"action": [[1, -1, 0], [1, 1, 1]], "action_before": [[-1, -1, 1], [-1, -1, -1]]}, [-5 / 12, -1]),
-    ("overload", {"largest_force": [20, 25, 40, 0, 1.5], "wanted_force": [10, 10, -10, 10, 0.5]}, [0, -0.5, -1, 0, 0]),
+    ("overload", {"largest_force": [20, 25, 40, 0, 1.5], "f_des": [10, 10, -10, 10, 0.5]}, [0, -0.5, -1, 0, 0]),
     ("loss", {"touched": [False, True, True], "free_share": [0.5, 0.5, 0]}, [0, -0.5, 0]),
     ("travel", {"tip": [[0.003, 0, -0.004], [0, 1, 0]], "wanted_tip": [[0, 0, 0], [0, 0, 0]]}, [-0.5, -1]),
     ("travel", {"tip": [[0.3, 0.1, 0.2]], "wanted_tip": [[0.3, 0.1, 0.204]]}, [-0.4]),
@@ -86,12 +86,12 @@ def test_a_tip_is_held_if_it_is_slow_touches_and_is_away():
 
 def test_what_is_derived_has_its_sign():
     """Modes, shares and errors; and what is known of an instant is forgotten with the next."""
-    now = now_of(3, mode=[FREE, PRESSED, STUCK], force=[12, 8, 0], wanted_force=10, free_share=[1.0, 0.25, 0.0])
+    now = now_of(3, mode=[FREE, PRESSED, STUCK], f=[12, 8, 0], f_des=10, free_share=[1.0, 0.25, 0.0])
     assert now.contact.tolist() == [False, True, True]
     assert now.sticks.tolist() == [False, False, True]
     assert now.force_error.tolist() == [2, -2, -10]
     assert now.free_share.tolist() == [1.0, 0.25, 0.0]
-    now.force[:] = 11
+    now.f[:] = 11
     assert now.force_error.tolist() == [2, -2, -10]
     now.changed()
     assert now.force_error.tolist() == [1, 1, 1]
@@ -101,10 +101,10 @@ def test_observations_have_their_sign_their_place_and_their_bounds():
     """Errors of joints and tip are actual minus desired, the force's is desired minus measured, as a law has it."""
     now = now_of(
         2, mode=[PRESSED, STUCK], q=[[1, 2], [3, 4]], wanted_q=[[0.5, 3], [3, 3]], tip=[[1, 2, 3], [4, 5, 6]],
-        wanted_tip=[[1, 1, 4], [4, 5, 5]], measured=[8, 2e7], wanted_force=10, force=[9, 7], phase=[0.25, 1],
+        wanted_tip=[[1, 1, 4], [4, 5, 5]], f_measured=[8, 2e7], f_des=10, f=[9, 7], phase=[0.25, 1],
         action=[[1, 0, -1], [0, 0, 0]], v=[[1e7, -1e7], [0, 0]], gap=[-1e-3, 0], link_forces=[[1, 2], [3, 4]],
     )  # fmt: skip
-    names = "joint_error", "tip_error", "force", "force_error", "contact", "sticks", "phase", "action", "v"
+    names = "joint_error", "tip_error", "f_measured", "force_error", "contact", "sticks", "phase", "action", "v"
     observed = Observations(names, PARTS, N, K, CONTACTS)
     expected = [
         [0.5, -1, 0, 1, -1, 8, 2, 1, 0, 0.25, 1, 0, -1, 1e6, -1e6],
@@ -112,11 +112,11 @@ def test_observations_have_their_sign_their_place_and_their_bounds():
     ]
     assert observed.read(now).tolist() == expected
     assert observed.names == (
-        "joint_error.0", "joint_error.1", "tip_error.0", "tip_error.1", "tip_error.2", "force", "force_error",
+        "joint_error.0", "joint_error.1", "tip_error.0", "tip_error.1", "tip_error.2", "f_measured", "force_error",
         "contact", "sticks", "phase", "action.0", "action.1", "action.2", "v.0", "v.1",
     )  # fmt: skip
     assert observed.low.size == observed.high.size == len(observed.names)
-    truth = Observations(("true_force", "gap", "link_forces"), TRUTH, N, K, CONTACTS)
+    truth = Observations(("f", "gap", "link_forces"), TRUTH, N, K, CONTACTS)
     assert truth.read(now).tolist() == [[9, -1e-3, 1, 2], [7, 0, 3, 4]]
 
 
@@ -129,8 +129,8 @@ def test_what_is_counted_over_an_episode():
     seen = set()
     for k in range(1, 51):
         *_, terminated, truncated, info = env.step(random.uniform(-1.0, 1.0, 1))
-        error = info["force"] - info["wanted_force"]
-        integral += 0.02 * (info["wanted_force"] - now.measured[0]) * info["contact"]
+        error = info["f"] - info["f_des"]
+        integral += 0.02 * (info["f_des"] - now.f_measured[0]) * info["contact"]
         square += 0.02 * error * error
         on_target = on_target + 0.02 if abs(error) <= 2.0 and info["contact"] else 0.0
         seen |= {on_target > 0.0, info["contact"]}

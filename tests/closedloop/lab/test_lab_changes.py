@@ -19,6 +19,7 @@ from closedloop.lab.controls import TABS, begin_values, controls
 from closedloop.lab.history import History, Pins, compared, in_words, save
 from closedloop.lab.messages import from_text, in_text, pack, unpack
 from closedloop.lab.server import LONG, Newest
+from closedloop.plugins import Annotated, ControlLaw, Field, Positive, gain_in
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
 from closedloop.simulation.prepare import Cache, prepare
@@ -347,6 +348,41 @@ def test_every_key_has_one_row_in_the_group_of_its_meaning(name):
         force = found["law.force", None].with_value(7.25)
         (group,) = groups.rows_in_groups([force], {("law.force", None): 1.0}, {"law.force": 7.25})
         assert (group["name"], group["rows"][0]["changed"]) == (groups.LAW, True)
+
+
+class Pressing(ControlLaw):
+    """A law of the user's own, with a gain."""
+
+    yielding: Annotated[Positive, gain_in("N s/m")] = Field(80.0, description="a gain")
+
+    @staticmethod
+    def torque(x, par, z, torque):
+        """Compensate C and press."""
+        for j in range(torque.size):
+            torque[j] = x.C[j] - x.A[0, j] * x.f_des - par.yielding * 0.05 * x.v[j]
+
+
+def test_a_law_of_ones_own_has_its_name_and_its_gains_are_open():
+    """A class is chosen by its name and its group is open; of a function nothing is shown that it does not read."""
+    model = robot_models.load("wam4")
+    own = groups.all_controls(cl.load_scenario("wam_slide", {"law.kind": Pressing}), model)
+    assert own["law.kind", None].value.endswith(":Pressing")
+    (group,) = [g for g in groups.rows_in_groups(own.values(), {}, {}) if g["name"] == groups.MORE]
+    assert group["open"]
+    assert "law.yielding" in {row["key"] for row in group["rows"]}
+    shipped = groups.all_controls(cl.load_scenario("wam_slide"), model)
+    assert not any(g["open"] for g in groups.rows_in_groups(shipped.values(), {}, {}) if g["name"] == groups.MORE)
+    function = groups.all_controls(cl.load_scenario("wam_slide"), model, "my_laws:press")
+    assert function["law.kind", None].options == ("my_laws:press",)
+    assert {key for key, _ in function if key.startswith("law.")} == set(groups.OF_A_FUNCTION)
+
+
+def test_a_red_tile_says_why():
+    """Every tile that is bad has a sentence, which stands below the strip: verdicts, torques, margins."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {"law.force": 900.0, "time.duration": 0.6, "time.step": 1e-3}))
+    bad = [tile for tile in curves.tiles(run, run.summary()) if tile["good"] is False]
+    assert "torque" in {tile["name"] for tile in bad}
+    assert all(tile["why"] for tile in [*bad, *curves.margin_tiles({}, False, None, "")])
 
 
 def test_the_strip_says_what_is_better_than_before():

@@ -18,6 +18,7 @@ import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.base.loopback import is_loopback
 from closedloop.figures.export.mcap_file import write_mcap
+from closedloop.lab import server
 from closedloop.lab.server import HALF_OPEN, PATIENCE, Server, without_token
 from closedloop.lab.start import open_in_browser
 
@@ -201,7 +202,7 @@ def test_the_address_leads_to_the_page_and_its_socket(served):
     """The address that is printed sends the page on to one below which it opens its socket; nothing tells it on."""
     sent_on = asked_for(served, f"/?token={TOKEN}", socketed=False, origin=None)
     assert sent_on.startswith("HTTP/1.1 302")
-    assert f"Location: /{TOKEN}" in sent_on
+    assert f"Location: ./{TOKEN}" in sent_on
     page = asked_for(served, f"/{TOKEN}", socketed=False, origin=None)
     assert page.startswith("HTTP/1.1 200")
     assert "text/html" in page
@@ -209,6 +210,21 @@ def test_the_address_leads_to_the_page_and_its_socket(served):
     for path in (f"/{TOKEN}", f"/?token={TOKEN}"):
         assert asked_for(served, path).startswith("HTTP/1.1 101")
     assert without_token(f"/{TOKEN}/any/file?x=1", TOKEN) == "/any/file"
+
+
+def test_a_notebook_behind_jupyters_server_has_the_address_below_it(monkeypatch):
+    """With jupyter-server-proxy the frame's address is a path below the hub's; the hub's name is let in then."""
+    monkeypatch.setenv("JUPYTERHUB_SERVICE_PREFIX", "/user/x/")
+    monkeypatch.setattr(server, "find_spec", lambda name: None)
+    assert server.proxied(8080) == ""
+    monkeypatch.setattr(server, "find_spec", lambda name: object())
+    assert server.proxied(8080) == "/user/x/proxy/8080/"
+    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
+    for framed, answer in ((True, "101"), (False, "403")):
+        framing = Server("127.0.0.1", 8595, TOKEN, str, lambda client: None, lambda client, said: None, framed=framed)
+        said = asked_for(framing.port, f"/{TOKEN}", host="hub.example.org", origin="http://hub.example.org")
+        assert said.startswith(f"HTTP/1.1 {answer}")
+        framing.close()
 
 
 def test_the_browser_is_given_no_token_on_its_command_line(monkeypatch):

@@ -10,11 +10,12 @@ import pinocchio
 import pytest
 
 import closedloop as cl
+from closedloop.figures.friction import friction_bounds
 from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
 from closedloop.figures.scene.solids import Ghost, Joined, Shape
 from closedloop.lab import curves
 from closedloop.lab.animate import CELLS, OWN
-from closedloop.lab.curves import main_panel, panels, reduced
+from closedloop.lab.curves import Panel, Trace, beside, main_panel, panels, reduced
 from closedloop.lab.drawn import frames, robot_message, space_message
 from closedloop.lab.film_picture import Picture
 from closedloop.lab.gallery import cards
@@ -103,6 +104,30 @@ def test_titles_have_the_units_of_their_joints_and_say_where_errors_are_rounding
     assert "torque of joints without a limit [N]" in titles
     closure, loops = [panel.title for panel in panels(short_run("delta", **{"time.duration": 1.0}))][-2:]
     assert (closure, loops) == ("closure error [nm]", "loop error, rounding only [m]")
+
+
+def test_the_curves_of_a_run_beside_a_pinned_one_have_its_unit():
+    """Lengths are in nm, of the run that is pinned in µm: both are drawn in µm, and a length in m is the same."""
+    fine = Panel("tip", "nm", np.arange(2.0), (Trace("e", "#000000", np.array([5.0, 7.0])),), factor=1e9)
+    coarse = Panel("tip", "µm", np.arange(2.0), (Trace("e", "#000000", np.array([-35.0, 0.0])),), factor=1e6)
+    (drawn,) = beside([fine], [coarse])
+    assert (drawn.unit, drawn.factor) == ("µm", 1e6)
+    np.testing.assert_allclose(drawn.main.values / drawn.factor, fine.main.values / fine.factor)
+    assert beside([coarse], [fine])[0].unit == "µm"
+    assert beside([fine], [])[0].unit == "nm"
+
+
+def test_viscous_friction_is_within_the_cone_that_is_drawn():
+    """The bound is μ f + b |u|: a tip that slips is at it, and Coulomb's part alone lies below."""
+    run = cl.simulate(cl.load_scenario("wam_slide_friction", {
+        "friction.kind": "coulomb_viscous", "friction.coefficient": 0.1, "friction.viscous": 200.0,
+        "law.kind": "operational_space", "time.duration": 1.5}))  # fmt: skip
+    size, slips = np.linalg.norm(run.friction_force, axis=1), np.linalg.norm(run.slip_velocity, axis=1) > 1e-3
+    ((bound, name, _),) = friction_bounds(run)
+    assert "b |u|" in name
+    assert np.any(slips)
+    np.testing.assert_allclose(size[slips], bound[slips], rtol=1e-6)
+    assert np.all(size[slips] > 1.15 * 0.1 * run.contact_force[slips])
 
 
 def test_what_rests_has_no_path_in_space():
@@ -336,3 +361,13 @@ def test_the_gallery_opens_with_an_arm_above_its_table():
     surface = np.max(run.position[run.mode != 0, 2])
     _, origins = scene_of(run).joint_places(len(run) - 1)
     assert origins[4, 2] > surface + 0.1  # the elbow
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["joint_friction", "wam_edge", "wam_hybrid_friction", "wam_slide_friction", "planar2_drop", "panda_wipe"]
+)
+def test_no_link_passes_through_the_surface(name):
+    """From the start to the end of the run the arm is drawn clear of its table; only the ball at the tip touches it."""
+    run = cl.simulate(cl.load_scenario(name), engine="compiled")
+    assert run.summary()["clearance"]["distance"] > 0.0

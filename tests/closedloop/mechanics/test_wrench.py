@@ -2,12 +2,14 @@
 
 import json
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 from rounding import within
 
 import closedloop as cl
+from closedloop.figures.export.mjcf import write_mjcf
 from closedloop.figures.export.tables import write_csv
 from closedloop.figures.tip import has_tool
 
@@ -234,3 +236,27 @@ def test_a_tool_has_a_figure():
     assert np.array_equal(panels[2].lines[0].get_ydata(), run.tool_angle)
     assert has_tool(run)
     assert not has_tool(without)
+
+
+@pytest.mark.parametrize("joint", ["J2", "J4"])
+def test_a_joint_carries_what_mujocos_sensors_read(joint, tmp_path):
+    """In MuJoCo force and torque sensors at the joint of the same arm, in the same motion, under the same contact."""
+    run = cl.simulate(cl.load_scenario("wam_slide", SHORT))
+    (scene,) = write_mjcf(run, tmp_path / "scene.xml")
+    spec = mujoco.MjSpec.from_file(str(scene))
+    at = spec.body(joint).add_site(name="sensor", pos=[0, 0, 0])
+    for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
+        spec.add_sensor(name=kind.name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=at.name)
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 0
+    model = spec.compile()
+    data, found = mujoco.MjData(model), run.joint_wrench(joint)
+    for k in range(0, len(run), 100):
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = run.q[k], run.v[k], run.torque[k]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        arm = run.position[k] - data.xipos[model.body("J4").id]
+        data.xfrc_applied[model.body("J4").id] = [*run.tip_force[k], *np.cross(arm, run.tip_force[k])]
+        mujoco.mj_forward(model, data)
+        assert np.allclose(data.qacc, run.acceleration[k], rtol=0, atol=1e-5)
+        assert np.allclose(data.sensordata, found[k], rtol=0, atol=1e-6)

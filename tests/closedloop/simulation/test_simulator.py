@@ -346,6 +346,8 @@ def test_the_forces_of_a_state_have_the_names_of_columns_and_of_laws():
     run = sim.run()
     assert state.f == state.contact_force == run.f[-1] == run.contact_force[-1]
     assert state.measured == state.f_measured == state.measured_force != state.f
+    assert (state.e, state.f) == (state.closure_error, state.contact_force)
+    assert all(np.array_equal(a, b) for a, b in ((state.r, run.r[-1]), (state.n, run.n[-1]), (state.Q, run.Q[-1])))
     assert run.measured_force[-1] == pytest.approx(state.measured, abs=1e-12)  # computed anew
 
 

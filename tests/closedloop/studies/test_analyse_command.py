@@ -6,10 +6,11 @@ from collections import namedtuple
 import numpy as np
 import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
+from matplotlib.figure import Figure
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.studies.analysis.figures import bode, stability_map
+from closedloop.studies.analysis.figures import bode, nyquist, poles, sensitivity, stability_map
 from closedloop.studies.analysis.page import page_of
 from closedloop.studies.analysis.stability import FIRST_LOOKS, Range, Stability
 
@@ -56,6 +57,19 @@ def test_json_and_a_key(command_line, tmp_path):
     assert limit["value"] == pytest.approx(DAMPING * STIFFNESS / (MASS * STIFFNESS - DAMPING**2), rel=0.05)
     assert limit["unstable"] == "above"
     assert [trial["seen"] > 0.0 for trial in page["trials"]] == [False, True]
+
+
+def test_figures_are_drawn_on_axes_of_the_users_own():
+    """Each on its panels, of a figure of one's own; a map, too."""
+    study = Stability(mass_on_a_spring(time__integrator="semi_implicit_euler", time__duration=2.0), at=0.1)
+    page = page_of(study, limits=False)
+    for draw, count in ((bode, 2), (nyquist, 1), (poles, 2), (sensitivity, 1)):
+        own = Figure()
+        axes = own.subplots(1, count, squeeze=False)[0]
+        assert draw(page, ax=list(axes)) is own
+        assert all(each.lines for each in axes)
+    own = Figure()
+    assert stability_map([], *[Range("law.force", 1.0, 5.0, False)] * 2, (2.0, 2.0), [], ax=own.subplots()) is own
 
 
 def test_the_axes_of_a_map_have_units():

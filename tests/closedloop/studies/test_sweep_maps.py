@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute
 import pytest
+from matplotlib.figure import Figure
 from pyarrow import parquet
 from sweep_runs import SMALL, refusal, sweep
 
@@ -37,6 +38,20 @@ def test_a_grid_is_a_map_with_every_run_in_its_cell(table):
     assert np.isnan(cells[0]).all()
     assert np.isfinite(cells[1:]).all()
     assert "15 runs, 3 refused" in figure.get_suptitle()
+
+
+def test_maps_are_drawn_on_axes_of_the_users_own(table, tmp_path):
+    """Two panels side by side on a figure of one's own, no file; a number of axes that does not fit is refused."""
+    own = Figure(figsize=(6.0, 2.0))
+    axes = own.subplots(1, 2)
+    assert cl.sweep_plot(table, ["peak_contact_force", "max_abs_closure_error"], ax=list(axes)) is own
+    assert axes[0].get_title(loc="left") == "highest contact force"
+    assert axes[1].get_title(loc="left").startswith("largest closure error")
+    assert cl.sweep_plot(table, ["peak_contact_force", "max_abs_closure_error"], ax=own.add_subplot()) is own
+    with pytest.raises(cl.ScenarioError, match="has 2 axes; give one"):
+        cl.sweep_plot(table, ["peak_contact_force", "max_abs_closure_error", "rms_force_error"], ax=list(axes))
+    with pytest.raises(cl.ScenarioError, match="out: cannot be given with ax"):
+        cl.sweep_plot(table, ax=axes[0], out=tmp_path / "a.png")
 
 
 def test_one_key_is_a_curve_and_a_second_few_more(table):

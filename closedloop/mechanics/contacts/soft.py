@@ -33,6 +33,7 @@ from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts, joints_rub
 from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.contacts.shortest import solve_any_rank
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 
@@ -222,47 +223,47 @@ def drop_contradictions(c: Contacts, k: int) -> None:
 
     Feet of one body that turns accelerate towards its axis, with the square of its speed, and those at heights that
     hardly differ slip by what little it rocks. Friction that is to stop this would be as large as it can be, between
-    feet that press against each other. What motions have is spanned by columns of X, each row divided by the root of
-    its contact's mobility, and then by W times these: what is left out then moves nothing by what is not.
+    feet that press against each other. With Z an orthonormal basis of the columns of X, each row divided by the root of
+    its contact's mobility, q is to be what forces along Z do, W Z x, as much along Z as it was.
     """
     S, unknown, scale, p, n = c.scratch.system, c.scratch.unknown, c.scratch.multiples, 0, c.X.shape[1]
     for i in range(k):
         j = int(c.scratch.packed.contact[i])
         if c.scratch.turned[j] != 0.0 and (c.friction.shared[j] > 0.0 or c.problem.points > 0.0):
-            own = max(c.W[3 * i + 1, 3 * i + 1], c.W[3 * i + 2, 3 * i + 2])
+            own = max(c.W[3 * i, 3 * i], c.W[3 * i + 1, 3 * i + 1], c.W[3 * i + 2, 3 * i + 2])
             for r in range(3 * i + 1, 3 * i + 3 if own > 0.0 else 0):
                 unknown[p], scale[p] = r, math.sqrt(own)
                 for m in range(n):
                     S[m, p] = c.X[3 * j + r - 3 * i, m] / scale[p]
                 p += 1
-    rank = orthonormal_columns(S, n, p, SPANNED)
+    rank = orthonormal_columns(S, n, p)
     if rank == p:
         return
+    moved, M = c.scratch.unknowns, c.scratch.columns
     for m in range(rank):
+        M[m, rank] = 0.0
         for r in range(p):
-            c.scratch.trial[r] = 0.0
+            moved[m, r] = 0.0
             for s in range(p):
-                c.scratch.trial[r] += c.W[int(unknown[r]), int(unknown[s])] * S[m, s] / (scale[r] * scale[s])
-        for r in range(p):
-            S[m, r] = c.scratch.trial[r]
-    rank = orthonormal_columns(S, rank, p, 0.0)
-    for m in range(rank):
-        row, share = row_of(S, m), 0.0
-        for r in range(p):
-            share += row[r] * c.problem.q[int(unknown[r])] / scale[r]
-        c.scratch.sum[m] = share
+                moved[m, r] += c.W[int(unknown[r]), int(unknown[s])] * S[m, s] / (scale[r] * scale[s])
+            M[m, rank] += S[m, r] * c.problem.q[int(unknown[r])] / scale[r]
+        for s in range(rank):
+            M[s, m] = 0.0
+            for r in range(p):
+                M[s, m] += S[s, r] * moved[m, r]
+    solve_any_rank(M, rank, 1, c.scratch.column_order, c.scratch.solution, 0.0)
     for r in range(p):
         left = 0.0
         for m in range(rank):
-            left += S[m, r] * c.scratch.sum[m]
+            left += moved[m, r] * c.scratch.solution[0, m]
         c.problem.q[int(unknown[r])] = scale[r] * left
 
 
 @kernel
-def orthonormal_columns(S: Array, n: int, p: int, least: float) -> int:
+def orthonormal_columns(S: Array, n: int, p: int) -> int:
     """Replace the first rows of n in S, of p numbers each, by an orthonormal basis of all; return how many it has.
 
-    Gram and Schmidt's method, modified, twice; the longest that is left is next, down to the share `least`.
+    Gram and Schmidt's method, modified, twice; the longest that is left is next, down to the share `SPANNED`.
     """
     first = 0.0
     for m in range(min(n, p)):
@@ -274,7 +275,7 @@ def orthonormal_columns(S: Array, n: int, p: int, least: float) -> int:
             if square > longest:
                 best, longest = i, square
         first = max(first, longest)
-        if not longest > least * least * first:
+        if not longest > SPANNED * SPANNED * first:
             return m
         row = row_of(S, m)
         for r in range(p):

@@ -71,6 +71,8 @@ def _value(scenario: Scenario, key: str, unit_name: str) -> Any:
         "reference.points": [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
         "force_profile.to": 1.5 * scenario.law.force, "force_profile.at": 0.5 * end,
         "force_profile.times": [0.25 * end, 0.75 * end],
+        "surface_motion.times": [0.1 * end, 0.8 * end],
+        "surface_motion.poses": [[0.0, y, 0.0, 1.0, 0.0, 0.0, 0.0] for y in (0.0, 0.01)],
         "force_profile.forces": [scenario.law.force, 1.5 * scenario.law.force],
     }  # fmt: skip
     return by_name.get(key, USUAL.get(unit_name, 1.0))

@@ -46,6 +46,8 @@ EXAMPLES: dict[str, Any] = {
     "surface.heights": [[0.0] * 17] * 17,
     "surface.faces": [[1, 0, 0, 0.5], [-1, 0, 0, 0.5], [0, 1, 0, 0.5], [0, -1, 0, 0.5], [0, 0, -1, 1]],
     "reference.points": [[0.0, 0.0, 0.0], [0.0, 0.0002, 0.0]],
+    "surface_motion.times": [0.001, 0.02],
+    "surface_motion.poses": [[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0002, 0.0, 1.0, 0.001, 0.0, 0.0]],
     "law.kp": 100.0,
     "law.kd": 5.0,
     "friction.stribeck_speed": 0.01,

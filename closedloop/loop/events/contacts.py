@@ -104,7 +104,7 @@ def leave_edges(w: Work, links: ContactLinks, c: Contacts, state: State, events:
             continue
         c.past_edge[i], c.friction.pulls[i] = 1.0, 0.0
         if c.mode[i] != FREE:
-            c.mode[i], c.event.happened[i], c.cleared[i], told = FREE, EDGE, 0.0, True
+            c.mode[i], c.event.happened[i], c.gaps.cleared[i], told = FREE, EDGE, 0.0, True
             c.event.energy_lost += stored_in(links, c, i) if c.soft[i] != 0.0 else 0.0
     if told:
         ask_contacts(state, PLACE)
@@ -176,7 +176,9 @@ def off_surfaces(links: ContactLinks, c: Contacts) -> bool:
         off, open_now = c.located[3 * i], c.mode[i] == FREE
         if open_now and c.past_edge[i] != 0.0:
             continue  # beside its surface, and below its level
-        if c.soft[i] == 0.0 and ((open_now and c.floor[i] < -OFF_SURFACE) or (not open_now and abs(off) > OFF_SURFACE)):
+        if c.soft[i] == 0.0 and (
+            (open_now and c.gaps.floor[i] < -OFF_SURFACE) or (not open_now and abs(off) > OFF_SURFACE)
+        ):
             least = -1.0
     return bool(least < 0.0)
 
@@ -205,15 +207,15 @@ def open_but_tip(links: ContactLinks, c: Contacts) -> bool:
 def join_tip(w: Work, c: Contacts, state: State) -> None:
     """Let the tip, as it is, take part where all contacts are solved together."""
     state.coupled = 1
-    c.mode[0], c.cleared[0], c.friction.start_slip[0] = state.mode, state.cleared, w.start.slip_speed
-    c.floor[0], c.event.turned[0] = min(w.tip.gap, 0.0), 0.0
+    c.mode[0], c.gaps.cleared[0], c.friction.start_slip[0] = state.mode, state.cleared, w.start.slip_speed
+    c.gaps.floor[0], c.event.turned[0] = min(w.tip.gap, 0.0), 0.0
     c.direction[0, 0], c.direction[0, 1] = w.friction.direction[0], w.friction.direction[1]
 
 
 @kernel
 def leave_tip(w: Work, links: ContactLinks, c: Contacts, state: State) -> None:
     """Let the tip, as it is, be solved by itself: all other contacts are open."""
-    state.coupled, state.event.kind, state.cleared, links.stepped = 0, 0, int(c.cleared[0]), 0
+    state.coupled, state.event.kind, state.cleared, links.stepped = 0, 0, int(c.gaps.cleared[0]), 0
     w.contacts.power, w.contacts.power_rate = 0.0, 0.0
     w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
     for j in range(links.n):

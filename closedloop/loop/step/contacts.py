@@ -166,9 +166,9 @@ def close_contacts(links: ContactLinks, c: Contacts, w: Work, rates: bool) -> No
             if j > at and links.shapes != 0 and rolls(shapes_at(links.shapes), i):
                 off = 0.0
             c.before[j] = c.u[j] if rates else off
-        parted = not rates and c.mode[i] == FREE and c.floor[i] < 0.0 and c.past_edge[i] == 0.0
+        parted = not rates and c.mode[i] == FREE and c.gaps.floor[i] < 0.0 and c.past_edge[i] == 0.0
         if parted and c.located[at] >= -CLOSED:
-            c.floor[i], parted = 0.0, False
+            c.gaps.floor[i], parted = 0.0, False
         if c.soft[i] == 0.0 and (c.mode[i] != FREE or c.friction.pulls[i] != 0.0 or parted):
             c.problem.form[i] = DOUBLE if held else LINE
             for j in range(at, at + (3 if held else 1)):
@@ -366,7 +366,7 @@ def apply_impulse_alone(links: ContactLinks, c: Contacts, w: Work, i: int, leave
     )
     c.event.energy_rested = w.impact.energy_rested
     c.event.happened[i] = STRUCK_AND_LEFT if leaves else STRUCK_AND_STAYED
-    c.mode[i], c.cleared[i], c.floor[i] = FREE if leaves else PRESSED, 1.0, min(c.located[at], 0.0)
+    c.mode[i], c.gaps.cleared[i], c.gaps.floor[i] = FREE if leaves else PRESSED, 1.0, min(c.located[at], 0.0)
 
 
 @kernel
@@ -376,7 +376,7 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
     for i in range(links.k):
         c.friction.against[i] = c.friction.next_against[i]
         if c.located[3 * i] > HOVERING:
-            c.cleared[i], c.floor[i], c.unloaded[i], c.past_edge[i] = 1.0, 0.0, 0.0, 0.0
+            c.gaps.cleared[i], c.gaps.floor[i], c.gaps.unloaded[i], c.past_edge[i] = 1.0, 0.0, 0.0, 0.0
             if c.mode[i] == FREE:
                 continue
         speed = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])

@@ -89,7 +89,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         if c.event.struck[i] != 0.0:
             c.event.happened[i] = STRUCK_AND_LEFT if parts else STRUCK_AND_STAYED
         if parts:
-            c.mode[i], c.cleared[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
+            c.mode[i], c.gaps.cleared[i], c.gaps.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
         elif c.mode[i] == FREE:
             c.mode[i] = PRESSED
     let_stay(links, c, rest_speed)

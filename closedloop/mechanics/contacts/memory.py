@@ -85,6 +85,14 @@ class Moves(Block, sizes=("k",)):
     end: Annotated[Array, K]  # one more than the last
 
 
+class Gaps(Block, sizes=("k",)):
+    """From which gap on contacts are open."""
+
+    cleared: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
+    floor: Annotated[Array, K]  # the gap at which it parted, m, if that was negative
+    unloaded: Annotated[Array, K]  # the gap at which a soft one has no force, m, negative where it began inside
+
+
 class ContactEvent(Block, sizes=("k",)):
     """What happens to the contacts in an event."""
 
@@ -226,9 +234,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     mode: Annotated[Array, K]  # see `closedloop.mechanics.closure.contact_force`
     near: Annotated[Array, K]  # 1 while its rows X and W are written: while it is closed, or about to be
     moves: Moves
-    cleared: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
-    floor: Annotated[Array, K]  # the gap at which it parted, m, if that was negative
-    unloaded: Annotated[Array, K]  # the gap at which a soft one has no force, m, negative where it began inside
+    gaps: Gaps
     direction: Annotated[Array, K, 2]  # of its slip at the beginning of the substep
     anchor: Annotated[Array, 3 * K]  # where it stuck
     located: Annotated[Array, 3 * K]  # gap and place along the surface, m

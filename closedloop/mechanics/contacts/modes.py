@@ -57,9 +57,9 @@ def open_margin(c: Contacts, i: int) -> float:
     if c.past_edge[i] != 0.0:
         back = c.located[3 * i] >= -DEEPEST and c.inside[i] < math.inf
         return float(ONTO - c.inside[i]) if back else math.inf
-    if c.cleared[i] != 0.0:
-        return float(c.located[3 * i] - c.floor[i] + CLOSED_GAP)
-    return float(c.located[3 * i] - max(c.floor[i] - SINKING, min(-SUNK, c.floor[i] - DEEPER)))
+    if c.gaps.cleared[i] != 0.0:
+        return float(c.located[3 * i] - c.gaps.floor[i] + CLOSED_GAP)
+    return float(c.located[3 * i] - max(c.gaps.floor[i] - SINKING, min(-SUNK, c.gaps.floor[i] - DEEPER)))
 
 
 @kernel
@@ -109,9 +109,9 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
                 for j in range(3 * i, 3 * i + 3):
                     c.anchor[j] = c.at[j]
             if mode == FREE and c.mode[i] != FREE:
-                c.cleared[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
+                c.gaps.cleared[i], c.gaps.floor[i] = 0.0, min(c.located[3 * i], 0.0)
             if mode == FREE:  # it parts from where it is, be that inside by the error of a step
-                c.floor[i] = min(c.floor[i], c.located[3 * i])
+                c.gaps.floor[i] = min(c.gaps.floor[i], c.located[3 * i])
             c.mode[i] = mode
     return remove_motion(links, c, k)
 

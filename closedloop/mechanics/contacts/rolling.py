@@ -374,14 +374,14 @@ def leave_seats(links: ContactLinks, c: Contacts, h: float) -> bool:
         deeper = (1.0 - rim.apart[i]) * size
         on = DEEPER + SHARE_DEEPER * size < deeper
         if c.soft[i] != 0.0 and not (on and rim.apart[i] > FAR):
-            c.unloaded[i] -= deeper
+            c.gaps.unloaded[i] -= deeper
         if on:
             seat_next(shapes, i)
             continue
         rim.stands[i] = 0.0
         for j in range(1, links.points):
             if rim.foot_of[j] == i and c.mode[j] != FREE and c.soft[i] == 0.0:
-                c.mode[j], c.cleared[j], c.floor[j] = FREE, 0.0, min(c.located[3 * j], 0.0)
+                c.mode[j], c.gaps.cleared[j], c.gaps.floor[j] = FREE, 0.0, min(c.located[3 * j], 0.0)
     return left
 
 
@@ -408,11 +408,11 @@ def rest_on_feet(links: ContactLinks, c: Contacts) -> None:
     for i in range(1, links.points):
         came = shapes.rim.radius[i] > 0.0 and c.soft[i] != 0.0 and c.event.happened[i] == CAME
         if came and c.located[3 * i] < -HOVERING:
-            c.unloaded[i] = c.located[3 * i]
+            c.gaps.unloaded[i] = c.located[3 * i]
         if shapes.rim.stands[i] == 0.0 or c.mode[i] == FREE or c.soft[i] != 0.0:
             continue
         if stands_on_feet(shapes, c, i):
-            c.mode[i], c.cleared[i], c.floor[i] = FREE, 0.0, min(c.located[3 * i], 0.0)
+            c.mode[i], c.gaps.cleared[i], c.gaps.floor[i] = FREE, 0.0, min(c.located[3 * i], 0.0)
 
 
 @kernel

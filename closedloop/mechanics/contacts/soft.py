@@ -129,7 +129,7 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
 @kernel
 def soft_gap(c: Contacts, i: int) -> float:
     """Return the gap of a soft contact, m, above where its force is zero: below its surface where it began inside."""
-    return float(c.located[3 * i] - c.unloaded[i])
+    return float(c.located[3 * i] - c.gaps.unloaded[i])
 
 
 @kernel

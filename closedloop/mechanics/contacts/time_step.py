@@ -146,7 +146,7 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
         mode = PRESSED if c.F[at] > 0.0 else FREE  # what sticks after the step is found then
         c.event.happened[i] = happened_to(c, i, mode)
         if mode == FREE and c.problem.form[i] != OFF:
-            c.cleared[i], c.floor[i] = 0.0, min(c.located[at], 0.0)
+            c.gaps.cleared[i], c.gaps.floor[i] = 0.0, min(c.located[at], 0.0)
         if mode != FREE and not told:
             c.event.happened[i], told = TIME_STEP, True
         c.mode[i] = mode

@@ -278,7 +278,7 @@ def stops_at_start(memory: ContactMemory, constants: Constants, q: Array, v: Arr
         if min(low, high) <= HOVERING:
             moves_on = (rate if low <= high else -rate) < 0.0
             if moves_on:
-                c.cleared[i], c.floor[i] = 1.0, min(low, high) + 2.0 * CLOSED_GAP
+                c.gaps.cleared[i], c.gaps.floor[i] = 1.0, min(low, high) + 2.0 * CLOSED_GAP
             held = held or not moves_on
     return held
 

@@ -155,16 +155,16 @@ def test_a_contact_at_its_limit_slips_if_it_is_found_to_stick_again_and_again(me
 def test_where_it_parts_and_where_it_sticks_is_kept(memory, lift, mode):
     """The gap at which it parted if that was inside; the place where it sticks; impulses take what is left of slip."""
     links, c = memory
-    c.located[3], c.floor[1], c.cleared[1], c.at[3:] = -2e-9, 0.5, 1.0, [7.0, 8.0, 9.0]
+    c.located[3], c.gaps.floor[1], c.gaps.cleared[1], c.at[3:] = -2e-9, 0.5, 1.0, [7.0, 8.0, 9.0]
     c.a[3], c.u[4] = lift, 1e-10
     assert interpreted(decide)(links, c, 1e-6) == OK
     assert c.mode[1] == mode
     assert c.event.happened[1] == (LEFT if mode == FREE else STUCK_NOW)
     np.testing.assert_array_equal(c.anchor[3:], 0.0 if mode == FREE else [7.0, 8.0, 9.0])
-    assert (c.cleared[1], c.floor[1]) == ((0.0, -2e-9) if mode == FREE else (1.0, 0.5))
+    assert (c.gaps.cleared[1], c.gaps.floor[1]) == ((0.0, -2e-9) if mode == FREE else (1.0, 0.5))
     np.testing.assert_allclose(c.F, [0, 0, 0, 0, 0 if mode == FREE else -1e-10, 0], atol=1e-24)
     assert c.event.energy_lost == pytest.approx(0.0 if mode == FREE else 0.5e-20, rel=1e-6)
-    assert c.floor[0] == 0.0
+    assert c.gaps.floor[0] == 0.0
 
 
 def test_kinds_by_slip(memory):
@@ -192,12 +192,12 @@ def test_a_contact_that_strikes_leaves_or_stays(memory, rest_speed, tired, bounc
     links, c = memory
     c.mode[:], c.restitution[:], links.chattering = [STUCK, FREE], 0.5, tired
     c.u[:] = [0, 0, 0, -2.0, 0, 0]
-    c.located[3], c.floor[1], c.rigid[0] = -1e-13, 0.5, -1.0
+    c.located[3], c.gaps.floor[1], c.rigid[0] = -1e-13, 0.5, -1.0
     assert interpreted(apply_impulses)(links, c, rest_speed) == OK
     assert list(c.event.struck) == [0.0, 1.0]
     assert list(c.event.happened) == [0.0, STRUCK_AND_LEFT if bounces else STRUCK_AND_STAYED]
     assert list(c.mode) == [STUCK, FREE if bounces else PRESSED]
-    assert (c.cleared[1], c.floor[1]) == ((1.0, -1e-13) if bounces else (0.0, 0.5))
+    assert (c.gaps.cleared[1], c.gaps.floor[1]) == ((1.0, -1e-13) if bounces else (0.0, 0.5))
     np.testing.assert_allclose(c.problem.after[3:], [1.0 if bounces else 0.0, 0, 0], atol=1e-12)
     assert c.event.energy_lost == pytest.approx(1.5 if bounces else 2.0)
     assert c.event.restitution_share == 1.0
@@ -275,7 +275,7 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
         (0.0, 0.0, -SINKING), (0.0, -1e-10, -1e-10 - SINKING), (0.0, -5e-10, -SUNK), (0.0, -SUNK, -SUNK - DEEPER),
         (1.0, 0.0, -CLOSED_GAP), (1.0, -5e-10, -5e-10 - CLOSED_GAP),
     ):  # fmt: skip
-        c.cleared[1], c.floor[1] = risen, floor
+        c.gaps.cleared[1], c.gaps.floor[1] = risen, floor
         assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(1e-9 - touches_at, rel=1e-14)
     c.mode[1], c.rigid[3:], c.mu[1] = STUCK, [5.0, 0.9, 1.2], 0.5
     assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(1.0 + 1e-9, rel=1e-14)
@@ -305,7 +305,7 @@ def test_what_a_substep_begins_with_is_kept(memory):
     """The speed of slip unless it is clear, the direction of what slides, and that a contact has come clear."""
     links, c = memory
     for mode, slip, clear in itertools.product((FREE, PRESSED, STUCK), ([0.3, -0.4], [3e-8, 4e-8]), (True, False)):
-        c.mode[1], c.u[4:], c.direction[1], c.cleared[1], c.floor[1] = mode, slip, [1.0, 0.0], 0.0, -0.5
+        c.mode[1], c.u[4:], c.direction[1], c.gaps.cleared[1], c.gaps.floor[1] = mode, slip, [1.0, 0.0], 0.0, -0.5
         c.located[3], c.friction.start_slip[1] = (2.0 if clear else 0.5) * HOVERING, -1.0
         interpreted(save_contacts)(links, c)
         speed = np.linalg.norm(slip)
@@ -313,7 +313,7 @@ def test_what_a_substep_begins_with_is_kept(memory):
         assert c.friction.start_slip[1] == pytest.approx(kept, rel=1e-15)
         slides = mode == PRESSED and speed > STICK_SPEED
         np.testing.assert_allclose(c.direction[1], np.array(slip) / speed if slides else [1.0, 0.0])
-        assert (c.cleared[1], c.floor[1]) == ((1.0, 0.0) if clear else (0.0, -0.5))
+        assert (c.gaps.cleared[1], c.gaps.floor[1]) == ((1.0, 0.0) if clear else (0.0, -0.5))
 
 
 def test_a_contact_that_carries_nothing_is_open(memory):
@@ -328,7 +328,7 @@ def test_a_contact_that_carries_nothing_is_open(memory):
         c.F[3] = 1.0
         assert not nothing(links, c, 1)
         flag[1] = 0.0
-    c.mode[1], c.F[3], c.cleared[1], c.floor[1] = FREE, 0.0, 0.0, 0.0
+    c.mode[1], c.F[3], c.gaps.cleared[1], c.gaps.floor[1] = FREE, 0.0, 0.0, 0.0
     cases = ((0.0, 0, 0, True), (-2 * SINKING, 0, 0, False), (0.0, 1, 0, False), (0.0, 0, 1, False))
     for gap, struck, fresh, opened in cases:
         c.located[3], c.event.struck[1], links.fresh = gap, struck, fresh

@@ -15,7 +15,7 @@ PASSED: dict[str, tuple[str, ...]] = {
     # wam7
     "858ac1e59429c214b7b8b8118b47d6e2180854b5f351d19be857509c3c0a6ecb": (),
     # planar2
-    "5b88c2aff53f2b63fff89c311d38df484205b7bd7ff0efc973dfd553409a867c": (),
+    "60dab6452f27c3630a398e06bee26beb2ecc8011dc2811167b192e139f8ca9d8": (),
     # pointmass3
     "9957ed631afe2e052f1e3a452638054a904ec10778bd7f131039614d5788d391": (),
     # four_bar

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_rub
+from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import near
 from closedloop.mechanics.contacts.rolling import Shapes, turn_against, turn_on_surface
-from closedloop.mechanics.contacts.soft import CREEP, CREEP_BESIDE_DRY
+from closedloop.mechanics.contacts.soft import let_creep
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 from closedloop.mechanics.surface.contact import ask_at
 
@@ -57,5 +57,5 @@ def tie_resistances(links: ContactLinks, c: Contacts) -> None:
         owner = int(c.friction.resistance.owner[s])
         c.W[n, n], c.W[n, 3 * owner] = own, -own
         c.a[n], c.b[n] = 0.0, 0.0
-        for j in range(n + 1, n + 3 if c.soft[owner] != 0.0 else 0):
-            c.W[j, j] += (CREEP_BESIDE_DRY if joints_rub(links) else CREEP) * own
+        if c.soft[owner] != 0.0:
+            let_creep(links, c, s, own)

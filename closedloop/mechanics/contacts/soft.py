@@ -35,6 +35,7 @@ from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, C
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.shortest import solve_any_rank
 from closedloop.mechanics.contacts.surfaces import Called
+from closedloop.mechanics.loops.solve import dot, take_off
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 
 # What stands before the parameters of a compliance: depth, m, its rate, m/s, and the force, N, that the entry writes.
@@ -122,8 +123,14 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
             c.a[j] += c.W[j, n] * f
             c.W[j, n], c.W[n, j] = 0.0, 0.0
         c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
-        for j in range(n + 1, n + 3):
-            c.W[j, j] += (CREEP_BESIDE_DRY if joints_rub(links) else CREEP) * own
+        let_creep(links, c, i, own)
+
+
+@kernel
+def let_creep(links: ContactLinks, c: Contacts, i: int, own: float) -> None:
+    """Add to the mobility of contact i along its surface a share of `own`, 1/kg."""
+    for j in range(3 * i + 1, 3 * i + 3):
+        c.W[j, j] += (CREEP_BESIDE_DRY if joints_rub(links) else CREEP) * own
 
 
 @kernel
@@ -269,9 +276,7 @@ def orthonormal_columns(S: Array, n: int, p: int) -> int:
     for m in range(min(n, p)):
         best, longest = m, 0.0
         for i in range(m, n):
-            square, row = 0.0, row_of(S, i)
-            for r in range(p):
-                square += row[r] * row[r]
+            square = dot(row_of(S, i), row_of(S, i), p)
             if square > longest:
                 best, longest = i, square
         first = max(first, longest)
@@ -281,22 +286,10 @@ def orthonormal_columns(S: Array, n: int, p: int) -> int:
         for r in range(p):
             row[r], S[best, r] = S[best, r], row[r]
         for i in range(m):
-            take_along(row, row_of(S, i), p)
-        longest = 0.0
+            take_off(row, row_of(S, i), p)
+        length = math.sqrt(dot(row, row, p))
         for r in range(p):
-            longest += row[r] * row[r]
-        for r in range(p):
-            row[r] /= math.sqrt(longest)
+            row[r] /= length
         for i in range(m + 1, n):
-            take_along(row_of(S, i), row, p)
+            take_off(row_of(S, i), row, p)
     return min(n, p)
-
-
-@kernel
-def take_along(x: Array, unit: Array, p: int) -> None:
-    """Take from the first p numbers of x what is along those of a vector of length one."""
-    share = 0.0
-    for r in range(p):
-        share += x[r] * unit[r]
-    for r in range(p):
-        x[r] -= share * unit[r]

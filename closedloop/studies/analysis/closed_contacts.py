@@ -21,7 +21,8 @@ from closedloop.simulation.engines.problem import Problem
 
 # What of the contacts' memory is their state, beside what the scenario says of them.
 STATE = (
-    "mode", "near", "cleared", "floor", "direction", "anchor", "past_edge", "side", "located", "inside",
+    "mode", "near", "direction", "anchor", "past_edge", "side", "located", "inside",
+    "gaps.cleared", "gaps.floor", "gaps.unloaded",
     "friction.pulls", "friction.start_slip", "friction.start_u",
 )  # fmt: skip
 

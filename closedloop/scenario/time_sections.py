@@ -73,7 +73,7 @@ class TimeSection(Section):
     tolerance: Tolerance | None = Field(
         None,
         description="largest relative error of dop853 in each of its own steps; if left out 1e-12, and 1e-9 "
-        "with friction at the tip",
+        "with friction at the tip or at soft contacts",
     )
 
 

@@ -60,9 +60,9 @@ from closedloop.mechanics.contacts.memory import (
 from closedloop.mechanics.contacts.modes import HOVERING, RESTING, decide, open_margin, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.rolling import longest_roll, rest_on_feet, rim_margin, rolls, shapes_at
-from closedloop.mechanics.contacts.soft import soft_margin
+from closedloop.mechanics.contacts.soft import let_friction_rise, soft_margin
 from closedloop.mechanics.contacts.time_step import begin_time_step
-from closedloop.mechanics.contacts.turning import settling_time, stop_slips, turn_and_solve
+from closedloop.mechanics.contacts.turning import BREAKING_AWAY, stop_slips, turn_and_solve
 from closedloop.mechanics.impact import energy_lost
 
 # What the contacts are asked for.
@@ -219,6 +219,8 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 c.margin = min(c.margin, open_margin(c, i))
     else:
         kinds_of_modes(links, c)
+        if state.settings.adaptive != 0:
+            let_friction_rise(c, k)
         status = solve_closed(c, k)
         if (
             c.problem.form[0] == LINE
@@ -234,7 +236,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
         points = fixed and links.shapes == 0
         if status == OK:
             h = c.step.span if state.begins != 0 else c.step.within
-            status = turn_and_solve(c, k, h if fixed else settling_time(c, k), begins and fixed, points)
+            status = turn_and_solve(c, k, h if fixed else BREAKING_AWAY, begins and fixed, points)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if joints_rub(links):

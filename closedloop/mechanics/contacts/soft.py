@@ -12,7 +12,14 @@ so that every method finds f = f_known, with friction in the cone of that f. The
 Friction of soft contacts beside others, which has no mode of sticking: against the slip that is left after a step.
 
 The normal force f of a soft contact is known from its depth. Its friction, |F_t| <= μ f against u_t + h u̇_t, is then
-determined, but for how feet of one body share it; `closedloop.mechanics.contacts.turning` solves for it.
+determined, but for how feet of one body share it; `closedloop.mechanics.contacts.turning` solves for it. An integrator
+that chooses its steps has no h. There friction is a smooth function of the state, that of the slip with a rise of the
+width v_c, far below every speed that counts:
+
+    F_t = −μ f tanh(|u_t|/v_c) u_t/|u_t|
+
+It is Coulomb's to the last bit from 19 v_c on. What rests creeps at less than v_c, and the equation of motion is stiff,
+for which the integrator has a scheme (`closedloop.simulation.engines.adaptive.drive`).
 """
 
 from __future__ import annotations
@@ -171,6 +178,8 @@ def soft_margin(c: Contacts, i: int) -> float:
     return float(left if c.u[3 * i] > 0.0 else max(left, 0.0))
 
 
+# v_c, m/s (rad/s of a resistance).
+CREEPING = 1e-7
 # Friction is at its limit within the first share. Motions that move contacts along their surfaces by less than the
 # second, of others, are none.
 AT_EDGE, SPANNED = 1e-9, 1e-3
@@ -206,6 +215,17 @@ def some_share(c: Contacts, k: int) -> bool:
     for i in range(k):
         most = max(most, c.friction.shared[i])
     return bool(most > 0.0)
+
+
+@kernel
+def let_friction_rise(c: Contacts, k: int) -> None:
+    """Write `along` of soft contacts that share friction as a smooth function of their slips."""
+    c.friction.rises = 1.0
+    for i in range(k):
+        speed = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
+        if c.friction.shared[i] > 0.0 and c.problem.form[i] in (RAY, LINE):
+            level = c.friction.shared[i] * (math.tanh(speed / CREEPING) / speed if speed > 0.0 else 1.0 / CREEPING)
+            c.problem.along[i, 0], c.problem.along[i, 1] = level * c.u[3 * i + 1], level * c.u[3 * i + 2]
 
 
 @kernel

@@ -11,8 +11,9 @@ Where a slip ends within the step, so does the step, with constant forces: the p
 steps τ of other lengths, until the first slip ends just then.
 Soft contacts beside others go on: their friction is then within its limit, F_t with u_t⁺ = 0, and their slips become
 less by e in a step. An integrator that chooses its steps has none that could say where a slip goes: u⁺ is that after
-the time BREAKING_AWAY, in which a slip that has just begun takes its direction, or after SETTLING beside soft contacts,
-which have no mode of sticking. A faster slip is followed through its turns: friction is against the slip as it is.
+the time BREAKING_AWAY, in which a slip that has just begun takes its direction. A faster slip is followed through its
+turns: friction is against the slip as it is. That of soft contacts rises with the slip there
+(`closedloop.mechanics.contacts.soft`).
 
 The work is bounded: so many turns, so many steps of Newton's method in all. What is not found by then is left: friction
 is then against the slip as it is.
@@ -42,11 +43,9 @@ from closedloop.mechanics.contacts.modes import HOVERING, PARTING
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
 
-# The time in which the slips of soft contacts end where the integrator chooses its steps, s. Of a slip of 1 m/s with an
-# acceleration of 10 m/s² across it, friction then is 1e-4 rad off its direction.
-SETTLING = 1e-5
-# And the time in which a slip that begins takes its direction there, s. What pulls a rolling contact may turn faster
-# than its slip grows: friction against the direction of the break-away alone would let the slip go aside.
+# The time in which a slip that begins takes its direction where the integrator chooses its steps, s. What pulls a
+# rolling contact may turn faster than its slip grows: friction against the direction of the break-away alone would let
+# the slip go aside.
 BREAKING_AWAY = 1e-9
 # Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
 # how often it may be no less than before: where forces are not unique it need not become less.
@@ -115,12 +114,6 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, points: bool = F
 
 
 @kernel
-def settling_time(c: Contacts, k: int) -> float:
-    """Return the time after which friction points along slow slips where the integrator chooses its steps, s."""
-    return SETTLING if some_share(c, k) else BREAKING_AWAY
-
-
-@kernel
 def some_pull(c: Contacts, k: int) -> bool:
     """Whether the force of a contact that slides, and only presses, would pull."""
     least = 0.0
@@ -161,6 +154,8 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
         return False
     u1, u2, trace = c.u[n + 1], c.u[n + 2], W[n + 1, n + 1] + W[n + 2, n + 2]
     speed = math.hypot(u1, u2)
+    if c.friction.shared[i] > 0.0 and c.friction.rises != 0.0:
+        return False
     if c.friction.shared[i] > 0.0:  # the friction of the others of its body acts on its slip, too
         return bool(h * shared_friction(c) * trace > speed)
     if not h * level_of(c, i) * abs(c.F[n]) * trace > speed:

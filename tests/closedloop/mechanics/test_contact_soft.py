@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.mechanics.contacts.soft import CREEPING
 from closedloop.scenario.load import scenario_of
 from closedloop.simulation.prepare import prepare
 from robot_models import load
@@ -182,6 +183,24 @@ def test_a_turn_on_soft_feet_ends_by_its_closed_form():
     assert np.max(np.ptp(rub, axis=1)) < 1e-6
 
 
+@pytest.mark.slow
+def test_an_integrator_that_chooses_its_steps_brings_soft_feet_to_rest():
+    """Where the fixed step does, with a force of friction that is the load's; a disc that rocks and rubs goes on."""
+    ends = []
+    for time in ({"step": 2.5e-4}, {"integrator": "dop853", "step": 1e-2}):
+        run = thrown(soft(1e4, 100.0), 0.4, 0.3, **time)
+        assert np.max(np.abs(run.v[-1])) < 1e-5
+        ends.append(run.q[-1])
+    np.testing.assert_allclose(ends[1], ends[0], atol=2e-4)
+    for more in ({}, {"rolling": 1e-3, "pivoting": 1e-3}):
+        run = fallen(COIN, 5e3, 5.0, step=0.01, integrator="dop853", **more)
+        assert np.sum(run.link_forces[-1]) == pytest.approx(0.05 * 9.81, rel=0.02)
+        rub = np.linalg.norm(run.link_frictions.reshape(len(run.time), -1, 2)[:, : run.link_forces.shape[1]], axis=2)
+        assert np.max(rub - 0.3 * run.link_forces) < 1e-9
+        energy = run.kinetic_energy + run.potential_energy
+        assert np.max(energy) <= energy[0] * (1.0 + 1e-9)
+
+
 @pytest.mark.parametrize("tilt", [0.5, 0.99])
 def test_a_box_on_soft_feet_does_not_creep_down_an_incline(tilt):
     """Below the angle of friction it stays: a second moves it by what its first steps did."""
@@ -191,6 +210,15 @@ def test_a_box_on_soft_feet_does_not_creep_down_an_incline(tilt):
     settled = run.time > 0.4
     assert np.max(np.abs(run.v[settled])) < 1e-7
     assert np.max(np.ptp(run.q[settled, :3], axis=0)) < 1e-7
+
+
+def test_creep_of_soft_feet_is_that_of_the_rise_of_friction():
+    """Of an integrator that chooses its steps: μ f tanh(v/v_c) = m g sin α."""
+    angle = 0.8 * np.arctan(0.4)
+    gravity = (9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle))
+    more = {"velocity": (0, 0, 0), "spin": (0, 0, 0), "gravity": gravity, "integrator": "dop853", "step": 1e-2}
+    run = thrown(soft(1e4, 100.0), 0.4, 0.8, **more)
+    assert run.v[-1, 0] == pytest.approx(CREEPING * np.arctanh(np.tan(angle) / 0.4), rel=1e-3)
 
 
 @pytest.mark.parametrize(("soft", "stiffness"), [(1, 1e5), (4, 1e4)])

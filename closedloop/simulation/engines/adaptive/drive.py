@@ -45,7 +45,7 @@ from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.contacts.turning import settling_time
+from closedloop.mechanics.contacts.soft import CREEPING
 from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
 from closedloop.simulation.engines.adaptive.smooth import Interval, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
@@ -53,7 +53,6 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
 
 stops_slip: Any = interpreted(stops_slipping)
-settling_of: Any = interpreted(settling_time)
 Rate = Callable[[float, Array], Array]
 
 EXPLICIT, IMPLICIT, FIXED_DIRECTION = range(3)
@@ -70,10 +69,11 @@ DIRECTION_ERROR = 1e-4
 class Slip(NamedTuple):
     """A contact that slides, at the state evaluated last."""
 
-    speed: float  # |u|, m/s; of a soft contact as though friction that ends it had to begin
+    speed: float  # |u|, m/s; of a soft contact whose friction rises with it, the width of that rise at least
     turning: float  # λ |u|, m/s²
     gaining: float  # |d|u|/dt|, m/s²
     rows: Array  # (2, n), u = G q̇
+    rises: bool = False  # whether friction rises with the slip, so that slips that differ little have like friction
 
 
 def slips(w: Work, state: State) -> list[Slip]:
@@ -84,15 +84,14 @@ def slips(w: Work, state: State) -> list[Slip]:
         friction, tip = float(np.hypot(*w.friction.c) * abs(w.tip.F[0])), w.tip
         return [_slip(tip.u[1:], friction, tip.S[1, 1] + tip.S[2, 2], tip.A[1:], tip.A[1:] @ w.qdd + tip.drift_c[1:])]
     links, c = w.kept["contacts"]
-    found, settling = [], settling_of(c, int(links.joints))
+    found = []
     for i in range(int(links.joints)):
         t = slice(3 * i + 1, 3 * i + 3)
         if c.mode[i] == PRESSED and stops_slip(c, i):
             mobility, rows, shared = c.W[t, t].trace(), c.G[t], float(c.friction.shared[i])
             friction = shared * abs(c.F[3 * i]) or float(np.hypot(*c.F[t]))
             slip = _slip(c.u[t], friction, mobility, rows, rows @ w.qdd + c.drift[t])
-            # friction that ends a slip within this time turns none faster
-            found.append(slip._replace(speed=slip.speed + settling * slip.turning))
+            found.append(slip._replace(speed=max(slip.speed, CREEPING), rises=True) if shared > 0.0 else slip)
     return [slip for slip in found if slip.speed > SETTLED]
 
 
@@ -119,7 +118,7 @@ def tolerance_for(sliding: list[Slip], scheme: int, tolerance: float) -> float:
     """Return the relative tolerance of a step: that of the scenario, or less where slip is slow."""
     if scheme == EXPLICIT:
         return tolerance
-    return min(tolerance, *(DIRECTION_ERROR * max(SETTLED, slip.speed) for slip in sliding))
+    return min([tolerance, *(DIRECTION_ERROR * max(SETTLED, slip.speed) for slip in sliding if not slip.rises)])
 
 
 def jacobian(rate: Rate, t: float, y: Array, w: Work, state: State) -> Array:

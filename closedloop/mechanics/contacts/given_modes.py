@@ -302,16 +302,18 @@ def stop(links: ContactLinks, c: Contacts, k: int) -> bool:
     """Do `stopping_impulses` and write `after`; return False where impulses are far larger than the little they stop.
 
     Rows of shapes that hardly differ, as of edges that cross beside a corner, are then moved by opposite impulses.
+    Impulses and speeds are compared as roots of energies, so that those of a row count alike in all its units.
     """
     stopping_impulses(c, k)
     write_after(c, k)
-    moves, most, largest = 0.0, 0.0, 0.0
+    moves, before, most = 0.0, 0.0, 0.0
     for i in range(k):
         if c.problem.form[i] != OFF:
             for r in range(3 * i, 3 * i + (3 if sticks(c, i) else 1)):
-                moves, largest = max(moves, abs(c.before[r])), max(largest, c.W[r, r])
-                most = max(most, abs(c.F[r]))
-    return bool(links.shapes == 0 or moves > NEGLIGIBLE or largest * most <= MOST_IMPULSE * moves)
+                moves, root = max(moves, abs(c.before[r])), math.sqrt(c.W[r, r])
+                before = max(before, abs(c.before[r]) / root if root > 0.0 else 0.0)
+                most = max(most, abs(c.F[r]) * root)
+    return bool(links.shapes == 0 or moves > NEGLIGIBLE or most <= MOST_IMPULSE * before)
 
 
 @kernel

@@ -90,6 +90,20 @@ def test_a_ball_that_rolls_slows_down_and_rests(integrator):
     assert run.summary()["verdict"]["good"], run.summary()["verdict"]
 
 
+def test_a_box_that_rocks_from_foot_to_foot_while_it_pivots_comes_to_rest():
+    """A foot that comes down ends what little spin is left, by a moment that is large beside the feet's impulses."""
+    contact = {"friction": 1.5, "pivoting": 1.6048372960536397e-4}
+    run = thrown(
+        "box", contact, 0.3, "dop853", 0.01, mass=2.7556840656655273,
+        edges=[0.13561917278031088, 0.13126549006554367, 0.09946320429152715], position=[0.0, 0.0, 0.10697557687602932],
+        quaternion=[-0.6024194336219879, -0.4424816751499307, 0.5902901487953026, 0.3047266535541223],
+        spin=[9.915873151483362, 2.2081938535911383, -4.028377452463295],
+        velocity=[-0.016600060101034552, -0.008500277702032877, 0.008810870474456353],
+    )  # fmt: skip
+    assert run.time[-1] == 0.3
+    assert np.max(energy(run)) <= energy(run)[0] * (1.0 + 1e-9)
+
+
 @pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
 def test_the_columns_of_a_turntable_are_in_axes_that_do_not_turn(engine):
     """Slip, friction and rolling moment of a ball on it, in the world's x and y, by its motion in them."""

@@ -190,6 +190,8 @@ def _judged(robot: Robot, normal: tuple[float, float, float], q: Array, first: b
     A = frame @ terms.jacobian
     S = A @ closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix)) @ A.T
     mobility = float(S[0, 0] / max(np.trace(S), 1e-300))
+    if not terms.jacobian.any():
+        return MOBILITY, "no joint moves the tip: it lies on their axes, and tool.offset puts it elsewhere"
     if not mobility > LEAST_MOBILITY:
         return MOBILITY, "the tip hardly moves, neither up and down nor across a wall"
     U, sizes, _ = np.linalg.svd(terms.jacobian @ _free_motions(robot, q), full_matrices=False)

@@ -79,6 +79,7 @@ def test_a_file_is_never_replaced(new, tmp_path):
             "double_pendulum with the tip link2: no start was found from which it presses on a surface",
         ),
         (["--robot", "planar2", "--tip", "link1"], "planar2 with the tip link1: no start was found"),
+        (["--robot", "planar2", "--tip", "link1"], "no joint moves the tip: it lies on their axes"),
         (["--robot", "double_pendulum"], "joint joint1 cannot move: its limits are [0, 0]"),
         (["--robot", "planar2", "--tip", "hand"], "planar2 has no frame 'hand'"),
         (["--robot", "nosuch"], "no robot is named 'nosuch'"),

@@ -41,7 +41,7 @@ MOST_EFFORT = 0.6  # of the torque limits, at rest
 # Of a level surface, and of walls, which are tried if no posture will do on those before.
 LEVEL = (0.0, 0.0, 1.0)
 NORMALS = (LEVEL, (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-FORCES = (10.0, 5.0, 2.0, 1.0)  # N, tried in turn where none is asked for
+FORCES = (10.0, 5.0, 2.0, 1.0, 0.5)  # N, tried in turn where none is asked for
 BEGIN, END, DURATION = 0.5, 3.5, 4.0  # of the slide and of the run, s
 SPEEDS = {0.02: 24, 0.01: 12, 0.005: 12}  # of the slide, m/s, in this order, and how many runs each has
 STEP = 0.001  # s

@@ -86,6 +86,11 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
         )
     if not robot.model.driven.any():
         raise ScenarioError(f"--robot: {robot.model.name} has no joint with a drive: only an arm is set to slide")
+    if not robot.model.loops and not np.any(robot.model.driven & (robot.support > 0.0)):
+        raise ScenarioError(
+            f"{robot.model.name} with the tip {robot.tip}: no joint with a drive moves it; another frame may work, "
+            "see --tip"
+        )
     faults: Faults = {}
     runs = 0
     postures: list[Posture] = []

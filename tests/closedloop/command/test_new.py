@@ -238,3 +238,15 @@ def test_what_cannot_slide_along_a_level_surface_does_what_it_can(bodies, says, 
     run = cl.simulate(scenario)
     assert run.summary()["verdict"]["good"]
     assert run.contact_force[-1] == pytest.approx(scenario.law.force, abs=0.01)
+
+
+def test_a_tip_that_no_drive_moves_is_named_at_once(new, tmp_path):
+    """A body on joints without a drive, beside an arm: nothing could press it onto a surface."""
+    target = (
+        f'<body name="target"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide"/>{BOX}</body>'
+    )
+    text = f"<mujoco><worldbody>{FINGER}{target}</worldbody><actuator><motor joint='a'/></actuator></mujoco>"
+    (tmp_path / "mine.xml").write_text(text)
+    status, _, err = new("trial", "--robot", "mine.xml", "--tip", "target")
+    assert status == 2
+    assert "with the tip target: no joint with a drive moves it; another frame may work, see --tip" in err

@@ -53,7 +53,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     format
         "urdf" or "mjcf".
     locked
-        Joints to weld, and where: rad, or m for a prismatic joint.
+        Joints to weld, and where: rad, or m for a prismatic joint; 0, as the text has it, for one that turns freely.
     where
         How to name the text in a message.
 
@@ -87,8 +87,9 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
             near = get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(names)}"
             raise ModelError(f"{where}: cannot lock {name!r}, no joint that moves: {hint}")
-        if model.nvs[model.getJointId(name)] > 1:
-            raise ModelError(f"{where}: cannot lock {name!r}, which turns freely: only hinges and sliders are locked")
+        if model.nvs[model.getJointId(name)] > 1 and value != 0.0:
+            held = "what turns freely is held as the file has it, at 0"
+            raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: {held}")
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= float_info.max:
             raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: it must be a finite number")
         check_size("home", value, f"{where}: locked joint {name!r}")
@@ -97,8 +98,16 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     elif locked:
         posture = pin.neutral(model)
         for name, value in locked.items():
-            posture[model.idx_qs[model.getJointId(name)]] = value
-        model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
+            if value != 0.0:  # neutral is a quaternion where a joint turns freely
+                posture[model.idx_qs[model.getJointId(name)]] = value
+        numbers = [model.getJointId(name) for name in locked]
+        own = _name_apart(model)  # Pinocchio looks for the frame of a joint by its name alone
+        for joint in range(1, model.njoints):
+            model.names[joint] = own.get(model.names[joint], model.names[joint])
+        model = pin.buildReducedModel(model, numbers, posture)
+        back = {new: name for name, new in own.items()}
+        for joint in range(1, model.njoints):
+            model.names[joint] = back.get(model.names[joint], model.names[joint])
     if locked and model.nv == 0:
         raise ModelError(f"{where} has no joint that moves: the lock holds them all; leave one out of it")
     if format == "mjcf":
@@ -127,14 +136,17 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     return Built(model, named, types)
 
 
-def _name_apart(model: "pin.Model") -> None:
-    """Give frames of joints another name than a link's, by which that could not be asked for."""
+def _name_apart(model: "pin.Model") -> dict[str, str]:
+    """Give frames of joints another name than a link's, by which that could not be asked for; return the new names."""
     import pinocchio as pin
 
     links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    new = {}
     for frame in model.frames:
         if frame.type != pin.FrameType.BODY and frame.name in links:
-            frame.name = f"{frame.name} joint"
+            new[frame.name] = f"{frame.name} joint"
+            frame.name = new[frame.name]
+    return new
 
 
 def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:

@@ -47,7 +47,7 @@ def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[st
             while not (fingers[index] or _IDLE.search(frame.name)) and index != frame.parentFrame:
                 index, frame = frame.parentFrame, model.frames[frame.parentFrame]
                 bearers.add(index)
-    best: tuple[tuple[bool, int, bool, int, int], str] | None = None
+    best: tuple[tuple[bool, int, bool, int, int, int], str] | None = None
     for index, frame in enumerate(model.frames):
         kind = frame.type
         if frame.name not in usable or frame.name in made or frame.parentJoint == 0:
@@ -59,6 +59,6 @@ def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[st
         if not is_tool and (kind != pin.FrameType.BODY or index in bearers):
             continue
         reach = 0 if fingers[index] else len(chains[index])
-        rank = (is_tool and reach > 0, reach, not _IDLE.search(frame.name), -tool, index)
+        rank = (is_tool and reach > 0, reach, not _IDLE.search(frame.name), -tool, len(chains[index]), index)
         best = max(best, (rank, frame.name)) if best else (rank, frame.name)
     return best[1] if best else None

@@ -51,8 +51,8 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
         example-robot-data give it. It is zero where none of them gives it.
     lock
         Joints to hold rigid: a mapping to their values (rad, m), or names alone, which are locked at the
-        robot's home posture. If it is empty, the robot's own default applies (the fingers of "panda" are locked); if
-        not, it replaces the default.
+        robot's home posture. A free or a ball joint is held as the file has it, at 0. If it is empty, the robot's own
+        default applies (the fingers of "panda" are locked); if not, it replaces the default.
 
     Raises
     ------

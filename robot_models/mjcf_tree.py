@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def pinocchio_model(model: Any, locked: Mapping[str, float], where: str) -> "pin.Model":
-    """Return Pinocchio's model of a compiled plain text, with some hinges and sliders held where they are said to be.
+    """Return Pinocchio's model of a compiled plain text, with some joints held where they are said to be.
 
     Its velocities are in the order of MuJoCo's; the armature is the text's.
 
@@ -52,6 +52,8 @@ def pinocchio_model(model: Any, locked: Mapping[str, float], where: str) -> "pin
             for j in range(first, first + int(model.body_jntnum[b])):
                 name, kind = names.joint[j], JOINTS[model.jnt_type[j]]
                 at = pin.SE3(np.eye(3), np.array(model.jnt_pos[j]))
+                if kind in ("free", "ball") and name in locked:
+                    continue
                 if kind in ("slide", "hinge"):
                     ref = float(model.qpos0[model.jnt_qposadr[j]])
                     if name in locked:

@@ -1,5 +1,9 @@
 """A first scenario for a robot: where to start, which way to slide and with which gains, found by trying.
 
+The surface is level, or a wall for a tip that hardly moves up and down. A tip that moves along one line only, such as
+the pad of a gripper, presses and stays where it is. What turns freely is held where the file has it: the trunk of a
+walking robot as on a stand, and free bodies beside an arm where they lie.
+
 Postures are drawn within the joint limits and kept if the tip is away from singular poses, the joints from their limits
 and the torques from theirs; each that is kept is simulated, the best first, until the verdict of a run is good.
 """
@@ -13,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import robot_models
 from closedloop.base.arrays import Array
 from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
 from closedloop.mechanics.loops.reactions import loop_rows
@@ -22,7 +27,9 @@ from closedloop.scenario.gains import closed_mobility, gains_fault
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.modes import unresolved_feedback
 from closedloop.scenario.scenario import Scenario
-from robot_models.model import AT_LIMIT
+from robot_models.coordinates import RATES
+from robot_models.loop_posture import stands_for
+from robot_models.model import AT_LIMIT, RobotModel
 from robot_models.physics import SINGULAR, least_inertia
 
 POSTURES, SEED = 2000, 0  # drawn, fewer for more than twenty joints
@@ -31,9 +38,10 @@ MOST_RUNS = 48  # simulated
 # its nearest limit; a third of the mobility is that of a tip that moves alike in all directions.
 LEAST_MOBILITY, LEAST_DEXTERITY, LEAST_MARGIN = 0.03, 0.1, 0.05
 MOST_EFFORT = 0.6  # of the torque limits, at rest
-DIRECTIONS = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))
-NORMAL = (0.0, 0.0, 1.0)
-FORCES = (10.0, 5.0, 2.0, 1.0)  # N, tried in turn where none is asked for
+# Of a level surface, and of walls, which are tried if no posture will do on those before.
+LEVEL = (0.0, 0.0, 1.0)
+NORMALS = (LEVEL, (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+FORCES = (10.0, 5.0, 2.0, 1.0, 0.5)  # N, tried in turn where none is asked for
 BEGIN, END, DURATION = 0.5, 3.5, 4.0  # of the slide and of the run, s
 SPEEDS = {0.02: 24, 0.01: 12, 0.005: 12}  # of the slide, m/s, in this order, and how many runs each has
 STEP = 0.001  # s
@@ -46,10 +54,11 @@ Faults = dict[int, str]  # what is wrong with the first posture that failed ther
 
 
 class Posture(NamedTuple):
-    """A start, how good it is, and the directions in which the tip can slide."""
+    """A start, how good it is, and the directions in which the tip can slide; none: it presses and stays."""
 
     q: Array
     score: float
+    normal: tuple[float, float, float]
     directions: tuple[tuple[float, ...], ...]
     #: (n,) what the joints bear at rest, N m (N), and what each newton with which the tip presses takes off it.
     weight: Array
@@ -57,7 +66,7 @@ class Posture(NamedTuple):
 
 
 def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario:
-    """Return a scenario in which a robot presses on a level surface and slides, with a run whose verdict is good.
+    """Return a scenario in which a robot presses on a surface and slides, with a run whose verdict is good.
 
     Parameters
     ----------
@@ -72,12 +81,25 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
         If none was found; says what was in the way of the one that was nearly right.
     """
     if robot.turns_freely:
-        raise ScenarioError(f"--robot: {robot.model.name} has joints that turn freely: only an arm is set to slide")
+        raise ScenarioError(
+            f"--robot: {robot.model.name} turns freely, and no joint is left to move a tip if it is held"
+        )
     if not robot.model.driven.any():
         raise ScenarioError(f"--robot: {robot.model.name} has no joint with a drive: only an arm is set to slide")
+    if not robot.model.loops and not np.any(robot.model.driven & (robot.support > 0.0)):
+        raise ScenarioError(
+            f"{robot.model.name} with the tip {robot.tip}: no joint with a drive moves it; another frame may work, "
+            "see --tip"
+        )
     faults: Faults = {}
     runs = 0
-    postures = list(_postures(robot, faults))
+    postures: list[Posture] = []
+    for normal in NORMALS:
+        there = list(_postures(robot, normal, faults))
+        if sliding := [posture for posture in there if posture.directions]:
+            postures = sliding
+            break
+        postures = postures or there
     for pressing in FORCES if force is None else (force,):
         found = [good for posture in postures if (good := _pressing(robot, posture, pressing, faults))]
         found.sort(key=lambda posture: -posture.score)
@@ -88,9 +110,20 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
                 return scenario
             faults.setdefault(stage, fault.partition(";")[0])
     raise ScenarioError(
-        f"{robot.model.name} with the tip {robot.tip}: no start was found from which it slides along a level surface; "
+        f"{robot.model.name} with the tip {robot.tip}: no start was found from which it presses on a surface; "
         f"at the best posture found: {faults[max(faults)]}; another frame may work, see --tip"
     )
+
+
+def held(name: str) -> RobotModel:
+    """Load a robot and hold what turns freely where its file has it, if joints are left that move."""
+    model = robot_models.load(name)
+    of_loops = stands_for(model.loops)
+    balls = [model.joint_names[j].removesuffix(RATES[0]) for j in model.balls]
+    free = [joint for joint in balls if joint not in of_loops]
+    if not free or all(model.of_bodies):
+        return model
+    return robot_models.load(name, lock=dict(model.locked) | dict.fromkeys(free, 0.0))
 
 
 def has_limits(robot: Robot) -> bool:
@@ -98,7 +131,7 @@ def has_limits(robot: Robot) -> bool:
     return bool(np.isfinite([robot.model.position_lower, robot.model.position_upper]).any())
 
 
-def _postures(robot: Robot, faults: Faults) -> Iterator[Posture]:
+def _postures(robot: Robot, normal: tuple[float, float, float], faults: Faults) -> Iterator[Posture]:
     """Return the postures that will do if the joints are strong enough, and note why others do not."""
     model, rng = robot.model, np.random.default_rng(SEED)
     widest = np.where(np.array(model.joint_types) == "prismatic", 1.0, math.pi)
@@ -110,7 +143,7 @@ def _postures(robot: Robot, faults: Faults) -> Iterator[Posture]:
     for i in range(POSTURES // max(1, robot.n // 10)):  # a step of the search costs as the cube of n
         q: Array = np.where(moves, rng.uniform(low, high) if i else model.home, aside).round(4)
         q = np.clip(q, model.position_lower, model.position_upper)  # of a small range the fourth digit may be out
-        posture = _judged(robot, q, first=i == 0)
+        posture = _judged(robot, normal, q, first=i == 0)
         if isinstance(posture, Posture):
             yield posture
         else:
@@ -141,7 +174,7 @@ def _aside(robot: Robot, rng: np.random.Generator, low: Array, high: Array) -> A
     return min([q, *drawn], key=effort)
 
 
-def _judged(robot: Robot, q: Array, first: bool) -> Posture | tuple[int, str]:
+def _judged(robot: Robot, normal: tuple[float, float, float], q: Array, first: bool) -> Posture | tuple[int, str]:
     """Return a posture with its score, or where it fails and why; the robot's own is preferred where it will do."""
     model = robot.model
     span = model.position_upper - model.position_lower
@@ -158,19 +191,23 @@ def _judged(robot: Robot, q: Array, first: bool) -> Posture | tuple[int, str]:
     terms = robot.terms(q, np.zeros(robot.n))
     if least_inertia(terms.mass_matrix) < SINGULAR:
         return INERTIA, "joints that move together move no inertia: look at the tensors of the links"
-    A = contact_frame(np.array(NORMAL)) @ terms.jacobian
+    frame = contact_frame(normal)
+    A = frame @ terms.jacobian
     S = A @ closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix)) @ A.T
     mobility = float(S[0, 0] / max(np.trace(S), 1e-300))
+    if not terms.jacobian.any():
+        return MOBILITY, "no joint moves the tip: it lies on their axes, and tool.offset puts it elsewhere"
     if not mobility > LEAST_MOBILITY:
-        return MOBILITY, "the tip hardly moves up and down"
+        return MOBILITY, "the tip hardly moves, neither up and down nor across a wall"
     U, sizes, _ = np.linalg.svd(terms.jacobian @ _free_motions(robot, q), full_matrices=False)
     rank = int(np.count_nonzero(sizes > 1e-6 * sizes[0]))
     dexterity = float(sizes[rank - 1] / sizes[0])
-    directions = tuple(_directions(U[:, :rank]))
-    if dexterity < LEAST_DEXTERITY or not directions:
+    directions = tuple(_directions(U[:, :rank], frame))
+    if dexterity < LEAST_DEXTERITY or (rank > 1 and not directions):
         return DEXTERITY, "the tip is near a singular pose, or cannot move along the surface"
     score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin)
-    return Posture(q, score * (10.0 if first else 1.0) * _from_above(robot), directions, np.array(terms.bias), A[0])
+    score *= (10.0 if first else 1.0) * _from_above(robot, frame[0])
+    return Posture(q, score, normal, directions, np.array(terms.bias), A[0])
 
 
 def _free_motions(robot: Robot, q: Array) -> Array:
@@ -200,26 +237,29 @@ def _pressing(robot: Robot, posture: Posture, force: float, faults: Faults) -> P
     return None
 
 
-def _directions(reached: Array) -> Iterator[tuple[float, ...]]:
-    """Return directions along the surface in which the tip can move; `reached` (3, rank) spans its velocities."""
-    for direction in DIRECTIONS:
+def _directions(reached: Array, frame: Array) -> Iterator[tuple[float, ...]]:
+    """Return directions along the surface in which the tip can move; `reached` (3, rank) spans its velocities.
+
+    `frame` (3, 3) has the normal and the tangents of the surface as rows.
+    """
+    across = frame[1:].T
+    for direction in (frame[2], frame[1], -frame[2], -frame[1]):
         if np.linalg.norm(reached @ (reached.T @ direction) - direction) < 1e-9:
-            yield direction
-    across = np.eye(3)[:, :2]  # an arm in a plane that is turned about the vertical
-    shares, axes = np.linalg.eigh(across.T @ reached @ reached.T @ across)
+            yield tuple((direction + 0.0).tolist())
+    shares, axes = np.linalg.eigh(across.T @ reached @ reached.T @ across)  # an arm in a plane that is turned
     for share, axis in zip(shares, axes.T, strict=True):
         if reached.shape[1] < 3 and share > 1.0 - 1e-12:
-            yield (*(float(x) for x in axis), 0.0)
+            yield tuple((across @ axis + 0.0).tolist())
 
 
-def _from_above(robot: Robot) -> float:
+def _from_above(robot: Robot, normal: Array) -> float:
     """Return 1 for a last link that stands on the surface, less for one that lies on it or comes from below.
 
     The posture is that of the last call of `Robot.terms`.
     """
     length = float(np.linalg.norm(robot.tip_offset))
     lever = robot.views[3] @ robot.tip_offset  # from the last joint to the tip, base frame
-    return 1.0 if length == 0.0 else 0.55 - 0.45 * float(lever[2]) / length
+    return 1.0 if length == 0.0 else 0.55 - 0.45 * float(lever @ normal) / length
 
 
 def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture], faults: Faults) -> Iterator[Scenario]:
@@ -227,30 +267,40 @@ def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture], f
     for speed, most in SPEEDS.items():
         if speed < max(SPEEDS) and PATH not in faults:
             return  # a slow slide is a short one: it helps where the long one leaves the workspace
-        tried = ((posture, direction) for posture in postures for direction in posture.directions[:2])
+        tried = ((posture, direction) for posture in postures for direction in posture.directions[:2] or (None,))
         for posture, direction in itertools.islice(tried, most):
-            yield _with_gains(robot, name, force, posture.q, direction, speed)
+            yield _with_gains(robot, name, force, posture.q, direction, speed, posture.normal)
 
 
 def _with_gains(
-    robot: Robot, name: str, force: float, q: Array, direction: tuple[float, ...], speed: float
+    robot: Robot,
+    name: str,
+    force: float,
+    q: Array,
+    direction: tuple[float, ...] | None,
+    speed: float,
+    normal: tuple[float, float, float] = LEVEL,
 ) -> Scenario:
     """Return the scenario with gains that the step carries: a frequency times the inertia of each joint."""
     H = robot.terms(q, np.zeros(robot.n)).mass_matrix
     inertia = np.diag(H)
     # A joint moves less where those beyond it give way: its damping acts on that.
     damping = 2.0 * STEP * inertia * np.diag(closed_mobility(robot, q, np.linalg.inv(H)))  # in a step, at 1 rad/s
+    reference: dict[str, Any] = {"kind": "hold"}
+    if direction is not None:
+        reference = {
+            "kind": "line", "direction": list(direction), "speed": speed, "start": BEGIN, "stop": END,
+            "timing": "minimum_jerk",
+        }  # fmt: skip
     frequency = np.minimum(FREQUENCY, MOST_DAMPING / np.maximum(damping, MOST_DAMPING / FREQUENCY))
     while True:
         kp, kd = ([_rounded(x) for x in gain * inertia] for gain in (frequency * frequency, 2.0 * frequency))
         data: dict[str, Any] = {
-            "robot": {"model": name, "tip": robot.tip, "stops": has_limits(robot)},
+            "robot": {"model": name, "tip": robot.tip, "stops": has_limits(robot)}
+            | ({"lock": dict(robot.model.locked)} if robot.model.locked else {}),
             "start": {"q": q.tolist()} | ({"assemble": True} if robot.model.loops else {}),
-            "surface": {"kind": "plane"},
-            "reference": {
-                "kind": "line", "direction": list(direction), "speed": speed, "start": BEGIN, "stop": END,
-                "timing": "minimum_jerk",
-            },
+            "surface": {"kind": "plane", "normal": list(normal)},
+            "reference": reference,
             "law": {"kind": "paper", "kp": kp, "kd": kd, "force": force},
             "time": {"duration": DURATION, "step": STEP, "integrator": "semi_implicit_euler"},
         }  # fmt: skip

@@ -23,12 +23,11 @@ def main(words: list[str]) -> int:
     _refuse_to_replace(file)
     if options.force is not None and not 0.0 < options.force <= MOST_FORCE:
         raise ScenarioError(f"--force {options.force:g}: must be greater than 0 and at most {MOST_FORCE:g} N")
-    import robot_models
-    from closedloop.command.first_slide import first_slide
+    from closedloop.command.first_slide import first_slide, held
     from closedloop.mechanics.robot.pinocchio import Robot
     from closedloop.scenario.load import parse_scenario
 
-    robot = Robot(robot_models.load(options.robot), options.tip)
+    robot = Robot(held(options.robot), options.tip)
     scenario = first_slide(robot, options.robot, options.force)
     text = scenario_text(scenario, robot, _named_from(file, options.robot))
     parse_scenario(text, file.stem, str(file))  # refuses a name that is none
@@ -39,6 +38,8 @@ def main(words: list[str]) -> int:
     print(printable(f"the tip is {robot.tip}, {why}; others, see --tip: {', '.join(others[-MOST_TIPS:])}"))
     if scenario.robot.stops:
         print("joints strike hard stops at the limits of the robot's file: robot.stops")
+    if robot.model.locked:
+        print(printable(f"held rigid, see robot.lock: {', '.join(robot.model.locked)}"))
     print(printable(f"run it with: closedloop run {file}"))
     return DONE
 
@@ -50,8 +51,9 @@ MOST_FORCE = 1e4  # N; what is beyond no arm of the lists bears
 def _parser() -> Parser:
     parser = Parser(
         prog="closedloop new",
-        description="Write a commented scenario in which a robot presses on a level surface and slides along it. "
-        "Start, path and gains are chosen so that it runs as it is, with a good verdict.",
+        description="Write a commented scenario in which a robot presses on a level surface, or a wall if its tip "
+        "hardly moves up and down, and slides along it. What turns freely is held where its file has it. Start, path "
+        "and gains are chosen so that it runs as it is, with a good verdict.",
     )
     parser.add_argument("name", metavar="NAME", help="its name, and that of the file NAME.toml; none is replaced")
     parser.add_argument("--robot", default="wam4", help="a name of `closedloop robots`, or a file (default wam4)")
@@ -64,7 +66,7 @@ def _parser() -> Parser:
 
 def scenario_text(scenario: Scenario, robot: Robot, model: str) -> str:
     """Return a scenario of `first_slide` as a commented file; `model` is what robot.model is to say in it."""
-    reference, law = scenario.reference.model_dump(), scenario.law.model_dump()
+    law, normal = scenario.law.model_dump(), list(scenario.surface.normal)
     start = scenario.start.q
     assert isinstance(start, tuple)
     width = max(len(f"{q!r},") for q in start)
@@ -84,9 +86,9 @@ description = {_quoted(_what(scenario, robot))}
 model = {_quoted(model)}  # `closedloop robots {one_line(model)}` shows its joints and frames
 tip = {_quoted(robot.tip)}  # the frame that touches the surface
 stops = {"true" if scenario.robot.stops else "false"}  # joints strike hard stops at their limits
-
+{_lock(scenario)}
 [surface]
-normal = [0, 0, 1]  # out of the surface, base frame: it is level
+normal = {normal}  # out of the surface, base frame: it is {_surface(scenario)}
 offset = "start"  # it goes through the tip at the start
 contact = "bilateral"  # the tip is held to it; with "unilateral" it may leave
 
@@ -96,13 +98,7 @@ q = [  # rad, m for a sliding joint: away from singular poses and from the limit
 ]
 {assembled}
 [reference]
-kind = "line"
-direction = {list(reference["direction"])}  # along the surface, base frame
-speed = {reference["speed"]}  # m/s, on average
-start = {reference["start"]}  # s
-stop = {reference["stop"]}  # s
-timing = "minimum_jerk"  # from rest to rest
-
+{_path(scenario)}
 [law]
 kind = "paper"  # Eq. 33: joint PD control along the path, and the force
 kp = {list(law["kp"])}  # N m/rad, one for each joint
@@ -121,13 +117,43 @@ integrator = "{scenario.time.integrator}"
 """
 
 
+def _lock(scenario: Scenario) -> str:
+    """Return the line that says which joints are held rigid, if there are any."""
+    import tomli_w
+
+    lock = scenario.robot.lock or {}
+    held = ", ".join(tomli_w.dumps({joint: value}).strip() for joint, value in lock.items())
+    return f"lock = {{ {held} }}  # held rigid there, rad (m); 0: as the file has it\n" if lock else ""
+
+
+def _path(scenario: Scenario) -> str:
+    """Return the keys of the path."""
+    path = scenario.reference.model_dump()
+    if path["kind"] == "hold":
+        return 'kind = "hold"  # the tip stays where it is: it moves along one line only\n'
+    return f"""\
+kind = "line"
+direction = {list(path["direction"])}  # along the surface, base frame
+speed = {path["speed"]}  # m/s, on average
+start = {path["start"]}  # s
+stop = {path["stop"]}  # s
+timing = "minimum_jerk"  # from rest to rest
+"""
+
+
+def _surface(scenario: Scenario) -> str:
+    from closedloop.command.first_slide import LEVEL
+
+    return "level" if tuple(scenario.surface.normal) == LEVEL else "a wall"
+
+
 def _what(scenario: Scenario, robot: Robot) -> str:
-    reference = scenario.reference.model_dump()
-    length = reference["speed"] * (reference["stop"] - reference["start"])
-    return (
-        f"{one_line(robot.model.name)} presses with {scenario.law.force:g} N and slides {1000.0 * length:g} mm "
-        "along a level surface"
-    )
+    path = scenario.reference.model_dump()
+    pressing = f"{one_line(robot.model.name)} presses with {scenario.law.force:g} N"
+    surface = "a level surface" if _surface(scenario) == "level" else "a wall"
+    if path["kind"] == "hold":
+        return f"{pressing} on {surface}"
+    return f"{pressing} and slides {1000.0 * path['speed'] * (path['stop'] - path['start']):g} mm along {surface}"
 
 
 def _quoted(text: str) -> str:

@@ -61,7 +61,9 @@ class RobotSection(Section):
         0.0, description="restitution there: of a joint alone the ratio of its speeds after and before, from 0 to 1"
     )
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
-        None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
+        None,
+        description="joints held rigid, and where, rad (m), a free or ball joint as the file has it, at 0; the model's "
+        "own choice if left out",
     )
     gravity: tuple[GRAVITY, GRAVITY, GRAVITY] | None = Field(
         None, description="gravity in the base frame, m/s²; the model's own if left out: of a URDF [0, 0, -9.81]"

@@ -99,7 +99,12 @@ class Ur(Interface):
 
     def _prepare(self) -> None:
         problem = self.session.simulator.problem
-        self._robot, self._radius = problem.robot, problem.scenario.tool.radius
+        tool = problem.scenario.tool
+        self._robot, self._radius = problem.robot, tool.radius
+        self._tool = {
+            "payload": tool.mass, "payload_cog": tool.centre, "payload_inertia": tool.inertia,
+            "tcp_offset": (*tool.offset, 0.0, 0.0, 0.0),
+        }  # fmt: skip
         kinds = problem.robot.model.joint_types
         if len(kinds) != JOINTS or any(kind not in ("revolute", "continuous") for kind in kinds):
             raise ScenarioError(
@@ -254,14 +259,17 @@ class Ur(Interface):
         pose = np.concatenate((origin, Rotation.from_matrix(axes).as_rotvec()))
         normal = state.normal
         force = state.f * normal + state.friction_force
-        wrench = np.concatenate((force, np.cross(-self._radius * normal, force)))
+        moment = np.cross(-self._radius * normal, force)
+        wrench = np.concatenate((force, moment))
+        # in the axes of the flange, about its origin, with the weight and the inertia of the tool; of the same sign
+        raw = -self._robot.wrist_wrench(*(x[None] for x in (state.q, state.v, state.acceleration, force, moment)))[0]
         mirrored = {name.replace("input", "output", 1): value for name, value in self._set.items()}
         return self._set | mirrored | {
             "timestamp": state.time, "target_q": q, "actual_q": q, "target_qd": v, "actual_qd": v,
             "target_qdd": state.acceleration, "target_moment": torque, "actual_current_as_torque": torque,
             "actual_TCP_pose": pose, "target_TCP_pose": pose, "actual_TCP_speed": J @ v, "target_TCP_speed": J @ v,
-            "actual_TCP_force": wrench, "ft_raw_wrench": wrench, "tcp_force_scalar": float(np.linalg.norm(force)),
-            "speed_scaling": 1.0, "target_speed_fraction": 1.0, **RUNNING,
+            "actual_TCP_force": wrench, "ft_raw_wrench": raw, "tcp_force_scalar": float(np.linalg.norm(force)),
+            "speed_scaling": 1.0, "target_speed_fraction": 1.0, **self._tool, **RUNNING,
         }  # fmt: skip
 
     def _report(self, client: Client, values: dict[str, Any]) -> None:

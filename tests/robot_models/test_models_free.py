@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import robot_models
+from robot_models.coordinates import in_pinocchios_order
 from robot_models.errors import ModelError
 
 MJCF = """<mujoco><worldbody><body name="base" pos="1 2 3" quat="2 0 0 2"><freejoint/>
@@ -84,7 +85,36 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, more, says):
     assert "\n" not in str(caught.value)
 
 
-def test_what_turns_freely_is_not_locked(tmp_path):
-    """A lock is a number."""
-    with pytest.raises(ModelError, match="cannot lock 'wrist', which turns freely"):
-        robot_models.load(written(tmp_path, MJCF.format(more=""), ".xml"), lock={"wrist": 0.0})
+@pytest.mark.parametrize(("suffix", "text"), [(".xml", MJCF.format(more="")), (".urdf", URDF)])
+@pytest.mark.parametrize(("held", "left"), [("wrist", slice(0, 6)), ("base", slice(6, 9))])
+def test_what_turns_freely_is_held_as_the_file_has_it(suffix, text, held, left, tmp_path):
+    """Held, it leaves a robot whose H is the rest of that of the free one there; it cannot be held elsewhere."""
+    import pinocchio as pin
+
+    path, H = written(tmp_path, text, suffix), []
+    free, rest = robot_models.load(path), robot_models.load(path, lock=[held])
+    assert rest.joint_names == free.joint_names[left]
+    assert rest.locked == {held: 0.0}
+    for model in (free, rest):
+        mechanism = model.pinocchio_model()
+        H.append(
+            np.triu(pin.crba(mechanism, mechanism.createData(), in_pinocchios_order(model.home, model.joint_types)))
+        )
+    assert np.abs(H[0][left, left] - H[1]).max() < 1e-12
+    again = robot_models.from_text(
+        rest.text, rest.format, name="r", armature=rest.armature, tip=rest.tip, home=rest.home, locked=rest.locked
+    )
+    assert again.joint_names == rest.joint_names
+    with pytest.raises(ModelError, match="what turns freely is held as the file has it"):
+        robot_models.load(path, lock={held: 0.1})
+
+
+def test_a_joint_of_its_links_name_can_be_held(tmp_path):
+    """Pinocchio finds the frame of a joint by its name alone, and a link may have the same one."""
+    text = "".join(
+        f'<link name="{name}"><inertial><mass value="2"/>{INERTIA.format(1, 1, 1)}</inertial></link><joint '
+        f'name="{name}" type="continuous"><parent link="{parent}"/><child link="{name}"/></joint>'
+        for name, parent in (("one", "ground"), ("two", "one"))
+    )
+    path = written(tmp_path, f'<robot name="r"><link name="ground"/>{text}</robot>', ".urdf")
+    assert robot_models.load(path, lock={"one": 0.1}).joint_names == ("two",)

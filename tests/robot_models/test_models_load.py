@@ -346,6 +346,18 @@ def test_the_default_tip(write, case):
     assert robot_models.load(write(arm(plus=more))).tip == tip
 
 
+def test_the_default_tip_of_a_gripper_ends_its_longest_finger(tmp_path):
+    """A body that fingers alone move has its tip at the end of the longest, whichever is written last."""
+    bar = '<inertial mass="1" pos="0 0 .1" diaginertia=".01 .01 .01"/>'
+    outer = (
+        f'<body name="outer"><joint name="finger_1"/>{bar}<body name="end"><joint name="finger_2"/>{bar}</body></body>'
+    )
+    inner = f'<body name="inner"><joint name="finger_3"/>{bar}</body>'
+    path = tmp_path / "gripper.xml"
+    path.write_text(f"<mujoco><worldbody>{outer}{inner}</worldbody></mujoco>")
+    assert robot_models.load(path).tip == "end"
+
+
 def test_sidecar_speaks_for_a_users_robot(write):
     """Drive inertia, tip, home and words come from my.toml beside my.urdf; the switch still switches."""
     path = write(arm())

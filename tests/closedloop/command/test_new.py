@@ -74,8 +74,12 @@ def test_a_file_is_never_replaced(new, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--robot", "double_pendulum"], "double_pendulum with the tip link2: no start was found from which it slides"),
+        (
+            ["--robot", "double_pendulum"],
+            "double_pendulum with the tip link2: no start was found from which it presses on a surface",
+        ),
         (["--robot", "planar2", "--tip", "link1"], "planar2 with the tip link1: no start was found"),
+        (["--robot", "planar2", "--tip", "link1"], "no joint moves the tip: it lies on their axes"),
         (["--robot", "double_pendulum"], "joint joint1 cannot move: its limits are [0, 0]"),
         (["--robot", "planar2", "--tip", "hand"], "planar2 has no frame 'hand'"),
         (["--robot", "nosuch"], "no robot is named 'nosuch'"),
@@ -191,3 +195,58 @@ def test_a_finger_slides_as_far_as_it_reaches(tmp_path):
     path.write_text(f'<mujoco><worldbody>{links}<site name="tip" pos=".025 0 0"/>{4 * "</body>"}</worldbody></mujoco>')
     robot = Robot(robot_models.load(path), "tip")
     assert first_slide(robot, str(path)).reference.speed < max(SPEEDS)
+
+
+BOX = '<geom type="box" size=".02 .02 .02"/>'
+FINGER = (
+    '<body name="upper"><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/>'
+    '<body name="lower" pos=".3 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" '
+    'size=".02"/><site name="tool" pos=".3 0 0"/></body></body>'
+)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "says", "kind"),
+    [
+        (
+            f'<body><joint name="jaw" type="slide" axis="1 0 0" range="0 .04"/>{BOX}<site name="pad"/></body>',
+            "presses with 10 N on a wall",
+            "hold",
+        ),
+        (FINGER.replace("0 1 0", "0 0 1"), "slides 60 mm along a wall", "line"),
+        (
+            f'<body name="trunk" pos="0 0 1"><freejoint/>{BOX}{FINGER}</body>',
+            "held rigid, see robot.lock: trunk",
+            "line",
+        ),
+        (
+            f'{FINGER}<body name="cube" pos="1 1 1"><freejoint name="loose"/>{BOX}</body>',
+            "held rigid, see robot.lock: loose",
+            "line",
+        ),
+    ],
+    ids=["a pad of a gripper", "an arm that lies", "a trunk that is free", "a free body beside"],
+)
+def test_what_cannot_slide_along_a_level_surface_does_what_it_can(bodies, says, kind, new, tmp_path):
+    """On a wall, without a slide, with what is free held where the file has it: each with a good verdict."""
+    (tmp_path / "mine.xml").write_text(f"<mujoco model='mine'><worldbody>{bodies}</worldbody></mujoco>")
+    status, out, err = new("trial", "--robot", "mine.xml")
+    assert (status, err) == (0, "")
+    assert says in out
+    scenario = cl.load_scenario("trial.toml")
+    assert scenario.reference.kind == kind
+    run = cl.simulate(scenario)
+    assert run.summary()["verdict"]["good"]
+    assert run.contact_force[-1] == pytest.approx(scenario.law.force, abs=0.01)
+
+
+def test_a_tip_that_no_drive_moves_is_named_at_once(new, tmp_path):
+    """A body on joints without a drive, beside an arm: nothing could press it onto a surface."""
+    target = (
+        f'<body name="target"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide"/>{BOX}</body>'
+    )
+    text = f"<mujoco><worldbody>{FINGER}{target}</worldbody><actuator><motor joint='a'/></actuator></mujoco>"
+    (tmp_path / "mine.xml").write_text(text)
+    status, _, err = new("trial", "--robot", "mine.xml", "--tip", "target")
+    assert status == 2
+    assert "with the tip target: no joint with a drive moves it; another frame may work, see --tip" in err

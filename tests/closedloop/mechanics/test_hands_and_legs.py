@@ -1,5 +1,7 @@
 """The shipped hand and quadruped: weight carried, nothing slips, energy, by closed forms. A gripper: virtual work."""
 
+from importlib.resources import files
+
 import mujoco
 import numpy as np
 import pytest
@@ -35,6 +37,37 @@ def test_a_block_too_heavy_for_the_friction_falls():
     more = {"time.duration": 0.05, "contact.*.friction": 0.9 * BLOCK * G / 60.0}
     run = cl.simulate(cl.load_scenario("hand_turns", more), progress=False)
     assert run.q[:, 5] == pytest.approx(0.4 - 0.05 * G * run.time**2, abs=1e-6)
+
+
+def test_a_hand_with_four_fingers_holds_a_bar_and_rolls_it():
+    """It turns by the thumb's way over its radius, less what the fingers give way; then it rests, and is carried."""
+    run = cl.simulate(cl.load_scenario("hand_rolls"), progress=False)
+    place, quaternion = run.q[:, 16:19], run.q[:, 19:]
+    closed, end = 200, len(run.time) - 1  # row before the thumb goes, and the last one
+    turned = 2.0 * np.arccos(abs(quaternion[closed] @ quaternion[end]))
+    assert 0.5 * 0.015 / 0.0199 < turned < 0.015 / 0.0199
+    assert np.abs(place[end] - place[end - 100]).max() < 1e-4
+    assert np.abs(run.v[end]).max() < 1e-3
+    # the forces of the pads on the bar, from the torques of the joints alone: together they bear its weight
+    model = mujoco.MjModel.from_xml_path(str(files("closedloop") / "scenario/shipped/bodies/allegro_hand.xml"))
+    data, total, J = mujoco.MjData(model), np.zeros(3), np.zeros((3, 16))
+    data.qpos[:] = run.q[end, :16]
+    mujoco.mj_forward(model, data)
+    w, x, y, z = quaternion[end]
+    axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    for k, finger in enumerate(("index", "middle", "ring", "thumb")):
+        tip = data.site(f"{finger}_tip").xpos
+        out = tip - place[end] - axis * (axis @ (tip - place[end]))
+        normal = out / np.linalg.norm(out)
+        mujoco.mj_jac(model, data, J, None, tip - 0.012 * normal, model.site(f"{finger}_tip").bodyid[0])
+        joints = slice(4 * k, 4 * k + 4)
+        force = np.linalg.lstsq(J.T[joints], (run.torque[end, :16] - data.qfrc_bias)[joints])[0]
+        assert -force @ normal == pytest.approx(run.link_forces[end, k], abs=0.01)
+        total += force
+    assert total == pytest.approx([0.0, 0.0, 0.1 * G], abs=0.01)
+    balance = run.energy_supplied - run.kinetic_energy - run.potential_energy
+    assert np.ptp(balance[closed:]) <= 1e-6
+    assert run.summary()["verdict"]["good"]
 
 
 @pytest.mark.slow

@@ -46,7 +46,7 @@ def test_shipped_scenarios_that_may_leave_run_with_rk4():
     loaded = [cl.load_scenario(name) for name in shipped_scenarios()]
     unilateral = {scenario.name for scenario in loaded if scenario.surface.contact == "unilateral"}
     without = {"gripper_gear", "gripper_block", "cube_toss", "ball_on_turntable", "tower", "push_block", "hand_turns",
-               "quadruped"}  # a surface  # fmt: skip
+               "hand_rolls", "quadruped"}  # a surface  # fmt: skip
     pressing = {"panda_scan", "panda_polish", "fr3_press", "four_bar", "two_arms_bar", "hidden_bump"}
     assert unilateral == {*WITH_IMPACTS, *pressing, *without}
     assert {cl.load_scenario(name).time.integrator for name in unilateral} == {"rk4"}

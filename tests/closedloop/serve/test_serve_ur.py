@@ -117,6 +117,27 @@ def test_a_client_reads_the_run_and_presses_with_what_it_sets(scenario):
     assert run.law == "scenario and torque from outside"
 
 
+def test_the_raw_wrench_is_that_at_the_flange(scenario):
+    """Of an arm at rest: the force on the tip and the weight of the tool, in the flange's axes, about its origin."""
+    tool = {"tool.mass": 2.0, "tool.centre": [0.01, 0.0, 0.06], "tool.offset": [0.0, 0.02, 0.15]}
+    fields = b"actual_TCP_force,ft_raw_wrench,actual_q,payload,payload_cog,tcp_offset"
+    with cl.serve(scenario, "ur", host=HOST, port=0, overrides=tool) as served:
+        arm = Rtde(HOST, served.port)
+        arm.ask("O", struct.pack(">d", 500.0) + fields)
+        arm.ask("S")
+        arm.file.flush()
+        size, _, _, *found = struct.unpack(">HBB28d", arm.file.read(4 + 28 * 8))
+        robot = served.session.simulator.problem.robot
+    assert size == 4 + 28 * 8
+    pressed, raw, q, load = (np.array(part) for part in (found[:6], found[6:12], found[12:18], found[18:]))
+    assert load == pytest.approx([2.0, *tool["tool.centre"], *tool["tool.offset"], 0.0, 0.0, 0.0])
+    down = robot.tip_frame(q)[0].T  # the tool is fixed to the tip's frame, and has its axes
+    force, weight = down @ pressed[:3], down @ [0.0, 0.0, -2.0 * 9.81]
+    moment = np.cross(tool["tool.offset"], force) + np.cross(tool["tool.centre"], weight)
+    assert pressed[2] == pytest.approx(10.0, abs=1e-6)
+    assert raw == pytest.approx([*(force + weight), *moment], abs=1e-3)
+
+
 # What the maker's driver for ROS 2 asks for, in its order, with the types of the maker's client library.
 DRIVER = {
     "timestamp": "DOUBLE", "actual_q": "VECTOR6D", "actual_qd": "VECTOR6D", "speed_scaling": "DOUBLE",

@@ -346,23 +346,47 @@ def harden(c: Contacts, k: int, inner: float) -> None:
 
 
 @kernel
+def keep_better(c: Contacts, k: int, least: float) -> float:
+    """Keep F if its `residual` is below the least so far; return the least."""
+    if not c.problem.residual < least:
+        return least
+    for j in range(3 * k):
+        c.scratch.kept[j] = c.F[j]
+    return float(c.problem.residual)
+
+
+@kernel
+def take_kept(c: Contacts, k: int) -> None:
+    """Write F that was kept, `residual` and `after` there."""
+    for j in range(3 * k):
+        c.F[j] = c.scratch.kept[j]
+    c.problem.residual = write_residuals(c, k, c.F, largest_mobility(c, k))
+
+
+@kernel
 def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
     """Write F and `after`, u = q + W F, of the contacts whose `kind` is not OFF; return whether they were found.
 
-    `residual` is what the equations are off, of forces. Starts from F; W, q, kind, mu and along are read. `starts` is
-    from how many points paths are followed, where the quick method does not find them.
+    `residual` is what the equations are off, of forces; if they were not found F is what is off least. Starts from F;
+    W, q, kind, mu and along are read. `starts` is from how many points paths are followed, where the quick method does
+    not find them.
     """
     a = pack(c, k)
     soften(c, a)
     found = solve_from_here(c, a, 0, 1)
+    least = keep_better(c, a, math.inf)
     if not found:
         for i in range(3 * a):
             c.F[i] = 0.0
         found = solve_from_here(c, a, SWEEPS, ROUNDS)
+        least = keep_better(c, a, least)
     for i in range(0 if found else starts):
         found = found or (follow_path(c, a, STARTS[i]) and solve_from_here(c, a, 0, LAST_ROUNDS))
+        least = keep_better(c, a, least)
     if found:
         polish(c, a)
+    else:
+        take_kept(c, a)
     unpack(c, k, a)
     if a < k:
         velocities(c, k, c.F, c.problem.after)
@@ -383,7 +407,7 @@ def sweep_long(c: Contacts, k: int) -> None:
 
 @kernel
 def solve_impulses(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
-    """Do `solve_contacts` for a problem of velocities, which has a solution; if not found, F is that of long sweeps.
+    """Do `solve_contacts` for a problem of velocities, which has a solution; if not found, F is what is off least.
 
     Where forces are not unique Newton's method takes the shortest of what sticks, be it outside its cone by a little;
     sweeps find one inside.
@@ -392,12 +416,10 @@ def solve_impulses(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
         return True
     if starts < len(STARTS):
         return False
+    least = keep_better(c, k, math.inf)
     sweep_long(c, k)
-    for i in range(3 * k):
-        c.path.point[i] = c.F[i]
+    least = keep_better(c, k, least)
     if solve_from_here(c, k, 0, LAST_ROUNDS):
         return True
-    for i in range(3 * k):
-        c.F[i] = c.path.point[i]
-    c.problem.residual = write_residuals(c, k, c.F, largest_mobility(c, k))
+    take_kept(c, k)
     return False

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.arrays import Array, ComplexArray
+from closedloop.base.arrays import Array, ComplexArray, plain
 from closedloop.base.errors import ClosedLoopError
-from closedloop.base.plain import plain
 from closedloop.scenario.messages import key_unit
 from closedloop.studies.analysis.linear_loop import LinearLoop, Margins, Pole
 from closedloop.studies.analysis.stability import Limit, Range, Stability, Trial

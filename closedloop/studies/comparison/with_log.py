@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.arrays import Array
-from closedloop.base.plain import plain
+from closedloop.base.arrays import Array, plain
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.control_verdict import rms
 from closedloop.record.run import Run

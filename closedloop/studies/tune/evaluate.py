@@ -40,7 +40,7 @@ from closedloop.simulation.batch.table import one_number
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.simulation.prepare import load_model
 from closedloop.studies.analysis.assembly import linearise
-from closedloop.studies.gradient.keys import Keys, indexed
+from closedloop.studies.gradient.quantities import Keys, indexed
 from closedloop.studies.identity import NAMES, identity_of
 from closedloop.studies.shares import number_at, share_of
 

@@ -14,13 +14,10 @@ from closedloop.loop.events.table import EventRow
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.simulation.engines.dual_loop import prepared
 from closedloop.simulation.prepare import Cache, prepare
-from closedloop.studies.gradient import differences, exact, guard
-from closedloop.studies.gradient.differences import ROUNDING, Estimate, one_sided, two_sided
-from closedloop.studies.gradient.exact import SHARE_OFF, not_unique
-from closedloop.studies.gradient.keys import SHARE, Keys
-from closedloop.studies.gradient.outputs import output
-from closedloop.studies.gradient.seeds import seeds_of
-from closedloop.studies.gradient.variants import Happening, Sample
+from closedloop.studies.gradient import differences, exact
+from closedloop.studies.gradient.differences import ROUNDING, Estimate, Happening, Sample, one_sided, two_sided
+from closedloop.studies.gradient.exact import SHARE_OFF, not_unique, seeds_of
+from closedloop.studies.gradient.quantities import SHARE, Keys, output
 from tests.closedloop.linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 FORCE, GAP, RESTITUTION = 10.0, 0.1, 0.6
@@ -457,9 +454,9 @@ def test_a_kink_is_named():
 
 def test_a_small_step_does_not_hide_a_wrong_derivative():
     """A derivative that is 0.3 % off is not accepted where the difference is no larger than rounding."""
-    for beside, agrees in ((guard.BESIDE[0], False), (guard.BESIDE[1], True)):
+    for beside, agrees in ((exact.BESIDE[0], False), (exact.BESIDE[1], True)):
         change = np.array([1e-5 * beside])
-        own = guard._Beside(1.003 * change, 1.0 - change, np.ones(1), 1.0 + change, guard.NOISE * guard.ROUNDING)
+        own = exact._Beside(1.003 * change, 1.0 - change, np.ones(1), 1.0 + change, exact.NOISE * exact.ROUNDING)
         assert own.agrees == agrees
         assert not own.tells or not agrees
 

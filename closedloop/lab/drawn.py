@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.figures.bodies import AT_REST
+from closedloop.figures.motion import AT_REST
 from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
 from closedloop.figures.scene.solids import COLOUR, OPACITY, Shape

@@ -12,7 +12,7 @@ from lab_page import plotted, row, settled
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.figures.closure import tip_errors
+from closedloop.figures.motion import tip_errors
 from closedloop.lab import in_browser, mapping_work
 from closedloop.lab.in_browser import wait_until
 from closedloop.serve.watch import Watch

@@ -10,7 +10,7 @@ import pinocchio
 import pytest
 
 import closedloop as cl
-from closedloop.figures.friction import friction_bounds
+from closedloop.figures.force import friction_bounds
 from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
 from closedloop.figures.scene.solids import Ghost, Joined, Shape
 from closedloop.lab import curves

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.arrays import Array
-from closedloop.base.plain import plain
+from closedloop.base.arrays import Array, plain
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import KINDS
 from closedloop.mechanics.closure.contact_force import FREE

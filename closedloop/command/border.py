@@ -11,27 +11,22 @@ kept and reported afterwards; nothing raises, not even when Python ends.
 
 from __future__ import annotations
 
+import argparse
 import codecs
 import errno
 import io
+import locale
+import logging
 import os
 import select
 import sys
 import unicodedata
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from typing import IO, Any
-import argparse
-import errno
-import locale
-import logging
-import os
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import wraps
-from typing import NoReturn
+from typing import IO, Any, NoReturn
+
 from closedloop.base.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
 from closedloop.base.interrupts import INTERRUPTED, as_exceptions, exit_status, terminable, word_for
 from closedloop.base.optional import not_installed
@@ -128,7 +123,7 @@ def _patient(stream: Any) -> tuple[IO[str], list[Patient]]:
     return text, [raw]
 
 
-HANDLER = "closedloop.command.streams"
+HANDLER = "closedloop.command.border"
 ALIKE = {
     "−": "-", "–": "-", "—": "-", "…": "...", "×": "x", "·": "*", "≤": "<=", "≥": ">=", "≈": "~", "→": "->", "←": "<-",
     "∞": "inf", "√": "sqrt", "∂": "d", "°": " deg", "•": "*", "‘": "'", "’": "'", "“": '"', "”": '"', "„": '"',

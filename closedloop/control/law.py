@@ -2,8 +2,6 @@
 
 What a law sees where that is not the state itself: measured, and through a model of its own.
 
-Base classes of control laws and compensations: a section of the scenario, its states, and up to four functions.
-
 A user's law is a class derived from `ControlLaw`, with its parameters as typed fields. Those that ship are in
 `closedloop.control.laws`, one file each, written the same way.
 

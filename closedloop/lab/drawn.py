@@ -1,18 +1,24 @@
-""""""
+"""Messages to the page: what it draws of a run, and how messages are packed.
+
+The curves go first: they are what a slider is moved for. A run in space is its replay at some rows.
+
+A message is a tree of plain values and arrays as bytes, which both a socket and a file can hold. Four bytes give the
+length of the header, which is JSON, padded to whole words; behind it are the arrays, which the header names by where
+they begin and how many numbers they have. `web/numbers.js` reads them.
+"""
 
 from __future__ import annotations
 
 import base64
 import json
 import struct
-from collections.abc import Iterator
-from typing import Any
-import numpy as np
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
 from closedloop.figures.motion import AT_REST
 from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
@@ -22,7 +28,6 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.clearance import passing_note
 from closedloop.record.run import Run
 from closedloop.scenario.robot_sections import NO_ROBOT
-
 
 # Of an array in the header, by its type: 32-bit numbers, the least significant byte first; NaN stays NaN.
 FLOATS, WHOLE = "$f", "$u"

@@ -1,24 +1,21 @@
-""""""
+"""A map of the lab: a value of the run against two keys, its runs, the boundary of stability, and a click into it.
+
+The runs are those of `closedloop.simulate_batch`, some of the map at a time, coarse first: every eighth row and
+column, then every fourth, and so on, so that the shape shows early. The page draws it (`web/map.js`).
+"""
 
 from __future__ import annotations
 
+import threading
+import time as clock
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
+
 import numpy as np
+
 from closedloop.base.arrays import Array
-from closedloop.base.errors import ScenarioError, one_line
-from closedloop.lab.controls import Control
-from closedloop.record.report.verdict import GOOD
-from closedloop.scenario.messages import with_unit
-from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.batch.simulate_batch import simulate_batch
-from robot_models import RobotModel
-import threading
-import time as clock
-from typing import Any
-import numpy as np
-from closedloop.base.errors import ClosedLoopError, one_line
+from closedloop.base.errors import ClosedLoopError, ScenarioError, one_line
 from closedloop.base.sections import Section
 from closedloop.jit.background import refused, seconds_to_compile, start
 from closedloop.jit.kernel import needs_compiling
@@ -29,12 +26,14 @@ from closedloop.lab.groups import DAMPING, STIFFNESS, group_of
 from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Newest
 from closedloop.record.report.measures import MEASURES
-from closedloop.scenario.messages import typeset
+from closedloop.record.report.verdict import GOOD
+from closedloop.scenario.messages import typeset, with_unit
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
+from closedloop.simulation.batch.simulate_batch import simulate_batch
 from closedloop.simulation.engines.lanes import can_use_lanes, run_in_lanes
 from closedloop.studies.analysis.stability import Range, Stability
-
+from robot_models import RobotModel
 
 CELLS = 40  # on either side
 BATCH = 160  # runs that are computed in one go; the first few, which show the shape, go by themselves

@@ -1,11 +1,9 @@
 """The bytes of a run file: NetCDF-4 written whole, and a line with the SHA-256 of all before it.
 
-NetCDF-4 files on a disk that may be full.
-
 HDF5 does not survive a failed write: it ends the process when the file is closed. So the room is reserved before it
 begins (`closedloop.base.files.write_whole`), and what was not needed is given back.
 
-A run file's bytes: HDF5, and behind it, where no reader looks, a line with the SHA-256 of all before it.
+Behind the HDF5, where no reader looks, stands
 
     closedloop SHA-256 of all bytes before this line: 0123...
 

@@ -1,6 +1,4 @@
-"""Writing a run as a file, with the versions that it depends on.
-
-Writing a run as a file: NetCDF-4, which is HDF5, with everything that is needed to repeat it as attributes.
+"""Writing a run as a file: NetCDF-4, which is HDF5, with everything that is needed to repeat it as attributes.
 
 xarray, h5py and MATLAB open it. Two digests tell damage: the file's seal (`closedloop.record.netcdf_file`), of all its
 bytes, and the attribute `checksum`, of what a run is made of, which still holds when another program has added to the

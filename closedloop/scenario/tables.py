@@ -1,26 +1,45 @@
-""""""
+"""Sections that are lists of tables, as [[contact]], and the keys of one table, by its name or its number.
+
+contact.floor left.friction     of the one with that name
+contact.0.friction              of the first
+contact.*.friction              of all
+
+A table whose key `at` is a list of points is a table for each of them, "floor 1", "floor 2" ... of one with the name
+"floor", which is still the name of all of them. So is one whose `at` is a face of a link that presses with its area,
+as points of a soft pad, each with its share:
+
+    at = { disc = 0.03, rings = 3 }                    a disc of 30 mm, of 1 + 6 + 12 + 18 points
+    at = { rectangle = [0.04, 0.02], points = [5, 3] } of the sides 40 and 20 mm
+
+The pad is an elastic foundation (Winkler's): what it gives at one place does not depend on the others. So the pressure
+at a place is the depth there times the stiffness of an area, k/A, and a point stands for a cell of the area A/n with
+k/n and d/n. All cells are equally large, and the points of a face pressed whole have its area's exact second moments.
+So its force and the moment of a tilt are exact; where a part of the face is clear of the surface, the error is that of
+cells which are cut by the edge of what presses.
+
+K. L. Johnson, Contact Mechanics, 1985, Sec. 4.3 (the elastic foundation).
+"""
 
 from __future__ import annotations
 
-from typing import Any
-import numpy as np
-from closedloop.base.arrays import Array
-from closedloop.base.errors import ScenarioError
-from closedloop.mechanics.surface.compliances.hunt_crossley import HuntCrossley
-from closedloop.mechanics.surface.compliances.kelvin_voigt import KelvinVoigt
-from closedloop.mechanics.surface.placed import contact_frame, unit
 import re
 from collections.abc import Sequence
 from functools import cache
 from itertools import groupby
 from typing import Any, get_args
+
+import numpy as np
+
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import OneOf
 from closedloop.base.sections import Section
 from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.surface.compliances.hunt_crossley import HuntCrossley
+from closedloop.mechanics.surface.compliances.kelvin_voigt import KelvinVoigt
+from closedloop.mechanics.surface.placed import contact_frame, unit
 from closedloop.scenario.scenario import Scenario, families, families_in
 from robot_models.errors import shown
-
 
 # Kinds of compliance whose force is shared by points, and the parameters that are.
 SHARED: dict[str, tuple[type[Any], tuple[str, ...]]] = {

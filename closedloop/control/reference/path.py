@@ -1,28 +1,28 @@
-""""""
+"""The base class of paths: a section of the scenario that gives the desired motion of the tip; and checks of paths.
+
+A user's path is a class derived from `Path`, with its parameters as typed fields and the one method `tip_path`.
+Those that ship are in `closedloop.control.reference.paths`, one file each, written the same way.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
-import numpy as np
-from closedloop.base.arrays import Array
-from closedloop.base.errors import ScenarioError
-from closedloop.base.sections import Size
-from closedloop.mechanics.surface.placed import unit
 from abc import abstractmethod
-from typing import ClassVar, Literal
+from collections.abc import Sequence
+from typing import ClassVar, Literal, Protocol
+
 import numpy as np
 from pydantic import Field
+
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters, is_users
+from closedloop.base.sections import Size
 from closedloop.control.reference.on_surface import on_surface
 from closedloop.control.reference.orientation import Held
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.jit.user_code import of_users
 from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
 from closedloop.mechanics.surface.surface import Surface
-
 
 TURNS = Size(1e6, "", "no path goes round so often", 1e-9)
 

@@ -1,6 +1,4 @@
-"""A run as MCAP with standard ROS 2 messages.
-
-A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
+"""A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
 
     /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law; of what turns freely the
                                                             rotation vector and the angular velocity in its axes

@@ -1,14 +1,10 @@
 """Columns that are made of recorded ones, and those that a user adds.
 
-The columns of the links' contacts, a column for each contact, named by it: ``link_forces_floor_left``.
+Columns that follow from others are worked out when they are first asked for, and are not in run.nc. They are
+attributes of a `Run`, and stand beside the recorded ones in CSV and pandas.
 
-Columns of a run that follow from its others: worked out when they are first asked for, and not in run.nc.
-
-They are attributes of a `Run`, and stand beside the recorded ones in CSV and pandas.
-
-Columns that only some runs have: the states of their control laws, and what functions of one's own add.
-
-What a column is cannot be looked up in a table then: a `Run` has it as `added`, and its file as the attribute `added`.
+Only some runs have the states of their control laws, and what functions of one's own add. What such a column is cannot
+be looked up in a table: a `Run` has it as `added`, and its file as the attribute `added`.
 """
 
 from __future__ import annotations

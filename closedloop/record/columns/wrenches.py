@@ -9,21 +9,15 @@ what drive, friction, spring and stop give together.
 from __future__ import annotations
 
 import numpy as np
-from closedloop.base.arrays import Array
-from closedloop.base.errors import ScenarioError
-from closedloop.record.columns.record import Record
-from closedloop.record.columns.touching import contacts_of, frames_in_rows
-from closedloop.scenario.arm import robot_of, without_tools
-from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.tables import names_of, patches_of
-from robot_models.errors import shown
-import numpy as np
+
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.record.columns.derived import tip_force, tip_moment
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import contacts_of, frames_in_rows, placed_frame, wrenches_on_links
 from closedloop.scenario.arm import robot_of, without_tools
+from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import names_of, patches_of
 from robot_models import RobotModel
 from robot_models.errors import shown
 from robot_models.loop_joint import WORLD

@@ -1,9 +1,5 @@
 """The values of a run's summary from its columns, those of the contacts of links among them.
 
-What is reported of the contacts of the links: their forces, and how well complementarity and cone are kept.
-
-The values of a run's summary from the columns of a `Run`, many rows at a time, with nothing to compile.
-
 What a row has to say is `closedloop.record.report.row_sample`, interpreted on columns. The largest, the sum, the first
 of it over the rows is numpy's here; `closedloop.record.report.measured` has it row by row.
 `tests/closedloop/record/test_measured.py` holds the two equal. Interpreted, the latter would take 3 s for the 8000

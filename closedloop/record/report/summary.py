@@ -1,36 +1,38 @@
-"""The summary of a run: its verdict, the paper's five assumptions, how large every error was, and the balance of energy.
+"""The summary of a run: verdict, the paper's five assumptions, how large every error was, and the balance of energy.
 
 An assumption is reported as held only if it was checked at every row; the value that decides stands beside it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-from closedloop.jit.interpreted import interpreted
-from closedloop.mechanics.closure.contact_force import FREE, STUCK
-from closedloop.record.columns.record import Record
-from closedloop.record.report.row_sample import NAMES, assumptions_met
-from closedloop.record.report.run_values import contact_faults
-from closedloop.record.report.verdict import outside_by_the_run, outside_by_the_scenario
-import math
-from typing import Any
-import numpy as np
+
 from closedloop.base.arrays import Array, plain
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import KINDS
-from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.loops.reactions import parts_of
 from closedloop.record.clearance import clearance_of
 from closedloop.record.columns.record import Record
 from closedloop.record.report.control_verdict import judge_control, limited_joints, run_signals
 from closedloop.record.report.halved import step_error
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
-from closedloop.record.report.row_sample import Scale, energy_left, torque_power
-from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.verdict import Facts, friction_off_slip, judge, motions_without_drive, not_determined_from
+from closedloop.record.report.row_sample import NAMES, Scale, assumptions_met, energy_left, torque_power
+from closedloop.record.report.run_values import columns_of, contact_faults, run_values
+from closedloop.record.report.verdict import (
+    Facts,
+    friction_off_slip,
+    judge,
+    motions_without_drive,
+    not_determined_from,
+    outside_by_the_run,
+    outside_by_the_scenario,
+)
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import Sliding, gains_fault
 from closedloop.scenario.modes import Pressed, unresolved, unresolved_feedback, where_it_slides, where_they_press

@@ -1,34 +1,30 @@
-"""What is printed of a run: its verdict, its assumptions, how large every error was, and what happened to the contact."""
+"""What is printed of a run: verdict, assumptions, how large every error was, and what happened to the contact."""
 
 from __future__ import annotations
 
-from typing import Any
-import numpy as np
-from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT
-from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
-from closedloop.record.columns.record import Record
-from closedloop.record.report.run_values import contact_rows
-from closedloop.record.report.summary import joint_measures
-from closedloop.record.report.verdict import energy_at_stake
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
+
 import numpy as np
-from closedloop.control.drives import OF_THE_ROBOT
+
+from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT, OF_THE_ROBOT
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.friction.law import FrictionLaw
-from closedloop.mechanics.integrators import scheme_of
+from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.clearance import passing_note
 from closedloop.record.columns.record import Record
 from closedloop.record.report.control_verdict import unknown_text
 from closedloop.record.report.halved import halved_rows
-from closedloop.record.report.summary import run_gains_fault
-from closedloop.record.report.verdict import GOOD, names_of, probable_reason
+from closedloop.record.report.run_values import contact_rows
+from closedloop.record.report.summary import joint_measures, run_gains_fault
+from closedloop.record.report.verdict import GOOD, energy_at_stake, names_of, probable_reason
 from closedloop.scenario.tables import names_in
 from robot_models.notes import notes as robot_notes
 
 if TYPE_CHECKING:
     from rich.console import Console
+
     from closedloop.record.columns.record import Event
 
 

@@ -1,9 +1,4 @@
-"""A page about a force loop, and what a display shows at once.
-
-A page about a force loop: one sentence, a table, and the numbers behind them.
-
-What is known of a force loop at once, for a display that follows its sliders: no limits are solved for.
-"""
+"""A page about a force loop, and what a display shows at once."""
 
 from __future__ import annotations
 

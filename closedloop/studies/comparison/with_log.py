@@ -1,9 +1,4 @@
-"""A log compared with a scenario, aligned in time.
-
-How much later a log began than a run: the shift at which both differ least.
-
-A log, or a run, compared with a scenario: aligned in time, with the differences and what explains them.
-"""
+"""A log compared with a scenario, aligned in time."""
 
 from __future__ import annotations
 

@@ -1,9 +1,5 @@
 """A part of a sweep: its runs, its file, and all parts on disk.
 
-The file of a part: its content, its name, and a line with the SHA-256 of both (`closedloop.record.netcdf_file`).
-
-A part of a sweep: some runs one after the other, as rows of the table and, if kept, whole columns.
-
 Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
 
     sweep.json           what the sweep is: nothing else may put parts here

@@ -1,9 +1,5 @@
 """The values and constraints of a tuning's points at once, and what a tuning is given.
 
-What a tuning is given: the numbers that vary, their ranges, and the constraints.
-
-The values and constraints of many points at once: one batch of runs for all points and variations.
-
 What has been run is kept in a file, a line a point, so that a tuning that was interrupted goes on: the search is the
 same for the same input, and takes from the file what is there. A line that is damaged is run again.
 

@@ -1,7 +1,5 @@
 """A tuning, and its outcome.
 
-The outcome of a tuning: the scenario that was found, what binds, and how sensitive it is.
-
 `cl.tune`: numbers of a scenario, gains above all, that minimise a value of its runs.
 """
 

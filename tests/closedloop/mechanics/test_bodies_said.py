@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.record.report.report_rows import report_rows
+from closedloop.record.report.tables import report_rows
 from closedloop.scenario.load import parse_scenario
 from closedloop.studies.gradient.quantities import Keys
 

@@ -180,7 +180,7 @@ def run_values(run: Record) -> Any:
     if "torque_limited" in run.columns:
         count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)
-    values.energy_taken_at_rest = np.nansum(run.event_energy_rested)  # NaN in files from before there was the column
+    values.energy_taken_at_rest = np.sum(run.event_energy_rested)
     if run.scenario.contact:
         values.energy_lost_to_friction += lost_to_slips(run.time, run.link_frictions, run.link_slips)
     values.largest_rate_cut = np.max(run.event_rate_cut, initial=0.0)

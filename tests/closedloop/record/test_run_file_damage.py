@@ -53,17 +53,6 @@ def test_the_last_line_says_what_it_is(saved):
     assert line.decode() == hashlib.sha256(content).hexdigest() + "\n"
 
 
-def test_the_line_of_an_earlier_version_is_one(copy, saved):
-    """It has a second number, which nobody needs; in such a file, too, a bit that changed is told."""
-    whole = saved.read_bytes()
-    older = whole[:-1] + b" " + 64 * b"0" + b"\n"
-    copy.write_bytes(older)
-    assert same(copy, saved)
-    copy.write_bytes(older[:500] + bytes([older[500] ^ 1]) + older[501:])
-    with pytest.raises(cl.RunFileError, match=r"copy.nc: is damaged: its bytes are not those"):
-        cl.load_run(copy)
-
-
 def test_additions_of_others_are_no_damage(copy, saved):
     """A comment or a column that another program adds, or bytes behind the end, leave the run what it was."""
     with h5py.File(copy, "r+") as h5:

@@ -1,7 +1,4 @@
-"""Figures of a run as files, and as Jupyter shows it.
-
-A run as Jupyter shows it: a small picture beside the numbers of its report.
-"""
+"""Figures of a run as files, and as Jupyter shows it."""
 
 from __future__ import annotations
 

@@ -1,10 +1,5 @@
 """What the lab draws over time: curves, spans and strips.
 
-How far a slider of the lab reaches, and in which steps: from the value that it starts with, the bounds of the key's
-field, and its unit.
-
-The values that answer whether a run is good: both verdicts, errors of the force, margins, energy, limits.
-
 A tile has a name, a value in words, and whether it is good where a verdict or a bound says so. Beside it stands how it
 differs from the run that it is compared with, and whether that is better.
 

@@ -21,7 +21,6 @@ from closedloop.base.errors import ClosedLoopError, InterruptedRunError, OutputE
 from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, as_command
-from closedloop.command.help import list_of_sections, scenario_parser
 from closedloop.command.job import (
     Job,
     halved,
@@ -33,6 +32,7 @@ from closedloop.command.job import (
     without_stabiliser,
 )
 from closedloop.command.lists import list_of_scenarios, versions
+from closedloop.command.shared_options import list_of_sections, scenario_parser
 from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
@@ -179,7 +179,7 @@ def _contact(name: str) -> Any:
 
 def _wrench(word: str, model: Any) -> Any:
     """Return what works out the wrench JOINT[@FRAME], and its unit."""
-    from closedloop.record.columns.joint_wrench import check_joint
+    from closedloop.record.columns.wrenches import check_joint
 
     joint, _, given = word.partition("@")
     frame = given or "joint"

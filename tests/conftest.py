@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from closedloop.command.pieces import pieces
+from closedloop.command.compile_all import pieces
 from closedloop.jit.background import VARIABLE
 from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.kernel import jit_disabled

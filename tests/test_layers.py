@@ -15,7 +15,7 @@ WINGS = (
     "lab", "gym", "serve", "command", "plugins", "run", "__main__", "__init__",
 )  # fmt: skip
 # Modules that import by name what users named, and their own files.
-NEVER_UPWARDS = {"closedloop.base.families.family", "closedloop.scenario.user_module"}
+NEVER_UPWARDS = {"closedloop.base.families", "closedloop.scenario.user_module"}
 
 
 def modules(package):

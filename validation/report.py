@@ -10,7 +10,7 @@ from html import escape
 from textwrap import shorten
 from typing import Any
 
-from closedloop.base.plain import plain
+from closedloop.base.arrays import plain
 from validation.cells import Cell, Comparison
 from validation.report_tables import MARKS, Section, check_rows, details, grid, title_of
 

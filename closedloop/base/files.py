@@ -7,7 +7,6 @@ A temporary file left by a kill has a name that no other program makes, so that 
 from __future__ import annotations
 
 import errno
-import hashlib
 import os
 import re
 import secrets
@@ -24,7 +23,7 @@ try:
 except ImportError:  # not on Windows, where a file in use cannot be removed anyway
     fcntl = None  # type: ignore[assignment]
 
-_UNFINISHED = re.compile(r"\.closedloop-([0-9a-f]{16})-([0-9a-f]{16})\.unfinished")
+_UNFINISHED = re.compile(r"\.closedloop-[0-9a-f]{32}\.unfinished")
 
 
 def write_whole(
@@ -107,7 +106,7 @@ def remove_unfinished(folder: str | Path) -> list[Path]:
     gone: list[Path] = []
     try:
         with os.scandir(folder) as entries:
-            names = [entry.name for entry in entries if _is_ours(entry.name)]
+            names = [entry.name for entry in entries if _UNFINISHED.fullmatch(entry.name)]
     except (OSError, ValueError):
         return gone
     for name in names:
@@ -211,17 +210,7 @@ def reason_of(error: BaseException) -> str:
 
 
 def _unfinished_name() -> str:
-    random = secrets.token_hex(8)
-    return f".closedloop-{random}-{_check(random)}.unfinished"
-
-
-def _check(random: str) -> str:
-    return hashlib.sha256(f"unfinished file of closedloop {random}".encode()).hexdigest()[:16]
-
-
-def _is_ours(name: str) -> bool:
-    found = _UNFINISHED.fullmatch(name)
-    return found is not None and found[2] == _check(found[1])
+    return f".closedloop-{secrets.token_hex(16)}.unfinished"
 
 
 def _open_locked(path: Path) -> BinaryIO:

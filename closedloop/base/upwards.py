@@ -1,18 +1,23 @@
-"""Methods that call what stands above them, as `Run.plot` does: the one table of what is imported by its name.
+"""What is called by its name and imported when it is: methods of what stands below, as `Run.plot`, and packages.
 
-A user looks for these functions at the object that he has; the imports of the package point downwards only.
+A user looks for functions at the object that he has; the imports of the package point downwards only: `ABOVE` is the
+one table of them. ``closedloop.lab`` is a package, and a function as well.
 """
 
 from __future__ import annotations
 
+import inspect
+import sys
+from collections.abc import Callable
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 ABOVE = {
     "replace": "closedloop.scenario.overrides:replaced",
     "unchanged": "closedloop.scenario.messages:unchanged",
     "run": "closedloop.simulation.simulate:simulate_prepared",
-    "plot": "closedloop.figures.overview:plot",
+    "plot": "closedloop.figures.errors:plot",
     "html": "closedloop.figures.files:html",
     "show": "closedloop.lab.share:show_run",
     "animate": "closedloop.lab.animate:animate",
@@ -25,3 +30,17 @@ def called(name: str, *arguments: Any, **options: Any) -> Any:
     """Return what the function of that name returns, see `ABOVE`."""
     module, _, function = ABOVE[name].partition(":")
     return getattr(import_module(module), function)(*arguments, **options)
+
+
+def make_callable(package: str, found: Callable[[], Callable[..., Any]]) -> None:
+    """Let a package that is being imported be called as a function, which `found` imports when it is."""
+
+    class CallablePackage(ModuleType):
+        def __call__(self, *arguments: Any, **options: Any) -> Any:
+            return found()(*arguments, **options)
+
+        @property
+        def __signature__(self) -> inspect.Signature:
+            return inspect.signature(found())
+
+    sys.modules[package].__class__ = CallablePackage

@@ -11,11 +11,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from closedloop.base.arrays import plain
 from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.base.files import made_folder, what_was_written, write_whole
-from closedloop.base.plain import plain
 from closedloop.command.border import DONE, Parser, as_command
-from closedloop.command.figure_options import add_figure_options, drawn_as, formats_of
+from closedloop.command.shared_options import add_figure_options, drawn_as, formats_of
 
 if TYPE_CHECKING:
     from closedloop.studies.analysis.stability import Range, Stability

@@ -7,8 +7,8 @@ from pathlib import Path
 from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written
 from closedloop.command.border import DONE, Parser, as_command
+from closedloop.figures.export.mcap_file import write_rosbag2
 from closedloop.figures.export.mjcf import write_mjcf
-from closedloop.figures.export.rosbag2 import write_rosbag2
 from closedloop.figures.export.tables import FORMATS as BY_ENDING
 from closedloop.lab.animate import animate
 from closedloop.lab.share import share

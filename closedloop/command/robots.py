@@ -1,9 +1,7 @@
-"""Robots by the command line: the list, one of them, and whether its mechanics are those of other programs.
+"""``closedloop robots``, and ``closedloop robots ur5``: the robots that a scenario can name as robot.model.
 
-The robots that a scenario can name as robot.model: ``closedloop robots``, and ``closedloop robots ur5``.
-
-Whether H, C, potential energy, the tip's Jacobian and the rows of loops are those of other programs on random states:
-``closedloop robots FILE --check``.
+With --check: whether H, C, potential energy, the tip's Jacobian and the rows of loops of a robot are those of other
+programs on random states.
 """
 
 from __future__ import annotations

@@ -200,7 +200,7 @@ def _counted(result: Joined) -> str:
 
 
 def _sweep_parser() -> Parser:
-    from closedloop.command.help import list_of_sections, scenario_parser
+    from closedloop.command.shared_options import list_of_sections, scenario_parser
     from closedloop.simulation.engines.loops import COMPILED, ENGINES
 
     parser = scenario_parser(
@@ -247,7 +247,7 @@ def _sweep_parser() -> Parser:
 
 def _plot(arguments: list[str]) -> int:
     from closedloop.command.border import DONE, Parser
-    from closedloop.command.figure_options import add_figure_options, drawn_as
+    from closedloop.command.shared_options import add_figure_options, drawn_as
 
     parser = Parser(prog="closedloop sweep plot", description="Draw maps of a sweep's table.")
     parser.add_argument("table", help="the .parquet file of a sweep")

@@ -1,8 +1,4 @@
-"""The base classes of laws and compensations, and the input of a law at one instant.
-
-What a law sees where that is not the state itself: measured, and through a model of its own.
-
-Base classes of control laws and compensations: a section of the scenario, its states, and up to four functions.
+"""The base classes of laws and compensations, and what a law sees at one instant.
 
 A user's law is a class derived from `ControlLaw`, with its parameters as typed fields. Those that ship are in
 `closedloop.control.laws`, one file each, written the same way.

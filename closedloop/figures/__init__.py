@@ -21,18 +21,12 @@ another width or font.
 
 from __future__ import annotations
 
-from closedloop.figures.bodies import bodies
-from closedloop.figures.closure import closure_error
-from closedloop.figures.columns import columns
+from closedloop.figures.errors import closure_error, force_control
 from closedloop.figures.files import draw_figures, images_of, is_papers, save_figure
-from closedloop.figures.force import contact_force
-from closedloop.figures.friction import friction_force
-from closedloop.figures.impacts import impacts
-from closedloop.figures.joints import joints
+from closedloop.figures.force import contact_force, friction_force, impacts
 from closedloop.figures.link_contacts import link_contacts
-from closedloop.figures.overview import force_control
+from closedloop.figures.motion import bodies, columns, joints, tip_position, tool
 from closedloop.figures.style import STYLE, contact_handles, styled
-from closedloop.figures.tip import tip_position, tool
 
 __all__ = [
     "STYLE",

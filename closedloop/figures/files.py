@@ -1,7 +1,4 @@
-"""Figures of a run as files, and as Jupyter shows it.
-
-A run as Jupyter shows it: a small picture beside the numbers of its report.
-"""
+"""Figures of a run as files, and as Jupyter shows it."""
 
 from __future__ import annotations
 
@@ -15,16 +12,11 @@ import numpy as np
 
 from closedloop.base.files import write_whole
 from closedloop.base.second_process import Beside
-from closedloop.figures.bodies import bodies, has_bodies, rests
-from closedloop.figures.closure import closure_error
-from closedloop.figures.force import contact_force
-from closedloop.figures.friction import friction_force, has_friction
-from closedloop.figures.impacts import has_impacts, impacts
-from closedloop.figures.joints import has_joints, joints
+from closedloop.figures.errors import closure_error, force_control, shows_bodies
+from closedloop.figures.force import contact_force, friction_force, has_friction, has_impacts, impacts
 from closedloop.figures.link_contacts import link_contacts
-from closedloop.figures.overview import force_control, shows_bodies
+from closedloop.figures.motion import bodies, has_bodies, has_joints, has_tool, joints, rests, tip_position, tool
 from closedloop.figures.style import COLOURS, styled, tip_is_idle
-from closedloop.figures.tip import has_tool, tip_position, tool
 from closedloop.record.report.control_verdict import unknown_text
 from closedloop.record.run import Run
 
@@ -123,7 +115,7 @@ def draw_figures(
     Every run has its tip position, contact force, closure error, the errors that force control is about, and its
     joints; one with impacts, friction, a tool or free bodies has a figure of them. Where links touch instead of a
     tip that never does, they are drawn in place of its force and gap. The paper's slide has the paper's figures, with
-    its numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
+    its numbers, and the errors; its joints can be had from `closedloop.figures.motion`.
 
     Parameters
     ----------

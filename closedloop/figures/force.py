@@ -1,4 +1,4 @@
-"""The contact force, Fig. 5 of the paper, with the impulses of its impacts."""
+"""The forces of a run: the contact force (Fig. 5 of the paper), impacts, and friction in its cone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.figures.impacts import hits
+from closedloop.base.arrays import Array
+from closedloop.figures.motion import directions, sideways
 from closedloop.figures.style import (
     COLOURS,
     FORCE_STEPS,
@@ -19,15 +20,113 @@ from closedloop.figures.style import (
     legend_beside_title,
     marks,
     new_figure,
+    no_upper_labels,
     page_width,
     panels,
 )
+from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.friction.contact import surface_contact
+from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+# Values that span more than this ratio are drawn on a logarithmic axis; what is below this share of the largest, or
+# of the impulse of the largest force in a step, is rounding.
+SPREAD, ROUNDING = 20.0, 1e-12
+
+
+class _Series(NamedTuple):
+    """Values, one an impact; their name, and how they are drawn."""
+
+    values: Array
+    label: str
+    marker: str
+    colour: str
+
+
+def hits(run: Run) -> NDArray[np.bool_]:
+    """Return which events are meetings with the surface (M,).
+
+    A touchdown without an impulse does not count, nor one whose impulse is the rounding of the forces times a step.
+    """
+    forces = run.link_forces if run.scenario.contact else run.contact_force
+    least = ROUNDING * run.scenario.time.step * float(np.max(np.abs(forces), initial=0.0))
+    return np.isin(run.event_kind, (IMPACT, TOUCHDOWN)) & (run.event_compression > least)
+
+
+def has_impacts(run: Run) -> bool:
+    """Tell whether the tip ever met the surface with an impulse."""
+    return bool(np.any(hits(run)))
+
+
+def impacts(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+    """Draw the closure rate before and after each impact, its impulses, and its energy loss, against time.
+
+    For `ax` see `closedloop.figures`.
+    """
+    if not has_impacts(run):
+        raise ValueError("the run has no impact to draw")
+    hit = hits(run)
+    time, cut, lost = run.event_time[hit], run.event_rate_cut[hit], run.event_energy_lost[hit]
+    figure, (above, middle, below) = panels(3, 6.2, ax)
+    rates = [
+        _Series(-run.event_rate_before[hit], "before", "o", COLOURS[0]),
+        _Series(run.event_rate_after[hit], "after", "^", COLOURS[1]),
+        _Series(cut, "cut to rest", "x", "0.25"),
+    ]
+    rest = run.scenario.impact.rest_speed
+    _draw(above, time, rates, beside=rest if np.any(cut > 0.0) else None)
+    if np.any(cut > 0.0):
+        above.axhline(rest, color="0.3", linestyle=":", linewidth=1)
+        above.annotate(
+            f"impact.rest_speed = {rest:g} m/s", (0.0, rest), xycoords=("axes fraction", "data"), xytext=(4, 3),
+            textcoords="offset points", fontsize="small", color="0.25",
+        )  # fmt: skip
+    above.set(title=f"Closure rate at impacts ({run.model.name})", ylabel="|ė| [m/s]")
+    impulses = [
+        _Series(run.event_compression[hit], "compression", "o", COLOURS[0]),
+        _Series(run.event_decompression[hit], "decompression", "^", COLOURS[1]),
+        _Series(np.linalg.norm(run.event_tangential[hit], axis=1), "tangential", "x", COLOURS[2]),
+    ]
+    _draw(middle, time, impulses)
+    middle.set(title="Impulse" if np.any(run.event_contact[hit] > 0) else "Impulse on the tip", ylabel="impulse [N s]")
+    _draw(below, time, [_Series(lost, "", "o", COLOURS[0])])
+    below.set(title=f"Kinetic energy lost, {np.sum(lost):.3g} J in total", ylabel="energy [J]")
+    margin = max(0.04 * float(np.ptp(time)), 2.0 * run.scenario.time.step)
+    for axes in (above, middle, below):
+        axes.set(xlim=(float(time[0]) - margin, float(time[-1]) + margin), xlabel="time [s]")
+    no_upper_labels(figure, (above, middle, below))
+    return figure
+
+
+def _draw(axes: Axes, time: Array, series: list[_Series], beside: float | None = None) -> None:
+    """Draw what is positive of each series: zero has no place on a logarithmic axis; `beside` is to be seen too."""
+    from matplotlib.ticker import NullFormatter
+
+    least = ROUNDING * max(float(np.max(each.values)) for each in series)
+    shown = [each for each in series if np.any(each.values > least)]
+    for values, label, marker, colour in shown:
+        axes.plot(
+            time, np.where(values > least, values, np.nan), linestyle="none" if marker == "x" else ":", linewidth=0.7,
+            marker=marker, markersize=5, markerfacecolor="none" if marker == "^" else colour, color=colour, label=label,
+        )  # fmt: skip
+    everything = np.concatenate([each.values[each.values > least] for each in shown] or [np.ones(1)])
+    low, high = float(np.min(everything)), float(np.max(everything))
+    if beside is not None:
+        low, high = min(low, beside), max(high, beside)
+    if high > SPREAD * low:
+        axes.set(yscale="log", ylim=(10 ** math.floor(math.log10(0.8 * low)), 10 ** math.ceil(math.log10(1.25 * high))))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_ylim(0.0, 1.2 * high)
+    if any(each.label for each in shown):
+        legend_beside_title(axes)
+
 
 # A force that varies by less than this share of itself, or of 1 N, is drawn flat and never enlarged.
 FLAT = 1e-3
@@ -202,3 +301,73 @@ def _draw_force(axes: Axes, run: Run, rows: slice, **style: Any) -> None:
     if np.ptp(force) < _flat(force):
         middle = float(np.mean(force))
         axes.set_ylim(middle - 1, middle + 1)
+
+
+# A part of friction below this share of all of it is not drawn.
+ASIDE = 0.01
+
+
+def has_friction(run: Run) -> bool:
+    """Tell whether the surface ever resisted slip."""
+    return bool(np.any(run.friction_force))
+
+
+def friction_levels(law: Any) -> list[tuple[float, str, str]]:
+    """Return the levels that a law has, static and kinetic, each with its name and stroke; none of one that is gone."""
+    if not isinstance(law, FrictionLaw):
+        return []
+    contact = surface_contact(law)
+    contact.rested()
+    static, kinetic = contact.stick_limit, contact.kinetic_level
+    levels = [(kinetic, "μ f", "-")] if static == kinetic else [(static, "μₛ f", "-"), (kinetic, "μₖ f", "--")]
+    return [each for each in levels if each[0] > 0.0]
+
+
+def friction_bounds(run: Run) -> list[tuple[Array, str, str]]:
+    """Return the cone of a run's friction: each level times f, and the viscous part b |u|, which f does not bound.
+
+    Each is an array (N,), N, with its name and stroke.
+    """
+    law = run.scenario.friction
+    b = float(getattr(law, "viscous", 0.0))
+    touching = run.mode != FREE
+    viscous = b * np.linalg.norm(run.slip_velocity, axis=1) if b > 0.0 else np.zeros(len(run))
+    more = " + b |u|" if b > 0.0 else ""
+    return [
+        (np.where(touching, level * run.contact_force + viscous, 0.0), f"{name}{more}", stroke)
+        for level, name, stroke in friction_levels(law)
+    ]
+
+
+def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+    """Draw friction along the path inside the friction cone, ±(μf + b|u|), and the velocity of slip along the path.
+
+    Both are signed along the direction of the path, see `closedloop.figures.motion.directions`: friction that resists
+    slip along the path is negative. Its part across the path is drawn beside it, where there is any.
+    For `ax` see `closedloop.figures`.
+    """
+    along, force = directions(run), run.friction_force
+    across = sideways(run, along)
+    slip = np.where(run.mode != FREE, np.sum(run.slip_velocity * along, axis=1), np.nan)
+    figure, (above, below) = panels(2, 4.8, ax)
+    for (bound, name, stroke), (level, *_) in zip(
+        friction_bounds(run), friction_levels(run.scenario.friction), strict=True
+    ):
+        for sign in (1.0, -1.0):
+            label = f"±({name}), μ = {level:g}" if "+" in name else f"±{name}, μ = {level:g}"
+            above.plot(
+                run.time, sign * bound, stroke, color="0.6", linewidth=1.8, label=label if sign > 0 else None
+            )  # fmt: skip
+    above.plot(run.time, np.sum(force * along, axis=1), color=COLOURS[0], label="along the path")
+    beside = np.sum(force * across, axis=1)
+    if np.max(np.abs(beside)) > ASIDE * np.max(np.abs(force)):
+        above.plot(run.time, beside, color=COLOURS[2], linewidth=0.9, label="across")
+    above.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
+    dress(above, run, "Friction", "Fₜ [N]", show_events=False)
+    legend_beside_title(above)
+    below.plot(run.time, 1e3 * slip, color=COLOURS[1])
+    below.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
+    dress(below, run, "Slip along the path", "velocity [mm/s]", label_marks=False)
+    no_upper_labels(figure, (above, below))
+    explain_contact(figure, run)
+    return figure

@@ -1,9 +1,5 @@
 """The style of all figures, the elements of all panels over time, and the instants that they mark.
 
-The instants marked in figures: changes of the law or the reference, and of the contact mode.
-
-Elements of all panels over time: titles, the marks of law and reference, contact modes and events.
-
 Modes are bands behind the curves and events are marks on the time axis. Bands differ in lightness and hatching and
 marks in shape, so that neither needs colour.
 """

@@ -90,7 +90,7 @@ import signal
 signal.alarm({LONGEST})
 if sys.argv[2] not in sys.path:
     sys.path.insert(0, sys.argv[2])
-from closedloop.command.pieces import compile_these
+from closedloop.command.compile_all import compile_these
 compile_these(sys.argv[3:])
 """
 

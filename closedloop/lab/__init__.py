@@ -10,7 +10,7 @@ The package can be called, since ``closedloop.lab`` is its name as a module and 
 from collections.abc import Callable
 from typing import Any
 
-from closedloop.base.callable_package import make_callable
+from closedloop.base.upwards import make_callable
 
 
 def _function() -> Callable[..., Any]:

@@ -10,8 +10,8 @@ from typing import Any
 
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.base.files import what_was_written
+from closedloop.lab.drawn import pack
 from closedloop.lab.history import MOST_PINS, save, save_page
-from closedloop.lab.messages import pack
 from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Client
 from closedloop.scenario.load import shipped_scenarios

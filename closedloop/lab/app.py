@@ -25,12 +25,11 @@ from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.controls import Control, begin_values
 from closedloop.lab.curves import Panel, beside, panels
 from closedloop.lab.details import Details
-from closedloop.lab.drawn import Message, curves, frames, run_message
+from closedloop.lab.drawn import Message, curves, frames, pack, run_message
 from closedloop.lab.gallery import cards, pictures
 from closedloop.lab.groups import all_controls, rows_in_groups
 from closedloop.lab.history import IN_A_FILE, Changes, History, Pins
-from closedloop.lab.mapping_work import MapWork
-from closedloop.lab.messages import pack
+from closedloop.lab.mapping import MapWork
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, Server, in_notebook, new_token, proxied
 from closedloop.lab.share import hello, page
 from closedloop.record.run import Run

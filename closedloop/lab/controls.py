@@ -2,8 +2,6 @@
 
 Values to begin with when another kind is chosen whose keys have no defaults, such as the radius of a circle.
 
-The controls of a scenario, made from its own schema: a slider, a choice, a switch or a text for each key.
-
 A control knows how to turn what it shows into a value of the scenario and back. Its bounds, unit and hint are those of
 the key's field; the span of a slider starts from the value that the scenario has.
 """

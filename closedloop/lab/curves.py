@@ -1,10 +1,5 @@
 """What the lab draws over time: curves, spans and strips.
 
-How far a slider of the lab reaches, and in which steps: from the value that it starts with, the bounds of the key's
-field, and its unit.
-
-The values that answer whether a run is good: both verdicts, errors of the force, margins, energy, limits.
-
 A tile has a name, a value in words, and whether it is good where a verdict or a bound says so. Beside it stands how it
 differs from the run that it is compared with, and whether that is better.
 
@@ -27,9 +22,9 @@ from pydantic.fields import FieldInfo
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import field_units, sizes
-from closedloop.figures.closure import tip_errors
-from closedloop.figures.friction import friction_bounds
+from closedloop.figures.force import friction_bounds
 from closedloop.figures.link_contacts import contacts_drawn
+from closedloop.figures.motion import tip_errors
 from closedloop.figures.scene.ground import Ground
 from closedloop.figures.scene.solids import errors_in
 from closedloop.figures.style import length_unit, position_rounding
@@ -430,7 +425,7 @@ def _torques(run: Run) -> list[Panel]:
 
 
 def _friction(run: Run) -> Panel:
-    """Return the size of friction at the tip beside its cone, see `closedloop.figures.friction.friction_bounds`."""
+    """Return the size of friction at the tip beside its cone, see `closedloop.figures.force.friction_bounds`."""
     traces = [Trace("|Ft|", COLOURS[0], np.linalg.norm(run.friction_force, axis=1))]
     for k, (cone, name, _) in enumerate(friction_bounds(run)):
         traces.append(Trace(name, COLOURS[6 if k == 0 else 5], cone, limit=True))

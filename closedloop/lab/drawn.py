@@ -1,10 +1,17 @@
-"""What the page draws of a run, as messages: its curves, and the robot and the run in space.
+"""Messages to the page: what it draws of a run, and how messages are packed.
 
 The curves go first: they are what a slider is moved for. A run in space is its replay at some rows.
+
+A message is a tree of plain values and arrays as bytes, which both a socket and a file can hold. Four bytes give the
+length of the header, which is JSON, padded to whole words; behind it are the arrays, which the header names by where
+they begin and how many numbers they have. `web/numbers.js` reads them.
 """
 
 from __future__ import annotations
 
+import base64
+import json
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.figures.bodies import AT_REST
+from closedloop.figures.motion import AT_REST
 from closedloop.figures.scene.ground import thin_out
 from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
 from closedloop.figures.scene.solids import COLOUR, OPACITY, Shape
@@ -21,6 +28,65 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.clearance import passing_note
 from closedloop.record.run import Run
 from closedloop.scenario.robot_sections import NO_ROBOT
+
+# Of an array in the header, by its type: 32-bit numbers, the least significant byte first; NaN stays NaN.
+FLOATS, WHOLE = "$f", "$u"
+WORD = 4
+
+
+def pack(message: Any) -> bytes:
+    """Return a message as bytes: dicts, lists, text, numbers, None, and arrays of any shape, which are read flat.
+
+    A number that is not finite, outside of an array, is sent as null.
+    """
+    arrays: list[bytes] = []
+    count = 0
+
+    def plain(value: Any) -> Any:
+        nonlocal count
+        if isinstance(value, np.ndarray):
+            kind, form = (WHOLE, "<u4") if value.dtype.kind in "ui" else (FLOATS, "<f4")
+            with np.errstate(over="ignore"):
+                arrays.append(np.ascontiguousarray(value.astype(form)).tobytes())
+            found = {kind: [count, value.size]}
+            count += value.size
+            return found
+        if isinstance(value, dict):
+            return {str(key): plain(each) for key, each in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(each) for each in value]
+        if isinstance(value, float | np.floating):
+            return float(value) if np.isfinite(value) else None
+        return value.item() if isinstance(value, np.generic) else value
+
+    header = json.dumps(plain(message), allow_nan=False, ensure_ascii=False).encode("utf-8", "replace")
+    header += b" " * (-len(header) % WORD)
+    return struct.pack("<I", len(header)) + header + b"".join(arrays)
+
+
+def unpack(data: bytes) -> Any:
+    """Return the message of `pack`, with flat arrays of 32 bits."""
+    (length,) = struct.unpack_from("<I", data)
+    begin = WORD + length
+
+    def arrays(value: dict[str, Any]) -> Any:
+        for kind, form in ((FLOATS, "<f4"), (WHOLE, "<u4")):
+            if kind in value:
+                return np.frombuffer(data, form, value[kind][1], begin + WORD * value[kind][0])
+        return value
+
+    return json.loads(data[WORD:begin], object_hook=arrays)
+
+
+def in_text(messages: Iterator[Any] | list[Any]) -> str:
+    """Return messages as lines of base64, as a page holds them."""
+    return "\n".join(base64.b64encode(pack(message)).decode("ascii") for message in messages)
+
+
+def from_text(text: str) -> list[Any]:
+    """Return the messages of `in_text`."""
+    return [unpack(base64.b64decode(line)) for line in text.split()]
+
 
 Message = dict[str, Any]
 Rows = Sequence[int] | NDArray[np.int64]

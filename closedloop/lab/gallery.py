@@ -7,8 +7,7 @@ from functools import lru_cache
 
 from closedloop.base.errors import ClosedLoopError
 from closedloop.figures.scene.scene import scene_of
-from closedloop.lab.drawn import Message, robot_message, space_message
-from closedloop.lab.messages import pack
+from closedloop.lab.drawn import Message, pack, robot_message, space_message
 from closedloop.scenario.load import load_scenario, shipped_scenarios
 from closedloop.simulation.simulate import simulate
 

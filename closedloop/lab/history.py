@@ -1,7 +1,5 @@
 """The runs of the lab: the one that is shown, those before, and what is pinned.
 
-Writing what the lab shows into a folder of its own: scenario.toml, run.nc and page.html.
-
 What was changed in the lab, step by step: the keys of a scenario that differ from where it began.
 
 history = History(scenario, "wam_slide")

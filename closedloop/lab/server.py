@@ -1,11 +1,9 @@
-"""The server of the lab's page.
+"""The server of the lab's page, and where it is shown: below a notebook's cell, or in the browser.
 
 Work of which only the newest matters: a thread that computes the latest request and drops those between.
 
 newest = Newest(compute, show)
 newest.ask(1), newest.ask(2), newest.ask(3)      # computes 1, perhaps, and 3; shows them in this order
-
-Where a page is shown: below a notebook's cell, or in the browser.
 
 The server of the lab's page: on a free port of this computer, for its own page alone.
 

@@ -14,8 +14,7 @@ from closedloop.base.files import write_whole
 from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.curves import tiles
-from closedloop.lab.drawn import curves, robot_message, run_message, space_message, spread
-from closedloop.lab.messages import in_text
+from closedloop.lab.drawn import curves, in_text, robot_message, run_message, space_message, spread
 from closedloop.lab.server import in_notebook
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from closedloop.lab.actions import choose
-from closedloop.lab.drawn import Message
-from closedloop.lab.messages import pack
+from closedloop.lab.drawn import Message, pack
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, new_token
 from closedloop.lab.share import page
 

@@ -1,9 +1,4 @@
-"""A run as named columns with units, for pandas and xarray, and the difference of two.
-
-How the inputs of what is there differ from those of what is asked for, in words.
-
-The columns of a run over time as a pandas DataFrame.
-"""
+"""A run as named columns with units, for pandas and xarray, and the difference of two."""
 
 from __future__ import annotations
 

@@ -1,17 +1,15 @@
 """The bytes of a run file: NetCDF-4 written whole, and a line with the SHA-256 of all before it.
 
-NetCDF-4 files on a disk that may be full.
-
 HDF5 does not survive a failed write: it ends the process when the file is closed. So the room is reserved before it
 begins (`closedloop.base.files.write_whole`), and what was not needed is given back.
 
-A run file's bytes: HDF5, and behind it, where no reader looks, a line with the SHA-256 of all before it.
+Behind the HDF5, where no reader looks, stands
 
     closedloop SHA-256 of all bytes before this line: 0123...
 
 HDF5 trusts what it reads, and may loop for ever over damaged bytes or end the process: so the line is checked first. A
-file without one was made before there was one, or changed by another program, which cuts it off; HDF5 opens that as it
-is. Numbers that are in another file are not read.
+file without one was changed by another program, which cuts it off; HDF5 opens that as it is. Numbers that are in
+another file are not read.
 """
 
 from __future__ import annotations
@@ -99,8 +97,6 @@ def write_reserved(
 
 _WORDS = b"\nclosedloop SHA-256 of all bytes before this line: "
 SEAL_LENGTH = len(_WORDS) + 64 + 1
-# Lines of earlier versions have a second number behind the first, which is not read.
-_LONGEST = SEAL_LENGTH + 65
 # A column that says it is larger than its file, compressed at best, is not read.
 BEST_COMPRESSION = 1100
 
@@ -128,12 +124,10 @@ def unsealed(whole: memoryview) -> memoryview | None:
     ValueError
         If its SHA-256 is another.
     """
-    end = bytes(whole[-_LONGEST:])
-    at = end.rfind(_WORDS)
-    if at not in (0, len(end) - SEAL_LENGTH):
+    content, line = whole[:-SEAL_LENGTH], bytes(whole[-SEAL_LENGTH:])
+    if not line.startswith(_WORDS):
         return None
-    content = whole[: len(whole) - len(end) + at]
-    if end[at : at + SEAL_LENGTH - 1] != seal(content)[:-1]:
+    if line != seal(content):
         raise ValueError("is damaged: its bytes are not those that were written (their SHA-256 differs)")
     return content
 
@@ -158,9 +152,9 @@ def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
     if not stat.S_ISREG(found.st_mode):
         raise RunFileError(f"is {kind_of(found.st_mode)}, not a run file")
     with path.open("rb") as file:
-        file.seek(max(0, found.st_size - _LONGEST))
+        file.seek(max(0, found.st_size - SEAL_LENGTH))
         source: str | BinaryIO = str(path)
-        if _WORDS in file.read():
+        if file.read().startswith(_WORDS):
             file.seek(0)
             whole = file.read()
             try:

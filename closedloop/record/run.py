@@ -23,9 +23,8 @@ from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
-from closedloop.record.columns.face import face_wrench
-from closedloop.record.columns.joint_wrench import joint_wrench
 from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, Event, columns_there, events_of
+from closedloop.record.columns.wrenches import face_wrench, joint_wrench
 from closedloop.record.report.summary import summarise
 from closedloop.record.save import CONVENTIONS, HDF5, attributes, save_run
 from closedloop.scenario.arm import robot_of

@@ -1,6 +1,4 @@
-"""Writing a run as a file, with the versions that it depends on.
-
-Writing a run as a file: NetCDF-4, which is HDF5, with everything that is needed to repeat it as attributes.
+"""Writing a run as a file: NetCDF-4, which is HDF5, with everything that is needed to repeat it as attributes.
 
 xarray, h5py and MATLAB open it. Two digests tell damage: the file's seal (`closedloop.record.netcdf_file`), of all its
 bytes, and the attribute `checksum`, of what a run is made of, which still holds when another program has added to the
@@ -48,9 +46,8 @@ FORMAT, FORMAT_VERSION = "closedloop run", 2
 HDF5 = (".nc", ".h5")
 CONVENTIONS = {"Conventions": "CF-1.11"}
 CHECKSUM = "checksum"
-# Attributes that are text; files from before there was a checksum may lack those of the second line.
-TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
-LATER_TEXTS = ("engine", "law_digest", "not_finite")
+# Attributes that are text.
+TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped", "engine", "law_digest", "not_finite")
 # An attribute of a run with users' classes only: JSON of their names and the SHA-256 of their texts.
 MEMBERS = "members"
 # An attribute of a run that has columns beyond those of all runs: see `closedloop.record.columns.derived`.
@@ -59,7 +56,7 @@ ADDED = "added"
 HALVED = "halved"
 # What the checksum is of.
 ATTRIBUTES = {
-    ADDED, "format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, *LATER_TEXTS, MEMBERS, HALVED,
+    ADDED, "format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, MEMBERS, HALVED,
 }  # fmt: skip
 
 

@@ -1,8 +1,4 @@
-"""The text of a scenario: of a file or a shipped one, read, with overrides.
-
-The text of a scenario, of a shipped one by its name or of a file, and the robot's file that it names.
-
-Reading a scenario: from a file or text, with overrides laid over it, checked.
+"""Reading a scenario: from a file or text, with overrides laid over it, checked.
 
     scenario = load_scenario("wam_slide", {"law.force": 15.0})
 

@@ -1,9 +1,4 @@
-"""The kinds, keys and units of a scenario's sections, and messages about faults in one.
-
-What others call the sections and the keys of a scenario: the one table from which a refusal says what was meant.
-
-The unit, the meaning and the type of a scenario's key, for labels and tables.
-"""
+"""The kinds, keys and units of a scenario's sections, and messages about faults in one."""
 
 from __future__ import annotations
 

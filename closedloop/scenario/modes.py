@@ -1,11 +1,8 @@
 """Whether the step resolves what is fast, in the arm and in contacts of its links.
 
-What contacts of links make bodies do by themselves: bristles and viscous friction of all of them together.
-
-Of contacts that press with f the tangents J_t, of each, give ẍ = −H⁻¹ Σ J_tᵀ (k f J_t x + d J_t ẋ), in the joints and
-the bodies, with what the rigid ones among them hold along their normals taken out of H⁻¹.
-
-Whether the step resolves what is fast: elastic joints, a soft surface, bristles, viscous friction, a law's feedback.
+Bristles and viscous friction of all contacts of links make bodies swing together. Of contacts that press with f the
+tangents J_t, of each, give ẍ = −H⁻¹ Σ J_tᵀ (k f J_t x + d J_t ẋ), in the joints and the bodies, with what the rigid
+ones among them hold along their normals taken out of H⁻¹.
 
 It is about accuracy, not stability alone. A step that is stable may damp a swing that the arm does not damp, or feed
 one that it does: Runge-Kutta's fourth order scheme takes away 23 % of the rate at hω = 2.3. So what a step makes of a

@@ -1,7 +1,4 @@
-"""[start], [time] and [stabiliser]: when a run begins and ends, and what keeps its closure error small.
-
-When a run begins and ends: [start], the state at t = 0, and [time], how far and in what steps.
-"""
+"""[start], [time] and [stabiliser]: when a run begins and ends, and what keeps its closure error small."""
 
 from __future__ import annotations
 

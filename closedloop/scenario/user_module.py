@@ -1,7 +1,5 @@
 """Users' classes and functions: named as MODULE:NAME, and whether they are known in this process.
 
-A function or a class from a user's module, named on the command line as MODULE:NAME.
-
     --law my_laws:soft_touch --reference.kind my_paths:Spiral
 
 The module, and what it imports, may be in the current folder. That folder is searched last, and a module with the name

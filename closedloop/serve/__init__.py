@@ -8,7 +8,7 @@ Franka's arms, `ur` that of Universal Robots' arms for data.
 from collections.abc import Callable
 from typing import Any
 
-from closedloop.base.callable_package import make_callable
+from closedloop.base.upwards import make_callable
 
 
 def _function() -> Callable[..., Any]:

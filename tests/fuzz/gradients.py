@@ -25,12 +25,9 @@ import numpy as np
 import closedloop as cl
 import closedloop.studies.gradient.gradient as whole
 from closedloop.scenario.load import shipped_scenarios
-from closedloop.studies.gradient.differences import along
-from closedloop.studies.gradient.exact import exact
-from closedloop.studies.gradient.guard import rounded
-from closedloop.studies.gradient.keys import SIZE_OF_ZERO, Keys
-from closedloop.studies.gradient.outputs import slices_of
-from closedloop.studies.gradient.variants import difference, samples
+from closedloop.studies.gradient.differences import along, difference, samples
+from closedloop.studies.gradient.exact import exact, rounded
+from closedloop.studies.gradient.quantities import SIZE_OF_ZERO, Keys, slices_of
 
 # Of these a scenario gets the first five that it has as real numbers; the others have none.
 KEYS = (

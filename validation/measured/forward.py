@@ -18,8 +18,7 @@ from closedloop.base.arrays import Array
 from closedloop.studies.identify.identify import Identification
 from closedloop.studies.identify.log import Log
 from closedloop.studies.identify.motion import motion
-from closedloop.studies.identify.physical import physical
-from closedloop.studies.identify.written import robot_files
+from closedloop.studies.identify.written import physical, robot_files
 from validation.measured.judged import Judged
 
 # Instants of the log that are begun at, how long each is simulated, s, and the step, s.

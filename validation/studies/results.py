@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.base.files import what_was_written, write_whole
-from closedloop.base.plain import plain
 from closedloop.base.progress import bar
 from closedloop.record.report.control_verdict import told
 from closedloop.record.run import Run

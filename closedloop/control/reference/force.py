@@ -1,7 +1,4 @@
-"""The desired contact force over time, and lists of instants, points and forces in a section.
-
-The desired contact force f_des(t): law.force, or a profile over time that starts from it.
-"""
+"""The desired contact force over time, and lists of instants, points and forces in a section."""
 
 from __future__ import annotations
 

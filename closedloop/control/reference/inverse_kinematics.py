@@ -1,7 +1,5 @@
 """The joint velocity of least norm, and inverse kinematics along the tip's path by it.
 
-Least-norm inverse kinematics along the tip's path as a kernel; see `closedloop.control.reference.follow`.
-
 Between knots q̇ = Jᵣ⁺ ṙ_des is integrated with one step of RK4, and the error of the tip is removed by least-norm
 Newton steps. Where the tool's axis is held too, or the whole of its frame, Jᵣ has two rows more, or three: those of the
 angular velocity across the axis, or of all of it. The errors of the axis a, and of the frame's axes cᵢ, are to first

@@ -1,22 +1,16 @@
 """A path on a surface: laid onto it, over its seams and its edge.
 
-The instants at which a path crosses the seams of a surface, where third derivatives of φ jump.
+At the seams of a surface third derivatives of φ jump. A tool that is held against the surface has an acceleration that
+jumps there, and no polynomial goes over the jump. So the joint path has a knot at each instant at which it crosses one.
 
-A tool that is held against the surface has an acceleration that jumps there, and no polynomial goes over the jump. So
-the joint path has a knot at each of these instants.
+A path is projected onto a surface that is curved or moves, or laid as a geodesic
+(`closedloop.control.reference.geodesic`). Projected, it is drawn in the tangent plane at the origin of the surface, and
+each point is moved along the normal there onto the surface as it is at that instant; the velocity and the acceleration
+follow in closed form (`closedloop.mechanics.surface`). So a line on a sphere is an arc of a great circle, along which
+the tip gets faster as the surface turns away. A tip that starts off the surface keeps to the level of φ that it starts
+on.
 
-Paths that leave a surface over its edge are refused before anything is simulated.
-
-A path laid onto a surface that is curved or moves: projected, or as a geodesic
-(`closedloop.control.reference.geodesic`).
-
-Projected, the path is drawn in the tangent plane at the origin of the surface, and each point is moved along the normal
-there onto the surface as it is at that instant; the velocity and the acceleration follow in closed form
-(`closedloop.mechanics.surface`). So a line on a sphere is an arc of a great circle, along which the tip gets faster as
-the surface turns away. A tip that starts off the surface keeps to the level of φ that it starts on.
-
-Paths that come to where the surface has no normal are refused before anything is simulated.
-
+Paths that leave a surface over its edge, or come to where it has no normal, are refused before anything is simulated.
 There the gradient of φ vanishes, or jumps: at the tip of a cone, where a surface meets itself or has an edge, or where
 a formula has a factor that is zero. That may be a point, and a path is known at instants. So ∇φ is followed along it:
 from the instants at which it is small the least of it is found, and where it turns much from one to the next it is

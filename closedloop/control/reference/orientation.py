@@ -1,7 +1,5 @@
 """The orientation of the tool along a path, and whether its tip fits the surface.
 
-The orientation of the tool along a path: its axis held to the normal of the surface, or its frame as asked for.
-
 The inverse kinematics of the reference holds it (`closedloop.control.reference.inverse_kinematics`), so that q_des
 carries it: the laws in joint space follow q_des, and those in tip space pull the motion of the joints that the tip
 leaves free to it (`closedloop.control.tip_space.posture`).

@@ -1,17 +1,8 @@
 """The path of the tip: consecutive segments of smooth motion, their timing, the curves along them.
 
-Time scaling of a motion: at constant speed, or from rest to rest with minimum jerk.
-
-A timing maps the time t after the start of a motion of T seconds to the path parameter s and its derivatives ṡ and s̈;
-s, in seconds, is the time at which a motion at constant speed would be at the same point. So s runs from 0 to T, and ṡ
-is the speed as a multiple of the mean speed.
-
-Curves of the tip, as displacements from its start.
-
-A curve is any smooth function that begins at the origin. Its parameter s, in seconds, is that of a
-timing.
-
-Straight segments through points, used by several paths.
+Motion is at constant speed, or from rest to rest with minimum jerk. A timing maps the time t after the start of a
+motion of T seconds to the path parameter s and its derivatives ṡ and s̈; s, in seconds, is the time at which a motion
+at constant speed would be at the same point. So s runs from 0 to T, and ṡ is the speed as a multiple of the mean speed.
 """
 
 from __future__ import annotations

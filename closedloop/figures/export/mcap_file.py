@@ -1,6 +1,4 @@
-"""A run as MCAP with standard ROS 2 messages.
-
-A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
+"""A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
 
     /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law; of what turns freely the
                                                             rotation vector and the angular velocity in its axes
@@ -16,6 +14,8 @@ A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag
     /robot_description    std_msgs/msg/String               the URDF, where the robot is one
 
 Times count from 0, the start of the run. The scenario's text is attached as scenario.toml.
+
+A bag of rosbag2 is a folder with the same messages in an MCAP file, and metadata.yaml.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from closedloop.base.errors import ScenarioError
-from closedloop.base.files import write_whole
+from closedloop.base.files import made_folder, write_whole
 from closedloop.base.optional import missing_line
 from closedloop.control.laws.none import NoLaw
 from closedloop.figures.scene.ground import thin_out
@@ -221,3 +221,55 @@ def _base_frame(run: Run) -> str:
     """Return the name of the robot's root link."""
     model = run.model.pinocchio_model()
     return str(next((frame.name for frame in list(model.frames)[1:] if frame.parentJoint == 0), "base"))
+
+
+# Of metadata.yaml: the version that ROS 2 Humble and all later ones read.
+VERSION = 5
+
+
+def write_rosbag2(run: Run, path: str | Path) -> list[Path]:
+    """Write a run as a bag, the folder `path`, for ``ros2 bag play`` and ``ros2 bag info``; return what was written.
+
+    Raises
+    ------
+    ScenarioError
+        If the package mcap-ros2-support is missing.
+    OutputError
+        If the folder cannot be made or written into.
+    """
+    folder = Path(path)
+    name = f"{folder.name}_0.mcap"
+    written = write_mcap(run, made_folder(folder) / name)
+    import yaml
+
+    text = yaml.safe_dump({"rosbag2_bagfile_information": _information(written[0])}, sort_keys=False)
+    return [*written, write_whole(folder / "metadata.yaml", text.encode())]
+
+
+def _information(path: Path) -> dict[str, Any]:
+    """Return what the metadata say of an MCAP file."""
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        summary: Any = make_reader(file).get_summary()
+    counts, numbers = summary.statistics, summary.statistics.channel_message_counts
+    spans = {
+        "starting_time": {"nanoseconds_since_epoch": counts.message_start_time},
+        "duration": {"nanoseconds": counts.message_end_time - counts.message_start_time},
+        "message_count": counts.message_count,
+    }
+    topics = [
+        {
+            "topic_metadata": {
+                "name": channel.topic, "type": summary.schemas[channel.schema_id].name,
+                "serialization_format": channel.message_encoding, "offered_qos_profiles": "",
+            },
+            "message_count": numbers[number],
+        }
+        for number, channel in summary.channels.items()
+    ]  # fmt: skip
+    return {
+        "version": VERSION, "storage_identifier": "mcap", **spans, "topics_with_message_count": topics,
+        "compression_format": "", "compression_mode": "", "relative_file_paths": [path.name],
+        "files": [{"path": path.name, **spans}],
+    }  # fmt: skip

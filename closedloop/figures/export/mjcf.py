@@ -1,11 +1,5 @@
 """The scene of a run as MJCF, for MuJoCo and what reads its files.
 
-Elements of MJCF, whose attributes are numbers.
-
-The surface of a scene as a geom of MuJoCo: a plane, a ball, a bar, an ellipsoid, else a grid of heights.
-
-What joins the links of a scene beside its tree, for MuJoCo: loop joints as equalities, contacts as pairs of geoms.
-
 A point is a `connect`, a hinge two on its axis, a weld a `weld`, a gear a `joint`, a distance a tendon of that length.
 The point of a contact is a small ball, and its plane lies lower by its radius: they are as far apart as the point
 is from the plane, in every posture. Nothing but these pairs touches.

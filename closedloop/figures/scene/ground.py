@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.figures.closure import frame_of
+from closedloop.figures.motion import frame_of
 from closedloop.figures.scene.solids import solids_mesh
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface

@@ -1,18 +1,11 @@
 """The solids of a scene: a robot's shapes, bodies with flat faces, loop joints, and a second body beside them.
 
-The visible shapes of a robot: triangles, each set fixed in the frame of a joint.
+The visual shapes of a robot's URDF are used: boxes, cylinders, spheres, and meshes where their files are installed; or
+the geoms of its MJCF. A robot without any is drawn as a rod from each joint to the next.
 
-The visual shapes of its URDF are used: boxes, cylinders, spheres, and meshes where their files are installed; or the
-geoms of its MJCF. A robot without any is drawn as a rod from each joint to the next.
-
-Bodies with flat faces that links touch, as far as they lie near the contacts: the walls of a hole, a wedge.
-
-The loop joints of a mechanism in space: a mark for each where it is, and the force that it carries.
-
-A mark's place follows from the rows of the closure (`closedloop.mechanics.loops.bind`), its force from the joint's
-reaction (`closedloop.mechanics.loops.reactions`), so that a later kind of loop joint is drawn as well: as a ball.
-
-A second body beside those of a run, which a drawing shows through: a measured one, or that of another run.
+Of each loop joint a mark is drawn where it is, and the force that it carries. Its place follows from the rows of the
+closure (`closedloop.mechanics.loops.bind`), its force from the joint's reaction
+(`closedloop.mechanics.loops.reactions`), so that a later kind of loop joint is drawn as well: as a ball.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 "use strict";
 // Arrays from the page's data, and the little algebra that drawing needs. Matrices are by columns, as WebGL has them.
 
-// A message of `closedloop.lab.messages`: its header is JSON, in which arrays are named by where they begin.
+// A message of `closedloop.lab.drawn`: its header is JSON, in which arrays are named by where they begin.
 function decode(buffer) {
   const length = new DataView(buffer).getUint32(0, true), begin = 4 + length;
   const text = new TextDecoder().decode(new Uint8Array(buffer, 4, length));

@@ -13,7 +13,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
 from closedloop.base.errors import ScenarioError
-from closedloop.base.families.family import Member
+from closedloop.base.families import Member
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.surface.contact import SurfaceMemory
 from closedloop.mechanics.surface.motion import MOTIONS

@@ -1,6 +1,4 @@
-"""Friction before slip: a bristle that follows and yields, and the step that it needs.
-
-What dahl and lugre share: a bristle of deflection z that follows the slip and yields.
+"""What dahl and lugre share: a bristle of deflection z that follows the slip and yields.
 
     ż = u − a z,    a = |u|/z_max(|u|),    z_max the deflection of steady sliding
 
@@ -30,7 +28,7 @@ from typing import Any
 
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.friction.law import FrictionLaw, joint_parameters, length_of, surface_parameters
+from closedloop.mechanics.friction.law import FrictionLaw, length_of
 
 
 @kernel
@@ -56,36 +54,7 @@ def stored(stiffness: float, z: Array) -> float:
     return 0.5 * stiffness * deflection * deflection
 
 
-def presliding_motion(
-    section: FrictionLaw, mass: float, load: float = 1.0, joint: int | None = None, n: int = 1
-) -> tuple[float, float]:
-    """Return the natural frequency ω, rad/s, and the damping ratio ζ of small motions before slip.
-
-    Parameters
-    ----------
-    section : FrictionLaw
-        A law with a stiffness: dahl, lugre or seven_parameter (which has no damping while it is stuck).
-    mass : float
-        Mass that moves, kg; of the tip of an arm 1/(tᵀA H⁻¹Aᵀt) along a tangent t. Of a joint, kg m².
-    load : float
-        Normal force f, N; 1 for a joint.
-    joint, n : int, optional
-        Which of n joints; left out for a surface.
-    """
-    par = surface_parameters(section) if joint is None else joint_parameters(section, n)[joint]
-    if not hasattr(section, "stiffness"):
-        raise ValueError(f"{section.kind} has no stiffness: give dahl, lugre or seven_parameter")
-    stiffness, damping = bristle(section, par, load)
-    omega = math.sqrt(stiffness / mass)
-    return omega, damping / (2.0 * mass * omega)
-
-
 def bristle(section: FrictionLaw, par: Any, load: float) -> tuple[float, float]:
     """Return stiffness, N/m, and damping, N s/m, before slip under a normal force, N; of a law without, zeros."""
     damper = 0.0 if section.sticks == "spring" else getattr(par, "damping", 0.0) * load + getattr(par, "viscous", 0.0)
     return float(getattr(par, "stiffness", 0.0)) * load, float(damper)
-
-
-def largest_step(omega: float, zeta: float) -> float:
-    """Return the step h, s, below which semi-implicit Euler is stable: 2 (√(1 + ζ²) − ζ)/ω."""
-    return 2.0 / (omega * (math.sqrt(1.0 + zeta * zeta) + zeta))

@@ -1,6 +1,4 @@
-"""A formula φ(x, y, z), and its value with first and second derivatives.
-
-A formula's value with its gradient and second derivatives, by forward differentiation: exact, no differences.
+"""A formula φ(x, y, z), and its value with first and second derivatives, by forward differentiation.
 
 Each result carries ten numbers, u, ∇u and the upper triangle of ∇∇u, and each operation follows its own rule:
 

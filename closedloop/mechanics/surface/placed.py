@@ -1,9 +1,4 @@
-"""A surface in its place, and the plane.
-
-The plane n·p = d as the contact surface.
-
-A surface in its place: what is asked of it from Python, and the memory that the loop asks it by.
-"""
+"""A surface in its place: what is asked of it from Python, and the memory that the loop asks it by; and the plane."""
 
 from __future__ import annotations
 

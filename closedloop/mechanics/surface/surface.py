@@ -1,6 +1,4 @@
-"""The base class of surfaces, and of compliances.
-
-The base class of compliances: a section of the scenario, and the force of a soft surface as a function of depth.
+"""The base classes of surfaces and of compliances, each a section of the scenario.
 
 A soft surface pushes with f(δ, δ̇), δ the depth of the tip in it, in place of the multiplier of Eq. 24: there is no
 constraint along the normal, and nothing for a stabiliser to do there. As the stiffness grows, f approaches that

@@ -1,10 +1,7 @@
-"""The columns that a run records, row by row and event by event.
+"""The columns that a run records, row by row and event by event: dimensions, unit and meaning of each.
 
-The columns that a run records: dimensions, unit and meaning of each.
-
-The record of a run: its columns, what made them, and what was computed from them.
-
-A report, and whatever follows from the columns, is written for this interface; `closedloop.record.run.Run` has it.
+`Record` is what a run has. A report, and whatever follows from the columns, is written for this interface;
+`closedloop.record.run.Run` has it.
 """
 
 from __future__ import annotations

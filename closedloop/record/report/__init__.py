@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from closedloop.record.report.assumptions import assumptions
-from closedloop.record.report.report_rows import report_rows
 from closedloop.record.report.row_sample import NEAR_SINGULAR, RESIDUAL_TOLERANCE
-from closedloop.record.report.summary import energy_balance, summarise
-from closedloop.record.report.tables import notes, print_report
+from closedloop.record.report.summary import assumptions, energy_balance, summarise
+from closedloop.record.report.tables import notes, print_report, report_rows
 
 __all__ = [
     "NEAR_SINGULAR",

@@ -1,8 +1,7 @@
 """The second verdict of a run: whether the controlled arm did what was commanded, and by which signals.
 
 `closedloop.record.report.verdict` says whether the numbers can be trusted; this says whether the control is good. Force
-counts while contact is commanded; with F, the root of the mean square of
-f_des there:
+counts while contact is commanded; with F, the root of the mean square of f_des there:
 
 ==================  ===========================================================================================
 ``stopped``         the simulation could not go on, so what was commanded was not done
@@ -20,8 +19,6 @@ f_des there:
 ==================  ===========================================================================================
 
 The later half leaves a run the first for its transients: an approach, the bounces of a touchdown, a break-away.
-
-What the control of a run is judged by, from its columns, or from the rows of a batch.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""What a recorded row says to the summary, and whether the paper's assumptions hold in it.
-
-What a recorded row has to say to the summary: the definition of each value, once for every way to go over the rows.
+"""What a recorded row has to say to the summary: the definition of each value, once for every way to go over the rows.
 
 `sample_row` works on one row in a compiled batch, on the rows of eight runs side by side (`closedloop.jit.simd8`), and,
 interpreted, on whole columns of a `Run`. It has no memory of other rows. What is taken over the rows, the largest, the

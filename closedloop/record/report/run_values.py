@@ -1,9 +1,5 @@
 """The values of a run's summary from its columns, those of the contacts of links among them.
 
-What is reported of the contacts of the links: their forces, and how well complementarity and cone are kept.
-
-The values of a run's summary from the columns of a `Run`, many rows at a time, with nothing to compile.
-
 What a row has to say is `closedloop.record.report.row_sample`, interpreted on columns. The largest, the sum, the first
 of it over the rows is numpy's here; `closedloop.record.report.measured` has it row by row.
 `tests/closedloop/record/test_measured.py` holds the two equal. Interpreted, the latter would take 3 s for the 8000
@@ -184,7 +180,7 @@ def run_values(run: Record) -> Any:
     if "torque_limited" in run.columns:
         count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)
-    values.energy_taken_at_rest = np.nansum(run.event_energy_rested)  # NaN in files from before there was the column
+    values.energy_taken_at_rest = np.sum(run.event_energy_rested)
     if run.scenario.contact:
         values.energy_lost_to_friction += lost_to_slips(run.time, run.link_frictions, run.link_slips)
     values.largest_rate_cut = np.max(run.event_rate_cut, initial=0.0)

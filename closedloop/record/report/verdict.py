@@ -1,11 +1,5 @@
 """The verdict of a run: whether a run that ended is a good run, also where there are only the values of its summary.
 
-How often, and since when, the limits of the drives cut a joint's torque: of the column `torque_limited`.
-
-What the equations of a run do not determine: forces at rest, where friction of a slow tip points, lost torques.
-
-Whether a run that ended is a good run: what it must not have done, and by how much.
-
 A run ends whether or not its numbers mean anything. So each is judged by what a reader would have to look for, and the
 verdict stands in the first line of the report, in ``summary.json`` and in a column of a batch's table:
 
@@ -27,8 +21,6 @@ an assumption's name      an assumption of the paper that failed though the scen
 
 An ideal actuator is the paper's assumption, and nothing in the loop is cut unless `[drives]` asks for it: a run beyond
 the arm's own limits is right about an arm that is not this one, which is no good run of this one.
-
-The verdict of a run of which there are but the values: a row of a batch's table.
 """
 
 from __future__ import annotations

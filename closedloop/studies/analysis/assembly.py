@@ -1,6 +1,6 @@
-"""The loop as a linear system, put together from what is reduced to free coordinates, and one step of it.
+"""The force loop as a linear system, put together from what is reduced to free coordinates, and one step of it.
 
-One step of a linear system by each integrator, its inputs constant over the step but for its beginning.
+One step of a linear system by each integrator has its inputs constant over the step but for its beginning.
 
     ẋ = A x + B₀ u  at the beginning,  A x + B u  within the step:    x⁺ = Φ x + Γ u
 
@@ -9,12 +9,10 @@ lets positions advance with the new velocities, and an integrator that chooses i
 exact. B₀ is that of the first stage: what a sampled sensor reads changes at a row, between the law's evaluation there
 and those within the step. Of schemes of one stage it is the whole step, of the exponential no part.
 
-The force loop as a linear system about the motion at an instant.
-
-Of the equation of motion the derivatives are taken at one state of a run, by the kernels of that run (`here`,
-`derivatives`). With the closure they are reduced to what it leaves free (`reduced`), carried over a step as the
-scenario's integrator would (`discretise`), and put together with what happens to samples (`assembly`): the sensor's
-delay, the hold of a sampled torque, the encoders. The result is x⁺ = A x + B u, y = C x + D u from one sample of the
+Of the equation of motion the derivatives are taken at one state of a run, by the kernels of that run (`here`). With
+the closure they are reduced to what it leaves free (`reduced`), carried over a step as the scenario's integrator would
+(`step_of`), and put together with what happens to samples (`assembled`): the sensor's delay, the hold of a sampled
+torque, the encoders. The result is x⁺ = A x + B u, y = C x + D u from one sample of the
 law to the next.
 """
 

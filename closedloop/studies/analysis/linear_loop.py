@@ -1,17 +1,11 @@
 """The linear loop with its poles, its margins, and the port that the surface sees.
 
-A pole of the loop: how fast it decays, and which part it belongs to.
-
-How far a loop is from instability, from its transfer L where it is cut.
+Margins say how far a loop is from instability, from its transfer L where it is cut:
 
 gain margin      by which a gain may rise, or fall, until L = −1
 phase margin     by which the phase at |L| = 1 may lag
 delay margin     the delay that the loop may have in addition: phase margin over frequency, the least of all crossings
 modulus margin   the least distance of L from −1, 1/max|S|: it bounds all of them from below
-
-The tip as the surface sees it: how it yields to a force along the normal.
-
-The force loop as x⁺ = A x + B u, y = C x + D u, and what follows from it: poles, responses, the port.
 """
 
 from __future__ import annotations
@@ -25,10 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from closedloop.base.arrays import Array, ComplexArray
+from closedloop.base.arrays import Array, ComplexArray, plain
 from closedloop.base.errors import ScenarioError
 from closedloop.base.optional import missing_line
-from closedloop.base.plain import plain
 from closedloop.scenario.scenario import Scenario
 from robot_models.cached import cached_property
 

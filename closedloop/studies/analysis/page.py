@@ -1,9 +1,4 @@
-"""A page about a force loop, and what a display shows at once.
-
-A page about a force loop: one sentence, a table, and the numbers behind them.
-
-What is known of a force loop at once, for a display that follows its sliders: no limits are solved for.
-"""
+"""A page about a force loop, and what a display shows at once."""
 
 from __future__ import annotations
 
@@ -13,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.arrays import Array, ComplexArray
+from closedloop.base.arrays import Array, ComplexArray, plain
 from closedloop.base.errors import ClosedLoopError
-from closedloop.base.plain import plain
 from closedloop.scenario.messages import key_unit
 from closedloop.studies.analysis.linear_loop import LinearLoop, Margins, Pole
 from closedloop.studies.analysis.stability import Limit, Range, Stability, Trial

@@ -1,7 +1,5 @@
 """Where the force loop is stable: ranges of a key, limits along it, the boundary over two keys.
 
-What is asked and answered about stability: a range of a key, a limit in it, and whole runs beside the limit.
-
 A limit is solved for, as the value at which a pole reaches the unit circle. All loops of a study are linear about one
 motion, that of the scenario as it is: a loop that is unstable has none of its own. On a surface of another stiffness
 the tip is put as deep as carries the same force.

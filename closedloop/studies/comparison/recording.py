@@ -1,7 +1,5 @@
 """What was recorded of a robot in contact, and whether its force is consistent with its motion.
 
-What was recorded of a robot in contact: a log from a file, or a run, of this simulator or of another program.
-
 From the equation of motion H q̈ + C = Q + JᵀF the force on the tip follows by least squares, as a force observer
 finds it (A. De Luca, R. Mattone, Sensorless robot collision detection and hybrid force/motion control, ICRA 2005), here
 with accelerations from zero-phase filters. The recorded force is compared with what it may be: F along the normal, its

@@ -1,9 +1,4 @@
-"""A log compared with a scenario, aligned in time.
-
-How much later a log began than a run: the shift at which both differ least.
-
-A log, or a run, compared with a scenario: aligned in time, with the differences and what explains them.
-"""
+"""A log compared with a scenario, aligned in time."""
 
 from __future__ import annotations
 
@@ -17,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.arrays import Array
-from closedloop.base.plain import plain
+from closedloop.base.arrays import Array, plain
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.control_verdict import rms
 from closedloop.record.run import Run

@@ -1,17 +1,19 @@
-"""Derivatives by dual numbers, and where forces that are not unique make them less exact.
+"""Derivatives of whole runs by dual numbers: one run gives the values and their derivatives in seven directions.
 
-Where the forces of several contacts are not unique and decide over an event: derivatives beyond it are less exact.
-
-Four feet of a box that slides have one normal force more than a rigid body determines, and two points that stick bear
-any force along the line between them. Forces of least norm are smooth functions of the scenario while contacts last as
-they are. Where a slip ends, or a time step finds the modes of the contacts, the solver's way decides which they are.
-
-Derivatives of whole runs by dual numbers: one run gives the values and their derivatives in seven directions.
+Everything that a run reads is an array of floats once it is prepared (`closedloop.simulation.engines.dual_loop`):
+gains and masses, the posture, the path. Most numbers of a scenario enter linearly, some through an inverse kinematics
+or a projection. Central differences of the preparation alone, without a run, are exact for the former; for the latter
+Richardson's extrapolation takes them to rounding (`seeds_of`).
 
 A step of the plain run calculates with dual numbers, see `closedloop.jit.dual8`; instants of events get their
 derivatives by a Newton step at the instant found, so that what an event does to a derivative needs no formula. Two
 plain runs, beside the scenario in a direction between all of those asked for, must have the same events, and the
-derivatives must be the difference between them. What does not is found by differences of runs, and named by them.
+derivatives must be the difference between them (`agreeing`). What does not is found by differences of runs.
+
+Four feet of a box that slides have one normal force more than a rigid body determines, and two points that stick bear
+any force along the line between them. Forces of least norm are smooth functions of the scenario while contacts last as
+they are. Where a slip ends, or a time step finds the modes of the contacts, the solver's way decides which they are:
+derivatives beyond it are less exact (`not_unique`).
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -41,16 +44,177 @@ from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.report.run_values import shares_at
 from closedloop.record.run import Run
 from closedloop.scenario.tables import names_of
-from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepared, kernels, prepared
+from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepared, kernels, prepared, structure
+from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import Cache, prepare
 from closedloop.simulation.simulate import columns_of_rows, positions_told
-from closedloop.studies.gradient.differences import LEVELS, LOCATED, ROUNDING, Along, Estimate, two_sided
-from closedloop.studies.gradient.guard import AGREE, NOISE, agreeing, rounded
-from closedloop.studies.gradient.keys import SHARE, Direction, Keys
-from closedloop.studies.gradient.outputs import EVENTS, Output, slices_of, values_of
-from closedloop.studies.gradient.seeds import Seeds, seeds_of
-from closedloop.studies.gradient.variants import Sample
+from closedloop.studies.gradient.differences import (
+    LEVELS,
+    LOCATED,
+    ROUNDING,
+    Along,
+    Estimate,
+    Sample,
+    difference,
+    samples,
+    two_sided,
+)
+from closedloop.studies.gradient.quantities import EVENTS, SHARE, Direction, Keys, Output, slices_of, values_of
 from robot_models import RobotModel
+
+# Two differences of steps that are a factor 2 apart agree to this share of themselves where a number enters linearly,
+# or to this many roundings of what they are of: entries of one array may differ by orders of magnitude.
+LINEAR, ROUNDINGS = 1e-9, 64.0
+
+
+class Seeds(NamedTuple):
+    """Derivatives of the prepared floats along one direction."""
+
+    parts: list[Array | None]  # in the order of `Prepared.floats`; None where there is none
+    linear: bool  # whether the number enters linearly
+    # (Problem, Problem, float): the problems on both sides, and how far off along the direction each is
+    beside: tuple[Problem, Problem, float]
+
+
+def seeds_of(keys: Keys, direction: Direction, base: Prepared, model: RobotModel | None, cache: Cache) -> Seeds | None:
+    """Return the derivatives along a direction; None if beside the scenario there is another sort of run, or none."""
+    frame = structure(base)
+    sides: list[list[list[Array]]] = [[], []]
+    nearest: list[Problem] = [base.problem, base.problem]
+
+    def sample(level: int) -> bool:
+        for i, (side, sign) in enumerate(zip(sides, (-1.0, 1.0), strict=True)):
+            try:
+                scenario = keys.scenario_at({direction: sign * direction.step * 0.5**level})
+                beside = prepared(prepare(scenario, model, cache))
+            except ClosedLoopError:
+                return False
+            if structure(beside) != frame:
+                return False
+            side.append([array.copy() for array in beside.floats])
+            nearest[i] = beside.problem
+        return True
+
+    def difference(level: int, i: int) -> Array:
+        minus, plus = (side[level][i] for side in sides)
+        same = (minus == plus) | np.isnan(minus) & np.isnan(plus)  # infinities too
+        with np.errstate(invalid="ignore"):
+            found: Array = np.where(same, 0.0, plus - minus) / (2.0 * direction.step * 0.5**level)
+        return found
+
+    if not (sample(0) and sample(1)):
+        return None
+    parts: list[Array | None] = []
+    curved = []
+    for i in range(len(base.floats)):
+        wide, near = difference(0, i), difference(1, i)
+        if not np.any(wide) and not np.any(near):
+            parts.append(None)
+            continue
+        parts.append(wide)
+        rounding = ROUNDINGS * np.finfo(float).eps * np.abs(np.nan_to_num(base.floats[i])) / direction.step
+        if np.any(np.abs(wide - near) > LINEAR * np.abs(wide) + rounding):
+            curved.append(i)
+    if curved:
+        if not all(sample(level) for level in range(2, LEVELS)):
+            return None
+        for i in curved:
+            at = np.nan_to_num(base.floats[i], posinf=0.0, neginf=0.0).ravel()
+            minus, plus = (np.nan_to_num([each[i].ravel() for each in side], posinf=0.0, neginf=0.0) for side in sides)
+            parts[i] = two_sided(direction.step, at, minus, plus).value.reshape(base.floats[i].shape)
+    return Seeds(parts, not curved, (nearest[0], nearest[1], direction.step * 0.5 ** (len(sides[0]) - 1)))
+
+
+notices = logging.getLogger(__name__)
+
+# The two plain runs are off the scenario by the first of these shares of the keys' sizes. A derivative must be that of
+# their difference to a share, or to what of the difference is rounding. Where other events happen in them, or one does
+# not agree because it bends or is all but rounding, so it may with the next two, if rounding is no more than a share of
+# the difference there: else a smaller step would hide what the first has shown.
+BESIDE, AGREE, NOISE, TELLS = (1e-5, 1e-7, 1e-4), 1e-4, 50.0, 1e-3
+# The runs on both sides differ from the scenario's by as much, but for this share: else there is a kink.
+KINKED = 1e-3
+
+
+def agreeing(
+    keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], rows: dict[Direction, list[Array | None]],
+    there: list[bool], model: RobotModel | None, report: Callable[[int, int], None], workers: int | None,
+) -> list[bool]:  # fmt: skip
+    """Return which outputs have the derivatives that two plain runs have between them."""
+    weights = np.random.default_rng(0).uniform(0.5, 1.0, len(rows))
+    slices, good = slices_of(outputs, run), np.zeros(len(outputs), dtype=bool)
+    noise = NOISE * (LOCATED if base.happened else ROUNDING)
+
+    whys = []
+    for beside in BESIDE:
+        changes = {d: beside * weight * d.step / SHARE for d, weight in zip(rows, weights, strict=True)}
+        sides = [{d: sign * change for d, change in changes.items()} for sign in (-1.0, 1.0)]
+        minus, plus = samples(
+            [partial(keys.scenario_at, side) for side in sides], partial(values_of, outputs), model, report, workers
+        )
+        whys.append(difference(base, minus) or difference(base, plus))
+        if whys[-1]:
+            continue
+        for i, part in enumerate(slices):
+            if there[i] and not good[i]:
+                expected = sum((changes[d] * np.ravel(np.asarray(each[i])) for d, each in rows.items()), np.zeros(1))
+                own = _Beside(
+                    expected, minus.values[part], base.values[part], plus.values[part], noise * rounded(run, outputs[i])
+                )
+                good[i] = own.agrees and (beside == BESIDE[0] or own.tells)
+                if not good[i]:
+                    notices.debug("no dual numbers: %s, %g beside: %s", outputs[i].name, beside, own)
+        if np.all(good | ~np.array(there)):
+            break
+    if all(whys):
+        raise NotDualError(whys[-1])
+    return [bool(each) for each in good]
+
+
+class _Beside(NamedTuple):
+    """What a quantity is expected to change by, its values in the two runs and between them, and what is rounding."""
+
+    expected: Array
+    minus: Array
+    at: Array
+    plus: Array
+    noise: float
+
+    @property
+    def change(self) -> Array:
+        """By what it changes, from its value to that of either run."""
+        return 0.5 * (self.plus - self.minus)
+
+    @property
+    def size(self) -> float:
+        """The largest change, or the largest expected."""
+        return max(float(np.max(np.abs(each), initial=0.0)) for each in (self.change, self.expected))
+
+    @property
+    def tells(self) -> bool:
+        """Whether the change is well above rounding."""
+        return self.noise <= TELLS * self.size
+
+    @property
+    def agrees(self) -> bool:
+        """Whether it changes by that, and by as much on both sides."""
+        change, size = self.change, self.size
+        both_differ = np.abs(self.plus + self.minus - 2.0 * self.at)
+        return bool(
+            np.all(np.isfinite(self.expected))
+            and np.all(np.abs(change - self.expected) <= AGREE * size + self.noise)
+            and np.all(both_differ <= KINKED * np.abs(self.expected) + AGREE * size + self.noise)
+        )
+
+
+def rounded(run: Run, output: Output) -> float:
+    """Return how large what a quantity is made of is, the columns with its unit: their rounding is the quantity's."""
+    sizes = [float(np.max(np.abs(output.of(run)), initial=np.finfo(float).tiny))]
+    for name, column in run.columns.items():
+        if column.dtype.kind == "f" and run.units(name) == output.units:
+            sizes.append(float(np.max(np.abs(column[np.isfinite(column)]), initial=0.0)))
+    return max(sizes)
+
 
 # Events that such forces decide over.
 DECIDED = (KINDS[STICK], KINDS[TIME_STEP], KINDS[TANGENTIAL_IMPACT])
@@ -101,8 +265,6 @@ def not_unique(run: Run) -> NotUnique | None:
             seen.add(modes)
     return None
 
-
-notices = logging.getLogger(__name__)
 
 DUALS, PREPARED, OF_COLUMNS = "dual numbers", "differences of the preparation", "differences of the columns"
 # Values of the summary that are not counted in row by row: they follow from what the rows came to.

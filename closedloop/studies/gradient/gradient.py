@@ -23,11 +23,9 @@ from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.engines.loops import COMPILED
-from closedloop.studies.gradient.differences import Along, Part, along
+from closedloop.studies.gradient.differences import Along, Part, Sample, along, sample, simulated
 from closedloop.studies.gradient.exact import exact
-from closedloop.studies.gradient.keys import SHARE, Direction, Keys, indexed
-from closedloop.studies.gradient.outputs import Output, output, values_of
-from closedloop.studies.gradient.variants import Sample, sample, simulated
+from closedloop.studies.gradient.quantities import SHARE, Direction, Keys, Output, indexed, output, values_of
 from robot_models import RobotModel
 
 if TYPE_CHECKING:

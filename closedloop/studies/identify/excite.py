@@ -22,8 +22,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.base.optional import needs
-from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
-from closedloop.studies.identify.regressor import FRICTION, Regressor, Terms
+from closedloop.studies.identify.regressor import FRICTION, BaseParameters, Regressor, Terms, base_parameters
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -11,14 +11,21 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ModelError
-from closedloop.base.plain import plain
-from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
 from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.log import Log, checked
 from closedloop.studies.identify.motion import Motion, joined, motion, usual_cutoff
-from closedloop.studies.identify.regressor import BOUNDED, FRICTION, REST, Columns, Regressor, Terms
+from closedloop.studies.identify.regressor import (
+    BOUNDED,
+    FRICTION,
+    REST,
+    BaseParameters,
+    Columns,
+    Regressor,
+    Terms,
+    base_parameters,
+)
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -1,12 +1,8 @@
 """Logs from files, and from ROS 2's bags.
 
-Logs of ROS 2: MCAP files, and bags of rosbag2, a folder or its .db3, with standard messages.
-
 A `sensor_msgs/msg/JointState` gives columns `position_NAME`, `velocity_NAME`, `effort_NAME` by the names of the joints,
 at the times of their headers; a `geometry_msgs/msg/WrenchStamped` gives `TOPIC.force.x` ... (without the first slash)
 at the same times, between its messages by a line.
-
-Logs from files: CSV, Parquet, NetCDF, MCAP, rosbag2, runs of this simulator; columns are found by their names.
 """
 
 from __future__ import annotations

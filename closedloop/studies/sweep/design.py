@@ -1,9 +1,4 @@
-"""The values of the runs of a sweep: its axes, a grid, draws.
-
-An axis of a sweep: a key of the scenario and the values that it takes.
-
-The values of the runs of a sweep: a grid, random draws, or a Latin hypercube. Run i depends on i alone.
-"""
+"""The values of the runs of a sweep: its axes, a grid, draws."""
 
 from __future__ import annotations
 

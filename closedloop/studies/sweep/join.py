@@ -1,17 +1,12 @@
 """The table of a sweep: Parquet of values, NetCDF of columns, joined from its parts.
 
-The table of a sweep as a Parquet file that tells damage: each page of values has a checksum, Parquet's own.
+The table is a Parquet file: typed columns, compressed, widely readable, also by row groups. Each page of values has
+Parquet's own checksum. What stands outside of the pages, names and units, has none: a digest in the file's metadata
+would be kept by a program that leaves rows out, and refuse what is as it should be. But a column's name is there more
+than once.
 
-What stands outside of the pages, names and units, has none: a digest in the file's metadata would be kept by a program
-that leaves rows out, and refuse what is as it should be. But a column's name is there more than once.
-
-Whole columns of a sweep as a NetCDF-4 file, on a disk that may be full: see `closedloop.record.netcdf_file`.
-
-From the parts of a sweep to its table, in order of the runs, part by part.
-
-The table is a Parquet file: typed columns, compressed, widely readable, also by row groups. Whole columns of the runs
-go into a NetCDF-4 file, as those of a single run do, so that MATLAB, xarray and
-h5py open both. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more
+Whole columns of the runs go into a NetCDF-4 file, as those of a single run do, so that MATLAB, xarray and h5py open
+both. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more
 package to be read. HDF5, which a kill during a write would corrupt, is written here only, from the parts, under another
 name until it is complete.
 """

@@ -1,9 +1,5 @@
 """Maps of a sweep, and the axes of a map.
 
-The axes of a map: a key of the scenario, or a value, in its unit.
-
-Maps of a sweep: values of the runs against one or two of the keys that changed.
-
 One key gives a curve, two a map: cells for a grid, dots for random draws. Runs that failed are marked.
 """
 

@@ -1,9 +1,5 @@
 """A part of a sweep: its runs, its file, and all parts on disk.
 
-The file of a part: its content, its name, and a line with the SHA-256 of both (`closedloop.record.netcdf_file`).
-
-A part of a sweep: some runs one after the other, as rows of the table and, if kept, whole columns.
-
 Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
 
     sweep.json           what the sweep is: nothing else may put parts here
@@ -12,15 +8,13 @@ Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
 
 A file is written under another name, flushed to the disk and then renamed, which is atomic (`closedloop.base.files`).
 Parts end in their name and a SHA-256 (`closedloop.record.netcdf_file`): one that is damaged, or another's, is run
-again. A lock on the file ``lock``, released when its process ends, keeps a second sweep out. Other files are kept.
+again. A lock on the folder, released when its process ends, keeps a second sweep out. Other files are kept.
 """
 
 from __future__ import annotations
 
-import errno
 import io
 import json
-import os
 import re
 import stat
 import threading
@@ -37,7 +31,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import OutputError, ScenarioError
-from closedloop.base.files import remove_unfinished, why_not_there, write_whole
+from closedloop.base.files import FolderLock, remove_unfinished, why_not_there, write_whole
 from closedloop.record.frame import difference
 from closedloop.record.netcdf_file import seal, unsealed
 from closedloop.scenario.load import parse_scenario
@@ -169,9 +163,9 @@ def run_part_anywhere(job: Job, first: int, points: Sequence[Sequence[Any]]) -> 
 
 
 FORMAT = "closedloop sweep 2"
-DESCRIPTION, LOCK = "sweep.json", "lock"
-# What is written here, and so may be removed again.
-_PART = re.compile(r"part-\d{8,}\.(arrow|npz)")
+DESCRIPTION = "sweep.json"
+# What is written here, and so may be removed again; earlier versions had a file that they locked.
+_PART = re.compile(r"part-\d{8,}\.(arrow|npz)|lock")
 # What a sweep depends on, in words.
 _NAMES = NAMES | {
     "design": "design",
@@ -182,8 +176,6 @@ _NAMES = NAMES | {
     "law": "law",
     "law_digest": "text of the law",
 }
-# How often the lock's file is made anew where another process removes it in between.
-TRIES = 20
 
 
 class OccupiedError(OutputError):
@@ -216,7 +208,7 @@ class Store:
     def __init__(self, identity: dict[str, Any], out: Path, overwrite: bool = False) -> None:
         self.identity, self.out, self.overwrite = identity, out, overwrite
         self.folder = out.with_name(f"{out.name}.parts")
-        self._lock: int | None = None
+        self._lock: FolderLock | None = None
 
     def __enter__(self) -> Store:
         try:
@@ -234,10 +226,16 @@ class Store:
         if self.folder.is_symlink():
             raise OutputError(f"--out {self.out}: {self.folder} is a link, and nothing is written through it")
         description = self.folder / DESCRIPTION
-        self.folder.mkdir(parents=True, exist_ok=True)
-        if self._names() - {LOCK} and not description.is_file():
-            raise OutputError(f"--out {self.out}: {self.folder} is there and holds no sweep; name another file")
-        self._lock = _locked(self.folder / LOCK, self.out)
+        while self._lock is None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with suppress(FileNotFoundError):  # removed in between by another process
+                if self._names() and not description.is_file():
+                    raise OutputError(f"--out {self.out}: {self.folder} is there and holds no sweep; name another file")
+                self._lock = FolderLock.of(self.folder)
+                if self._lock is None:
+                    raise OutputError(
+                        f"--out {self.out}: another process is at work on this sweep; wait for it, or end it"
+                    )
         remove_unfinished(self.folder)  # of those that were killed
         if self.overwrite and description.is_file() and self._of_another(description):
             self._remove_parts()
@@ -266,7 +264,7 @@ class Store:
 
     def _close(self) -> None:
         if self._lock is not None:
-            os.close(self._lock)
+            self._lock.release()
             self._lock = None
 
     def rows_of(self, part: int) -> Path:
@@ -328,7 +326,6 @@ class Store:
     def remove(self) -> None:
         """Remove what was written here, and the folder, unless something else is in it; the lock goes last."""
         self._remove_parts()
-        _remove_file(self.folder / LOCK)
         with suppress(OSError):  # not empty
             self.folder.rmdir()
         self._close()
@@ -337,13 +334,9 @@ class Store:
         """Remove the parts, and then what says which sweep they are of."""
         mine = [path for path in self.folder.iterdir() if _PART.fullmatch(path.name)]
         for path in [*mine, self.folder / DESCRIPTION]:
-            _remove_file(path)
-
-
-def _remove_file(path: Path) -> None:
-    with suppress(OSError):
-        if stat.S_ISREG(path.lstat().st_mode):
-            path.unlink()
+            with suppress(OSError):
+                if stat.S_ISREG(path.lstat().st_mode):
+                    path.unlink()
 
 
 def _described(description: Path) -> Any:
@@ -384,29 +377,3 @@ def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
     different = [key for key in mine | theirs if theirs.get(key) != mine.get(key)]
     if different:
         raise occupied(out, f"holds another sweep: {difference(different, _NAMES, theirs, mine)}")
-
-
-def _locked(path: Path, out: Path) -> int:
-    """Return the descriptor of a file that this process alone has locked; it is made if it is not there."""
-    try:
-        import fcntl
-    except ImportError:  # not a Unix
-        return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    for _ in range(TRIES):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileNotFoundError):  # the folder was removed in between
-            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if os.path.samestat(os.fstat(file), path.lstat()):
-                    return file
-            except BlockingIOError:
-                os.close(file)
-                break
-            except OSError as error:
-                if error.errno in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP):
-                    return file  # a file system without locks
-                os.close(file)
-                raise
-            os.close(file)
-    raise OutputError(f"--out {out}: another process is at work on this sweep; wait for it, or end it")

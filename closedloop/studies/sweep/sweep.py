@@ -1,10 +1,8 @@
 """A sweep: what it varies, run whole, resumed, or in parts on a cluster.
 
-The parts of a sweep on a Dask cluster: its scheduler sends them to workers, and again if a worker is lost.
-
-A worker needs this package and, for a robot that is a file, that file at the same path. It receives plain text and
-returns rows; it writes nothing. Parts are submitted as earlier ones return, so that a long sweep takes no more memory
-than a short one, on either side.
+The scheduler of a Dask cluster sends parts to workers, and again if a worker is lost. A worker needs this package and,
+for a robot that is a file, that file at the same path. It receives plain text and returns rows; it writes nothing.
+Parts are submitted as earlier ones return, so that a long sweep takes no more memory than a short one, on either side.
 """
 
 from __future__ import annotations

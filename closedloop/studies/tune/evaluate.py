@@ -1,9 +1,5 @@
 """The values and constraints of a tuning's points at once, and what a tuning is given.
 
-What a tuning is given: the numbers that vary, their ranges, and the constraints.
-
-The values and constraints of many points at once: one batch of runs for all points and variations.
-
 What has been run is kept in a file, a line a point, so that a tuning that was interrupted goes on: the search is the
 same for the same input, and takes from the file what is there. A line that is damaged is run again.
 
@@ -40,7 +36,7 @@ from closedloop.simulation.batch.table import one_number
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.simulation.prepare import load_model
 from closedloop.studies.analysis.assembly import linearise
-from closedloop.studies.gradient.keys import Keys, indexed
+from closedloop.studies.gradient.quantities import Keys, indexed
 from closedloop.studies.identity import NAMES, identity_of
 from closedloop.studies.shares import number_at, share_of
 

@@ -1,7 +1,5 @@
 """A tuning, and its outcome.
 
-The outcome of a tuning: the scenario that was found, what binds, and how sensitive it is.
-
 `cl.tune`: numbers of a scenario, gains above all, that minimise a value of its runs.
 """
 
@@ -17,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ScenarioError
-from closedloop.base.plain import plain
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.scenario.messages import key_unit
 from closedloop.scenario.overrides import Variants
@@ -172,7 +169,7 @@ class Tuning:
         With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
         """
         from closedloop.figures.style import COLOURS, legend_beside_title, panels, styled
-        from closedloop.studies.gradient.variants import simulated
+        from closedloop.studies.gradient.differences import simulated
 
         with styled():
             figure, (axes,) = panels(1, 3.0, ax)

@@ -123,7 +123,7 @@ def test_nothing_is_written_but_whole():
     }  # a tuning's runs, a line for each: a line cut off is left out
     nothing = {
         "closedloop/base/second_process.py",
-        "closedloop/command/streams.py",
+        "closedloop/command/border.py",
         "closedloop/figures/page.py",
         "closedloop/jit/background.py",
         "validation/bodies.py",

@@ -4,7 +4,7 @@ import pytest
 from lab_page import opened_page
 
 import closedloop as cl
-from closedloop.lab import in_browser, mapping_work, server
+from closedloop.lab import in_browser, mapping, server
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def offline(browser):
 def lab(tmp_path, monkeypatch):
     """A lab of wam_slide whose first run is shown; the map that begins by itself ends early, and pings come often."""
     pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
-    monkeypatch.setattr(mapping_work, "AT_MOST", 1.0)
+    monkeypatch.setattr(mapping, "AT_MOST", 1.0)
     monkeypatch.setattr(server, "PING", 1.0)
     opened = cl.lab("wam_slide", port=8411, show=False)
     opened.folder = tmp_path

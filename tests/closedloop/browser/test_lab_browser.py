@@ -12,8 +12,8 @@ from lab_page import plotted, row, settled
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.figures.closure import tip_errors
-from closedloop.lab import in_browser, mapping_work
+from closedloop.figures.motion import tip_errors
+from closedloop.lab import in_browser, mapping
 from closedloop.lab.in_browser import wait_until
 from closedloop.serve.watch import Watch
 from closedloop.studies.analysis.stability import Stability
@@ -238,7 +238,7 @@ def test_the_copied_command_repeats_the_run(page, lab, tmp_path):
 
 def test_a_drag_in_the_map_loads_the_runs_below_the_pointer(page, lab, monkeypatch):
     """The place under the pointer is the run that is shown, the ring goes with it, and the drag is one step of undo."""
-    monkeypatch.setattr(mapping_work, "CELLS", 16)
+    monkeypatch.setattr(mapping, "CELLS", 16)
     lab.changed("time.duration", 0.2)
     settled(page, lab)
     page.locator("#tabs select").nth(0).select_option("law.force")
@@ -271,9 +271,9 @@ def test_the_map_shows_where_the_loop_becomes_unstable(page, lab, monkeypatch):
     cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.1}), {"law.force": [10.0] * 8})
     lab.ask()  # no map begins by itself until what it needs is compiled, as it is now
     wait_until(page, "map.m")
-    monkeypatch.setattr(mapping_work, "AT_MOST", 600.0)
-    monkeypatch.setattr(mapping_work, "POINTS", 8)
-    monkeypatch.setattr(mapping_work, "CELLS", 12)
+    monkeypatch.setattr(mapping, "AT_MOST", 600.0)
+    monkeypatch.setattr(mapping, "POINTS", 8)
+    monkeypatch.setattr(mapping, "CELLS", 12)
     for key, value in short.items():
         lab.changed(key, value)
     settled(page, lab)

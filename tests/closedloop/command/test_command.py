@@ -7,8 +7,7 @@ import sys
 import pytest
 
 from closedloop.base.errors import ClusterError, ScenarioError, SimulationError
-from closedloop.command.border import Parser, run_command
-from closedloop.command.streams import HANDLER, patient_output, plain
+from closedloop.command.border import HANDLER, Parser, patient_output, plain, run_command
 
 
 def raising(error):

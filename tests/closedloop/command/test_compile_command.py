@@ -14,7 +14,7 @@ from budget import FULL
 import closedloop
 from closedloop.__main__ import main
 from closedloop.command import compile_all
-from closedloop.command.pieces import pieces
+from closedloop.command.compile_all import pieces
 from closedloop.control.law import COMPENSATIONS, LAWS
 from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.compile_cache import KernelCache
@@ -107,7 +107,7 @@ def test_without_a_compiler():
 
 # Asks each piece for what it compiles, and notes what it has asked the cache for so far.
 ASKED = """
-from closedloop.command.pieces import pieces
+from closedloop.command.compile_all import pieces
 from closedloop.jit.compile_cache import KernelCache
 asked, load = set(), KernelCache.load_overload
 def noted(self, *rest):

@@ -7,8 +7,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import closedloop as cl
 from closedloop.figures import closure_error, contact_force, draw_figures, files, tip_position
-from closedloop.figures.closure import directions
 from closedloop.figures.files import save_figure
+from closedloop.figures.motion import directions
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import pytest
 from rounding import within
 
 import closedloop as cl
-from closedloop.figures.closure import directions, tip_errors
+from closedloop.figures.motion import directions, tip_errors
 from closedloop.mechanics.closure.contact_force import FREE
 
 PAGE = Path(cl.__file__).parents[1] / "docs" / "interactive.md"

@@ -418,7 +418,7 @@ def test_a_learned_policy_keeps_its_force_on_surfaces_that_it_has_not_met():
 def test_a_page_shows_an_environment_at_its_address(capsys):
     """The page gets the arm, its place and the force at each step; a browser reads them as bytes."""
     sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
-    from closedloop.lab.messages import unpack
+    from closedloop.lab.drawn import unpack
 
     env = made("press", render_mode="human")
     try:

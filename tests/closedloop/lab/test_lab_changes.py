@@ -16,8 +16,8 @@ from closedloop.lab import curves, groups
 from closedloop.lab.answers import Answers
 from closedloop.lab.app import Lab
 from closedloop.lab.controls import TABS, begin_values, controls
+from closedloop.lab.drawn import from_text, in_text, pack, unpack
 from closedloop.lab.history import History, Pins, compared, in_words, save
-from closedloop.lab.messages import from_text, in_text, pack, unpack
 from closedloop.lab.server import LONG, Newest
 from closedloop.plugins import Annotated, ControlLaw, Field, Positive, gain_in
 from closedloop.scenario.load import parse_scenario

@@ -9,11 +9,10 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.lab import groups, mapping_work
+from closedloop.lab import groups, mapping
 from closedloop.lab.answers import Answers
 from closedloop.lab.history import History
-from closedloop.lab.mapping import Axis, Map, coarse_first
-from closedloop.lab.mapping_work import MapWork
+from closedloop.lab.mapping import Axis, Map, MapWork, coarse_first
 
 
 def control_of(scenario, key, index=None):
@@ -71,11 +70,11 @@ def test_a_first_map_begins_however_loaded_the_computer_is(monkeypatch):
                           tell=lambda slot, message, keep=True: told.append(message))  # fmt: skip
     work = MapWork(lab)
     work.show_keys()
-    monkeypatch.setattr(mapping_work, "needs_compiling", lambda function: False)
+    monkeypatch.setattr(mapping, "needs_compiling", lambda function: False)
     monkeypatch.setattr(work, "start", lambda x, y, quantity, by_itself: begun.append((x, y)))
     answer = answers.answer({})
-    assert 0.0 < answer.effort < mapping_work.QUICK
-    for effort in (answer.effort, 2.0 * mapping_work.QUICK):
+    assert 0.0 < answer.effort < mapping.QUICK
+    for effort in (answer.effort, 2.0 * mapping.QUICK):
         work.begin_by_itself(replace(answer, seconds=5.0, effort=effort))
         assert begun == [("law.kp, all", "law.kd, all")]
     assert told[-1] == {"kind": "tab", "name": "analysis"}  # where no map comes, another tab has something to show
@@ -91,10 +90,10 @@ def test_a_first_map_begins_once_what_it_needs_is_compiled(refused, monkeypatch)
     lab = SimpleNamespace(controls=groups.all_controls(base, robot_models.load("wam4")), answer=answer,
                           details=SimpleNamespace(ask=lambda answer: asked.set()),
                           tell=lambda slot, message, keep=True: told.append(message.get("line", "")))  # fmt: skip
-    monkeypatch.setattr(mapping_work, "needs_compiling", lambda function: not compiled.is_set())
-    monkeypatch.setattr(mapping_work, "refused", lambda: refused)
-    monkeypatch.setattr(mapping_work, "start", lambda functions, quietly: started.append(functions))
-    monkeypatch.setattr(mapping_work, "LOOK", 0.01)
+    monkeypatch.setattr(mapping, "needs_compiling", lambda function: not compiled.is_set())
+    monkeypatch.setattr(mapping, "refused", lambda: refused)
+    monkeypatch.setattr(mapping, "start", lambda functions, quietly: started.append(functions))
+    monkeypatch.setattr(mapping, "LOOK", 0.01)
     work = MapWork(lab)
     work.show_keys()
     for _ in range(2):  # a page that opens later is told as well, and nothing is begun twice

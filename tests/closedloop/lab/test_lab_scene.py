@@ -10,16 +10,15 @@ import pinocchio
 import pytest
 
 import closedloop as cl
-from closedloop.figures.friction import friction_bounds
+from closedloop.figures.force import friction_bounds
 from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
 from closedloop.figures.scene.solids import Ghost, Joined, Shape
 from closedloop.lab import curves
 from closedloop.lab.animate import CELLS, OWN
 from closedloop.lab.curves import Panel, Trace, beside, main_panel, panels, reduced
-from closedloop.lab.drawn import frames, robot_message, space_message
+from closedloop.lab.drawn import frames, from_text, robot_message, space_message
 from closedloop.lab.film_picture import Picture
 from closedloop.lab.gallery import cards
-from closedloop.lab.messages import from_text
 from closedloop.lab.share import page_of
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.mechanics.closure.contact_force import FREE

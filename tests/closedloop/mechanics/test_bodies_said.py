@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.record.report.report_rows import report_rows
+from closedloop.record.report.tables import report_rows
 from closedloop.scenario.load import parse_scenario
-from closedloop.studies.gradient.keys import Keys
+from closedloop.studies.gradient.quantities import Keys
 
 BOX = """
 [robot]

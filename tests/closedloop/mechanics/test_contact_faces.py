@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.scenario.faces import disc, points_of_face, rectangle
 from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.tables import disc, points_of_face, rectangle
 
 STIFFNESS, RADIUS, MASS = 2e4, 0.03, 0.5
 TEXT = """

@@ -10,7 +10,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.memory import RIGID_STICK
 from closedloop.loop.step.share_friction import share_friction
 from closedloop.mechanics.closure.contact_force import STUCK, factorise
-from closedloop.record.report.report_rows import report_rows
+from closedloop.record.report.tables import report_rows
 
 MU = 0.4
 RUBBING = {

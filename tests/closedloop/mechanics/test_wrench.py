@@ -11,7 +11,7 @@ from rounding import within
 import closedloop as cl
 from closedloop.figures.export.mjcf import write_mjcf
 from closedloop.figures.export.tables import write_csv
-from closedloop.figures.tip import has_tool
+from closedloop.figures.motion import has_tool
 
 TOOL = {"tool.offset": [0.02, -0.01, 0.12], "tool.mass": 0.8, "tool.centre": [0.01, 0.0, 0.05],
         "tool.inertia": [2e-3, 2.5e-3, 1e-3, 1e-4, 0.0, -2e-4]}  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.figures.export.rosbag2 import write_rosbag2
+from closedloop.figures.export.mcap_file import write_rosbag2
 from closedloop.figures.export.tables import FORMATS
 from closedloop.record.columns.derived import DERIVED
 from closedloop.record.columns.record import ALL_COLUMNS, SYMBOLS

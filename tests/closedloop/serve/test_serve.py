@@ -112,7 +112,7 @@ def test_the_lab_shows_what_is_served_while_it_goes_on():
     """A page is sent the arm and the latest rows as they come, in the end the whole run, and no more than asked for."""
     sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
     closed = pytest.importorskip("websockets.exceptions").ConnectionClosed
-    from closedloop.lab.messages import unpack
+    from closedloop.lab.drawn import unpack
     from closedloop.serve.watch import Watch
 
     with cl.serve(SCENARIO, overrides=BRIEF, lock_step=True) as served:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.record.report.halved import MOVES, NOT_HALVED, _away_from_changes, checked_comparison
+from closedloop.record.report.halved import MOVES, NOT_HALVED, _away_from_changes
 from closedloop.record.report.verdict import STEP_SHARE
 
 SHORT = {"time.duration": 0.04, "reference.start": 0.0, "reference.stop": 0.2, "law.pd_start": 0.0}
@@ -93,29 +93,12 @@ def test_the_verdict_is_judged_by_what_was_measured(halved):
         assert ("step" in {problem["name"] for problem in verdict["problems"]}) == bad
 
 
-def test_a_file_has_the_comparison_and_a_wrong_one_is_refused(halved, tmp_path):
-    """To the bit; and no number is taken that is none, nor text where one belongs."""
+def test_a_file_has_the_comparison(halved, tmp_path):
+    """To the bit."""
     run, _ = halved
     again = cl.load_run(run.save(tmp_path / "run.nc"))
     assert again.summary() == run.summary()
-    good = json.loads(json.dumps(run.halved))
-    assert checked_comparison(good) == run.halved
-    for spoil in (
-        lambda d: d.pop("rows"),
-        lambda d: d.update(rows="7"),
-        lambda d: d.update(force=float("nan")),
-        lambda d: d.update(position=-1.0),
-        lambda d: d["columns"].update(nothing={}),
-        lambda d: d["columns"]["q"].update(unit=3),
-        lambda d: d["values"]["min_contact_force"].pop("unit"),
-        lambda d: d.update(events=[]),
-    ):
-        bad = json.loads(json.dumps(good))
-        spoil(bad)
-        with pytest.raises(cl.RunFileError, match="halved"):
-            checked_comparison(bad)
-    with pytest.raises(cl.RunFileError, match="halved"):
-        checked_comparison([])
+    assert again.halved == json.loads(json.dumps(run.halved))
 
 
 def test_rows_beside_a_change_of_mode_do_not_count_and_long_differences_do():

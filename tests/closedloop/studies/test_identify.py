@@ -37,8 +37,7 @@ def test_without_noise_the_parameters_are_the_true_ones(clean):
 def test_base_parameters_carry_the_whole_inverse_dynamics(name):
     """At states that no one looked at, the base columns times the base parameters are W χ, for any χ."""
     robot = robot_models.load(name)
-    from closedloop.studies.identify.base_parameters import base_parameters
-    from closedloop.studies.identify.regressor import Regressor, Terms
+    from closedloop.studies.identify.regressor import Regressor, Terms, base_parameters
 
     regressor = Regressor(robot, Terms())
     base = base_parameters(regressor)
@@ -50,8 +49,7 @@ def test_base_parameters_carry_the_whole_inverse_dynamics(name):
 
 def test_a_six_joint_arm_has_as_many_base_parameters_as_the_literature_says():
     """A UR10 has 36: ten a link, less what its parallel axes and the first, vertical one do not show."""
-    from closedloop.studies.identify.base_parameters import base_parameters
-    from closedloop.studies.identify.regressor import INERTIAL, Regressor, Terms
+    from closedloop.studies.identify.regressor import INERTIAL, Regressor, Terms, base_parameters
 
     regressor = Regressor(robot_models.load("ur10"), Terms((), drive_inertia=False))
     kept = [regressor.names[k] for k in base_parameters(regressor).kept]

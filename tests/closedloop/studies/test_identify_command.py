@@ -12,8 +12,8 @@ import closedloop as cl
 import robot_models
 from closedloop.command.identify import main
 from closedloop.studies.identify.log import LogError
-from closedloop.studies.identify.physical import physical, pseudo_inertia
 from closedloop.studies.identify.read import log_of_run, read_log
+from closedloop.studies.identify.written import physical, pseudo_inertia
 
 
 @pytest.fixture(scope="module")

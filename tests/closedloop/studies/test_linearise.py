@@ -11,8 +11,8 @@ from scipy.linalg import expm
 import closedloop as cl
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.assembly import instant_of
-from closedloop.studies.analysis.derivatives import columns
 from closedloop.studies.analysis.here import Here
+from closedloop.studies.analysis.reduced import columns
 
 ALONG_N = ("contact", "law", "sensor", "delay", "filter", "hold")
 

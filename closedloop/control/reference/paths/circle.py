@@ -10,8 +10,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import LENGTH, Direction, Instant, Number, Positive
-from closedloop.control.reference.checks import TURNS, direction_along, interval, not_zero
-from closedloop.control.reference.path import Path
+from closedloop.control.reference.path import TURNS, Path, direction_along, interval, not_zero
 from closedloop.control.reference.tip_path import Ellipse, Segment, TipPath, minimum_jerk
 
 

@@ -10,8 +10,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import LENGTH, Direction, Instant, Positive
-from closedloop.control.reference.checks import TURNS, direction_along, interval
-from closedloop.control.reference.path import Path
+from closedloop.control.reference.path import TURNS, Path, direction_along, interval
 from closedloop.control.reference.tip_path import Eight, Segment, TipPath, minimum_jerk
 
 

@@ -8,8 +8,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import SPEED, Direction, Instant, Number
-from closedloop.control.reference.checks import direction_along, interval
-from closedloop.control.reference.path import Path
+from closedloop.control.reference.path import Path, direction_along, interval
 from closedloop.control.reference.tip_path import Segment, Straight, TipPath, constant, minimum_jerk
 
 

@@ -13,8 +13,7 @@ from pydantic import BeforeValidator, Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import LENGTH, Direction, Instant, Number, Positive, Unit
-from closedloop.control.reference.checks import direction_along, interval, not_zero
-from closedloop.control.reference.path import Path
+from closedloop.control.reference.path import Path, direction_along, interval, not_zero
 from closedloop.control.reference.tip_path import TipPath, minimum_jerk, through
 
 # More passes than this are refused as a typing error.

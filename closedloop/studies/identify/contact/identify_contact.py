@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ModelError
-from closedloop.base.plain import plain
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording, checked, read_recording

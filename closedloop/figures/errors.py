@@ -1,4 +1,4 @@
-"""What force control is about, in one figure: the error of the force, the errors of the tip, and the path."""
+"""The errors of a run: of the closure (Figs. 6 and 7 of the paper), of the force, and of the tip."""
 
 from __future__ import annotations
 
@@ -6,12 +6,21 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.bodies import AT_REST, bodies, has_bodies, rests
-from closedloop.figures.closure import directions, force_error, frame_of, tip_errors
 from closedloop.figures.force import FLAT, draw_measured
 from closedloop.figures.link_contacts import draw_forces, link_contacts
+from closedloop.figures.motion import (
+    AT_REST,
+    ROUNDING,
+    bodies,
+    directions,
+    frame_of,
+    has_bodies,
+    rests,
+    tip_errors,
+)
 from closedloop.figures.style import (
     COLOURS,
     dress,
@@ -28,13 +37,67 @@ from closedloop.figures.style import (
     styled,
     tip_is_idle,
 )
-from closedloop.figures.tip import ROUNDING
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+_STABILISED = {
+    "baumgarte": "with Baumgarte's stabiliser",
+    "projection": "with projection",
+    "both": "with Baumgarte's stabiliser and projection",
+    "none": "without stabiliser",
+}
+
+
+def closure_error(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+    """Draw the closure error e against time (Fig. 6 with the stabiliser, Fig. 7 without).
+
+    Off the surface e is a gap and no error, a million times larger than the error in contact: a run that has both gets
+    a panel for each. For `ax` see `closedloop.figures`.
+    """
+    touching = run.mode != FREE
+    how = _STABILISED[run.scenario.stabiliser.kind]
+    soft = run.scenario.compliance.kind != "none"
+    what = "Position of the tip relative to the soft surface; e < 0: inside" if soft else f"Closure error, {how}"
+    both = bool(np.any(touching) and not np.all(touching))
+    figure, drawn = panels(2 if both else 1, 4.8 if both else 3.4, ax)
+    if np.all(touching):
+        unit = _draw(drawn[0], run, run.closure_error)
+        dress(
+            drawn[0],
+            run,
+            what if soft or run.scenario.surface.kind != "plane" else f"Closure error e = n·r − d, {how}",
+            f"e [{unit}]",
+        )
+    else:
+        unit = _draw(drawn[0], run, run.closure_error)
+        dress(drawn[0], run, "Gap e", f"e [{unit}]", show_events=not both)
+    if both:
+        unit = _draw(drawn[1], run, np.where(touching, run.closure_error, np.nan))
+        dress(drawn[1], run, f"In contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
+    no_upper_labels(figure, drawn)
+    explain_contact(figure, run)
+    return figure
+
+
+def _draw(axes: Axes, run: Run, error: NDArray[np.float64]) -> str:
+    """Draw an error, m, which is NaN where there is none, and return the unit in which it is drawn."""
+    axes.margins(y=0.15)
+    size = float(np.nanmax(np.abs(error), initial=0.0))
+    factor, unit = length_unit(size) if size > 0.0 else (1.0, "m")
+    axes.plot(run.time, factor * error, color=COLOURS[1])
+    mark_rounding(axes, size, position_rounding(run), factor)
+    return unit
+
+
+def force_error(run: Run, force: Array) -> Array:
+    """Return f − f_des (N,), N, of a force (N,), N; NaN while the tip is free."""
+    return np.where(run.mode != FREE, force - run.reference_force, np.nan)
+
 
 # A path is drawn to scale if it is at least this share of its length wide.
 WIDE = 0.1

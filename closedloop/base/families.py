@@ -1,12 +1,18 @@
-"""The families: base classes of members, and the validation of a section by its `kind`.
+"""Families of plug-ins: paths, integrators, control laws, laws of friction ... A member of a family is one file.
 
-The base classes of members, and the users' classes that were named in this process.
+    class Circle(Path):                        closedloop/control/reference/paths/circle.py: the kind "circle"
+        radius: Annotated[Positive, LENGTH] = Field(description="radius of the circle, m")
+        def tip_path(self, origin, normal): ...
 
-The refusal of a user's class that only a file names.
+A family has a base class, which says what all members share: a folder, the functions and their signature. A file of
+that folder holds one member, a class derived from the base, and the file's name is the member's `kind`: there is no
+list of members, and nothing else to edit when one is added. A file is imported when its kind is first asked for, or
+when all members are listed. Two families may share a folder (a law of friction for a surface and one for joints): a
+file then has a class of either.
 
-The functions of a user's class against those of the class that it is derived from: their arguments.
-
-A key whose value is the name of a member, without parameters.
+A user's class is a member like any other, with the name MODULE:CLASS. It is known in a process once the command line or
+Python has *named* it (`Family.named`): as that text, as the class, or by an instance inside a `Scenario`. A file is
+data and can make no code run, so a name that stands in a file alone is refused (`not_named`), and nothing is imported.
 """
 
 from __future__ import annotations

@@ -158,16 +158,16 @@ def members_of_users(scenario: Scenario) -> dict[str, str]:
 
 
 def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    for key, parts in _parts_of_keys():
-        if (name := _at(scenario, parts)) is not None:
+    sections = vars(scenario)
+    for key, (section, *parts) in _parts_of_keys():
+        if (name := _at(sections[section], parts)) is not None:
             yield key, str(name)
     for i, contact in enumerate(scenario.contact or ()):
         yield f"contact.{i}.restitution_law", contact.restitution_law
 
 
-def _at(scenario: Scenario, parts: Iterable[str]) -> Any:
-    """Return what a scenario has at a dotted key, None if a section on the way is left out."""
-    found: Any = scenario
+def _at(found: Any, parts: Iterable[str]) -> Any:
+    """Return what a scenario or a section has at a dotted key, None if a section on the way is left out."""
     for part in parts:
         found = getattr(found, part, None)
     return found

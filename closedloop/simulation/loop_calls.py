@@ -85,6 +85,10 @@ class Answers:
         self._problem, self.compiling, self._struck = problem, 0.0, False
         self.events.fill(0.0)
 
+    def end(self) -> None:
+        """Let the problem go."""
+        del self._problem
+
     def give(self, request: int) -> None:
         """Answer TABLE_FULL or IMPACT_LAW_WANTED, see `closedloop.loop.events.proceed`."""
         if request == TABLE_FULL:
@@ -162,8 +166,9 @@ class Calls:
         set_rows(self._addresses, problem.table, rows)
 
     def end(self) -> None:
-        """Let the table and the rows of the run go, and be taken over."""
+        """Let the problem and the rows of the run go."""
         self._addresses.keep_alive(table=None, rows=None)
+        self.answers.end()
 
 
 def driver(

@@ -374,14 +374,15 @@ class Settled(NamedTuple):
     scenario: Scenario  # as its run has it
     numbers: dict[str, Any]  # attributes of the `Problem`
     keys: dict[str, tuple[Hashable, ...]]  # what surface, contacts, path and law depend on, but for the state
-    known: list[Problem]  # the first problem, which finds out what follows from the numbers
+    known: dict[str, Any]  # what follows from the numbers
 
     def keep(self, problem: Problem) -> None:
-        """Give a problem what the first one knows, or keep the first."""
+        """Give a problem what is known; what steps the first is for all others, which find out the rest once."""
         if self.known:
-            vars(problem).update({name: getattr(self.known[0], name) for name in SETTLED})
+            self.known.update({name: getattr(problem, name) for name in SETTLED if name not in self.known})
+            vars(problem).update(self.known)
         else:
-            self.known.append(problem)
+            self.known["spare"] = problem.spare
 
 
 def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Settled:
@@ -443,7 +444,7 @@ def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Sett
         "contacts": _contacts_key(scenario, cache) if scenario.contact or has_stops(scenario, model) else (),
         "path": cache.texts(scenario, of=("robot", "tool", "reference")), "law": cache.text(scenario.law),
     }  # fmt: skip
-    return Settled(scenario, numbers, keys, [])
+    return Settled(scenario, numbers, keys, {})
 
 
 def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:

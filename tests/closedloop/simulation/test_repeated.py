@@ -1,5 +1,7 @@
 """Calls one after the other, of which a later one reuses what an earlier one has made."""
 
+import gc
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -136,6 +138,18 @@ def test_other_starts_are_run_by_the_same_memory():
     assert same(runs[0], runs[2])
     assert not same(runs[0], runs[1])
     assert len(memories) == 1
+
+
+def test_what_is_kept_for_another_start_holds_no_problem():
+    """Tables and rows of runs of other forces and starts are not kept: they are most of the memory."""
+    cache, seen = Cache(), []
+    for changes in ({}, {"law.force": 3.0}, {"start.q": [0.1, -1.5, 0.05, 2.4]}, {"law.force": 4.0}):
+        problem = prepare_module.prepare(scenario_with(changes), None, cache)
+        rows = run_loop(problem, engine="compiled")[0]
+        seen += [weakref.ref(problem), weakref.ref(rows.base)]
+    del problem, rows
+    gc.collect()
+    assert [each() is None for each in seen] == [*[True] * (len(seen) - 2), False, True]  # but for the last one
 
 
 def outcome(scenario, engine):

@@ -184,8 +184,11 @@ START_RATE = 1e-4
 
 def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
     """Return q and q̇ (n,) as they are asked for and as the loop has them, refusing joints beyond their limits."""
-    q = start_posture(scenario, model)
-    v = start_velocities(scenario, model)
+    try:
+        q, v = start_posture(scenario, model), start_velocities(scenario, model)
+    except ScenarioError:
+        refuse_lengths(scenario, model)  # all of them
+        raise
     if faults := [
         f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}] "
         + ("m" if model.joint_types[j] == "prismatic" else "rad")
@@ -354,7 +357,11 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
         stabiliser unstable, a tip that the robot does not have ...
     """
-    cache = Cache() if cache is None else cache
+    return problem_of(scenario, model, Cache() if cache is None else cache)
+
+
+def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Problem:
+    """Do as `prepare`, with arguments of the right types."""
     if cache.last is not None and cache.last[0] is scenario:
         return cache.last[1]
     given, cache.last = scenario, None

@@ -43,7 +43,7 @@ from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.loop_calls import Calls
-from closedloop.simulation.prepare import Cache, kept_cache, prepare
+from closedloop.simulation.prepare import Cache, kept_cache, problem_of
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown
@@ -223,7 +223,7 @@ def _simulated(
     try:
         if problem is None:
             with held_back(), not_compiled_first():
-                problem = prepare(scenario, model, cache)
+                problem = problem_of(scenario, model, cache or Cache())
         with reporting(progress, problem.scenario.name, problem.steps) as report:
             rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     except KeyboardInterrupt as stop:

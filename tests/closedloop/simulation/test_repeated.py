@@ -11,6 +11,7 @@ import closedloop as cl
 import robot_models
 from closedloop.scenario.load import shipped_scenarios
 from closedloop.simulation import prepare as prepare_module
+from closedloop.simulation.loop_calls import Calls
 from closedloop.simulation.prepare import Cache
 from closedloop.simulation.simulate import run_loop
 
@@ -79,7 +80,9 @@ def starts(problem):
     near = {} if q is None or model.balls else {"start.q": [x + 2e-7 * (-1) ** i for i, x in enumerate(q)]}
     far = {} if q is None or model.balls else {"start.q": [x + 0.02 * (-1) ** i for i, x in enumerate(q)]}
     slower = {"start.v": (0.5 * rates).tolist()}
-    return [near | slower, {"start.v": rates.tolist()}, far, near, {"start.v": [1e3] * len(rates)}, near | slower]
+    wrong = {"start.q": [0.1] * 99, "start.v": [0.1] * 98}
+    fast = {"start.v": [1e3] * len(rates)}
+    return [near | slower, {"start.v": rates.tolist()}, far, wrong, near, fast, near | slower]
 
 
 def names_from_elsewhere():
@@ -138,6 +141,15 @@ def test_other_starts_are_run_by_the_same_memory():
     assert same(runs[0], runs[2])
     assert not same(runs[0], runs[1])
     assert len(memories) == 1
+
+
+def test_what_a_run_leaves_in_the_memory_would_show(monkeypatch):
+    """If the memory were not put back, the run from the next start would be another: the tests above see that."""
+    begin = Calls.begin
+    monkeypatch.setattr(Calls, "begin", lambda calls, *of: (calls._before.clear(), begin(calls, *of)))
+    scenario, cache = scenario_with(RUBBING), Cache()
+    runs = [run_loop(prepare_module.prepare(scenario, None, cache), engine="compiled")[0] for _ in range(2)]
+    assert not np.array_equal(*runs)
 
 
 def test_what_is_kept_for_another_start_holds_no_problem():

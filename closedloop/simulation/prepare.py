@@ -84,6 +84,8 @@ T = TypeVar("T")
 LIMIT = 32_000_000
 # As many sections are kept with their texts.
 MOST_TEXTS = 500
+# Of so many models, as calls of two prepared problems in turns have them, a thread keeps the caches.
+MOST_CACHES = 2
 
 
 class Cache:
@@ -148,8 +150,8 @@ class Cache:
 
 
 class _Kept(threading.local):
-    cache: Cache | None = None
-    model: RobotModel | None = None
+    def __init__(self) -> None:
+        self.caches: list[tuple[RobotModel | None, Cache]] = []  # of the models given last, the last one last
 
 
 _kept = _Kept()
@@ -165,13 +167,12 @@ def kept_cache(scenario: Scenario, model: RobotModel | None) -> Iterator[Cache]:
     if (model is None and is_users_file(scenario.robot.model)) or members_of_users(scenario):
         yield Cache()
         return
-    cache, _kept.cache = _kept.cache, None
-    if cache is None or _kept.model is not model:
-        cache = Cache()
+    kept = next((each for each in _kept.caches if each[0] is model), (model, Cache()))
+    _kept.caches = [each for each in _kept.caches if each is not kept]
     try:
-        yield cache
+        yield kept[1]
     finally:
-        _kept.cache, _kept.model = cache, model
+        _kept.caches = [*(each for each in _kept.caches if each[0] is not model), kept][-MOST_CACHES:]
 
 
 # Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a

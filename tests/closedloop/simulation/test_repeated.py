@@ -130,13 +130,14 @@ def test_other_starts_are_run_by_the_same_memory():
     problem = cl.prepare(scenario_with({"sensor.noise": 0.1}))
     runs, memories = [], set()
     for shift in (1e-3, -2e-3, 1e-3):
+        cl.simulate(scenario_with({}), engine="compiled")  # of another model, in turns
         q = problem.q + shift
         runs.append(problem.run(q=q, engine="compiled"))
         with ThreadPoolExecutor(1) as pool:
             fresh = pool.submit(outcome, problem.scenario.replace({"start.q": q}), "compiled").result()
         assert same(runs[-1], fresh)
         assert runs[-1].scenario == fresh.scenario
-        (calls,) = prepare_module._kept.cache.last[1].spare.values()
+        (calls,) = prepare_module._kept.caches[-1][1].last[1].spare.values()
         memories.add(calls.loop.address)
     assert same(runs[0], runs[2])
     assert not same(runs[0], runs[1])

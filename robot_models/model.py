@@ -1,7 +1,7 @@
 """The robot as data: everything that is needed to build it again, and nothing that must be looked up."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
@@ -239,6 +239,13 @@ class RobotModel:
     def loop_coordinates(self) -> tuple[str, ...]:
         """Names of the joints that are coordinates of loop joints."""
         return tuple(name for loop in self.loops for name in loop.coordinates)
+
+    def changed(self, **changes: Any) -> "RobotModel":
+        """Return the robot with other tools, gravity or springs in its joints; what its text says is known already."""
+        text, other = self._built, replace(self, **changes)
+        known = {name: value for name, value in vars(self).items() if name not in vars(other)}
+        vars(other).update(known | {"_built": text})
+        return other
 
     @cached_property
     def _built(self) -> "pin.Model":

@@ -20,7 +20,7 @@ from closedloop.scenario.overrides import Variants
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.ensemble.ensemble import Ensemble
-from closedloop.simulation.prepare import Cache, prepare
+from closedloop.simulation.prepare import Cache, prepare, problem_of
 from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.time_step import whole_steps
 
@@ -150,7 +150,7 @@ class Core:
         keys = tuple(values)
         if keys not in self._variants:
             self._variants[keys] = Variants(self.scenario, keys)
-        problem = prepare(self._variants[keys].scenario(tuple(values.values())), None, self._cache)
+        problem = problem_of(self._variants[keys].scenario(tuple(values.values())), None, self._cache)
         if problem.steps != self.instants * self.steps or problem.row_width != self.now_width:
             raise ScenarioError(
                 "options: the arm, time.step and time.duration of an environment cannot be changed: make another"

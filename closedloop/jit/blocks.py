@@ -20,9 +20,10 @@ address and its sizes, and an array view is made where a field is read: see `clo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, get_args, get_type_hints
 
+import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
@@ -224,6 +225,21 @@ class Block:
             return slice(first + at.start, first + at.stop) if isinstance(at, slice) else first + at
         _, begin, end, shape = cls.layout.places(*sizes)[name]
         return slice(begin, end) if shape else begin
+
+
+def arrays_of(what: Any) -> Iterator[NDArray[Any]]:
+    """Return the arrays of memory and of all that is kept with it, one after the other."""
+    if isinstance(what, np.ndarray):
+        yield what
+    elif isinstance(what, Block):
+        yield what.memory
+        yield from arrays_of(what.kept)
+    elif isinstance(what, dict):
+        for part in what.values():
+            yield from arrays_of(part)
+    elif isinstance(what, (tuple, list)):
+        for part in what:
+            yield from arrays_of(part)
 
 
 def _number(offset: int) -> property:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,8 @@ def start_positions(scenario: Scenario, model: RobotModel) -> Array:
     A `start.q` may leave out what moves freely, which is then where the model, or its [[body]], has it.
     """
     given, names = scenario.start.q, model.coordinate_names
+    if given is not None and len(given) == len(names):
+        return np.array(given)
     placed = dict(zip(names, model.home.tolist(), strict=True))
     for body in scenario.body or ():
         pose = zip((*PLACES, *PARTS), (*body.position, *body.quaternion), strict=True)
@@ -48,23 +51,25 @@ def start_positions(scenario: Scenario, model: RobotModel) -> Array:
 
 def start_velocities(scenario: Scenario, model: RobotModel) -> Array:
     """Return q̇ (n,) at the start, with each [[body]] as it moves; of `start.v` see `start_positions`."""
-    names = model.joint_names
+    names, given = model.joint_names, scenario.start.v
+    if given is not None and len(given) == len(names):
+        return np.array(given)
     moving = dict.fromkeys(names, 0.0)
     for body in scenario.body or ():
         rates = zip((*PLACES, *RATES), (*body.velocity, *body.spin), strict=True)
         moving |= {body.name + end: value for end, value in rates}
-    return _whole("start.v", scenario.start.v, np.array([moving[name] for name in names]), names, model)
+    return _whole("start.v", given, np.array([moving[name] for name in names]), names, model)
 
 
 def _whole(
     key: str, given: tuple[float, ...] | None, values: Array, names: tuple[str, ...], model: RobotModel
 ) -> Array:
-    """Return the list of a key if it has all entries, or `values` with those that it has: of what is not free."""
+    """Return `values` with the entries of a list that lacks some: it has those of what is not free."""
     if given is None:
         return values
     held = np.isin(names, np.array(model.joint_names)[~model.free])
-    if len(given) in (held.sum(), len(names)):
-        values[held if len(given) != len(names) else slice(None)] = given
+    if len(given) == held.sum():
+        values[held] = given
         return values
     what = f"{model.name} has {len(names)} joints" if not model.balls else f"for {model.name} it has {len(names)}"
     less = f", or {held.sum()} without those that move freely" if 0 < held.sum() < len(names) else ""
@@ -111,7 +116,7 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
         changes["gravity"] = np.array(scenario.robot.gravity)
     if scenario.transmission.elastic:
         changes["elastic"] = True
-    return Robot(replace(model, **changes) if changes else model, scenario.robot.tip)
+    return Robot(model.changed(**changes) if changes else model, scenario.robot.tip)
 
 
 def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
@@ -161,6 +166,7 @@ def has_stops(scenario: Scenario, model: RobotModel) -> bool:
     return scenario.robot.stops or bool(np.isfinite(limits).any())
 
 
+@lru_cache(maxsize=8)
 def without_tools(model: RobotModel) -> RobotModel:
     """Return the model without tool, payload and elastic joints, which the scenario says."""
     return replace(model, tools=(), elastic=False) if model.tools or model.elastic else model

@@ -8,15 +8,20 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.time_sections import StartSection
 
+# Where a run starts.
+START = {"start.q", "start.v"}
 # As many scenarios are looked at, spread over all, before a batch is begun of which none could be read.
 LOOKED_AT = 100
 
@@ -69,6 +74,11 @@ class Variants:
 
 def replaced(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     """Return a scenario with other values of some keys; see `Scenario.replace`."""
+    if changes.keys() <= START and all(isinstance(value, list | tuple | np.ndarray) for value in changes.values()):
+        given = {key.removeprefix("start."): np.asarray(value).tolist() for key, value in changes.items()}
+        with suppress(ValidationError):  # said below, from all that was given
+            start = StartSection.model_validate(vars(scenario.start) | given)
+            return scenario.model_copy(update={"start": start})  # no other section depends on it
     return Variants(scenario, tuple(changes)).scenario(tuple(changes.values()))
 
 

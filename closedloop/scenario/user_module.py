@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
+from functools import cache
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
 from typing import Any
@@ -155,19 +156,24 @@ def members_of_users(scenario: Scenario) -> dict[str, str]:
 
 
 def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    for key in families():
-        if (name := _at(scenario, key)) is not None:
+    sections = vars(scenario)
+    for key, (section, *parts) in _parts_of_keys():
+        if (name := _at(sections[section], parts)) is not None:
             yield key, str(name)
     for i, contact in enumerate(scenario.contact or ()):
         yield f"contact.{i}.restitution_law", contact.restitution_law
 
 
-def _at(scenario: Scenario, key: str) -> Any:
-    """Return what a scenario has at a dotted key, None if a section on the way is left out."""
-    found: Any = scenario
-    for part in key.split("."):
+def _at(found: Any, parts: Iterable[str]) -> Any:
+    """Return what a scenario or a section has at a dotted key, None if a section on the way is left out."""
+    for part in parts:
         found = getattr(found, part, None)
     return found
+
+
+@cache
+def _parts_of_keys() -> tuple[tuple[str, list[str]], ...]:
+    return tuple((key, key.split(".")) for key in families())
 
 
 def refuse_absent(scenario: Scenario) -> None:
@@ -187,7 +193,7 @@ def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
     """Return the class of a member that a scenario has, None if it is absent."""
     if key not in families():  # of a table of a list
         return names_of_members(ContactSection)[key.rpartition(".")[2]].get(name)
-    section = _at(scenario, key.rpartition(".")[0])
+    section = _at(scenario, key.split(".")[:-1])
     if isinstance(section, Member | Absent):  # its own class, whatever else was given this name since
         return type(section) if isinstance(section, Member) else None
     return families()[key].get(name)

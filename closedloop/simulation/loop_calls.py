@@ -8,6 +8,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, start, takes_long
+from closedloop.jit.blocks import arrays_of
 from closedloop.jit.buffers import draft_address
 from closedloop.jit.calls import address_of
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead
@@ -37,9 +39,16 @@ from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import entries_of_contacts
 from closedloop.simulation.engines.failures import failure_of, raised_by_member
-from closedloop.simulation.engines.loops import COMPILED, Pace, kernels_of
+from closedloop.simulation.engines.loops import COMPILED, Pace, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, proceed_at, set_events
+from closedloop.simulation.engines.proceed import (
+    FROM_PINOCCHIO,
+    Addresses,
+    addresses_of,
+    proceed_at,
+    set_events,
+    set_rows,
+)
 from closedloop.simulation.engines.scenario_numbers import entries_of
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
@@ -67,9 +76,18 @@ class Answers:
     """
 
     def __init__(self, problem: Problem, loop: Loop, interim: bool = False) -> None:
-        self._problem, self._loop, self._interim = problem, loop, interim
+        self._loop, self._interim = loop, interim
         self.events: Array = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
-        self.compiling, self._struck = 0.0, False
+        self.begin(problem)
+
+    def begin(self, problem: Problem) -> None:
+        """Answer for a run of a problem, from its start."""
+        self._problem, self.compiling, self._struck = problem, 0.0, False
+        self.events.fill(0.0)
+
+    def end(self) -> None:
+        """Let the problem go."""
+        del self._problem
 
     def give(self, request: int) -> None:
         """Answer TABLE_FULL or IMPACT_LAW_WANTED, see `closedloop.loop.events.proceed`."""
@@ -98,6 +116,61 @@ class Answers:
         return failure_of(int(state.status), float(w.time), self._problem.robot, self._problem, law, w.q, w.v)
 
 
+class Calls:
+    """What steps the loop of a problem; the next run of it takes it over, from the same start or another.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem; see `begin`.
+    rows, law, engine, interim, tree
+        See `closedloop.simulation.simulate.run_loop`.
+
+    Attributes
+    ----------
+    once, many : callables
+        See `driver`.
+    answers : Answers
+        Answers to what else the loop requests.
+    user_law : UserLaw or None
+        The connection to `law`.
+    """
+
+    def __init__(
+        self, problem: Problem, rows: Array, law: Law | None, engine: str, interim: bool,
+        tree: tuple[Tree, Array] | None,
+    ) -> None:  # fmt: skip
+        self.loop = loop = problem.memory(user_law=law is not None)
+        self.user_law = None if law is None else UserLaw(law, loop)
+        connect = partial(problem.connect, loop, self.user_law.connect if self.user_law else None)
+        if interim:
+            self.kernel = begun(engine, problem, loop, connect, law)
+        else:
+            self.kernel = loop_for(engine)
+            make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
+        connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
+        self.may_be_kept = law is None and not isinstance(self.kernel, Interim)
+        self._before = (
+            [(array, array.copy()) for array in arrays_of(loop) if array.flags.writeable] if self.may_be_kept else []
+        )
+        self.answers = Answers(problem, loop, interim)
+        arrays = problem.table, problem.integrator.tableau(), rows
+        self.once, self.many, self._addresses = driver(problem, self.kernel, loop, arrays, engine, tree)
+
+    def begin(self, problem: Problem, rows: Array) -> None:
+        """Go to the start of the problem, which differs in that alone from what was stepped before."""
+        for array, before in self._before:
+            array[...] = before
+        problem.begin(self.loop)
+        self.answers.begin(problem)
+        set_rows(self._addresses, problem.table, rows)
+
+    def end(self) -> None:
+        """Let the problem and the rows of the run go."""
+        self._addresses.keep_alive(table=None, rows=None)
+        self.answers.end()
+
+
 def driver(
     problem: Problem,
     kernel: Callable[..., int],
@@ -105,11 +178,11 @@ def driver(
     arrays: tuple[Array, Array, Array],
     engine: str,
     made: tuple[Tree, Array] | None = None,
-) -> tuple[Call, Call]:
+) -> tuple[Call, Call, Addresses]:
     """Return two functions of the table of events: one provides terms once, one while nothing else is requested.
 
-    The second returns after about a `MOMENT` too, see `Pace`. The compiled engine's are the same: it returns as soon as
-    something else is requested.
+    And the addresses that they call the loop with. The second returns after about a `MOMENT` too, see `Pace`. The
+    compiled engine's are the same: it returns as soon as something else is requested.
 
     Parameters
     ----------
@@ -135,7 +208,7 @@ def driver(
                 return kernel(*given, 1)
             return pace.take(lambda evaluations: kernel(*given, evaluations))
 
-        return go_on, go_on
+        return go_on, go_on, addresses
 
     robot = problem.robot
     addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
@@ -162,7 +235,7 @@ def driver(
         set_events(addresses, events)
         return pace.take(provide)
 
-    return once, many
+    return once, many, addresses
 
 
 def single_calls(

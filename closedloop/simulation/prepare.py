@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -82,6 +82,10 @@ T = TypeVar("T")
 
 # Bytes of one thread's cache: the reference tables of two dozen runs of 8001 rows.
 LIMIT = 32_000_000
+# As many sections are kept with their texts.
+MOST_TEXTS = 500
+# Of so many models, as calls of two prepared problems in turns have them, a thread keeps the caches.
+MOST_CACHES = 2
 
 
 class Cache:
@@ -99,6 +103,7 @@ class Cache:
         self._limit, self._shared, self._lock = limit, shared, threading.Lock()
         self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
+        self._texts: dict[int, tuple[Section, tuple[Hashable, ...]]] = {}  # by the identity of what is kept
         self.last: tuple[Scenario, Problem] | None = None  # what was prepared last, whose table is still its own
 
     def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
@@ -113,6 +118,25 @@ class Cache:
             self._bytes -= self._entries.popitem(last=False)[1][1]
         return entry
 
+    def text(self, section: Section) -> tuple[Hashable, ...]:
+        """Return all that a section says: its type, those of its members that a user may have made, and its text."""
+        known = self._texts.get(id(section))
+        if known is None or known[0] is not section:
+            if len(self._texts) >= MOST_TEXTS:
+                self._texts.clear()
+            types = (type(part) for part in vars(section).values() if isinstance(part, Section))
+            known = self._texts[id(section)] = section, (type(section), *types, section.model_dump_json())
+        return known[1]
+
+    def texts(self, scenario: Scenario, of: Sequence[str] = (), but: str = "") -> tuple[Hashable, ...]:
+        """Return the same of these sections of a scenario, or of all but one, with what else it has."""
+        parts = [vars(scenario)[name] for name in of or vars(scenario) if name != but]
+        return tuple(
+            self.text(part) if isinstance(part, Section)
+            else tuple(map(self.text, part)) if isinstance(part, tuple) else part
+            for part in parts
+        )  # fmt: skip
+
     def clear(self) -> None:
         """Remove all entries of this thread; those shared with others stay."""
         self._entries.clear()
@@ -126,8 +150,8 @@ class Cache:
 
 
 class _Kept(threading.local):
-    cache: Cache | None = None
-    model: RobotModel | None = None
+    def __init__(self) -> None:
+        self.caches: list[tuple[RobotModel | None, Cache]] = []  # of the models given last, the last one last
 
 
 _kept = _Kept()
@@ -143,13 +167,12 @@ def kept_cache(scenario: Scenario, model: RobotModel | None) -> Iterator[Cache]:
     if (model is None and is_users_file(scenario.robot.model)) or members_of_users(scenario):
         yield Cache()
         return
-    cache, _kept.cache = _kept.cache, None
-    if cache is None or _kept.model is not model:
-        cache = Cache()
+    kept = next((each for each in _kept.caches if each[0] is model), (model, Cache()))
+    _kept.caches = [each for each in _kept.caches if each is not kept]
     try:
-        yield cache
+        yield kept[1]
     finally:
-        _kept.cache, _kept.model = cache, model
+        _kept.caches = [*(each for each in _kept.caches if each[0] is not model), kept][-MOST_CACHES:]
 
 
 # Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a
@@ -162,8 +185,11 @@ START_RATE = 1e-4
 
 def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
     """Return q and q̇ (n,) as they are asked for and as the loop has them, refusing joints beyond their limits."""
-    q = start_posture(scenario, model)
-    v = start_velocities(scenario, model)
+    try:
+        q, v = start_posture(scenario, model), start_velocities(scenario, model)
+    except ScenarioError:
+        refuse_lengths(scenario, model)  # all of them
+        raise
     if faults := [
         f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}] "
         + ("m" if model.joint_types[j] == "prismatic" else "rad")
@@ -302,8 +328,10 @@ def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
 
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
 ROBOT_BYTES = 200_000
-# Memory of a section as numbers, about, bytes.
-SECTION_BYTES = 2_000
+# Memory of a section as numbers, about, bytes, and of all that is kept for the same problem from another start.
+SECTION_BYTES, SETTLED_BYTES = 2_000, 500_000
+# What follows from the numbers of a problem, wherever it starts.
+SETTLED = ("general", "row_width", "row_states", "places", "states", "sizes", "tendons", "spare")
 
 
 def completed(scenario: Scenario, model: RobotModel) -> Scenario:
@@ -330,52 +358,63 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
         stabiliser unstable, a tip that the robot does not have ...
     """
-    refuse_absent(scenario)
-    cache = Cache() if cache is None else cache
+    return problem_of(scenario, model, Cache() if cache is None else cache)
+
+
+def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Problem:
+    """Do as `prepare`, with arguments of the right types."""
     if cache.last is not None and cache.last[0] is scenario:
         return cache.last[1]
     given, cache.last = scenario, None
+    settled = cache.get(
+        ("settled", *cache.texts(scenario, but="start")), lambda: _settled(scenario, model, cache),
+        lambda found: SETTLED_BYTES,
+    )  # fmt: skip
+    problem = Problem(**settled.numbers, **_started(scenario, settled, cache))
+    settled.keep(problem)
+    cache.last = given, problem
+    return problem
+
+
+class Settled(NamedTuple):
+    """What of a problem does not depend on where it starts."""
+
+    scenario: Scenario  # as its run has it
+    numbers: dict[str, Any]  # attributes of the `Problem`
+    keys: dict[str, tuple[Hashable, ...]]  # what surface, contacts, path and law depend on, but for the state
+    known: dict[str, Any]  # what follows from the numbers
+
+    def keep(self, problem: Problem) -> None:
+        """Give a problem what is known; what steps the first is for all others, which find out the rest once."""
+        if self.known:
+            self.known.update({name: getattr(problem, name) for name in SETTLED if name not in self.known})
+            vars(problem).update(self.known)
+        else:
+            self.known["spare"] = problem.spare
+
+
+def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Settled:
+    """Check what does not depend on where a run starts, and return it as numbers."""
+    refuse_absent(scenario)
     robot = _robot(scenario, model, cache)
     model = robot.model
     scenario = completed(scenario, model)
     n = robot.n
     refuse_lengths(scenario, model)
-    q, v = start_state(scenario, model)
+    start_state(scenario, model)  # what is wrong with it is said first
     refuse_combinations(scenario, model)
     have_compiled(scenario, model)
-    if model.loops:
-        q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
-    surface, now, mode = cache.get(
-        ("surface", *_surface_key(scenario), q.tobytes(), v.tobytes()),
-        lambda: placed_surface(scenario, robot, q, v),
-        lambda placed: SECTION_BYTES,
-    )
-    check_rates(surface, scenario.time.duration)
-    believed = believed_surface(scenario, robot, surface, q)
     soft = not isinstance(scenario.compliance, Rigid)
     joint_friction = joint_friction_of(scenario, model)
     integrator, tolerance = integrator_of(scenario, joint_friction)
-    if soft and tolerance is None:
-        check_stiffness(scenario, robot, q, now)
     if np.any(scenario.transmission.load_friction) and joint_friction.sticks != "rigid":
         raise ScenarioError(
             "transmission.load_friction: adds to a dry friction of the joints: give joint_friction.kind = 'coulomb', "
             "'coulomb_viscous', 'stribeck' or 'karnopp', with joint_friction.kinetic = 0 where there is no other"
         )
-    if scenario.transmission.elastic:
-        check_transmission(scenario, robot, q)
-    placed = None if not (scenario.contact or has_stops(scenario, model)) else cache.get(
-        ("contacts", *_contacts_key(scenario), q.tobytes()), lambda: placed_contacts(scenario, robot, q),
-        lambda placed: SECTION_BYTES * len(placed.start),
-    )  # fmt: skip
     h, period = scenario.time.step, scenario.law.sample_period
     steps, hold = steps_and_hold(scenario, n)
-    with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
-        taken = surface if believed is None else believed
-        wanted, table = reference_table(scenario, robot, taken, q, steps, integrator.parts, cache)
-
-    law, start = _law_from(scenario, wanted)
-    compensation = _believed_compensation(scenario)
+    law, compensation = scenario.law, _believed_compensation(scenario)
     compensation.check(law)
     if compensation.reads_tangential and scenario.sensor.axes == 1:
         raise ScenarioError(
@@ -384,36 +423,80 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
 
     def packed(name: str, section: Any, how: Callable[[], PackedLaw]) -> PackedLaw:
-        key = ("packed", name, n, type(section), section.model_dump_json())
-        return cache.get(key, how, lambda found: SECTION_BYTES)
+        return cache.get(("packed", name, n, *cache.text(section)), how, lambda found: SECTION_BYTES)
 
-    friction = packed("friction", scenario.friction, lambda: pack_friction(scenario.friction, n))
+    numbers = {
+        "robot": robot, "integrator": integrator, "tolerance": tolerance, "h": h, "steps": steps, "hold": hold,
+        "nodes": integrator.parts,
+        "friction": packed("friction", scenario.friction, lambda: pack_friction(scenario.friction, n)),
+        "compensation": packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
+        "joint_friction": packed(
+            "joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)
+        ),
+        "compliance": packed("compliance", scenario.compliance, lambda: pack_compliance(scenario.compliance, n)),
+        "sensor": cache.get(
+            ("sensor", *cache.text(scenario.sensor), h), lambda: pack_sensor(scenario.sensor, h),
+            lambda found: SECTION_BYTES,
+        ),
+        "encoder": cache.get(
+            ("encoder", n, *cache.text(scenario.encoder), robot_key(scenario, cache)),
+            lambda: _encoder(scenario, model), lambda found: SECTION_BYTES,
+        ),
+        "transmission": transmission_constants(scenario.transmission, model),
+        "drives": np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
+        "stabiliser": np.array(stabiliser_gains(scenario)),
+        "project": scenario.stabiliser.kind in ("projection", "both") and not soft,
+    }  # fmt: skip
+    keys = {
+        "surface": _surface_key(scenario, cache),
+        "contacts": _contacts_key(scenario, cache) if scenario.contact or has_stops(scenario, model) else (),
+        "path": cache.texts(scenario, of=("robot", "tool", "reference")), "law": cache.text(scenario.law),
+    }  # fmt: skip
+    return Settled(scenario, numbers, keys, {})
+
+
+def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
+    """Return what depends on where a run starts: the other attributes of the `Problem`."""
+    of = settled.numbers
+    robot, friction, integrator = of["robot"], of["friction"], of["integrator"]
+    model, n = robot.model, robot.n
+    scenario, keys = settled.scenario, settled.keys
+    if scenario.start is not given.start:
+        scenario = scenario.model_copy(update={"start": given.start})
+        scenario = with_all_entries(scenario, model) if model.loop_coordinates else scenario
+    q, v = start_state(scenario, model)
+    if model.loops:
+        q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
+    surface, now, mode = cache.get(
+        ("surface", keys["surface"], q.tobytes(), v.tobytes()),
+        lambda: placed_surface(scenario, robot, q, v),
+        lambda placed: SECTION_BYTES,
+    )
+    check_rates(surface, scenario.time.duration)
+    believed = believed_surface(scenario, robot, surface, q)
+    if not isinstance(scenario.compliance, Rigid) and of["tolerance"] is None:
+        check_stiffness(scenario, robot, q, now)
+    if scenario.transmission.elastic:
+        check_transmission(scenario, robot, q)
+    placed = None if not keys["contacts"] else cache.get(
+        ("contacts", keys["contacts"], q.tobytes()), lambda: placed_contacts(scenario, robot, q),
+        lambda placed: SECTION_BYTES * len(placed.start),
+    )  # fmt: skip
+    with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
+        taken = surface if believed is None else believed
+        wanted, table = reference_table(scenario, robot, taken, q, of["steps"], integrator.parts, cache, keys["path"])
+    law, start = _law_from(scenario, wanted)
     if friction.member.sticks != "elastic" and mode == PRESSED:
         u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
-    problem = Problem(
-        scenario=scenario, robot=robot, surface=surface, believed=believed, frame=now.frame,
-        integrator=integrator, tolerance=tolerance, q=q, v=v, mode=mode, h=h, steps=steps, hold=hold,
-        nodes=integrator.parts, table=table, wanted=wanted,
-        pd_start=start, law=pack_law(law, n, model.joint_names), friction=friction, placed=placed,
-        compensation=packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
-        joint_friction=packed("joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)),
-        compliance=packed("compliance", scenario.compliance, lambda: pack_compliance(scenario.compliance, n)),
-        sensor=cache.get(
-            ("sensor", scenario.sensor.model_dump_json(), h), lambda: pack_sensor(scenario.sensor, h),
+    return {
+        "scenario": scenario, "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
+        "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed,
+        "law": cache.get(
+            ("law", n, keys["law"], start), lambda: pack_law(law, n, model.joint_names),
             lambda found: SECTION_BYTES,
         ),
-        encoder=cache.get(
-            ("encoder", n, scenario.encoder.model_dump_json(), robot_key(scenario)), lambda: _encoder(scenario, model),
-            lambda found: SECTION_BYTES,
-        ),
-        transmission=transmission_constants(scenario.transmission, model),
-        drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
-        stabiliser=np.array(stabiliser_gains(scenario)),
-        project=scenario.stabiliser.kind in ("projection", "both") and not soft,
-    )  # fmt: skip
-    cache.last = given, problem
-    return problem
+    }  # fmt: skip
 
 
 def _law_from(scenario: Scenario, wanted: Desired) -> tuple[ControlLaw, float]:
@@ -431,11 +514,10 @@ def _encoder(scenario: Scenario, model: RobotModel) -> Array:
     return numbers
 
 
-def robot_key(scenario: Scenario) -> Hashable:
+def robot_key(scenario: Scenario, cache: Cache) -> Hashable:
     """Return what the robot depends on."""
     return (
-        model_key(scenario), scenario.tool.model_dump_json(), scenario.model_error.payload,
-        scenario.transmission.elastic,
+        cache.texts(scenario, of=("robot", "body", "tool")), scenario.model_error.payload, scenario.transmission.elastic
     )  # fmt: skip
 
 
@@ -444,18 +526,17 @@ def model_key(scenario: Scenario) -> Hashable:
     return scenario.robot.model_dump_json(), *(each.model_dump_json() for each in scenario.body or ())
 
 
-def _surface_key(scenario: Scenario) -> tuple[Hashable, ...]:
+def _surface_key(scenario: Scenario, cache: Cache) -> tuple[Hashable, ...]:
     """Return what `_surface` depends on, but for the state."""
     sections: list[Section] = [scenario.surface, scenario.surface_motion, scenario.compliance]
     if not isinstance(scenario.compliance, Rigid):  # the tip starts as deep as the force presses it
         sections += [scenario.force_profile, scenario.law]
-    return robot_key(scenario), *((type(section), section.model_dump_json()) for section in sections)
+    return robot_key(scenario, cache), *map(cache.text, sections)
 
 
-def _contacts_key(scenario: Scenario) -> tuple[Hashable, ...]:
+def _contacts_key(scenario: Scenario, cache: Cache) -> tuple[Hashable, ...]:
     """Return what the places of contacts depend on, but for the state."""
-    sections = scenario.contact or ()
-    return robot_key(scenario), *((type(x.surface), type(x.motion), x.model_dump_json()) for x in sections)
+    return robot_key(scenario, cache), cache.texts(scenario, of=("contact",))
 
 
 def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
@@ -463,7 +544,7 @@ def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
     def make() -> Robot:
         return robot_of(scenario, load_model(scenario) if model is None else model)
 
-    return cache.get(("robot", robot_key(scenario)), make, lambda robot: ROBOT_BYTES)
+    return cache.get(("robot", robot_key(scenario, cache)), make, lambda robot: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:
@@ -500,17 +581,19 @@ BEYOND = 1.001
 
 
 def reference_table(
-    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, steps: int, nodes: int, cache: Cache
-) -> tuple[Desired, Array]:
-    """Return what is desired on a surface, and the table of it, `nodes` rows to a step, with noise behind it."""
+    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, steps: int, nodes: int, cache: Cache,
+    key: tuple[Hashable, ...],
+) -> tuple[Desired, Array]:  # fmt: skip
+    """Return what is desired on a surface, and the table of it, `nodes` rows to a step, with noise behind it.
+
+    `key` is what it depends on of the arm, the tool and the path.
+    """
     n = robot.n
     instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
     row = DrawnRow if scenario.reads_encoders else TableRow
     spare = row.count(n) - Reference.count(n)
     motion = (
-        scenario.robot.model_dump_json(),
-        scenario.tool.model_dump_json(),
-        scenario.reference.model_dump_json(),
+        *key,
         q.tobytes(),
         _path_key(scenario, surface),
     )

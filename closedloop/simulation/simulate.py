@@ -23,16 +23,15 @@ from closedloop.base.errors import DivergenceError, InterruptedRunError, LawErro
 from closedloop.base.interrupts import held_back
 from closedloop.base.progress import reporting
 from closedloop.control.reference.table import Reference
-from closedloop.jit.background import make_ready
 from closedloop.jit.interim import Interim, at_hand, call_now, not_compiled_first
 from closedloop.jit.kernel import plain
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH, event_columns
-from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, complete_record, recorded, rows_there
+from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
-from closedloop.record.columns.derived import DERIVED, RESERVED, Recorded, check_names, own_columns, state_columns
-from closedloop.record.columns.record import ALL_COLUMNS, POSITIONS, RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
+from closedloop.record.columns.derived import DERIVED, RESERVED, Recorded, check_names, own_columns
+from closedloop.record.columns.record import ALL_COLUMNS, POSITIONS, SURFACE_COLUMNS, Column
 from closedloop.record.run import Run
 from closedloop.record.save import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
@@ -40,12 +39,11 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.engines.failures import interrupted, member_error
 from closedloop.simulation.engines.law_source import arguments_of, law_digest
-from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO, kernels_of, loop_for
+from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.scenario_numbers import arm_columns
-from closedloop.simulation.engines.user_law import Law, UserLaw
-from closedloop.simulation.loop_calls import Answers, begun, driver
-from closedloop.simulation.prepare import Cache, kept_cache, prepare
+from closedloop.simulation.engines.user_law import Law
+from closedloop.simulation.loop_calls import Calls
+from closedloop.simulation.prepare import Cache, kept_cache, problem_of
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown
@@ -116,12 +114,8 @@ def columns_of_rows(
         "reference_tip": wanted[:, Reference.place("position", n)].copy(),
         "reference_force": wanted[:, Reference.place("force", n)].copy(),
     }
-    sections = problem.scenario.contact or ()
-    left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
-    of_contacts = [name for name in CONTACT_RECORDED if sections and name not in left_out]
-    there = (*RECORDED, *arm_columns(problem.scenario), *of_contacts)
-    columns |= {name: recorded(rows, n, name, len(sections), problem.row_states) for name in there}
-    states = state_columns(problem.scenario, n) if with_states else {}
+    columns |= {name: rows[:, place].copy() for name, place in problem.places.items()}
+    states = problem.states if with_states else {}
     first = rows.shape[1] - problem.row_states
     columns |= {name: rows[:, first:][:, place].copy() for name, (_, place) in states.items()}
     return columns, {name: column for name, (column, _) in states.items()}
@@ -224,11 +218,12 @@ def _simulated(
     progress: bool | Callable[[int, int], None], engine: str, record: Recorded | None, cache: Cache | None,
 ) -> Run:  # fmt: skip
     check_engine(scenario, engine, law)
-    check_names(record or {}, set(ALL_COLUMNS) | set(dir(Run)) | set(DERIVED) | RESERVED)
+    if record:
+        check_names(record, set(ALL_COLUMNS) | set(dir(Run)) | set(DERIVED) | RESERVED)
     try:
         if problem is None:
             with held_back(), not_compiled_first():
-                problem = prepare(scenario, model, cache)
+                problem = problem_of(scenario, model, cache or Cache())
         with reporting(progress, problem.scenario.name, problem.steps) as report:
             rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     except KeyboardInterrupt as stop:
@@ -344,20 +339,14 @@ def run_loop(
         check_engine(problem.scenario, engine, law)
         return run_adaptive(problem, law, report, keep_interrupted)
     robot, steps = problem.robot, problem.steps
-    loop = problem.loop(user_law=law is not None)
-    state, w = loop.state, loop.w
-    user_law = None if law is None else UserLaw(law, loop)
-    connect = partial(problem.connect, loop, user_law.connect if user_law else None)
     rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
-    if interim:
-        kernel = begun(engine, problem, loop, connect, law)
-    else:
-        kernel = loop_for(engine)
-        make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
-    connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
-    arrays = problem.table, problem.integrator.tableau(), rows
-    step, many = driver(problem, kernel, loop, arrays, engine, tree)
-    answers = Answers(problem, loop, interim)
+    spare = problem.spare.pop(engine, None) if law is None else None
+    calls: Calls = spare or Calls(problem, rows, law, engine, interim, tree)
+    calls.begin(problem, rows)
+    loop, kernel, answers, user_law, step, many = (
+        calls.loop, calls.kernel, calls.answers, calls.user_law, calls.once, calls.many,
+    )  # fmt: skip
+    state, w = loop.state, loop.w
 
     def finish(done: int) -> None:
         call = partial(call_now, complete_record, loop_memory) if interim else complete_record
@@ -405,4 +394,8 @@ def run_loop(
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
     finish(done)  # after an exception; else it has been done
-    return rows[:done], answers.events[: int(state.event.rows)], failure, seconds
+    events = answers.events[: int(state.event.rows)].copy()
+    if calls.may_be_kept:
+        calls.end()
+        problem.spare[engine] = calls
+    return rows[:done], events, failure, seconds

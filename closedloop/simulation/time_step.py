@@ -10,7 +10,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.encoder import NO_ENCODER, encoder_kind
 from closedloop.loop.step.record_row import row_width
-from closedloop.mechanics.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
+from closedloop.mechanics.closure.baumgarte import baumgarte_gains, is_stable, largest_stable_ratio, recommended_ratio
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.mechanics.contacts.soft import is_soft
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
@@ -75,8 +75,9 @@ def check_stiffness(scenario: Scenario, robot: Robot, q: Array, now: Touching) -
     rate = math.sqrt(stiffness * mobility)
     if not 0.0 < rate < math.inf:
         return
-    limit = largest_stable_ratio(name, 0.5 * damping * mobility / rate)
-    if h * rate > limit:
+    damping_ratio = 0.5 * damping * mobility / rate
+    if not is_stable(name, damping_ratio, h * rate):
+        limit = largest_stable_ratio(name, damping_ratio)
         raise ScenarioError(
             f"compliance: {name} is unstable with time.step = {h:g} s on a surface of {stiffness:.3g} N/m and "
             f"{damping:.3g} N s/m: the tip moves with 1/{1.0 / mobility:.3g} kg; the step may be at most "

@@ -117,7 +117,7 @@ def ask_loop(case: Case, engine: str, fault: LoopFault = SOUND) -> Motion:
     w.friction.direction[:] = u[1:] / max(float(np.linalg.norm(u[1:])), 1e-300)
     rows, events = np.zeros((1, Row.count(n))), np.zeros((4, EVENT_WIDTH))
     arrays = problem.table, problem.integrator.tableau(), rows
-    _, many = driver(problem, loop_for(engine), loop, arrays, engine)
+    _, many, _ = driver(problem, loop_for(engine), loop, arrays, engine)
     if many(events) != DONE:
         raise np.linalg.LinAlgError(f"the loop stopped with status {int(state.status)}")
     del kept  # what is called by its address lives until here

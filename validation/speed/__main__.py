@@ -121,6 +121,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             everyone += derivatives.racing(arm, problem)
             whole = slide(arm, 2 * steps)  # by default as long as `wam_slide`
             everyone += contestants.whole_call(arm, whole)
+            everyone += contestants.from_elsewhere(arm, problem)
             everyone += [batch.compiled_batch(arm, whole, runs, threads) for threads in (1, 2)]
             if there["mujoco"]:
                 everyone += [mujoco.rollout(arm, problem, min(runs, MOST_ROLLOUTS), threads) for threads in (1, 2)]

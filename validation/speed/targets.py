@@ -47,6 +47,7 @@ def targets(timings: Timings) -> list[Target]:
         ("Pinocchio engine / MuJoCo from Python", 0.7, False, lambda: times("pinocchio", "mujoco")),
         ("Pinocchio engine / its bare calls", 1.4, False, lambda: times("pinocchio", "calls")),
         ("whole cl.simulate / its steps", 2.5, False, lambda: times("call", "call_steps")),
+        ("50 steps from another start / its steps", 3.0, False, lambda: times("elsewhere", "elsewhere_steps")),
         ("MuJoCo from Python / whole cl.simulate", 8.0, True, lambda: times("mujoco", "call")),
         ("H by Newton–Euler columns / composite bodies", 1.0, True, lambda: times("rnea_columns", "crba")),
         ("value and seven derivatives / compiled", of_registers(), False, lambda: times("duals", "compiled")),

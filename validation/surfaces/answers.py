@@ -117,7 +117,7 @@ def ask_loop(case: Case, engine: str, fault: Callable[[Problem], Problem] = lamb
         w.tip.anchor[:] = now.frame @ (case.axes.T @ case.anchor + case.origin)
     rows, events = np.zeros((1, Row.count(n))), np.zeros((4, EVENT_WIDTH))
     arrays = problem.table, problem.integrator.tableau(), rows
-    _, many = driver(problem, loop_for(engine), loop, arrays, engine)
+    _, many, _ = driver(problem, loop_for(engine), loop, arrays, engine)
     if many(events) != DONE:
         raise np.linalg.LinAlgError(f"the loop stopped with status {int(state.status)}")
     row = Row(rows[0], n)

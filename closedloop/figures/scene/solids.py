@@ -415,7 +415,7 @@ def robot_in(run: Run, whole: bool = False) -> Robot:
 
     If asked for, links that stand for coordinates of loop joints share no mass, as for their reactions.
     """
-    key = run.model, whole, robot_key(run.scenario)
+    key = run.model, whole, robot_key(run.scenario, Cache())
     model = replace(run.model, whole=True) if whole else run.model
     return _robots.get_shared(key, lambda: robot_of(run.scenario, model), lambda robot: 1)
 

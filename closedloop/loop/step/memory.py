@@ -493,6 +493,7 @@ class Loop(NamedTuple):
 def make_loop(
     n: int, *, law: int = 0, compensation: int = 0, friction: int = 0, joint_friction: int = 0, compliance: int = 0,
     tendons: int = 0, extra: int = 0, stages: int = 1, ring: int = 1, ends: NDArray[np.int64] | None = None,
+    into: Loop | None = None,
 ) -> Loop:  # fmt: skip
     """Return a loop's memory, zero everywhere.
 
@@ -512,11 +513,22 @@ def make_loop(
         Samples that the force sensor keeps.
     ends : (n,) array, optional
         See `closedloop.mechanics.robot.tree.group_ends`; all joints are one group without it.
+    into : Loop, optional
+        Memory that nothing uses any more: if it has these sizes, it is what is returned.
     """
-    state = State(np.zeros(STATE_COUNT, dtype=np.int64))
-    sizes = n, law, compensation, friction, joint_friction, compliance, tendons
-    constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
-    w = Work(np.zeros(Work.count(n, extra, stages, ring, tendons)), n, extra, stages, ring, tendons)
+    sizes, of_work = (
+        (n, law, compensation, friction, joint_friction, compliance, tendons),
+        (n, extra, stages, ring, tendons),
+    )
+    if into is not None and (into.constants.sizes, into.w.sizes) == (sizes, of_work):
+        state, constants, w = into
+        for block in into:
+            block.memory[:] = 0
+            block.kept.clear()
+    else:
+        state = State(np.zeros(STATE_COUNT, dtype=np.int64))
+        constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
+        w = Work(np.zeros(Work.count(*of_work)), *of_work)
     state.address = address_of(state.memory)
     ends = np.full(n, n, dtype=np.int64) if ends is None else ends
     state.addresses.group_ends = address_of(ends)

@@ -117,11 +117,16 @@ def make_memory(
     links, ask = Links(np.zeros(LINKS, dtype=np.int64)), Ask(np.zeros(Ask.count(*sizes)), *sizes)
     links.address, links.numbers, links.total = address_of(links.memory), address_of(ask.memory), ask.memory.size
     links.size, links.motion_size, links.entries, links.motion_entries = *sizes, *entries
-    ask.par[:], ask.motion_par[:], ask.origin[:], ask.axes[:] = par, motion_par, origin, axes
+    ask.par[:], ask.motion_par[:], ask.axes[:] = par, motion_par, axes
     ask.bounds[:], ask.radius, ask.solid[:] = bounds, radius, solid
-    pose = Pose(ask.pose)
-    pose.origin[:], pose.axes[:] = origin, axes
+    Pose(ask.pose).axes[:] = axes
+    place_at(ask, origin)
     return SurfaceMemory(links, ask)
+
+
+def place_at(ask: Ask, origin: Array) -> None:
+    """Place a surface at t = 0 with its origin at `origin` (3,), m, base frame."""
+    ask.origin[:] = Pose(ask.pose).origin[:] = origin
 
 
 # A face of a block ends so far before its edge, m, where the next one is not nearest yet.

@@ -6,14 +6,14 @@ they are how a scenario's numbers enter a run, whichever they are.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.jit.blocks import Block
+from closedloop.jit.blocks import arrays_of
 from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.dual import NotDualError, dual, refused_as_one_line
 from closedloop.jit.kernel import direct
@@ -55,7 +55,7 @@ def prepared(problem: Problem) -> Prepared:
     floats: list[Array] = []
     words: list[NDArray[np.int64]] = []
     seen: set[int] = set()
-    for array in _arrays((loop.state, loop.constants, loop.w, problem.table, tree.constants)):
+    for array in arrays_of((loop.state, loop.constants, loop.w, problem.table, tree.constants)):
         if array.size and address_of(array) not in seen:
             seen.add(address_of(array))
             (words if array.dtype == np.int64 else floats).append(array)
@@ -68,21 +68,6 @@ def structure(base: Prepared) -> tuple[Any, ...]:
     places = {address_of(array): -1 - i for i, array in enumerate(arrays)}
     words = [tuple(places.get(word, word) for word in array.ravel().tolist()) for array in base.words]
     return *(array.shape for array in arrays), *words
-
-
-def _arrays(what: Any) -> Iterator[NDArray[Any]]:
-    """Return the arrays of memory and of all that is kept with it, one after the other."""
-    if isinstance(what, np.ndarray):
-        yield what
-    elif isinstance(what, Block):
-        yield what.memory
-        yield from _arrays(what.kept)
-    elif isinstance(what, dict):
-        for part in what.values():
-            yield from _arrays(part)
-    elif isinstance(what, (tuple, list)):
-        for part in what:
-            yield from _arrays(part)
 
 
 class DualRun:

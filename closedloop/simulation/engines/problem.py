@@ -29,6 +29,7 @@ from closedloop.mechanics.friction.law import Slip
 from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.single import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
+from closedloop.mechanics.surface.contact import place_at
 from closedloop.record.columns.derived import Recorded
 from closedloop.record.run import Run
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
@@ -38,8 +39,9 @@ from closedloop.simulation.engines.start_memory import (
     ball_memory,
     read_encoders,
     write_constants,
+    write_places,
+    write_settings,
     write_start,
-    write_state,
 )
 
 # The members of a placed surface, by the names of its entries.
@@ -82,8 +84,14 @@ class Problem(ScenarioNumbers):
         run: Run = called("run", scenario, None if changes else self, law, model, progress, engine, record)
         return run
 
-    def loop(self, user_law: bool = False) -> Loop:
-        """Return the loop's memory at t = 0."""
+    def loop(self, user_law: bool = False, into: Loop | None = None) -> Loop:
+        """Return the loop's memory at t = 0; see `make_loop` for `into`."""
+        loop = self.memory(user_law, into)
+        self.begin(loop)
+        return loop
+
+    def memory(self, user_law: bool = False, into: Loop | None = None) -> Loop:
+        """Return the loop's memory with all that does not depend on where the run starts; see `begin`."""
         n, law, compensation = self.robot.n, self.law, self.compensation
         own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
         surface, joints = self.friction.states, self.joint_friction.states
@@ -99,11 +107,12 @@ class Problem(ScenarioNumbers):
             stages=self.integrator.stages,
             ring=self.sensor.ring,
             ends=self.robot.tree.ends,
+            into=into,
         )
         state = loop.state
         state.law.states, state.law_states = own, both
         state.friction.states, state.joint_friction.states, state.sensor.states = surface, joints, self.sensor.states
-        write_state(self, state)
+        write_settings(self, state)
         if not self.surface.fixed_plane:
             memory = self.surface.memory()
             state.surface.at = memory.address
@@ -125,26 +134,37 @@ class Problem(ScenarioNumbers):
             state.loops.perceived_at, perceived.links.loop = perceived.address, state.address
             loop.w.keep_alive(perceived_loops=perceived)
         write_constants(self, loop.constants)
-        write_start(self, state, loop.w)
-        if contacts is not None and self.placed is not None:
-            rest_states(self.scenario, self.placed, self.v, contacts, loop.w.z)
+        if contacts is not None:
             state.contacts.at, contacts.links.loop = contacts.address, state.address
             points = len(self.scenario.contact or ())
             contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(points)
             contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
+            loop.w.keep_alive(contacts=contacts)
+        return loop
+
+    def begin(self, loop: Loop) -> None:
+        """Write where the run starts into a loop's memory, which is as `memory` returned it."""
+        state, kept = loop.state, loop.w.kept
+        for name, place in (("surface", self.surface), ("believed", self.believed)):
+            if name in kept and place is not None:
+                place_at(kept[name].ask, place.origin)
+        write_places(self, loop.constants)
+        write_start(self, state, loop.w)
+        if self.placed is not None:
+            contacts = kept["contacts"]
+            rest_states(self.scenario, self.placed, self.v, contacts, loop.w.z)
             held = stops_at_start(contacts, loop.constants, self.q, self.v)
             state.coupled = int(self.placed.starts_closed or held)
             contacts.links.undecided = contacts.links.fresh = state.coupled
-            loop.w.keep_alive(contacts=contacts)
         if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:
             read_encoders(loop, self.table)
-        return loop
 
     def constants(self) -> Constants:
         """Return the constants of the loop's memory, by themselves."""
         sizes = self.robot.n, *self.sizes.values()
         constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
         write_constants(self, constants)
+        write_places(self, constants)
         return constants
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:

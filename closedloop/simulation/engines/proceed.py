@@ -67,11 +67,18 @@ def addresses_of(
         assert array.flags.f_contiguous if columns_first else array.flags.c_contiguous
     sizes = (H.shape[0], *table.shape, *rows.shape, 0)
     missing = (0,) * (VIEWS - len(terms))
-    at = (*map(address_of, terms), *missing, loop.address, *map(address_of, (table, tableau, rows)), 0)
+    at = (*map(address_of, terms), *missing, loop.address, 0, address_of(tableau), 0, 0)
     addresses = Addresses(np.array([*at, *sizes], dtype=np.int64))
-    addresses.keep_alive(terms=terms, loop=loop, table=table, tableau=tableau, rows=rows)
+    addresses.keep_alive(terms=terms, loop=loop, tableau=tableau)
+    set_rows(addresses, table, rows)
     set_events(addresses, events)
     return addresses
+
+
+def set_rows(addresses: Addresses, table: Array, rows: Array) -> None:
+    """Store the addresses of the table of what is desired, and of the rows, of the sizes that they were made for."""
+    addresses.table, addresses.rows = address_of(table), address_of(rows)
+    addresses.keep_alive(table=table, rows=rows)
 
 
 def set_events(addresses: Addresses, events: Array) -> None:

@@ -25,7 +25,7 @@ from closedloop.control.sensor import PackedSensor, SensorSection
 from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_block
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
-from closedloop.loop.step.record_row import row_width
+from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded, row_width
 from closedloop.loop.step.solve_contact import compliance_entry
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.friction.laws.none import NoFriction
@@ -35,7 +35,8 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.placed import PlacedSurface, Plane
 from closedloop.mechanics.surface.surface import Compliance
-from closedloop.record.columns.derived import recorded_states
+from closedloop.record.columns.derived import recorded_states, state_columns
+from closedloop.record.columns.record import RESISTANCE_COLUMNS, Column
 from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of
 from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.scenario.scenario import Scenario
@@ -267,6 +268,24 @@ class ScenarioNumbers:
         return recorded_states(self.scenario, self.robot.n)
 
     @cached_property
+    def places(self) -> dict[str, int | slice]:
+        """Where in a row each of a run's columns is, but for those of `states`."""
+        sections = self.scenario.contact or ()
+        left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
+        of_contacts = [name for name in CONTACT_RECORDED if sections and name not in left_out]
+        numbers, found = np.arange(float(self.row_width))[None], {}
+        for name in (*RECORDED, *arm_columns(self.scenario), *of_contacts):
+            there = recorded(numbers, self.robot.n, name, len(sections), self.row_states)[0]
+            first = int(np.ravel(there)[0])
+            found[name] = slice(first, first + there.size) if np.ndim(there) else first
+        return found
+
+    @cached_property
+    def states(self) -> dict[str, tuple[Column, int | slice]]:
+        """The columns of states of the law and its compensation, see `state_columns`."""
+        return state_columns(self.scenario, self.robot.n)
+
+    @cached_property
     def sizes(self) -> dict[str, int]:
         """How many numbers the parameters of each member are, in the order of `Constants`."""
         return {
@@ -279,6 +298,11 @@ class ScenarioNumbers:
     def tendons(self) -> Array:
         """What rubs along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`."""
         return acting_tendons(self.scenario, self.robot.model)
+
+    @cached_property
+    def spare(self) -> dict[str, Any]:
+        """What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Calls`."""
+        return {}
 
     @property
     def restitution(self) -> type[Restitution]:

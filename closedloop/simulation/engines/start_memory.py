@@ -94,9 +94,9 @@ STICK_SPEED = 1e-7
 
 
 def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
-    """Write the constants of a run."""
+    """Write the constants of a run, but for `write_places`."""
     robot, impact = problem.robot, problem.scenario.impact
-    constants.h, constants.node, constants.offset = problem.h, problem.h / problem.nodes, problem.surface.offset
+    constants.h, constants.node = problem.h, problem.h / problem.nodes
     constants.s_v, constants.s_p = problem.stabiliser
     constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
     constants.lower_stop[:], constants.upper_stop[:] = stop_limits(problem.scenario, robot.model)
@@ -104,7 +104,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.sensor[:], constants.support[:], constants.stick_speed = (
         problem.sensor.par.memory, robot.support, STICK_SPEED,
     )  # fmt: skip
-    constants.law[:], constants.compensation[:] = problem.law.numbers, problem.compensation.numbers
+    constants.compensation[:] = problem.compensation.numbers
     wrong = problem.scenario.model_error
     constants.mass_factor, constants.unknown_payload = wrong.masses, wrong.payload
     constants.armature[:] = robot.model.rigid_armature
@@ -131,8 +131,13 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
                 constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
 
-def write_state(problem: ScenarioNumbers, state: State) -> None:
-    """Write the whole-number state at t = 0."""
+def write_places(problem: ScenarioNumbers, constants: Constants) -> None:
+    """Write those constants that may be others where a run starts elsewhere."""
+    constants.offset, constants.law[:] = problem.surface.offset, problem.law.numbers
+
+
+def write_settings(problem: ScenarioNumbers, state: State) -> None:
+    """Write the settings of a run."""
     to = state.settings
     to.steps, to.hold, to.nodes_per_step = problem.steps, problem.hold, problem.nodes
     to.general, to.project, to.semi_implicit = problem.general, problem.project, problem.integrator.semi_implicit
@@ -155,14 +160,14 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     to.model_error = problem.scenario.model_error != ModelErrorSection()
     to.misjudged = problem.believed is not None or problem.scenario.model_error.normal != 0.0
     to.perceived = to.model_error or to.misjudged or to.elastic or to.encoder
-    state.mode, state.sampled, state.cleared = problem.mode, 1, 1
-    if problem.project and problem.mode != FREE:
-        state.phase, state.next_phase = PROJECTION, STEP_END
 
 
 def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     """Write where the arm, the tip's contact and the states of sensor, friction and motors are at t = 0."""
     n = problem.robot.n
+    state.mode, state.sampled, state.cleared = problem.mode, 1, 1
+    if problem.project and problem.mode != FREE:
+        state.phase, state.next_phase = PROJECTION, STEP_END
     w.q[:], w.v[:] = problem.q, problem.v
     w.decays.first[:] = problem.integrator.first_tableau()
     w.tip.frame[:] = problem.frame

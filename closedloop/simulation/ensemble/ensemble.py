@@ -39,9 +39,11 @@ SPARE = 64
 class _One:
     """One simulation: what owns the memory that its `Member` has the addresses of."""
 
-    def __init__(self, problem: Problem, steps: int, held: bool, own: IntArray, tree: Tree) -> None:
+    def __init__(
+        self, problem: Problem, steps: int, held: bool, own: IntArray, tree: Tree, into: Loop | None = None
+    ) -> None:
         problem = replace(problem, table=problem.table.copy())  # that of a cache may be another's next
-        self.problem, self.loop = problem, problem.loop()
+        self.problem, self.loop = problem, problem.loop(into=into)
         problem.connect(self.loop)
         self.answers = Answers(problem, self.loop)
         n, width = problem.robot.n, problem.row_width
@@ -180,7 +182,10 @@ class Ensemble:
                 f"{problem.scenario.name}: its record has {problem.row_width} numbers a row, that of the others "
                 f"{self.rows.shape[1]}: simulations that are stepped side by side must be of the same arm and contacts"
             )
-        self._ones[i] = one = _One(problem, self.steps, self._held, self._members[i], self._tree(problem))
+        before = self._ones[i]
+        self._ones[i] = one = _One(
+            problem, self.steps, self._held, self._members[i], self._tree(problem), before.loop if before else None
+        )
         in_lanes = [step_in_lanes] if one.member.lanes else []
         missing = {*kernels_of(COMPILED), step_members, strike, *in_lanes, *problem.called(one.loop)} - self._ready
         if missing:

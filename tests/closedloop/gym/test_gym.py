@@ -82,6 +82,24 @@ def test_many_are_each_as_one(name, mode):
     many.close()
 
 
+@pytest.mark.parametrize("name", ["press", "slide", "insert"])
+def test_an_episode_leaves_nothing_to_the_next(name):
+    """An episode that takes over the memory of others is, to the bit, that of a new environment with its seed."""
+    used, fresh, random = made(name), made(name), np.random.default_rng(4)
+    for seed in (1, 2):
+        used.reset(seed=seed)
+        for _ in range(4):
+            used.step(random.uniform(-1.0, 1.0, used.action_space.shape))
+    assert np.array_equal(used.reset(seed=3)[0], fresh.reset(seed=3)[0])
+    for _ in range(8):
+        action = random.uniform(-1.0, 1.0, used.action_space.shape)
+        (one, *rest, _), (other, *of_other, _) = used.step(action), fresh.step(action)
+        assert np.array_equal(one, other)
+        assert rest == of_other
+    used.close()
+    fresh.close()
+
+
 def test_a_disabled_autoreset_waits():
     """With autoreset disabled an ended episode is refused until it is reset by its mask, which touches no other."""
     many = ContactVectorEnv(2, "press", autoreset_mode="Disabled", **FORTH, control_rate=10.0)

@@ -430,7 +430,7 @@ def test_where_background_processes_are_refused_the_loop_is_compiled_first(monke
     monkeypatch.setattr(interim, "needs_compiling", lambda function: True)
     monkeypatch.setattr(background, "_said", set())
     monkeypatch.setattr(Interim, "__call__", lambda *_: pytest.fail("interpreted"))
-    monkeypatch.setattr(_kept, "cache", None)  # which may have the path of an earlier test
+    monkeypatch.setattr(_kept, "caches", [])  # which may have the path of an earlier test
     with caplog.at_level(logging.INFO, "closedloop.compiling"):
         cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.01}))
         cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.01}), {"law.force": [1.0, 2.0, 3.0]})

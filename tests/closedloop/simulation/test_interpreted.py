@@ -94,7 +94,7 @@ def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, re
     monkeypatch.setattr(Interim, "__init__", lambda self, *given: (init(self, *given), loops.append(self))[0])
     monkeypatch.setattr(calls, "_with_buffers", Kept(calls._with_buffers))
     interim._so_far[loop_for(engine).__name__] += PROBE  # a short run asks for compiled code after others
-    run = cl.simulate(scenario, engine=engine)
+    run = prepare(scenario).run(engine=engine)
     assert any(loop_for(engine).__name__ in names for names in wanted if len(names) > 1)
     assert np.ptp(run.contact_force) > 0.0 or np.ptp(run.q) > 0.0
     assert bits(run) == bits(compiled)
@@ -417,7 +417,7 @@ def test_the_same_run_goes_over_to_the_compiled_form(monkeypatch):
         loops.append(self)
 
     monkeypatch.setattr(Interim, "__init__", noted)
-    run = cl.simulate(scenario)
+    run = prepare(scenario).run()
     assert not loops[0].interpreting
     assert 0 < loops[0]._done < 300
     assert bits(run) == bits(sound)

@@ -351,7 +351,7 @@ def keep_better(c: Contacts, k: int, least: float) -> float:
     if not c.problem.residual < least:
         return least
     for j in range(3 * k):
-        c.scratch.kept[j] = c.F[j]
+        c.scratch.closest[j] = c.F[j]
     return float(c.problem.residual)
 
 
@@ -359,7 +359,7 @@ def keep_better(c: Contacts, k: int, least: float) -> float:
 def take_kept(c: Contacts, k: int) -> None:
     """Write F that was kept, `residual` and `after` there."""
     for j in range(3 * k):
-        c.F[j] = c.scratch.kept[j]
+        c.F[j] = c.scratch.closest[j]
     c.problem.residual = write_residuals(c, k, c.F, largest_mobility(c, k))
 
 

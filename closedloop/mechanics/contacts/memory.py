@@ -177,7 +177,7 @@ class ContactScratch(Block, sizes=("n", "k")):
     residuals: Annotated[Array, 3 * K]
     trial: Annotated[Array, 3 * K]
     best: Annotated[Array, 3 * K]
-    kept: Annotated[Array, 3 * K]  # F that is off least, of what several methods have found
+    closest: Annotated[Array, 3 * K]  # F that is off least, of what several methods have found
     multiplier: Annotated[Array, N]
     sum: Annotated[Array, N]
     sum_trial: Annotated[Array, N]

@@ -349,7 +349,7 @@ def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypat
         monkeypatch.setattr(module, "needs_compiling", lambda function: function in entries)
     monkeypatch.setattr(interim, "direct", lambda function, *_: pytest.fail(f"{function.__name__} is compiled"))
     for scenario, expected in zip(scenarios, sound, strict=True):
-        assert bits(cl.simulate(scenario)) == expected
+        assert bits(prepare(scenario).run()) == expected
     assert set(buffers._loaded) >= entries
 
 

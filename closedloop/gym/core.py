@@ -17,10 +17,11 @@ from closedloop.gym.task import Task
 from closedloop.gym.terms import PARTS, POSTURE, TRUTH, Now, Observations, as_ranges, as_terms, drawn
 from closedloop.scenario.arm import start_positions
 from closedloop.scenario.overrides import Variants
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.ensemble.ensemble import Ensemble
-from closedloop.simulation.prepare import Cache, prepare, problem_of
+from closedloop.simulation.prepare import prepare, problem_of
 from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.time_step import whole_steps
 

@@ -20,9 +20,10 @@ from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import fresh, law_digest
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, kernels_of
-from closedloop.simulation.prepare import Cache, load_model, model_key, prepare
+from closedloop.simulation.prepare import load_model, model_key, prepare
 from closedloop.simulation.simulate import as_run, check_engine, law_name, run_loop
 from robot_models import RobotModel
 

@@ -18,8 +18,9 @@ from closedloop.lab.history import Changes, Pin, compared
 from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Newest
 from closedloop.record.run import Run
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.halve import beside_half
-from closedloop.simulation.prepare import Cache, prepare
+from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.assembly import instant_of, loop_at
 from closedloop.studies.analysis.page import Overview, overview
 

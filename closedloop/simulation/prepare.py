@@ -1,24 +1,13 @@
-"""From a scenario to a problem, with the start of the tip, and what several scenarios share.
-
-A cache of what several scenarios share: robots, paths, reference tables.
-
-Of the 3 ms in which a scenario becomes a `Problem` the reference table takes 1.5, the inverse kinematics of its path
-0.5 and the robot 0.2 (4 more if it is read from a user's file), and most keys of a scenario affect none of the three.
-The key of an entry is the text of all that it is computed from, so a cached entry equals a new one to the last bit.
+"""From a scenario to a `Problem`, or to the one line that says what is wrong with it.
 
 Where the tip is to the surface at the start: on it, off it, or refused.
-
-From a scenario to a `Problem`, or to the one line that says what is wrong with it.
 """
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,11 +52,11 @@ from closedloop.scenario.arm import (
 )
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
-from closedloop.scenario.load import is_users_file
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import members_of_users, refuse_absent
+from closedloop.scenario.user_module import refuse_absent
 from closedloop.simulation.all_entries import with_all_entries
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.scenario_numbers import PackedLaw, pack_compliance, pack_friction, pack_law
@@ -77,103 +66,6 @@ from closedloop.simulation.time_step import check_stiffness, integrator_of, stab
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
 from robot_models.model import AT_LIMIT
-
-T = TypeVar("T")
-
-# Bytes of one thread's cache: the reference tables of two dozen runs of 8001 rows.
-LIMIT = 32_000_000
-# As many sections are kept with their texts.
-MOST_TEXTS = 500
-# Of so many models, as calls of two prepared problems in turns have them, a thread keeps the caches.
-MOST_CACHES = 2
-
-
-class Cache:
-    """The entries used last, up to a limit of memory. Not for use by several threads, but for `get_shared`.
-
-    Parameters
-    ----------
-    limit : int
-        Bytes that may be kept; an entry larger than that is kept until the next.
-    shared : Cache, optional
-        A cache of several threads, for entries that are only read, such as paths.
-    """
-
-    def __init__(self, limit: int = LIMIT, shared: Cache | None = None) -> None:
-        self._limit, self._shared, self._lock = limit, shared, threading.Lock()
-        self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
-        self._bytes = 0
-        self._texts: dict[int, tuple[Section, tuple[Hashable, ...]]] = {}  # by the identity of what is kept
-        self.last: tuple[Scenario, Problem] | None = None  # what was prepared last, whose table is still its own
-
-    def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
-        """Return the entry with this key, made now if it is not there; `size` gives its bytes, about."""
-        if key in self._entries:
-            self._entries.move_to_end(key)
-            return cast(T, self._entries[key][0])
-        entry = make()
-        self._entries[key] = entry, size(entry)
-        self._bytes += size(entry)
-        while self._bytes > self._limit and len(self._entries) > 1:
-            self._bytes -= self._entries.popitem(last=False)[1][1]
-        return entry
-
-    def text(self, section: Section) -> tuple[Hashable, ...]:
-        """Return all that a section says: its type, those of its members that a user may have made, and its text."""
-        known = self._texts.get(id(section))
-        if known is None or known[0] is not section:
-            if len(self._texts) >= MOST_TEXTS:
-                self._texts.clear()
-            types = (type(part) for part in vars(section).values() if isinstance(part, Section))
-            known = self._texts[id(section)] = section, (type(section), *types, section.model_dump_json())
-        return known[1]
-
-    def texts(self, scenario: Scenario, of: Sequence[str] = (), but: str = "") -> tuple[Hashable, ...]:
-        """Return the same of these sections of a scenario, or of all but one, with what else it has."""
-        parts = [vars(scenario)[name] for name in of or vars(scenario) if name != but]
-        return tuple(
-            self.text(part) if isinstance(part, Section)
-            else tuple(map(self.text, part)) if isinstance(part, tuple) else part
-            for part in parts
-        )  # fmt: skip
-
-    def clear(self) -> None:
-        """Remove all entries of this thread; those shared with others stay."""
-        self._entries.clear()
-        self._bytes, self.last = 0, None
-
-    def get_shared(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
-        """Return an entry that is only read: one for all threads, made under a lock by the first that needs it."""
-        shared = self._shared or self
-        with shared._lock:
-            return shared.get(key, make, size)
-
-
-class _Kept(threading.local):
-    def __init__(self) -> None:
-        self.caches: list[tuple[RobotModel | None, Cache]] = []  # of the models given last, the last one last
-
-
-_kept = _Kept()
-
-
-@contextmanager
-def kept_cache(scenario: Scenario, model: RobotModel | None) -> Iterator[Cache]:
-    """Give the cache of this thread's earlier calls, for a problem that is not kept: its robot and table are reused.
-
-    A call within a call, as in a user's law, has a cache of its own; so has a scenario that names a file or a class of
-    the user's, which may have changed since.
-    """
-    if (model is None and is_users_file(scenario.robot.model)) or members_of_users(scenario):
-        yield Cache()
-        return
-    kept = next((each for each in _kept.caches if each[0] is model), (model, Cache()))
-    _kept.caches = [each for each in _kept.caches if each is not kept]
-    try:
-        yield kept[1]
-    finally:
-        _kept.caches = [*(each for each in _kept.caches if each[0] is not model), kept][-MOST_CACHES:]
-
 
 # Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a
 # thousand newtons for each kilogram of apparent mass and each millimetre.

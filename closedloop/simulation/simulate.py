@@ -37,13 +37,14 @@ from closedloop.record.save import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import member_digests
+from closedloop.simulation.cache import Cache, kept_cache
 from closedloop.simulation.engines.failures import interrupted, member_error
 from closedloop.simulation.engines.law_source import arguments_of, law_digest
 from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.loop_calls import Calls
-from closedloop.simulation.prepare import Cache, kept_cache, problem_of
+from closedloop.simulation.prepare import problem_of
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown

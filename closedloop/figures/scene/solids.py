@@ -32,7 +32,8 @@ from closedloop.record.columns.derived import reactions_of
 from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.prepare import Cache, robot_key
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.prepare import robot_key
 from robot_models import RobotModel
 from robot_models.collision import collision_shapes
 from robot_models.loop_joint import WORLD

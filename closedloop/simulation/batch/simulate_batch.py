@@ -24,10 +24,10 @@ from closedloop.scenario.scenario import Scenario, families
 from closedloop.simulation.batch.table import kept_columns, key_type, schema, table_of
 from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.batch.worker import Outcome, Worker, failed
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.lanes import FEWEST, uses_lanes
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.prepare import Cache
 from closedloop.simulation.simulate import check_engine
 from robot_models import RobotModel
 

@@ -28,8 +28,9 @@ from closedloop.base.errors import ScenarioError
 from closedloop.mechanics.integrators import ADAPTIVE, AdaptiveIntegrator, Scheme, scheme_of
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.prepare import Cache, prepare
+from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.here import Instant, refuse_outside, row_at, run_to, without_event
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from closedloop.studies.analysis.reduced import Reduced

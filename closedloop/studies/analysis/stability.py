@@ -23,8 +23,9 @@ from closedloop.base.second_process import Beside, possible
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.prepare import Cache, prepare
+from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.assembly import instant_of, loop_at, of_fixed_steps
 from closedloop.studies.analysis.here import Here, Instant, refuse_outside, run_on
 from closedloop.studies.analysis.linear_loop import LinearLoop, Pole

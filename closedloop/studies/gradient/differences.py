@@ -28,8 +28,9 @@ from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.batch.threads import Done, side_by_side
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
-from closedloop.simulation.prepare import Cache, prepare
+from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import as_run, check_engine, run_loop
 from closedloop.studies.gradient.quantities import Direction, Keys
 from robot_models import RobotModel

@@ -41,8 +41,8 @@ from closedloop.scenario.user_module import import_law
 from closedloop.simulation.batch.simulate_batch import in_blocks, run_variants
 from closedloop.simulation.batch.table import schema, table_of
 from closedloop.simulation.batch.worker import Outcome, Worker
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import law_digest
-from closedloop.simulation.prepare import Cache
 from closedloop.studies.identity import NAMES
 
 if TYPE_CHECKING:

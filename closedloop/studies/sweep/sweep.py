@@ -29,9 +29,9 @@ from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.batch.table import kept_columns
 from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.batch.worker import Worker
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import law_digest
 from closedloop.simulation.engines.loops import COMPILED
-from closedloop.simulation.prepare import Cache
 from closedloop.simulation.simulate import check_engine
 from closedloop.studies.identity import identity_of, members
 from closedloop.studies.sweep.design import GRID, LATIN, Design

@@ -22,7 +22,8 @@ from closedloop.lab.server import LONG, Newest
 from closedloop.plugins import Annotated, ControlLaw, Field, Positive, gain_in
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
-from closedloop.simulation.prepare import Cache, prepare
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.prepare import prepare
 
 SECTIONS = [section for tab in TABS.values() for section in tab]
 

@@ -18,9 +18,10 @@ from closedloop.jit.kernel import entry_kernel, jit_disabled
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.step.record_row import complete_record
 from closedloop.record.report.measured import measure_rows
+from closedloop.simulation.cache import _kept
 from closedloop.simulation.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
 from closedloop.simulation.engines.proceed import proceed_at
-from closedloop.simulation.prepare import _kept, prepare
+from closedloop.simulation.prepare import prepare
 
 SHORT = {"time.duration": 0.06}
 AT_ONCE = {"reference.start": 0.0, "reference.stop": 0.5}  # a short path: the interpreter finds the joints along it

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 # What shares its functions with contacts and loops and hardly any with the step, or asks a surface.
 BESIDE_STEP = frozenset((
-    "contacts_in_step", "closed_loops", "along_path", "closed_to", "rows_along", "ball_tip",
+    "contacts_in_step", "closed_loops", "along_path", "closed_to", "rows_along", "ball_tip", "external_forces",
     "put_on_surface", "normals_on_surface", "gradients_on_surface",
 ))  # fmt: skip
 
@@ -79,6 +79,7 @@ def _kernels() -> tuple[Piece, ...]:
         Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
         _entry("loop.step.contacts", "contacts_in_step", "contacts of the links"),
         _entry("loop.step.locate", "ball_tip", "the round end of a tool"),
+        _entry("loop.step.external", "external_forces", "forces from outside"),
         Piece("step_members", "simulations side by side", _together, "run_compiled"),
         _entry("simulation.ensemble.member", "strike", "impacts in them"),
         _entry("simulation.ensemble.lane_steps", "step_in_lanes", "eight of them in SIMD lanes"),

@@ -1,10 +1,11 @@
 """The force sensor: cross-talk, a low-pass, then bias, drift and noise, saturation, quantisation, a delay.
 
-    s = (1 + X) F            X: cross-talk; F: the force on the tip along n, t1, t2 of the frame that the law sees
+    s = (1 + X)(F − m r̈)     X: cross-talk; F: the force on the tip along n, t1, t2 of the frame that the law sees
     T ċ = s − c              low-pass
     c_k = c(t_k − τ_k)       τ_k: jitter, uniform between 0 and its bound; c is linear between two samples
     m_k = c_k + b + b' t_k + noise, cut to the range, in whole quanta          b, b': bias and drift, along n alone
 
+m is the mass between sensor and surface: what holds it carries F less what moves it. Its weight is known and taken off.
 The low-pass is a state that is integrated with the arm's; what follows it happens to samples, but bias, drift and the
 range act between them too. A controller's reading is always a sample, hence of an earlier instant than its own.
 """
@@ -53,6 +54,11 @@ _Row = tuple[_Share, _Share, _Share]
 class SensorSection(Section):
     """[sensor]: the force sensor; by default ideal: the force at the latest sample."""
 
+    mass: Annotated[NotNegative, Size(1e6, "kg", "no tool is so heavy")] = Field(
+        0.0,
+        description="mass of what the sensor carries, kg: its reading has the force that moves it, as a mass at the "
+        "tip; a part of the mass of [tool] or the last link, whose weight is taken off",
+    )
     axes: Literal[1, 3] = Field(1, description="1: it reads the force along the normal; 3: along the two tangents too")
     noise: Annotated[NotNegative, FORCE] = Field(0.0, description="standard deviation of white noise, N")
     bias: Annotated[Number, FORCE] = Field(0.0, description="constant error along the normal, N")

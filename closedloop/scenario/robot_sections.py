@@ -1,4 +1,4 @@
-"""The robot of a scenario: [robot], the [tool] on its tip, each free [[body]] beside it, [belief] and [model_error]."""
+"""The robot of a scenario: [robot], its [tool], free [[body]], [[external_force]], [belief] and [model_error]."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from pydantic import Field, model_validator
 
 from closedloop.base.sections import (
     ANGLE,
+    FORCE,
     JOINT_SPEED,
     LENGTH,
+    PERIOD,
     PLACE,
     SPEED,
+    TORQUE,
     Coordinate,
     Direction,
     Flag,
@@ -26,6 +29,7 @@ from closedloop.base.sections import (
     Section,
     Size,
 )
+from closedloop.control.sensor import Seed
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import SURFACES, Surface
 
@@ -146,6 +150,32 @@ class BodySection(Section):
         return tuple(x for value in values for x in (value if isinstance(value, tuple) else (value,)))
 
 
+Force = Annotated[Number, FORCE]
+Moment = Annotated[Number, TORQUE]
+Instant = Annotated[NotNegative, PERIOD]
+
+
+class ExternalForceSection(Section):
+    """[[external_force]]: a force and a moment from outside on a point of the robot, of which the law does not know."""
+
+    link: str | None = Field(None, description="frame that the point belongs to; the tip if left out")
+    at: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        (0.0, 0.0, 0.0), description="the point, m, axes of that frame"
+    )
+    force: tuple[Force, Force, Force] = Field((0.0, 0.0, 0.0), description="force at the point, N")
+    moment: tuple[Moment, Moment, Moment] = Field((0.0, 0.0, 0.0), description="moment, N m")
+    axes: str = Field("world", description="frame whose axes force and moment are in; world: the base frame")
+    start: Instant = Field(0.0, description="instant at which it begins, s")
+    duration: Annotated[Positive, PERIOD] | None = Field(
+        None, description="how long it acts, s; to the end of the run if left out"
+    )
+
+    @property
+    def end(self) -> float:
+        """Instant at which it ends, s."""
+        return math.inf if self.duration is None else self.start + self.duration
+
+
 class BeliefSection(Section):
     """[belief]: the surface that path, law and compensation take for the true one; what is left out is as it is."""
 
@@ -155,6 +185,16 @@ class BeliefSection(Section):
     surface_motion: Annotated[SurfaceMotion, MOTIONS] | None = Field(
         None, description="how the controller believes that it moves, with the keys of [surface_motion]"
     )
+    normal_noise: Annotated[NotNegative, TILT] = Field(
+        0.0,
+        description="standard deviation of the tilt of the normal that it believes in about either tangent, rad, drawn "
+        "anew at each step",
+    )
+    seed: Seed = Field(0, description="seed of that noise")
+
+    def draws(self, count: int) -> NDArray[np.float64]:
+        """Return the tilts (count, 2), rad, one row a step."""
+        return self.normal_noise * np.random.default_rng(self.seed).standard_normal((count, 2))
 
     @property
     def differs(self) -> bool:

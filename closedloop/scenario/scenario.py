@@ -25,7 +25,14 @@ from closedloop.mechanics.contacts.sections import ContactSection, ImpactSection
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES, Compliance, Surface
-from closedloop.scenario.robot_sections import BeliefSection, BodySection, ModelErrorSection, RobotSection, ToolSection
+from closedloop.scenario.robot_sections import (
+    BeliefSection,
+    BodySection,
+    ExternalForceSection,
+    ModelErrorSection,
+    RobotSection,
+    ToolSection,
+)
 from closedloop.scenario.time_sections import BaumgarteSection, Stabiliser, StartSection, TimeSection
 
 
@@ -64,6 +71,9 @@ class Scenario(Section):
         description="contacts of the robot's links, in addition to the tip's",
     )
     body: tuple[BodySection, ...] | None = Field(None, description="free bodies beside the robot")
+    external_force: tuple[ExternalForceSection, ...] | None = Field(
+        None, description="forces on the tip or a link from outside, of which the controller does not know"
+    )
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
     reference: Annotated[paths.Path, paths.PATHS] = Field(
         default_factory=lambda: paths.PATHS["hold"](),
@@ -136,9 +146,13 @@ class Scenario(Section):
 
     @property
     def is_passive(self) -> bool:
-        """Whether nothing does work on what moves: there is no law, and the surfaces that it touches are at rest."""
+        """Whether nothing does work on what moves: no law, no force from outside, and surfaces that are at rest."""
         motions = [self.surface_motion, *(each.motion for each in self.contact or ())]
-        return not self.has_law and all(motion is None or motion.kind == "none" for motion in motions)
+        return (
+            not self.has_law
+            and not self.external_force
+            and all(motion is None or motion.kind == "none" for motion in motions)
+        )
 
     @property
     def stores_energy(self) -> bool:

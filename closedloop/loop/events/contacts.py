@@ -154,7 +154,7 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         if open_but_tip(links, c):
             leave_tip(w, links, c, state)
         elif started and off_surfaces(links, c):
-            state.projections, state.next_phase = 0, AFTER_EVENT
+            state.projection.moves, state.projection.next_phase = 0, AFTER_EVENT
             request_terms(state, PROJECTION)
             return NEED_TERMS
         request_terms(state, AFTER_EVENT)

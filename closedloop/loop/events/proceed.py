@@ -202,7 +202,7 @@ def proceed(
             apply_impact(w, constants, state, events)
             todo = NEED_TERMS
             if state.settings.project != 0 and state.mode != FREE:
-                state.projections, state.next_phase = 0, AFTER_EVENT
+                state.projection.moves, state.projection.next_phase = 0, AFTER_EVENT
                 request_terms(state, PROJECTION)
             else:
                 request_terms(state, AFTER_EVENT)

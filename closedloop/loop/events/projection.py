@@ -17,7 +17,7 @@ from closedloop.mechanics.contacts.memory import OFF, ContactLinks, Contacts, co
 
 # A projection after an event moves no joint further than this share of the largest gap, rad/m: levers of a centimetre.
 FARTHEST = 100.0
-# `State.projections` once the derivatives of a state of dual numbers (`closedloop.jit.dual8`) have been projected.
+# `State.projection.moves` once the derivatives of a state of dual numbers (`closedloop.jit.dual8`) have been projected.
 MOVED_ALONG = 1000
 
 
@@ -42,10 +42,10 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
             if stuck:
                 w.tip.a[i] = off_anchor(w, state, i) if level == 0 else w.tip.u[i]
                 size = max(size, abs(w.tip.a[i]))
-        if level == 0 and (size <= CLOSED or state.projections >= MAX_MOVES):
-            if not has_derivatives(size) or state.projections >= MOVED_ALONG:
+        if level == 0 and (size <= CLOSED or state.projection.moves >= MAX_MOVES):
+            if not has_derivatives(size) or state.projection.moves >= MOVED_ALONG:
                 continue
-            state.projections = MOVED_ALONG  # the value stays: the derivatives are moved onto the closure
+            state.projection.moves = MOVED_ALONG  # the value stays: the derivatives are moved onto the closure
             for i in range(3):
                 w.tip.a[i] -= sought(w.tip.a[i])
         if stuck:
@@ -63,11 +63,11 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
             else:
                 answer_impulse(w.L, w.tip.X, w.tip.F, w.scratch.column)
                 move(w, constants)
-            state.projections += 1
+            state.projection.moves += 1
             request_terms(state, PROJECTION)
             return NEED_TERMS
         apply_impulse(w.L, w.tip.X, w.tip.F, w.scratch.column, w.v)
-    request_terms(state, state.next_phase)
+    request_terms(state, state.projection.next_phase)
     return NEED_TERMS
 
 
@@ -79,16 +79,16 @@ def project_contacts(w: Work, constants: Constants, state: State) -> int:
     state.status = ask_contacts(state, CLOSE_GAPS)
     if state.status != OK:
         return FAIL
-    after_event = state.next_phase == AFTER_EVENT  # whose velocities obey the modes already
+    after_event = state.projection.next_phase == AFTER_EVENT  # whose velocities obey the modes already
     if after_event and too_far(links, c, w):
         links.moved = 0
-    if links.moved != 0 and state.projections < MAX_MOVES:
+    if links.moved != 0 and state.projection.moves < MAX_MOVES:
         if state.settings.balls == 0:
             for j in range(n):
                 w.q[j] += w.scratch.column[j]
         else:
             move(w, constants)
-        state.projections += 1
+        state.projection.moves += 1
         request_terms(state, PROJECTION)
         return NEED_TERMS
     if not after_event:
@@ -97,7 +97,7 @@ def project_contacts(w: Work, constants: Constants, state: State) -> int:
             return FAIL
         for j in range(n):
             w.v[j] += w.scratch.column[j]
-    request_terms(state, state.next_phase)
+    request_terms(state, state.projection.next_phase)
     return NEED_TERMS
 
 

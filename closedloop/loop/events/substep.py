@@ -215,7 +215,7 @@ def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
         w.time = state.row * h if state.divided == 0 else w.start.time + tau
         end = STEP_END if state.divided == 0 else PART_END
         if state.settings.project != 0 and (state.mode != FREE or state.coupled != 0):
-            state.projections, state.next_phase = 0, end
+            state.projection.moves, state.projection.next_phase = 0, end
             request_terms(state, PROJECTION)
         else:
             request_terms(state, end)

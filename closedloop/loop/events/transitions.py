@@ -72,9 +72,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
         # still positive; or the law presses when the tip is free and lifts when it is in contact.
         let_go = state.event.kind == LIFTOFF and w.last_event == w.time
         back = let_go and w.tip.gap <= TOUCHING and abs(w.tip.rate) <= RESTING and w.tip.a[0] < 0.0
-        if back and w.tip.a[0] < -normal_rounding(
-            w.L, w.tip.X, w.tip.drift_c, w.torque, w.joint_friction.torque, C, w.scratch.column
-        ):
+        if back and w.tip.a[0] < -normal_rounding(C, w):
             make_contact(w, constants, state, np.hypot(w.tip.u[1], w.tip.u[2]))
             state.event.rows -= 1
             state.event.in_step += 1
@@ -137,7 +135,7 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         w.impact.after[0] = 0.0
         log_event(w, constants, state, events, 0.5 * w.tip.u[0] * w.tip.u[0] / w.tip.S[0, 0])
         # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
-        state.projections, state.next_phase = 0, AFTER_EVENT
+        state.projection.moves, state.projection.next_phase = 0, AFTER_EVENT
         return PROJECT
     if state.friction.sticking in (RIGID_STICK, SPRING_STICK):
         return end_stick_or_slip(w, constants, state, rows, events)

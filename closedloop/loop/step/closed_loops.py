@@ -15,7 +15,7 @@ from closedloop.base.arrays import Array
 from closedloop.control.law import Perceived
 from closedloop.jit.calls import integers_at, row_of
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.loop.step.energy_supplied import driving_torque
+from closedloop.loop.step.energy_supplied import applied_torque
 from closedloop.loop.step.memory import Constants, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.contact_force import factorise
 from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, forward_substitute
@@ -120,7 +120,7 @@ def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
     """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF, and of other contacts."""
     n = w.q.shape[0]
     for i in range(n):
-        s = C[i] - driving_torque(w, state, i) - w.joint_friction.torque[i]
+        s = C[i] - applied_torque(w, state, i)
         for k in range(3):
             s -= w.tip.A[k, i] * w.tip.F[k]
         if state.coupled != 0:

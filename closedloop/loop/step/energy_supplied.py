@@ -5,7 +5,9 @@ substeps, each with the power on its own side of the event. The difference betwe
 is then the error of the run, of the integrator's order, without the error of a quadrature over rows. In a scheme of one
 stage, which holds the torque over the step, the work is that torque times the mean of the velocities before and after.
 
-    P = (Q + τ)ᵀq̇ + F·N ṙ        τ friction of the joints, F = (f, F_t) at the tip, N ṙ = u on a surface at rest
+    P = (Q + τ)ᵀq̇ + F·N ṙ        F = (f, F_t) at the tip, N ṙ = u on a surface at rest
+
+with τ the friction of the joints and what forces from outside do (`closedloop.loop.step.external`).
 
 It counts from row 0, which holds the state after the events of t = 0: what these took is in the table of events alone.
 
@@ -28,6 +30,13 @@ def driving_torque(w: Work, state: State, j: int) -> float:
 
 
 @kernel_inlined
+def applied_torque(w: Work, state: State, j: int) -> float:
+    """Return the torque of all forces but gravity and those of closures on the link of joint j, N m."""
+    torque: float = driving_torque(w, state, j) + w.joint_friction.torque[j] + w.external[j]
+    return torque
+
+
+@kernel_inlined
 def power(w: Work, state: State) -> float:
     """Return the power P of all forces but gravity at the state evaluated last, W."""
     total: float = (
@@ -36,7 +45,7 @@ def power(w: Work, state: State) -> float:
         + w.tip.F[2] * (w.tip.u[2] + w.tip.carried[2])
     )
     for j in range(w.v.shape[0]):
-        total += (driving_torque(w, state, j) + w.joint_friction.torque[j]) * w.v[j]
+        total += applied_torque(w, state, j) * w.v[j]
     if state.coupled != 0:
         total += w.contacts.power
     return total
@@ -55,7 +64,7 @@ def save_power(w: Work, state: State) -> None:
                 w.tip.S[i, 0] * w.tip.F[0] + w.tip.S[i, 1] * w.tip.F[1] + w.tip.S[i, 2] * w.tip.F[2]
             )
         for j in range(w.v.shape[0]):
-            growth += (driving_torque(w, state, j) + w.joint_friction.torque[j]) * w.qdd[j]
+            growth += applied_torque(w, state, j) * w.qdd[j]
         if state.coupled != 0:
             growth += w.contacts.power_rate
         w.supply.power_rate = growth

@@ -91,6 +91,8 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
         if state.coupled == 0:
             surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
+        if state.external.entry != 0:
+            call_at(state.external.entry, state.external.at, 0)
     status = contact_force(C, w, constants, state)
     if status != OK:
         return status

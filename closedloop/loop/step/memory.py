@@ -139,6 +139,7 @@ class Sensing(Block, sizes=("ring",)):
     reading: float  # and at this instant
     tangential: Annotated[Array, 2]  # readings of the latest row along the tangents, N
     signal: Annotated[Array, 3]  # what was sampled at the latest row, see `closedloop.control.sensor.signal_of`
+    outside: Annotated[Array, 3]  # forces from outside on the tip, N, base axes
     ring: Annotated[Array, 3, RING]  # latest samples along n, t1, t2
 
 
@@ -221,6 +222,7 @@ class TouchedSurface(Called):
     """The surface, and the one that the controller believes in; without an entry of that it is the same."""
 
     believed: Called
+    noise: int  # address of the noise of the normal that the controller believes in, (rows, 2), rad; 0: none
 
 
 class Loops(Called):
@@ -286,6 +288,13 @@ class Trial(Block):
     settling: int  # of dual numbers (`closedloop.jit.dual8`): 1 while the slope at the instant found is sought, then 2
 
 
+class Projecting(Block):
+    """The projection of a state onto the closure."""
+
+    next_phase: int  # after it
+    moves: int  # Newton steps so far
+
+
 class EventCount(Block):
     """The events."""
 
@@ -312,6 +321,7 @@ class State(Block):
     loops: Loops  # of the mechanism
     contacts: Called  # of the links; without an entry there is none but the tip's
     ball: Called  # the round end of the tool, see `closedloop.loop.step.locate`; without an entry it is a point
+    external: Called  # forces from outside, see `closedloop.loop.step.external`; without an entry there is none
     sensor: Sensor
     settings: Settings
     addresses: Addresses
@@ -325,8 +335,7 @@ class State(Block):
     mode: int
     trial: Trial
     event: EventCount
-    next_phase: int  # after a projection
-    projections: int  # Newton steps of this projection
+    projection: Projecting
     status: int
     sampled: int  # 1 if the law is evaluated with these terms
     raised: int  # 1 once a user's member has raised something
@@ -412,6 +421,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring", "tendons")):
     q: Annotated[Array, N]  # state
     v: Annotated[Array, N]
     torque: Annotated[Array, N]  # Q
+    external: Annotated[Array, N]  # torque of forces from outside, N m (N)
     qdd: Annotated[Array, N]
     y: Annotated[Array, N]  # L⁻¹(Q − C)
     contacts: LinkContacts

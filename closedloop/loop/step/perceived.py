@@ -14,6 +14,7 @@ are closed: what it sees is the state nearest to the readings at which they are.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from closedloop.base.arrays import Array
@@ -21,7 +22,7 @@ from closedloop.control.encoder import EncoderParameters, read_encoder
 from closedloop.control.law import Perceived
 from closedloop.control.reference.table import DrawnRow
 from closedloop.control.sensor import across
-from closedloop.jit.calls import call_at, integers_at, row_of
+from closedloop.jit.calls import call_at, integers_at, matrix_at, row_of
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.closed_loops import BIND_PERCEIVED, CLOSE
 from closedloop.loop.step.locate import ask_about_tip, in_contact_frame
@@ -68,8 +69,9 @@ def keep_terms(H: Array, C: Array, w: Work) -> None:
 def perceive(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
     """Write what the law sees of the state in `w`, whose terms are given.
 
-    Its contact frame is that of the surface that it believes in, turned by `constants.tilt`. Returns OK, NO_NORMAL if
-    that surface has none at the tip, or NOT_POSITIVE_DEFINITE if the H that it believes in is no inertia.
+    Its contact frame is that of the surface that it believes in, turned by `constants.tilt` and by noise. Returns
+    OK, NO_NORMAL if that surface has none at the tip, or NOT_POSITIVE_DEFINITE if the H that it believes in is no
+    inertia.
     """
     n, tilt = w.q.shape[0], constants.tilt
     perceived, wanted = Perceived(w.perceived, n), w.reference
@@ -91,6 +93,9 @@ def perceive(H: Array, C: Array, w: Work, constants: Constants, state: State) ->
             perceived.J[i, j] = w.J[i, j]
     for j in range(n):
         perceived.q[j], perceived.v[j] = w.q[j], w.v[j]
+    if state.surface.noise != 0:
+        row = min(int(w.time / constants.h + EARLY), state.settings.steps)
+        shake(row_of(matrix_at(state.surface.noise, state.settings.steps + 1, 2), row), perceived)
     into_contact_frame(perceived, perceived)
     for i in range(3):
         perceived.u[i] -= perceived.carried[i]
@@ -111,18 +116,60 @@ def perceive(H: Array, C: Array, w: Work, constants: Constants, state: State) ->
     return int(OK)
 
 
+# A sample begins by this share of a step before its row: instants are rounded.
+EARLY = 1e-6
+
+
+@kernel
+def shake(angles: Array, perceived: Perceived) -> None:
+    """Turn the frame that the law sees, and what the surface carries in it, so that n tilts by angles (2,), rad."""
+    a, b = angles[0], angles[1]
+    size = math.sqrt(a * a + b * b)
+    if not size > 0.0:
+        return
+    c, s, a, b = math.cos(size), math.sin(size), a / size, b / size
+    for k in range(3):
+        n, t, u = perceived.frame[0, k], perceived.frame[1, k], perceived.frame[2, k]
+        perceived.frame[0, k], perceived.frame[1, k], perceived.frame[2, k] = shaken(n, t, u, (a, b), (c, s))
+    for x in (perceived.carried, perceived.turning):
+        x[0], x[1], x[2] = shaken(x[0], x[1], x[2], (a, b), (c, s))
+
+
+@kernel
+def shaken(
+    n: float, t: float, u: float, ab: tuple[float, float], cs: tuple[float, float]
+) -> tuple[float, float, float]:
+    """Return components along n, t1, t2 in a frame whose n has turned towards a t1 + b t2; c, s are of the angle."""
+    (a, b), (c, s) = ab, cs
+    d, e = a * t + b * u, a * u - b * t
+    n, d = c * n + s * d, c * d - s * n
+    return n, a * d - b * e, b * d + a * e
+
+
 @kernel
 def sensor_feels(axis: int, w: Work, par: Any, state: State) -> float:
-    """Return the force on the tip that an axis of the sensor feels, N, in the contact frame that the law sees."""
-    F = w.scratch.force
+    """Return the force on the tip that an axis of the sensor feels, N, in the contact frame that the law sees.
+
+    Forces from outside on the tip are part of it, and what moves the mass that the sensor carries.
+    """
+    F, felt, f = w.scratch.force, w.scratch.acceleration, w.tip.frame
     for i in range(3):
         F[i] = w.tip.F[i]
+    if state.external.entry != 0 or par.mass > 0.0:
+        for k in range(3):
+            rate = w.drift[k]
+            for j in range(w.q.shape[0]):
+                rate += w.J[k, j] * w.qdd[j]
+            for i in range(3):
+                F[i] += f[i, k] * (w.sensing.outside[k] - par.mass * rate)
     if state.settings.misjudged != 0:
-        frame, f = Perceived(w.perceived, w.q.shape[0]).frame, w.tip.frame
+        frame = Perceived(w.perceived, w.q.shape[0]).frame
+        for i in range(3):
+            felt[i] = F[i]
         for i in range(3):
             F[i] = 0.0
             for k in range(3):
-                F[i] += frame[i, k] * (f[0, k] * w.tip.F[0] + f[1, k] * w.tip.F[1] + f[2, k] * w.tip.F[2])
+                F[i] += frame[i, k] * (f[0, k] * felt[0] + f[1, k] * felt[1] + f[2, k] * felt[2])
     return across(F, axis, par)
 
 

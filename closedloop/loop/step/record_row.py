@@ -17,7 +17,7 @@ from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select
 from closedloop.loop.step.closed_loops import REACTION, missing_torque
 from closedloop.loop.step.contact_rows import asked
-from closedloop.loop.step.energy_supplied import driving_torque
+from closedloop.loop.step.energy_supplied import applied_torque
 from closedloop.loop.step.memory import RIGID_STICK, Constants, K, N, State, Work, ask_loops, loop_at
 from closedloop.loop.step.perceived import sensor_feels
 from closedloop.mechanics.closure.conditioning import (
@@ -246,7 +246,7 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
         row.acceleration[j] = w.qdd[j]
         row.torque[j] = w.torque[j]
         row.joint_friction[j] = w.joint_friction.torque[j]
-        w.scratch.column[j] = driving_torque(w, state, j) + w.joint_friction.torque[j]
+        w.scratch.column[j] = applied_torque(w, state, j)
     for i in range(3):
         row.position[i] = w.r[i]
         speed = 0.0
@@ -264,7 +264,7 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
         missing_torque(H, C, w, state)
         ask_loops(state, REACTION)
         for j in range(n):
-            w.scratch.column[j] += driving_torque(w, state, j) + w.joint_friction.torque[j]
+            w.scratch.column[j] += applied_torque(w, state, j)
     if state.coupled != 0:
         for j in range(n):
             w.scratch.column[j] += w.contacts.torque[j]

@@ -14,7 +14,7 @@ from closedloop.jit.parameters import parameter_block
 from closedloop.jit.user_code import function_of, member_entry
 from closedloop.loop.step.closed_loops import BIND_LOAD
 from closedloop.loop.step.contacts import FORCE
-from closedloop.loop.step.energy_supplied import driving_torque
+from closedloop.loop.step.energy_supplied import applied_torque
 from closedloop.loop.step.entries import mark_raised
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import (
@@ -127,7 +127,7 @@ TURNS, SETTLED = 40, 1e-12
 def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
-        w.scratch.column[j] = driving_torque(w, state, j) + w.joint_friction.torque[j]
+        w.scratch.column[j] = applied_torque(w, state, j)
     free_acceleration(
         w.L, w.tip.X, w.tip.drift_c, w.scratch.column, C, w.y, w.tip.a, integers_at(state.addresses.group_ends, state.n)
     )
@@ -213,8 +213,5 @@ def kept_force(rigid: float, C: Array, w: Work, state: State) -> float:
     """
     kept = rigid
     if state.settings.unilateral != 0 and rigid < 0.0:
-        kept += (
-            normal_rounding(w.L, w.tip.X, w.tip.drift_c, w.torque, w.joint_friction.torque, C, w.scratch.column)
-            / w.tip.S[0, 0]
-        )
+        kept += normal_rounding(C, w) / w.tip.S[0, 0]
     return kept

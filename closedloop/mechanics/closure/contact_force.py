@@ -128,18 +128,19 @@ def free_acceleration(
 
 
 @kernel
-def normal_rounding(L: Array, X: Array, drift_c: Array, torque: Array, loss: Array, C: Array, g: Array) -> float:
+def normal_rounding(C: Array, w: Any) -> float:
     """Return a bound of the rounding error in the tip's free acceleration along n, m/s².
 
-    Q and C are each known to rounding, and a_n = gᵀ(Q − C) + ... with g = H⁻¹Aᵀn = L⁻ᵀX_n; `g` (n,) is scratch.
+    Q and C are each known to rounding, and a_n = gᵀ(Q − C) + ... with g = H⁻¹Aᵀn = L⁻ᵀX_n, which is written to the
+    scratch of the `Work`.
     """
-    n = C.shape[0]
+    n, g = C.shape[0], w.scratch.column
     for j in range(n):
-        g[j] = X[0, j]
-    back_substitute(L, g, 0, n)
-    total: float = abs(drift_c[0])
+        g[j] = w.tip.X[0, j]
+    back_substitute(w.L, g, 0, n)
+    total: float = abs(w.tip.drift_c[0])
     for j in range(n):
-        total += abs(g[j]) * (abs(torque[j]) + abs(loss[j]) + abs(C[j]))
+        total += abs(g[j]) * (abs(w.torque[j]) + abs(w.joint_friction.torque[j]) + abs(w.external[j]) + abs(C[j]))
     return LOAD_ROUNDING * total
 
 

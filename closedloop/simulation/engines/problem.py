@@ -13,12 +13,13 @@ from closedloop.base.families import is_users
 from closedloop.base.upwards import called
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law import LawInput
-from closedloop.jit.calls import entry_address
+from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.interpreted import twin_address
 from closedloop.jit.user_code import why_member_not_compiled
 from closedloop.loop.events.phases import STEP_END
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
+from closedloop.loop.step.external import external_forces
 from closedloop.loop.step.locate import ball_tip
 from closedloop.loop.step.memory import Constants, Loop, make_loop
 from closedloop.loop.step.record_row import ContactRow
@@ -37,6 +38,7 @@ from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, entries_of
 from closedloop.simulation.engines.start_memory import (
     ball_memory,
+    external_memory,
     read_encoders,
     write_constants,
     write_places,
@@ -121,10 +123,18 @@ class Problem(ScenarioNumbers):
             memory = self.believed.memory()
             state.surface.believed.at = memory.address
             loop.w.keep_alive(believed=memory)
+        if self.scenario.belief.normal_noise > 0.0:
+            noise = self.scenario.belief.draws(self.steps + 1)
+            state.surface.noise = address_of(noise)
+            loop.w.keep_alive(noise=noise)
         if self.scenario.tool.radius > 0.0 and self.scenario.has_surface:
             ball = ball_memory(self.robot, self.surface, self.scenario.tool.radius, state.address)
             state.ball.at = ball.links.address
             loop.w.keep_alive(ball=ball)
+        if self.scenario.external_force:
+            external = external_memory(self.scenario.external_force, self.robot)
+            state.external.at, external.links.loop = external.address, state.address
+            loop.w.keep_alive(external=external)
         if self.robot.model.loops:
             loops = step_memory(self.robot)
             state.loops.at, loops.links.loop = loops.address, state.address
@@ -182,6 +192,8 @@ class Problem(ScenarioNumbers):
             entries.append(closed_loops)
         if loop.state.ball.at != 0:
             entries.append(ball_tip)
+        if loop.state.external.at != 0:
+            entries.append(external_forces)
         if loop.state.contacts.at != 0:
             entries += [contacts_in_step, *(each.entry for each in contact_members(loop))]
         return entries
@@ -227,6 +239,8 @@ class Problem(ScenarioNumbers):
             loop.state.loops.entry = address(closed_loops)
         if loop.state.ball.at != 0:
             loop.state.ball.entry = address(ball_tip)
+        if loop.state.external.at != 0:
+            loop.state.external.entry = address(external_forces)
         if loop.state.contacts.at != 0:
             loop.state.contacts.entry = address(contacts_in_step)
             for each in contact_members(loop):

@@ -38,7 +38,7 @@ from closedloop.mechanics.surface.surface import Compliance
 from closedloop.record.columns.derived import recorded_states, state_columns
 from closedloop.record.columns.record import RESISTANCE_COLUMNS, Column
 from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of
-from closedloop.scenario.robot_sections import ModelErrorSection
+from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.simulation.engines.bind_contacts import ContactPlaces
@@ -85,7 +85,7 @@ def sticking(friction: PackedLaw) -> int:
 
 
 # Sections that ask for nothing.
-_DRIVES, _SENSOR, _MODEL_ERROR = DrivesSection(), SensorSection(), ModelErrorSection()
+_DRIVES, _SENSOR, _MODEL_ERROR, _BELIEF = DrivesSection(), SensorSection(), ModelErrorSection(), BeliefSection()
 
 
 def needs_general_form(scenario: Scenario) -> bool:
@@ -99,9 +99,9 @@ def needs_general_form(scenario: Scenario) -> bool:
         or scenario.rubs_in_joints
         or scenario.sensor != _SENSOR
         or scenario.model_error != _MODEL_ERROR
-        or scenario.belief.differs
+        or scenario.belief != _BELIEF
         or bool(arm_columns(scenario))
-        or bool(scenario.contact)
+        or bool(scenario.contact or scenario.external_force)
     )
 
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.base.errors import ScenarioError
 from closedloop.control.drives import DrivesSection
 from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import start_sensor
@@ -22,6 +23,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import one_joint_block, parameter_block
 from closedloop.jit.user_code import of_users
 from closedloop.loop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHING
+from closedloop.loop.step.external import BEGIN, END, FELT, SHARE
 from closedloop.loop.step.locate import BALL_TIP, BallTip
 from closedloop.loop.step.memory import SPRING_STICK, Constants, Loop, State, Work
 from closedloop.loop.step.perceived import MOTORS_MEASURED, read_joints
@@ -39,9 +41,10 @@ from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.scenario.arm import stop_limits
-from closedloop.scenario.robot_sections import ModelErrorSection
+from closedloop.scenario.robot_sections import ExternalForceSection, ModelErrorSection
 from closedloop.simulation.engines.bind_contacts import placed_on_link
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, arm_columns, reading_kind, sticking
+from robot_models.errors import shown
 
 
 class BallMemory(NamedTuple):
@@ -64,6 +67,28 @@ def ball_memory(robot: Robot, surface: PlacedSurface, radius: float, loop: int) 
     links = BallTip(np.zeros(BALL_TIP, dtype=np.int64))
     links.address, links.loop, links.rows, links.shapes = address_of(links.memory), loop, rows.address, shapes.address
     return BallMemory(links, (rows, shapes))
+
+
+def external_memory(sections: tuple[ExternalForceSection, ...], robot: Robot) -> LoopMemory:
+    """Return a new memory of forces from outside, see `closedloop.loop.step.external`."""
+    poses, m = link_poses(robot.tree, robot.model.loop_home), len(sections)
+    places: list[tuple[int, int, Array, Array, Array]] = []
+    for i, section in enumerate(sections):
+        where, frame = f"external_force.{i}", robot.tip if section.link is None else section.link
+        link, _, point = placed_on_link(robot, poses, frame, section.at, f"{where}.link")
+        other, turn, _ = placed_on_link(robot, poses, section.axes, (0.0, 0.0, 0.0), f"{where}.axes")
+        if link < 0:
+            raise ScenarioError(f"{where}.link = {shown(frame)}: no joint moves it: name a frame that moves")
+        places.append((link, other, point, turn @ section.force, turn @ section.moment))
+    links, others, points, forces, moments = map(np.array, zip(*places, strict=True))
+    sides = np.concatenate([np.full(m, POSITION), links, others, np.zeros(m)]).astype(np.int64)
+    bound = bound_points(robot.n, sides, points, np.zeros((m, 3)), moments)
+    memory = make_loop_memory(robot.tree, bound._replace(along_a=forces))
+    span = memory.rows.value
+    span[:, BEGIN] = [section.start for section in sections]
+    span[:, END] = [section.end for section in sections]
+    span[:, SHARE], span[:, FELT] = span[:, BEGIN] <= 0.0, [section.link in (None, robot.tip) for section in sections]
+    return memory
 
 
 def read_encoders(loop: Loop, table: Array) -> None:
@@ -158,7 +183,11 @@ def write_settings(problem: ScenarioNumbers, state: State) -> None:
     states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
     to.states_at = problem.row_width - states if states > 0 else 0
     to.model_error = problem.scenario.model_error != ModelErrorSection()
-    to.misjudged = problem.believed is not None or problem.scenario.model_error.normal != 0.0
+    to.misjudged = (
+        problem.believed is not None
+        or problem.scenario.model_error.normal != 0.0
+        or problem.scenario.belief.normal_noise > 0.0
+    )
     to.perceived = to.model_error or to.misjudged or to.elastic or to.encoder
 
 
@@ -167,7 +196,7 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     n = problem.robot.n
     state.mode, state.sampled, state.cleared = problem.mode, 1, 1
     if problem.project and problem.mode != FREE:
-        state.phase, state.next_phase = PROJECTION, STEP_END
+        state.phase, state.projection.next_phase = PROJECTION, STEP_END
     w.q[:], w.v[:] = problem.q, problem.v
     w.decays.first[:] = problem.integrator.first_tableau()
     w.tip.frame[:] = problem.frame

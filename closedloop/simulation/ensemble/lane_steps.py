@@ -299,14 +299,16 @@ def put_back(g: Group, w: Work, row: Row, forces: Array, i: int) -> None:
 def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: Work) -> bool:
     """Whether a simulation whose torque is held may be stepped in lanes while its tip is on the surface."""
     settings, friction = state.settings, state.friction
-    called = (state.surface, state.ball, state.compliance, state.loops, state.contacts, state.joint_friction)
+    called = (
+        state.surface, state.ball, state.external, state.compliance, state.loops, state.contacts, state.joint_friction,
+    )  # fmt: skip
     # The states of a law that is not asked act on nothing, unless they are recorded or its functions may raise.
     has_memory = bool(friction.states or constants.lag > 0.0 or settings.states_at)
     members = problem.friction.member, problem.law.member
     asked = (
         settings.stages != 1, not settings.semi_implicit, settings.adaptive, settings.project, settings.encoder,
         settings.elastic, settings.drives, settings.arm_at, settings.balls, settings.misjudged,
-        state.sensor.axes > 1, problem.scenario.sensor.talks_across, problem.scenario.sensor.jitter,
+        state.sensor.axes > 1, problem.scenario.sensor.talks_across, problem.scenario.sensor.mass, problem.scenario.sensor.jitter,
     )  # fmt: skip
     return (
         not jit_disabled()

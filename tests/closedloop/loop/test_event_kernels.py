@@ -228,7 +228,12 @@ def test_projection_is_the_smallest_move_that_closes(stuck):
     """First of q, as often as it may be, then of q̇: by H⁻¹Aᵀ, along the normal or of the whole tip if it sticks."""
     loop, H, rng = loop_at_random("wam_bounce", STICKING)
     state, constants, w = loop.state, loop.constants, loop.w
-    state.mode, state.next_phase, w.tip.carried[:], w.tip.anchor[:] = STUCK if stuck else PRESSED, STEP_END, 0.0, 3.0
+    state.mode, state.projection.next_phase, w.tip.carried[:], w.tip.anchor[:] = (
+        STUCK if stuck else PRESSED,
+        STEP_END,
+        0.0,
+        3.0,
+    )
     rows = w.tip.A[: 3 if stuck else 1].copy()
     back = np.linalg.solve(H, rows.T) @ np.linalg.inv(rows @ np.linalg.solve(H, rows.T))
     for gap, moves, closes in (
@@ -239,9 +244,9 @@ def test_projection_is_the_smallest_move_that_closes(stuck):
     ):
         off = np.array([gap, 0.0 if closes else 2e-3, 0.0 if closes else -1e-3])
         w.tip.gap, w.tip.p[:], w.v[:], w.q[:] = gap, w.tip.anchor + off, rng.normal(size=4), 0.0
-        w.tip.u[:], state.projections, q, v = w.tip.A @ w.v, moves, w.q.copy(), w.v.copy()
+        w.tip.u[:], state.projection.moves, q, v = w.tip.A @ w.v, moves, w.q.copy(), w.v.copy()
         assert interpreted(project)(H, w, constants, state) == NEED_TERMS
-        assert (state.phase, state.projections) == ((STEP_END, moves) if closes else (PROJECTION, moves + 1))
+        assert (state.phase, state.projection.moves) == ((STEP_END, moves) if closes else (PROJECTION, moves + 1))
         np.testing.assert_allclose(w.q, q if closes else q - back @ off[: len(rows)], atol=1e-15)
         np.testing.assert_allclose(w.v, v - back @ rows @ v if closes else v, atol=1e-12)
 

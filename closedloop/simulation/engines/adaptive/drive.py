@@ -187,11 +187,13 @@ class AdaptiveRun:
         self.scheme, self.sliding = EXPLICIT, list[Slip]()
         others = [problem.pd_start + 1e-9 * problem.h]
         at_rows = law is not None or problem.scenario.law.force_feedback != 0.0
-        if problem.sensor.sampled or (at_rows and not self.memory.hold):
-            # The force is measured at rows, and a user's law may change its output at rows.
+        if problem.sensor.sampled or problem.scenario.belief.normal_noise > 0.0 or (at_rows and not self.memory.hold):
+            # The force is measured, and the normal drawn, at rows, and a user's law may change its output at rows.
             others += self.instants.tolist()
         elif self.memory.hold:
             others += self.instants[:: self.memory.hold].tolist()
+        for force in problem.scenario.external_force or ():
+            others += [force.start, force.end]
         bounds = jumps(problem.wanted, np.array(others), self.instants)
         self.bounds = np.append(bounds, bounds[-1] + problem.h)
 

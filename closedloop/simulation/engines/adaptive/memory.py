@@ -31,6 +31,7 @@ from closedloop.loop.events.query import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.advance import turn_rate
 from closedloop.loop.step.closed_loops import CLOSE, closed_loops
+from closedloop.loop.step.external import BEGIN, END, SHARE
 from closedloop.loop.step.memory import RIGID_STICK
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK
@@ -122,6 +123,9 @@ class Memory:
         instant, begins = t, self._problem.pd_start
         if interval.start < begins <= interval.end + BEFORE * self.h:
             instant = min(t, max(interval.start, interval.end - BEFORE * self.h))
+        if "external" in self.w.kept:
+            span, middle = self.w.kept["external"].rows.value, 0.5 * (interval.start + interval.end)
+            span[:, SHARE] = (span[:, BEGIN] <= middle) & (middle < span[:, END])
         # The table's spacing is such that its one row is the one for this instant.
         self.w.time, self.constants.node = instant, instant if instant > 0.0 else 1.0
 
@@ -205,7 +209,7 @@ class Memory:
         if self.state.settings.project == 0 or self.state.mode == FREE:
             return y
         self.put(y)
-        self.state.projections, self.state.next_phase = 0, STEP_END
+        self.state.projection.moves, self.state.projection.next_phase = 0, STEP_END
         self._run_events(PROJECTION)
         return self.get()
 

@@ -326,8 +326,9 @@ class Run(_Columns):
     def joint_wrench(self, joint: str, frame: str = "joint") -> NDArray[np.float64]:
         """Return the reaction wrench at a joint, (N, 6): force, N, and moment, N m, of its inner on its outer side.
 
-        It is what moves all that hangs on the joint, less weight and contacts. The moment is about the joint's origin;
-        along the axis it is what drive, friction and stop give together. It is computed from the record.
+        It is what moves all that hangs on the joint, less weight, contacts, loop joints and forces from outside. The
+        moment is about the joint's origin; along the axis it is what drive, friction and stop give together. It is
+        computed from the record.
 
         Parameters
         ----------
@@ -339,7 +340,7 @@ class Run(_Columns):
         Raises
         ------
         ScenarioError
-            If there is no such joint or frame, or the robot has loops.
+            If the tree has no such joint, or the robot no such frame.
         """
         return joint_wrench(self, joint, frame)
 

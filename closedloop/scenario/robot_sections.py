@@ -158,7 +158,9 @@ Instant = Annotated[NotNegative, PERIOD]
 class ExternalForceSection(Section):
     """[[external_force]]: a force and a moment from outside on a point of the robot, of which the law does not know."""
 
-    link: str | None = Field(None, description="frame that the point belongs to; the tip if left out")
+    link: str | None = Field(
+        None, description="frame that has the point; if left out the tip, where the force sensor feels it"
+    )
     at: tuple[Coordinate, Coordinate, Coordinate] = Field(
         (0.0, 0.0, 0.0), description="the point, m, axes of that frame"
     )
@@ -169,6 +171,17 @@ class ExternalForceSection(Section):
     duration: Annotated[Positive, PERIOD] | None = Field(
         None, description="how long it acts, s; to the end of the run if left out"
     )
+
+    def place(self, tip: str, offset: tuple[float, float, float]) -> tuple[str, tuple[float, ...]]:
+        """Return the frame and the point of it, m; the tool's tip is at `offset`, m, in the frame `tip`."""
+        if self.link is not None:
+            return self.link, self.at
+        return tip, tuple(a + b for a, b in zip(self.at, offset, strict=True))
+
+    def shares(self, since: NDArray[np.float64], h: float) -> NDArray[np.float64]:
+        """Return the share of the steps of h that begin at these instants, s, in which the force is there."""
+        inside = np.minimum(self.end, since + h) - np.maximum(self.start, since)
+        return np.maximum(inside, 0.0) / h
 
     @property
     def end(self) -> float:

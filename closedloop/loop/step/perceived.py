@@ -116,6 +116,7 @@ def perceive(H: Array, C: Array, w: Work, constants: Constants, state: State) ->
     return int(OK)
 
 
+Pair = tuple[float, float]
 # A sample begins by this share of a step before its row: instants are rounded.
 EARLY = 1e-6
 
@@ -136,11 +137,9 @@ def shake(angles: Array, perceived: Perceived) -> None:
 
 
 @kernel
-def shaken(
-    n: float, t: float, u: float, ab: tuple[float, float], cs: tuple[float, float]
-) -> tuple[float, float, float]:
+def shaken(n: float, t: float, u: float, way: Pair, turn: Pair) -> tuple[float, float, float]:
     """Return components along n, t1, t2 in a frame whose n has turned towards a t1 + b t2; c, s are of the angle."""
-    (a, b), (c, s) = ab, cs
+    (a, b), (c, s) = way, turn
     d, e = a * t + b * u, a * u - b * t
     n, d = c * n + s * d, c * d - s * n
     return n, a * d - b * e, b * d + a * e

@@ -8,7 +8,7 @@ What the loop joints of a mechanism carried in a run: their reactions, and how f
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -109,6 +109,38 @@ def _wrench(robot: Robot, loop: LoopJoint, poses: Mapping[str, tuple[Array, Arra
     couple += np.cross(a - other - named @ point, force)  # the force of the rows acts at the point of the first side
     parts = [force] if loop.type == "point" else [force, couple]
     return np.concatenate([_turned(named, part) for part in parts], axis=1)
+
+
+def loop_wrenches(robot: Robot, q: Array, reactions: Array) -> Iterator[tuple[tuple[str, ...], Array, Array]]:
+    """Yield, of each loop joint but gears, its frames, a point (N, 3), m, and the wrench (N, 6) about it, base axes.
+
+    It is that on the first side; the second has the opposite. A gear moves its joints from within, as their drives do.
+
+    Parameters
+    ----------
+    robot : Robot
+        With loops.
+    q : (N, nq) array
+    reactions : (N, c) array
+        See `wrenches`.
+    """
+    at = 0
+    for loop in robot.model.loops:
+        parts, own = parts_of(robot.model, loop), at
+        at += len(parts)
+        if loop.type == "gear":
+            continue
+        name, point = (loop.frames[1], np.array(loop.points[1])) if loop.type == "distance" else named_side(robot, loop)
+        turn, origin = robot.poses_of({name}, q)[name]
+        force, couple = reactions[:, own : own + 3], np.zeros((len(q), 3))
+        if parts[-1] in COUPLES:
+            couple = reactions[:, own + 3 : own + 6]
+        yield loop.frames, origin + turn @ point, np.concatenate([_out(turn, force), _out(turn, couple)], axis=1)
+
+
+def _out(axes: Array, vector: Array) -> Array:
+    """Return vectors (N, 3) of other axes (N, 3, 3), columns, in base axes."""
+    return np.einsum("kij,kj->ki", axes, vector)
 
 
 def _turned(axes: Array, vector: Array) -> Array:

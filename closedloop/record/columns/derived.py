@@ -28,7 +28,7 @@ from closedloop.mechanics.loops.reactions import LoopReactions, loop_reactions, 
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.record import CONTACT_COLUMNS, RESISTANCE_COLUMNS, Column, Record
-from closedloop.record.columns.touching import contact_torques
+from closedloop.record.columns.touching import contact_torques, external_wrenches, frames_in_rows, moved_wrench
 from closedloop.scenario.arm import acting_tendons, has_stops, robot_of, stop_limits, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import labels_of, tangents_of
@@ -90,15 +90,18 @@ def tip_moment(run: Record) -> Array:
 
 
 def _of_contacts(run: Record, robot: Robot) -> Array:
-    """Return the torques of the contacts of links in each row, and of the moment at the tip, (N, n), N m (N)."""
+    """Return the torques of contacts of links, of the moment at the tip and of forces from outside, (N, n), N m (N)."""
     of_tip = np.zeros(run.v.shape)
     if run.scenario.tool.radius > 0.0:
         for k, moment in enumerate(tip_moment(run)):
             of_tip[k] = robot.frame_jacobian(run.q[k])[3:].T @ moment
+    model, q = without_tools(robot.model).pinocchio_model(), robot.pinocchios(run.q)
+    if run.scenario.external_force:
+        axes, origins, jacobians = frames_in_rows(model, q, list(range(1, model.njoints)))
+        for link, place, wrench in external_wrenches(run, model, robot.tip, axes, origins):
+            of_tip += np.einsum("kij,ki->kj", jacobians[link], moved_wrench(wrench, place - origins[:, link]))
     if not run.scenario.contact:
         return of_tip
-    model = without_tools(robot.model).pinocchio_model()
-    q = robot.pinocchios(run.q)
     resists = any(section.resists for section in run.scenario.contact)
     moments = (run.link_rolling_moments, run.link_pivoting_moments) if resists else ()
     of_links = contact_torques(run.scenario, model, run.time, q, run.link_forces, run.link_frictions, *moments)
@@ -108,7 +111,16 @@ def _of_contacts(run: Record, robot: Robot) -> Array:
 def wrist_wrench(run: Record) -> Array:
     """Return what `Robot.wrist_wrench` says of each row, (N, 6)."""
     robot = robot_of(run.scenario, without_tools(run.model))
-    return robot.wrist_wrench(run.q, run.v, run.acceleration, tip_force(run), tip_moment(run))
+    force, moment = tip_force(run), tip_moment(run)
+    if any(section.link is None for section in run.scenario.external_force or ()):
+        mechanism = without_tools(robot.model).pinocchio_model()
+        axes, origins, _ = frames_in_rows(mechanism, robot.pinocchios(run.q), list(range(1, mechanism.njoints)))
+        outside = external_wrenches(run, mechanism, robot.tip, axes, origins)
+        for section, (_, place, wrench) in zip(run.scenario.external_force or (), outside, strict=True):
+            if section.link is None:
+                about = moved_wrench(wrench, place - run.position)
+                force, moment = force + about[:, :3], moment + about[:, 3:]
+    return robot.wrist_wrench(run.q, run.v, run.acceleration, force, moment)
 
 
 def tool_angle(run: Record) -> Array:

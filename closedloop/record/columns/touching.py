@@ -1,4 +1,4 @@
-"""The contacts of the links in space: where each is, and the force that it carries."""
+"""The contacts of the links, and forces from outside, in space: where each is, and the force that it carries."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.contacts.edges import E1, ROUND1, choose_crossing, edges_of
 from closedloop.mechanics.contacts.rolling import SHAPE, lowest_point, make_shape_memory, shape_of
 from closedloop.mechanics.contacts.surfaces import surface_of
+from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
+from closedloop.record.columns.record import Record
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of
 from robot_models.loop_joint import WORLD
@@ -161,8 +163,33 @@ def wrenches_on_links(
         if rolling is not None and pivoting is not None:
             moment = touching.forces(pivoting[:, i], rolling[:, both], *at)[1]
         for link, sign in ((touching.point_frame, 1.0), (touching.plane_frame, -1.0)):
-            about = np.cross(place - origins[:, link], force) + moment
-            yield link, sign * np.concatenate([force, about], axis=1)
+            about = np.concatenate([force, np.broadcast_to(moment, force.shape)], axis=1)
+            yield link, sign * moved_wrench(about, place - origins[:, link])
+
+
+def moved_wrench(wrench: Array, off: Array) -> Array:
+    """Return wrenches (N, 6) about the points from which theirs are off by (N, 3), m."""
+    return np.concatenate([wrench[:, :3], wrench[:, 3:] + np.cross(off, wrench[:, :3])], axis=1)
+
+
+def external_wrenches(
+    run: Record, mechanism: Any, tip: str, axes: Array, origins: Array
+) -> Iterator[tuple[int, Array, Array]]:
+    """Yield, of each force from outside, the link, the point (N, 3), m, and the wrench (N, 6) about it, base axes.
+
+    They are those of the step that begins at each row, see `closedloop.loop.step.external`.
+    """
+    scenario = run.scenario
+    for section in scenario.external_force or ():
+        frame, at = section.place(tip, scenario.tool.offset)
+        link, rotation, origin = placed_frame(mechanism, frame)
+        other, turned, _ = placed_frame(mechanism, section.axes)
+        step = scenario.time.step * (
+            1e-6 if scenario.time.integrator in ADAPTIVE else 1.0
+        )  # there it is all or nothing
+        share = section.shares(run.time, step)
+        wrench = np.concatenate([axes[:, other] @ turned @ part for part in (section.force, section.moment)], axis=1)
+        yield link, origins[:, link] + axes[:, link] @ (origin + rotation @ np.array(at)), share[:, None] * wrench
 
 
 def frames_in_rows(mechanism: Any, q: Array, frames: list[int]) -> tuple[Array, Array, dict[int, Array]]:

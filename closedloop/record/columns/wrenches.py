@@ -1,9 +1,9 @@
 """Wrenches from the record of a run: of a face of several contacts, with its centre of pressure, and at a joint.
 
 The reaction at a joint is what its inner side passes on to its outer side. It moves all that hangs on the joint:
-Newton's and Euler's equations of the bodies outward of it, less their weight and less the forces of surfaces and of
-other links on them (R. Featherstone, Rigid Body Dynamics Algorithms, 2008, Sec. 5.3). Along the joint's own axis it is
-what drive, friction, spring and stop give together.
+Newton's and Euler's equations of the bodies outward of it, less their weight and less the forces on them of surfaces,
+of other links, of loop joints and from outside (R. Featherstone, Rigid Body Dynamics
+Algorithms, 2008, Sec. 5.3). Along the joint's own axis it is what drive, friction, spring and stop give together.
 """
 
 from __future__ import annotations
@@ -12,9 +12,17 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.record.columns.derived import tip_force, tip_moment
+from closedloop.mechanics.loops.reactions import loop_wrenches
+from closedloop.record.columns.derived import reactions_of, tip_force, tip_moment
 from closedloop.record.columns.record import Record
-from closedloop.record.columns.touching import contacts_of, frames_in_rows, placed_frame, wrenches_on_links
+from closedloop.record.columns.touching import (
+    contacts_of,
+    external_wrenches,
+    frames_in_rows,
+    moved_wrench,
+    placed_frame,
+    wrenches_on_links,
+)
 from closedloop.scenario.arm import robot_of, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of, patches_of
@@ -61,15 +69,11 @@ JOINT = "joint"
 
 
 def check_joint(model: RobotModel, joint: str, frame: str = JOINT) -> None:
-    """Refuse a joint or a frame that a robot does not have, and a robot with loops."""
-    if model.loops:
-        raise ScenarioError(
-            f"joint_wrench: {model.name} has loops, and what their joints carry is in run.loops: only a tree's joints "
-            "have a wrench of their own"
-        )
+    """Refuse a joint or a frame that a robot does not have, and a joint that closes a loop."""
     names = list(model.pinocchio_model().names)[1:]
     if joint not in names:
-        raise ScenarioError(f"joint_wrench: joint = {shown(joint)}: must be one of {', '.join(names)}")
+        beside = "; what loop joints carry is in run.loops" if model.loops else ""
+        raise ScenarioError(f"joint_wrench: joint = {shown(joint)}: must be one of {', '.join(names)}{beside}")
     if frame not in (JOINT, WORLD):
         model.require_frame(frame)
 
@@ -81,6 +85,7 @@ def joint_wrench(run: Record, joint: str, frame: str = JOINT) -> Array:
     check_joint(run.model, joint, frame)
     robot = robot_of(run.scenario, without_tools(run.model))
     _, _, _, mechanism, data = robot.passes
+    bare = without_tools(robot.model).pinocchio_model()  # whose frames no tool moves
     number = mechanism.getJointId(joint)
     q, outside = robot.pinocchios(run.q), np.zeros((len(run), mechanism.njoints, 6))
     axes, origins, _ = frames_in_rows(mechanism, q, list(range(1, mechanism.njoints)))
@@ -91,8 +96,15 @@ def joint_wrench(run: Record, joint: str, frame: str = JOINT) -> Array:
         resists = any(section.resists for section in run.scenario.contact)
         moments = (run.link_rolling_moments, run.link_pivoting_moments) if resists else (None, None)
         carried = (run.link_forces, run.link_frictions, *moments)
-        for link, wrench in wrenches_on_links(contacts_of(run.scenario, mechanism), run.time, axes, origins, carried):
+        for link, wrench in wrenches_on_links(contacts_of(run.scenario, bare), run.time, axes, origins, carried):
             outside[:, link] += wrench
+    for link, place, wrench in external_wrenches(run, bare, robot.tip, axes, origins):
+        outside[:, link] += moved_wrench(wrench, place - origins[:, link])
+    if run.model.loops:
+        for sides, place, wrench in loop_wrenches(robot, run.q, reactions_of(run, robot).reactions):
+            for side, sign in zip(sides, (1.0, -1.0), strict=True):
+                link = placed_frame(bare, side)[0]
+                outside[:, link] += sign * moved_wrench(wrench, place - origins[:, link])
     carrier, within, _ = placed_frame(mechanism, WORLD if frame == JOINT else frame)
     found = np.empty((len(run), 6))
     for k in range(len(run)):

@@ -132,7 +132,7 @@ class Problem(ScenarioNumbers):
             state.ball.at = ball.links.address
             loop.w.keep_alive(ball=ball)
         if self.scenario.external_force:
-            external = external_memory(self.scenario.external_force, self.robot)
+            external = external_memory(self.scenario, self.robot)
             state.external.at, external.links.loop = external.address, state.address
             loop.w.keep_alive(external=external)
         if self.robot.model.loops:

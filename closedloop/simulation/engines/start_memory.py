@@ -41,7 +41,8 @@ from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.scenario.arm import stop_limits
-from closedloop.scenario.robot_sections import ExternalForceSection, ModelErrorSection
+from closedloop.scenario.robot_sections import ModelErrorSection
+from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import placed_on_link
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, arm_columns, reading_kind, sticking
 from robot_models.errors import shown
@@ -69,13 +70,14 @@ def ball_memory(robot: Robot, surface: PlacedSurface, radius: float, loop: int) 
     return BallMemory(links, (rows, shapes))
 
 
-def external_memory(sections: tuple[ExternalForceSection, ...], robot: Robot) -> LoopMemory:
+def external_memory(scenario: Scenario, robot: Robot) -> LoopMemory:
     """Return a new memory of forces from outside, see `closedloop.loop.step.external`."""
+    sections = scenario.external_force or ()
     poses, m = link_poses(robot.tree, robot.model.loop_home), len(sections)
     places: list[tuple[int, int, Array, Array, Array]] = []
     for i, section in enumerate(sections):
-        where, frame = f"external_force.{i}", robot.tip if section.link is None else section.link
-        link, _, point = placed_on_link(robot, poses, frame, section.at, f"{where}.link")
+        where, (frame, at) = f"external_force[{i}]", section.place(robot.tip, scenario.tool.offset)
+        link, _, point = placed_on_link(robot, poses, frame, at, f"{where}.link")
         other, turn, _ = placed_on_link(robot, poses, section.axes, (0.0, 0.0, 0.0), f"{where}.axes")
         if link < 0:
             raise ScenarioError(f"{where}.link = {shown(frame)}: no joint moves it: name a frame that moves")
@@ -87,7 +89,7 @@ def external_memory(sections: tuple[ExternalForceSection, ...], robot: Robot) ->
     span = memory.rows.value
     span[:, BEGIN] = [section.start for section in sections]
     span[:, END] = [section.end for section in sections]
-    span[:, SHARE], span[:, FELT] = span[:, BEGIN] <= 0.0, [section.link in (None, robot.tip) for section in sections]
+    span[:, SHARE], span[:, FELT] = span[:, BEGIN] <= 0.0, [section.link is None for section in sections]
     return memory
 
 

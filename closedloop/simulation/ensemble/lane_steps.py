@@ -298,7 +298,7 @@ def put_back(g: Group, w: Work, row: Row, forces: Array, i: int) -> None:
 
 def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: Work) -> bool:
     """Whether a simulation whose torque is held may be stepped in lanes while its tip is on the surface."""
-    settings, friction = state.settings, state.friction
+    settings, friction, sensor = state.settings, state.friction, problem.scenario.sensor
     called = (
         state.surface, state.ball, state.external, state.compliance, state.loops, state.contacts, state.joint_friction,
     )  # fmt: skip
@@ -308,7 +308,7 @@ def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: W
     asked = (
         settings.stages != 1, not settings.semi_implicit, settings.adaptive, settings.project, settings.encoder,
         settings.elastic, settings.drives, settings.arm_at, settings.balls, settings.misjudged,
-        state.sensor.axes > 1, problem.scenario.sensor.talks_across, problem.scenario.sensor.mass, problem.scenario.sensor.jitter,
+        state.sensor.axes > 1, sensor.talks_across, sensor.mass, sensor.jitter,
     )  # fmt: skip
     return (
         not jit_disabled()

@@ -228,12 +228,8 @@ def test_projection_is_the_smallest_move_that_closes(stuck):
     """First of q, as often as it may be, then of q̇: by H⁻¹Aᵀ, along the normal or of the whole tip if it sticks."""
     loop, H, rng = loop_at_random("wam_bounce", STICKING)
     state, constants, w = loop.state, loop.constants, loop.w
-    state.mode, state.projection.next_phase, w.tip.carried[:], w.tip.anchor[:] = (
-        STUCK if stuck else PRESSED,
-        STEP_END,
-        0.0,
-        3.0,
-    )
+    state.mode, state.projection.next_phase = STUCK if stuck else PRESSED, STEP_END
+    w.tip.carried[:], w.tip.anchor[:] = 0.0, 3.0
     rows = w.tip.A[: 3 if stuck else 1].copy()
     back = np.linalg.solve(H, rows.T) @ np.linalg.inv(rows @ np.linalg.solve(H, rows.T))
     for gap, moves, closes in (

@@ -121,9 +121,26 @@ def test_a_wrench_at_no_joint_is_refused(joint, frame, words):
     run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.002}))
     with pytest.raises(cl.ClosedLoopError, match=words):
         run.joint_wrench(joint, frame)
-    loops = cl.simulate(cl.load_scenario("four_bar", {"time.duration": 0.002}))
-    with pytest.raises(cl.ScenarioError, match=r"has loops, .* run\.loops"):
-        loops.joint_wrench(loops.model.joint_names[0])
+
+
+@pytest.mark.parametrize("name", ["delta", "stewart"])
+def test_loop_joints_are_part_of_what_hangs_on_a_joint(name):
+    """With what they carry, each joint of the tree has what its drive gives along its axis; one without a drive none.
+
+    A gear would be a part of that. The rods' own joints carry their forces.
+    """
+    run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.01}))
+    model = run.model.pinocchio_model()
+    for j, joint in enumerate(run.model.joint_names):
+        kind = model.joints[model.getJointId(joint)].shortname().removeprefix("JointModel")
+        along = "RP".index(kind[0]), "XYZ".index(kind[1])
+        drives = run.torque[:, j] - run.model.armature[j] * run.acceleration[:, j] + run.joint_friction[:, j]
+        found = run.joint_wrench(joint)[:, 3 * (1 - along[0]) + along[1]]
+        assert np.allclose(found, drives, rtol=0, atol=1e-12)
+    carried = np.abs(run.loops.reactions).max()
+    assert carried > 0.1
+    with pytest.raises(cl.ScenarioError, match=r"must be one of .*; what loop joints carry is in run\.loops"):
+        run.joint_wrench(run.model.loops[0].name)
 
 
 def test_the_command_line_records_a_wrench(command_line, tmp_path):

@@ -8,6 +8,7 @@ the key's field; the span of a slider starts from the value that the scenario ha
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -79,7 +80,7 @@ def _value(scenario: Scenario, key: str, unit_name: str) -> Any:
 # The tabs of the lab, and the sections of the scenario in each.
 TABS: dict[str, tuple[str, ...]] = {
     "law": ("law", "compensation", "sensor", "force_profile", "belief", "model_error"),
-    "surface": ("surface", "surface_motion", "compliance", "impact", "contact"),
+    "surface": ("surface", "surface_motion", "compliance", "impact", "contact", "external_force"),
     "friction": ("friction", "joint_friction"),
     "arm": ("encoder", "drives", "transmission"),
     "stabiliser": ("stabiliser",),
@@ -92,7 +93,7 @@ ROUND = ("time.step",)
 # Units of a joint that turns, and what they are of one that slides.
 SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m"}
 # Sections whose lists are of other things than joints, however many they have.
-NO_JOINTS = ("tool", "surface", "belief", "surface_motion", "force_profile", "reference", "contact")
+NO_JOINTS = ("tool", "surface", "belief", "surface_motion", "force_profile", "reference", "contact", "external_force")
 DIGITS = 3  # of a value from a logarithmic slider
 
 
@@ -292,8 +293,12 @@ def toml_text(value: Any) -> str:
     """Return a value as TOML has it, on one line; "" for one that is left out."""
     if value is None:
         return ""
+
+    def within(entry: Any) -> str:
+        return json.dumps(entry) if isinstance(entry, str) else toml_text(entry)
+
     if isinstance(value, tuple | list):
-        return f"[{', '.join(map(toml_text, value))}]"
+        return f"[{', '.join(map(within, value))}]"
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{key} = {toml_text(entry)}' for key, entry in value.items())}}}"
+        return f"{{{', '.join(f'{key} = {within(entry)}' for key, entry in value.items())}}}"
     return value if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else repr(value)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from closedloop.figures.motion import AT_REST
 from closedloop.figures.scene.ground import thin_out
-from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
+from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, OUTSIDE, PATH, TOUCH, WANTED, Scene, quaternions
 from closedloop.figures.scene.solids import COLOUR, OPACITY, Shape
 from closedloop.lab.curves import CELLS, Panel, column_names, column_panel, panels, reduced
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
@@ -102,6 +102,7 @@ MEANINGS = {
     "commanded force": "force commanded",
     LOOP: "force of a loop joint",
     TOUCH: "force on a link that touches",
+    OUTSIDE: "force from outside",
     JOINTS: "loop joint",
     "actual path": "path of the tip",
     "desired path": "path desired",

@@ -16,13 +16,14 @@ Row = dict[str, Any]
 
 LAW, STIFFNESS, DAMPING, MORE = "law and force", "stiffness of the law", "damping of the law", "more of the law"
 TIP, ALL_LINKS, LINKS = "friction", "all contacts of links", "contacts of links"
+OUTSIDE = "forces from outside"
 # Groups by the scenario's section; keys of the law are told apart by their names.
 SECTIONS: dict[str, str] = {
     "force_profile": LAW, "compensation": "compensation", "model_error": "compensation",
     "belief": "compensation",
     "friction": TIP, "joint_friction": "friction of the joints",
     "surface": "surface", "surface_motion": "surface", "compliance": "surface", "impact": "surface",
-    "contact": LINKS,
+    "contact": LINKS, "external_force": OUTSIDE,
     "reference": "path", "start": "start", "tool": "tool",
     "sensor": "sensors", "encoder": "sensors", "drives": "drives", "transmission": "drives",
     "stabiliser": "time and stabiliser", "time": "time and stabiliser",

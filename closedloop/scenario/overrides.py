@@ -18,6 +18,7 @@ from pydantic import ValidationError
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import table_type
 from closedloop.scenario.time_sections import StartSection
 
 # Where a run starts.
@@ -112,13 +113,16 @@ def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> N
 
 
 def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Take --SECTION.KEY VALUE and --SECTION.KEY=VALUE out of the arguments; return them as overrides, and the rest."""
+    """Take --SECTION.KEY VALUE and --SECTION.KEY=VALUE out of the arguments; return them as overrides, and the rest.
+
+    A section that is a list of tables may be given whole: --external_force '[{ force = [0, 0, 5], start = 1.0 }]'.
+    """
     overrides: dict[str, Any] = {}
     rest: list[str] = []
     words = iter(arguments)
     for word in words:
         key, equals, value = word.removeprefix("--").partition("=")
-        if not word.startswith("--") or "." not in key:
+        if not word.startswith("--") or not ("." in key or table_type(key)):
             rest.append(word)
             continue
         if not equals:

@@ -16,19 +16,21 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
+from closedloop.figures.link_contacts import Drawn, contacts_drawn
 from closedloop.figures.scene.ground import Ground, world_mesh
 from closedloop.figures.scene.solids import Ghost, Joined, Shape, reactions_in, robot_in, robot_shapes
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.record import Event
-from closedloop.record.columns.touching import Touching, contacts_of
+from closedloop.record.columns.touching import Touching, contacts_of, external_wrenches
 from closedloop.record.run import Run
+from closedloop.scenario.arm import without_tools
 from robot_models import RobotModel
 from robot_models.cached import cached_property
 from robot_models.coordinates import in_pinocchios_order
 
 # Kinds and colours of the arrows, red, green, blue from 0 to 1: of Okabe and Ito's palette.
-LOOP, TOUCH = "loop force", "force between links"
+LOOP, TOUCH, OUTSIDE = "loop force", "force between links", "external force"
 # What the marks of loop joints are called where they are hidden.
 JOINTS = "loop joints"
 ARROWS: dict[str, tuple[float, float, float]] = {
@@ -37,6 +39,7 @@ ARROWS: dict[str, tuple[float, float, float]] = {
     "commanded force": (0.0, 0.62, 0.451),
     LOOP: (0.90, 0.62, 0.0),
     TOUCH: (0.337, 0.706, 0.914),
+    OUTSIDE: (0.48, 0.38, 0.77),
 }
 PATH, WANTED = (0.80, 0.47, 0.65), (0.50, 0.31, 0.13)
 # The largest force of a run is drawn as long as this share of the arm's reach.
@@ -141,14 +144,16 @@ class Scene:
         """Return the forces in each of some rows: the same ones, in the same order, in all.
 
         First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop
-        joint on its second side; then that of each contact of links on the link that has the point.
+        joint on its second side; then that of each contact of links on the link that has the point, where they are many
+        that of all points of a patch at their centre of pressure; then each force from outside.
         """
         reactions = reactions_in(self.run, np.asarray(rows, dtype=np.int64))
         found = [self._at_tip(row) for row in rows]
-        if self.joined.loops or self.touching:
+        if self.joined.loops or self.touching or self.run.scenario.external_force:
             for arrows, row, each in zip(found, rows, reactions, strict=True):
                 there = self.joint_places(row)
-                arrows += [*self._in_loops(each, *there), *self.between_links(row, *there)]
+                arrows += [*self._in_loops(each, *there), *self._of_patches(self.between_links(row, *there), row)]
+                arrows += self._from_outside(row, *there)
         return found
 
     def _at_tip(self, row: int) -> list[Arrow]:
@@ -177,15 +182,43 @@ class Scene:
         ]
 
     @cached_property
+    def patches(self) -> list[Drawn]:
+        """The contacts of links that have an arrow: where they are many those of a patch have one."""
+        return contacts_drawn(self.run)[0]
+
+    def _of_patches(self, each: list[Arrow], row: int) -> list[Arrow]:
+        if not each or len(self.patches) == len(each):
+            return each
+        found = []
+        for patch in self.patches:
+            own, pressed = [each[k] for k in patch.numbers], self.run.link_forces[row, patch.numbers]
+            weights = pressed / pressed.sum() if pressed.sum() > 0.0 else np.full(len(own), 1.0 / len(own))
+            tails, forces = (np.array([arrow[part] for arrow in own]) for part in (0, 1))
+            found.append(Arrow(weights @ tails, forces.sum(axis=0), f"{TOUCH} {patch.name}", TOUCH))
+        return found
+
+    def _from_outside(self, row: int, axes: Array, origins: Array) -> list[Arrow]:
+        at, mechanism = axes[None], mechanism_of(self.model)
+        outside = external_wrenches(self.run, mechanism, self.tip, at, origins[None], slice(row, row + 1))
+        return [
+            Arrow(place[0], wrench[0, :3], f"{OUTSIDE} {k}", OUTSIDE) for k, (_, place, wrench) in enumerate(outside)
+        ]
+
+    @cached_property
     def touching(self) -> tuple[Touching, ...]:
         """The contacts of the links."""
-        return contacts_of(self.run.scenario, mechanism_of(self.model))
+        return contacts_of(self.run.scenario, self._bare)
 
     @property
     def kinds(self) -> list[str]:
         """The kinds of arrows that this run has."""
         there = self.ground.there
-        some = {LOOP: self.joined.loops, TOUCH: self.touching, "contact force": there}
+        some = {
+            LOOP: self.joined.loops,
+            TOUCH: self.touching,
+            OUTSIDE: self.run.scenario.external_force,
+            "contact force": there,
+        }
         some["friction"] = there and self.run.scenario.friction.kind != "none"
         some["commanded force"] = there and bool(np.any(self.run.reference_force))
         return [kind for kind in ARROWS if some.get(kind, True)]
@@ -244,7 +277,7 @@ class Scene:
     @cached_property
     def usual_force(self) -> float:
         """The largest usual force of this run, N: 99 % of its forces are not above it."""
-        others = LOOP, TOUCH
+        others = LOOP, TOUCH, OUTSIDE
         rows = np.linspace(0, len(self.run) - 1, 20 if set(others) & set(self.kinds) else 0).astype(int)
         of_others = [np.linalg.norm(a.force) for each in self.arrows(rows) for a in each if a.kind in others]
         of_tip = [self.run.contact_force, self.run.reference_force] if self.ground.there else []

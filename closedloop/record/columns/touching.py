@@ -173,11 +173,11 @@ def moved_wrench(wrench: Array, off: Array) -> Array:
 
 
 def external_wrenches(
-    run: Record, mechanism: Any, tip: str, axes: Array, origins: Array
+    run: Record, mechanism: Any, tip: str, axes: Array, origins: Array, rows: slice = slice(None)
 ) -> Iterator[tuple[int, Array, Array]]:
     """Yield, of each force from outside, the link, the point (N, 3), m, and the wrench (N, 6) about it, base axes.
 
-    They are those of the step that begins at each row, see `closedloop.loop.step.external`.
+    They are those of the step that begins at each of the rows, see `closedloop.loop.step.external`.
     """
     scenario = run.scenario
     for section in scenario.external_force or ():
@@ -187,7 +187,7 @@ def external_wrenches(
         step = scenario.time.step * (
             1e-6 if scenario.time.integrator in ADAPTIVE else 1.0
         )  # there it is all or nothing
-        share = section.shares(run.time, step)
+        share = section.shares(run.time[rows], step)
         wrench = np.concatenate([axes[:, other] @ turned @ part for part in (section.force, section.moment)], axis=1)
         yield link, origins[:, link] + axes[:, link] @ (origin + rotation @ np.array(at)), share[:, None] * wrench
 

@@ -198,11 +198,13 @@ class Scene:
         return found
 
     def _from_outside(self, row: int, axes: Array, origins: Array) -> list[Arrow]:
-        at, mechanism = axes[None], mechanism_of(self.model)
-        outside = external_wrenches(self.run, mechanism, self.tip, at, origins[None], slice(row, row + 1))
-        return [
-            Arrow(place[0], wrench[0, :3], f"{OUTSIDE} {k}", OUTSIDE) for k, (_, place, wrench) in enumerate(outside)
-        ]
+        here = axes[None], origins[None], slice(row, row + 1)
+        each = external_wrenches(self.run, self._bare, self.tip, *here)
+        return [Arrow(p[0], wrench[0, :3], f"{OUTSIDE} {k}", OUTSIDE) for k, (_, p, wrench) in enumerate(each)]
+
+    @cached_property
+    def _bare(self) -> Any:
+        return mechanism_of(without_tools(self.model))  # whose frames no tool moves
 
     @cached_property
     def touching(self) -> tuple[Touching, ...]:
@@ -213,12 +215,8 @@ class Scene:
     def kinds(self) -> list[str]:
         """The kinds of arrows that this run has."""
         there = self.ground.there
-        some = {
-            LOOP: self.joined.loops,
-            TOUCH: self.touching,
-            OUTSIDE: self.run.scenario.external_force,
-            "contact force": there,
-        }
+        some = {LOOP: self.joined.loops, TOUCH: self.touching, "contact force": there}
+        some[OUTSIDE] = self.run.scenario.external_force
         some["friction"] = there and self.run.scenario.friction.kind != "none"
         some["commanded force"] = there and bool(np.any(self.run.reference_force))
         return [kind for kind in ARROWS if some.get(kind, True)]

@@ -8,8 +8,11 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.base.files import what_was_written
+from closedloop.figures.scene.scene import mechanism_of, scene_of
 from closedloop.lab.drawn import pack
 from closedloop.lab.history import MOST_PINS, save, save_page
 from closedloop.lab.protocol import Lab
@@ -139,6 +142,39 @@ def _point(lab: Lab, client: Client, said: Said) -> None:
     lab.map.go(_number(said.get("u"), 0.5), _number(said.get("v"), 0.5), bool(said.get("last")))
 
 
+# How long a pull acts, s; nearer to the tip than this share of the robot's size it is one at the tip.
+PULL, AT_TIP = 0.2, 0.05
+
+
+def _pull(lab: Lab, client: Client, said: Said) -> None:
+    """Pull at a point of a link, from the instant that the page shows: a force from outside."""
+    answer = lab.answer
+    if answer is None or answer.run is None:
+        return
+    at, force = (np.array([_number(x, math.nan) for x in said.get(key) or ()]) for key in ("at", "force"))
+    frames = [each for each in mechanism_of(answer.run.model).frames if each.parentJoint == said.get("joint")]
+    if at.shape != (3,) or force.shape != (3,) or not np.all(np.isfinite([at, force])) or not frames:
+        return
+    scene, named = scene_of(answer.run), [each for each in frames if each.name in answer.run.model.frames]
+    start = _number(said.get("start"), client.time)
+    row = min(max(round(start / answer.run.scenario.time.step), 0), len(answer.run) - 1)
+    axes, origins = (part[frames[0].parentJoint] for part in scene.joint_places(row))
+    pulled: dict[str, Any] = {"force": _rounded(force), "duration": PULL}
+    pulled["start"] = float(f"{max(min(start, answer.run.scenario.time.duration - PULL), 0.0):.6g}")
+    if np.linalg.norm(origins + axes @ at - scene.tip_place(row)) > AT_TIP * scene.size and named:
+        pulled |= {"link": named[0].name, "at": _rounded(named[0].placement.actInv(at))}
+    given = [force.model_dump(exclude_none=True) for force in lab.history.scenario().external_force or ()]
+    if said.get("first"):  # what follows is the same pull, a moment later
+        client.pulls = len(given)
+    lab.changed("external_force", [*given[: client.pulls], pulled])
+    if said.get("last"):
+        lab.refresh()
+
+
+def _rounded(vector: Any) -> list[float]:
+    return [float(f"{x:.3g}") for x in vector]
+
+
 def _analyse(lab: Lab, client: Client, said: Said) -> None:
     """Analyse the force loop at another instant."""
     at = said.get("at")
@@ -170,7 +206,7 @@ def _number(value: Any, otherwise: float) -> float:
 ACTIONS: dict[str, Callable[[Lab, Client, Said], None]] = {
     "set": _set, "type": _set, "reset": _reset, "undo": _step, "redo": _step, "begin again": _step,
     "pin": _pin, "unpin": _pin, "save": _write, "share": _write, "window": _choose, "columns": _choose,
-    "map": _map, "stop map": _map, "point": _point, "analyse": _analyse, "open": _open,
+    "map": _map, "stop map": _map, "point": _point, "analyse": _analyse, "open": _open, "pull": _pull,
     "shown": lambda lab, client, said: client.drawn(),
     "gallery": lambda lab, client, said: lab.show_gallery(client),
 }  # fmt: skip

@@ -197,6 +197,7 @@ class Client:
         self._drawn, self._sent, self._open = True, 0.0, True
         self.window: tuple[float, float] | None = None
         self.columns: tuple[str, ...] = ()
+        self.pulls = 0  # forces from outside that there were before the pull that goes on
         self.time = 0.0
         threading.Thread(target=self._send, name="closedloop-page", daemon=True).start()
 

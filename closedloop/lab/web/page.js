@@ -5,7 +5,7 @@
 const COLUMN = "column ";
 const state = { time: 0, begin: 0, end: 1, step: 1e-3, playing: false, speed: 1 };
 const embedded = $("data").textContent.split("\n").filter(Boolean);
-let socket = null, frames = null, counts = null, still = null, run = null, late = 0;
+let socket = null, frames = null, counts = null, still = null, run = null, late = 0, pulled = 0;
 
 function send(message) { if (socket?.readyState === 1) socket.send(JSON.stringify({ ...message, t: state.time })); }
 
@@ -16,7 +16,12 @@ function change(message) {
   send(message);
 }
 
-const space = new Space($("view"), $("labels"));
+const space = new Space($("view"), $("labels"), ({ joint, at, force, first, last }) => {
+  if (state.playing) seek(state.time);
+  if (first) pulled = state.time; // it stays the instant of this pull
+  change({ do: "pull", joint, at, force, start: pulled, first: Boolean(first), last: Boolean(last) });
+  draw_space();
+});
 const plots = new Plots($("plots"), {
   seek, window: (range) => send({ do: "window", range }),
   extra: (name) => name.startsWith(COLUMN), close: (name) => show_columns(extras.filter((n) => COLUMN + n !== name)),
@@ -52,7 +57,9 @@ const on = {
     clearTimeout(late);
     $("plots").classList.remove("late");
     Object.assign(state, { begin: m.begin, end: m.end, step: m.step });
-    state.time = m.follow ? m.end : Math.min(Math.max(state.time, m.begin), Math.max(m.end, m.begin));
+    const wanted = state.kept ?? state.time; // of a part of a run there may be no such instant yet
+    state.kept = m.partial ? wanted : null;
+    state.time = m.follow ? m.end : Math.min(Math.max(wanted, m.begin), Math.max(m.end, m.begin));
     panels = m.panels;
     if (!socket) m.panels = pick(m.panels);
     plots.now = state.time;
@@ -202,6 +209,7 @@ function show_instant(all = true) {
 
 function seek(time) {
   state.playing = false;
+  state.kept = null;
   state.time = Math.min(Math.max(time, state.begin), state.end);
   show_instant();
 }
@@ -264,7 +272,8 @@ $("search").oninput = () => controls.find($("search").value);
 const whole = () => { space.whole = !space.whole; $("whole").setAttribute("aria-pressed", space.whole); draw_space(); };
 const clear = () => { space.clear = !space.clear; $("clear").setAttribute("aria-pressed", space.clear); draw_space(); };
 const fit = () => { if (space.scene) { space.fit(); draw_space(); } };
-[$("whole").onclick, $("clear").onclick, $("fit").onclick] = [whole, clear, fit];
+const pull = () => { space.pulls = !space.pulls; $("pull").setAttribute("aria-pressed", space.pulls); };
+[$("whole").onclick, $("clear").onclick, $("fit").onclick, $("pull").onclick] = [whole, clear, fit, pull];
 $("view").addEventListener("dblclick", fit);
 
 document.addEventListener("keydown", (e) => {
@@ -277,7 +286,7 @@ document.addEventListener("keydown", (e) => {
   const step = state.step * (e.shiftKey ? 100 : 1);
   const act = {
     " ": play, ArrowLeft: () => seek(state.time - step), ArrowRight: () => seek(state.time + step), Home: () => seek(state.begin),
-    End: () => seek(state.end), e: () => next_event(), E: () => next_event(false), a: whole, t: clear, 0: fit, p: () => $("pin").click(),
+    End: () => seek(state.end), e: () => next_event(), E: () => next_event(false), a: whole, t: clear, 0: fit, f: () => { if (socket) pull(); }, p: () => $("pin").click(),
     P: () => $("unpin").click(), "/": () => $("search").focus(),
   }[e.key];
   if (!act || (slides && /^(Arrow|Home|End)/.test(e.key))) return;

@@ -1,5 +1,6 @@
 "use strict";
-// The robot, the surface, the paths and the forces in space. Drag turns, the wheel zooms, Shift and drag shifts.
+// The robot, the surface, the paths and the forces in space. Drag turns, the wheel zooms, Shift and drag shifts, Ctrl and
+// drag pulls at what is below the pointer.
 // Two views: of the contact, with the whole arm as an inset, and of the whole arm.
 
 // A picture that takes longer, ms, was drawn without a graphics processor: the runs need the processor more.
@@ -10,12 +11,12 @@ const ANGLE = 0.7, SAMPLES = 4, RED = [0.85, 0.15, 0.1], SEEN_THROUGH = 0.3;
 const LIFT = 0.2; // of white in all shapes, on dark paper
 // The longest usual arrow, and the longest of all, as shares of the view's radius.
 const USUAL = 0.6, MOST = 1.1;
-const SHOWN = { "contact force": "f", friction: "friction", "commanded force": "commanded" };
+const PULL = [0.48, 0.38, 0.77]; // as forces from outside, `closedloop.figures.scene.scene.ARROWS`
+const SHOWN = { "contact force": "f", friction: "friction", "commanded force": "commanded", "external force": "outside" };
 
 class Space {
-  constructor(canvas, labels) {
-    this.canvas = canvas;
-    this.labels = labels;
+  constructor(canvas, labels, pull) {
+    Object.assign(this, { canvas, labels, pull, pulls: false, held: null });
     this.hidden = new Set();
     this.drawing = new Drawing(canvas);
     this.gl = this.drawing.gl;
@@ -77,13 +78,19 @@ class Space {
   listen() {
     const c = this.canvas, held = new Map();
     let spread = 0;
-    c.addEventListener("pointerdown", (e) => { held.set(e.pointerId, e); c.setPointerCapture(e.pointerId); spread = 0; });
-    for (const end of ["pointerup", "pointercancel"]) c.addEventListener(end, (e) => held.delete(e.pointerId));
+    c.addEventListener("pointerdown", (e) => {
+      held.set(e.pointerId, e);
+      c.setPointerCapture(e.pointerId);
+      spread = 0;
+      this.held = (this.pulls || e.ctrlKey || e.metaKey) && held.size === 1 ? this.below(e) : null;
+    });
+    for (const end of ["pointerup", "pointercancel"]) c.addEventListener(end, (e) => { held.delete(e.pointerId); this.let_go(); });
     c.addEventListener("pointermove", (e) => {
       const last = held.get(e.pointerId);
       if (!last || !this.views) return;
       const [dx, dy] = [e.clientX - last.clientX, e.clientY - last.clientY], v = this.view();
       held.set(e.pointerId, e);
+      if (this.held) { this.drag(e); return; }
       if (held.size === 2) {
         const [a, b] = [...held.values()];
         const now = Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
@@ -100,6 +107,40 @@ class Space {
     });
     c.addEventListener("contextmenu", (e) => e.preventDefault());
     c.addEventListener("wheel", (e) => { e.preventDefault(); if (this.views) { this.view().far *= Math.exp(0.001 * e.deltaY); this.draw(); } }, { passive: false });
+  }
+
+  // The point of the robot below the pointer, with its joint, in that joint's axes and in those of the base; null: none.
+  below(e) {
+    const { eye, way } = this.ray(e), at = { t: Infinity };
+    for (const s of this.frame ? this.shapes : []) {
+      if (s.kind || !s.joint) continue;
+      const m = this.frame.places[s.joint], turn = (d) => [0, 4, 8].map((k) => m[k] * d[0] + m[k + 1] * d[1] + m[k + 2] * d[2]);
+      const from = turn(minus(eye, [m[12], m[13], m[14]])), d = turn(way), t = nearest_hit(s.vertices, s.faces, from, d);
+      if (t < at.t) Object.assign(at, { t, joint: s.joint, at: plus(from, d, t), place: plus(eye, way, t) });
+    }
+    return at.t < Infinity ? at : null;
+  }
+
+  // Where a pointer looks from, and the way, base axes.
+  ray(e) {
+    const box = this.canvas.getBoundingClientRect(), v = this.view(), aspect = box.width / box.height;
+    const eye = this.eye(v, v.far / Math.min(1, aspect)), k = Math.tan(ANGLE / 2), [x, y] = this.screen(v);
+    const [right, up] = [(2 * (e.clientX - box.left)) / box.width - 1, 1 - (2 * (e.clientY - box.top)) / box.height];
+    return { eye, way: plus(plus(unit(minus(v.centre, eye)), x, k * aspect * right), y, k * up) };
+  }
+
+  // The pull goes from the point that is held to the pointer, as far from the eye; its arrow has the scale of all others.
+  drag(e) {
+    const { eye, way } = this.ray(e), v = this.view(), ahead = unit(minus(v.centre, eye)), held = this.held;
+    const to = plus(eye, way, dot(minus(held.place, eye), ahead) / dot(way, ahead)), k = this.scale(v);
+    const first = !held.force;
+    held.force = minus(to, held.place).map((d) => d / k);
+    this.pull({ ...held, first });
+  }
+
+  let_go() {
+    if (this.held?.force) this.pull({ ...this.held, last: true });
+    this.held = null;
   }
 
   eye(v, far = v.far) {
@@ -201,32 +242,31 @@ class Space {
     d.blend(false);
   }
 
-  // Call with each arrow to be drawn: its number, tail, and vector, m, which is cut short if need be.
+  // Call with each arrow to be drawn, that of a pull under way the last, and its vector, m, which is cut short if need be.
   each_arrow(v, act) {
     const k = this.scale(v), most = MOST * v.radius;
-    this.frame.arrows.forEach((a, i) => {
-      const { kind } = this.scene.arrows[i], length = k * norm(a.force);
-      if (this.hidden.has(kind) || !(length > 0)) return;
-      act(i, a.tail, a.force.map((x) => (x * Math.min(length, most)) / norm(a.force)));
-    });
+    const found = this.frame.arrows.map((a, i) => ({ ...a, ...this.scene.arrows[i] }));
+    if (this.held?.force) found.push({ kind: "pull", name: "pull pull", colour: PULL, tail: this.held.place, force: this.held.force });
+    for (const a of found) {
+      const length = k * norm(a.force);
+      if (!this.hidden.has(a.kind) && length > 0) act(a, a.force.map((x) => (x * Math.min(length, most)) / norm(a.force)));
+    }
   }
 
   arrows(v, opacity) {
-    this.each_arrow(v, (i, tail, d) => {
-      this.drawing.arrow(tail, d, v.radius, [...this.scene.arrows[i].colour, opacity]);
-    });
+    this.each_arrow(v, (a, d) => this.drawing.arrow(a.tail, d, v.radius, [...a.colour, opacity]));
   }
 
   // The names and sizes of the forces, to be put beside their arrows where there is room.
   texts(camera, v) {
     const spans = [], taken = [];
     const { clientWidth: w, clientHeight: h } = this.canvas;
-    this.each_arrow(v, (i, tail, d) => {
-      const a = this.scene.arrows[i], name = SHOWN[a.kind] ?? `${a.name.slice(a.kind.length + 1)}:`;
+    this.each_arrow(v, (a, d) => {
+      const name = SHOWN[a.kind] ?? `${a.name.slice(a.kind.length + 1)}:`;
       if (norm(d) < 0.04 * v.radius) return;
-      const [x, y, , k] = [0, 1, 2, 3].map((r) => [...plus(tail, d), 1].reduce((sum, e, j) => sum + camera[4 * j + r] * e, 0));
+      const [x, y, , k] = [0, 1, 2, 3].map((r) => [...plus(a.tail, d), 1].reduce((sum, e, j) => sum + camera[4 * j + r] * e, 0));
       if (k <= 0) return;
-      const text = `${name} ${short(norm(this.frame.arrows[i].force), 3)} N`, wide = 8 * text.length + 14;
+      const text = `${name} ${short(norm(a.force), 3)} N`, wide = 8 * text.length + 14;
       let [left, top] = [(50 * (x / k + 1) * w) / 100, (50 * (1 - y / k) * h) / 100];
       if (left + wide > w) left -= wide + 7; // beside the arrow on its other side
       if (left < this.covered[1]) top = Math.min(top, h - this.covered[0] - 9); // above the legend
@@ -247,3 +287,16 @@ class Space {
 }
 
 const tint_rgb = (colour) => rgb(dark ? colour.map((c) => 0.35 + 0.65 * c) : colour.map((c) => 0.85 * c));
+
+// How far along a ray, from `o` along `d`, the nearest triangle is: Moeller and Trumbore.
+function nearest_hit(vertices, faces, o, d) {
+  const corner = (k) => [vertices[3 * k], vertices[3 * k + 1], vertices[3 * k + 2]];
+  let nearest = Infinity;
+  for (let k = 0; k < faces.length; k += 3) {
+    const a = corner(faces[k]), u = minus(corner(faces[k + 1]), a), v = minus(corner(faces[k + 2]), a), p = cross(d, v), det = dot(u, p);
+    if (!det) continue;
+    const s = minus(o, a), q = cross(s, u), x = dot(s, p) / det, y = dot(d, q) / det, t = dot(v, q) / det;
+    if (x >= 0 && y >= 0 && x + y <= 1 && t > 0 && t < nearest) nearest = t;
+  }
+  return nearest;
+}

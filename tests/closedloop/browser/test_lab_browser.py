@@ -113,6 +113,37 @@ def test_all_joints_move_together_or_each_by_itself(page, lab):
     assert "law.kp" in page.locator("#doc").inner_text()
 
 
+def test_a_drag_in_space_pulls_at_what_is_below_the_pointer(page, lab):
+    """With `pull` pressed a drag at the tip is a force for 0.2 s, along the drag; one beside the arm turns the view."""
+    page.evaluate("seek(2.0)")
+    page.wait_for_function("space.frame && !space.waits && still.time[0] === 2")
+    box, shown = page.locator("#view").bounding_box(), "JSON.stringify([space.view().turn, space.view().rise])"
+    x, y = page.evaluate(
+        """() => { const v = space.view(), c = space.canvas, cam = space.camera(v, c.clientWidth / c.clientHeight);
+        const at = [...space.frame.arrows[0].tail, 1];
+        const [x, y, k] = [0, 1, 3].map((r) => at.reduce((s, e, j) => s + cam[4 * j + r] * e, 0));
+        return [0.5 * (x / k + 1) * c.clientWidth, 0.5 * (1 - y / k) * c.clientHeight]; }"""
+    )
+    before = page.evaluate(shown)
+    page.keyboard.press("f")
+    page.mouse.move(box["x"] + x - 2, box["y"] + y + 6)
+    page.mouse.down()
+    page.mouse.move(box["x"] + x + 58, box["y"] + y + 6, steps=4)
+    page.mouse.up()
+    settled(page, lab)
+    (pulled,) = lab.run.scenario.external_force
+    assert (pulled.link, pulled.start, pulled.duration) == (None, 2.0, 0.2)
+    right = np.array(page.evaluate("space.screen(space.view())[0]"))
+    assert right @ pulled.force > 0.99 * np.linalg.norm(pulled.force) > 0.99
+    assert page.evaluate(shown) == before
+    page.mouse.move(box["x"] + 8, box["y"] + box["height"] - 200)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 60, box["y"] + box["height"] - 200)
+    page.mouse.up()
+    assert page.evaluate(shown) != before
+    assert len(lab.run.scenario.external_force) == 1
+
+
 def test_the_strip_answers_whether_the_run_is_good(page, lab):
     """Both verdicts in words, errors, margins; against a pinned run what is better is green, and what worse red."""
     strip = page.locator("#strip")

@@ -5,6 +5,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.mechanics.surface.placed import contact_frame
+from closedloop.scenario.robot_sections import BeliefSection
 
 HELD = {"time.duration": 0.05, "friction.kind": "coulomb", "friction.coefficient": 0.5}
 SLOPE = 0.2
@@ -140,3 +141,42 @@ def test_a_belief_at_fault_is_refused(changes, words):
     with pytest.raises(cl.ScenarioError, match=words) as caught:
         cl.prepare(cl.load_scenario("hidden_bump", changes))
     assert len(caught.value.faults) == 1
+
+
+def test_a_noisy_normal_is_the_tilt_that_was_drawn(monkeypatch):
+    """Where each draw is the same the run is that of `model_error.normal`, in both engines and with either scheme."""
+    angle, towards = 0.05, 0.7
+    tilt = angle * np.array([np.cos(towards), np.sin(towards)])
+    monkeypatch.setattr(BeliefSection, "draws", lambda self, count: np.tile(tilt, (count, 1)))
+    for engine, integrator in (("pinocchio", "rk4"), ("compiled", "semi_implicit_euler")):
+        options = {"time.duration": 0.2, "time.integrator": integrator, "law.pd_start": 0.0}
+        noisy, tilted = (
+            cl.simulate(cl.load_scenario("wam_slide", options | more), engine=engine)
+            for more in (
+                {"belief.normal_noise": 1e-9},
+                {"model_error.normal": angle, "model_error.normal_towards": towards},
+            )
+        )
+        assert np.max(np.abs(noisy.contact_force - 10.0)) > 0.01
+        np.testing.assert_allclose(noisy.contact_force, tilted.contact_force, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(noisy.torque, tilted.torque, rtol=0, atol=1e-9)
+
+
+def test_the_noise_of_the_normal_has_its_size_and_its_seed():
+    """The law's torque scatters in proportion, alike with the same seed; a mean over many rows has none of it."""
+    still = {
+        "time.duration": 0.4,
+        "law.pd_start": 1.0,
+        "start.v": [0.0] * 4,
+        "reference.start": 1.0,
+        "reference.stop": 2.0,
+    }
+    small, large, again, other = (
+        cl.simulate(cl.load_scenario("wam_slide", still | {"belief.normal_noise": s, "belief.seed": seed})).torque
+        for s, seed in ((1e-3, 0), (2e-3, 0), (2e-3, 0), (2e-3, 1))
+    )
+    np.testing.assert_array_equal(large, again)
+    off = [x - x.mean(axis=0) for x in (small, large, other)]
+    np.testing.assert_allclose(off[1], 2.0 * off[0], atol=2e-3 * np.max(np.abs(off[1])) + 1e-4)
+    assert np.std(off[2]) == pytest.approx(np.std(off[1]), rel=0.2)
+    assert np.max(np.abs(off[2] - off[1])) > np.std(off[1])

@@ -12,7 +12,9 @@ from budget import every
 
 import closedloop as cl
 import robot_models
+from closedloop.figures.scene.scene import scene_of
 from closedloop.lab import curves, groups
+from closedloop.lab.actions import act
 from closedloop.lab.answers import Answers
 from closedloop.lab.app import Lab
 from closedloop.lab.controls import TABS, begin_values, controls
@@ -466,3 +468,33 @@ def test_work_may_wait_for_a_rest():
     assert slow.wait(5.0)
     assert shown[-1] == 12
     slow.close()
+
+
+def test_a_pull_is_a_force_from_outside_at_what_is_held(monkeypatch):
+    """Near the tip it is one on the tip, else on the link, at that point of it; the moves of one drag are one force."""
+    base = cl.load_scenario("wam_slide", {"time.duration": 0.5})
+    run, said = cl.simulate(base), []
+    lab = SimpleNamespace(
+        answer=SimpleNamespace(run=run), history=History(base, "wam_slide"), tell=lambda *a, **k: said.append(a),
+        refresh=lambda: None, changed=lambda key, value: lab.history.change(key, value),
+    )  # fmt: skip
+    page = SimpleNamespace(time=0.1, pulls=0)
+    axes, origins = scene_of(run).joint_places(100)
+    at = axes[4].T @ (run.position[100] - origins[4])
+
+    def pull(force, **more):
+        act(lab, page, {"do": "pull", "joint": 4, "at": at.tolist(), "force": force, "t": 0.1} | more)
+        assert not said
+        return lab.history.scenario().external_force
+
+    pull([0.0, 0.0, 1.0], first=True)
+    (tip,) = pull([1.0, 2.0, 3.0], last=True)
+    assert (tip.link, tip.force, tip.start, tip.duration) == (None, (1.0, 2.0, 3.0), 0.1, 0.2)
+    _, link = pull([0.0, 4.0, 0.0], first=True, joint=3, at=[0.0, 0.05, 0.1], t=0.49)
+    assert (link.link, link.start) == ("link3", pytest.approx(0.3))
+    frame = run.model.pinocchio_model().frames[run.model.pinocchio_model().getFrameId("link3")]
+    np.testing.assert_allclose(frame.placement.act(np.array(link.at)), [0.0, 0.05, 0.1], atol=1e-3)
+    name, overrides = shlex.split(lab.history.command())[1], shlex.split(lab.history.command())[2:4]
+    assert cl.load_scenario(name, {"time.duration": 0.5} | split_overrides(overrides)[0]) == lab.history.scenario()
+    for wrong in ({"at": "x"}, {"at": None}, {"force": [1.0]}, {"joint": 99}, {"joint": None}, {"force": ["a"] * 3}):
+        assert len(pull(wrong.pop("force", [0.0, 0.0, 1.0]), **wrong)) == 2

@@ -185,45 +185,64 @@ class Solids:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         bright = AMBIENT + BRIGHT * np.abs(normals @ LIGHT) + FROM_SIDE * np.abs(normals[:, 0])
         height, width = int(np.ceil(box.height)), int(np.ceil(box.width))
-        fine = np.zeros((FINE * height, FINE * width, 4))
-        draw_triangles(corners, self._colours * bright[:, None], fine)
-        found = np.zeros((height, width, 4))
-        for i in range(FINE):
-            for j in range(FINE):
-                found += fine[i::FINE, j::FINE] / FINE**2
-        found[..., :3] /= np.maximum(found[..., 3:], 1e-30)  # of the points that are covered
-        found[..., 3] *= self._opacity
-        return (255.0 * np.minimum(found, 1.0) + 0.5).astype(np.uint8)
+        nearest = nearest_triangles(corners, (FINE * height, FINE * width))
+        colours = np.zeros((len(sides) + 1, 4), dtype=np.float32)  # the last is that of no triangle
+        colours[:-1, :3], colours[:-1, 3] = self._colours * bright[:, None], 1.0
+        found, any_ = np.zeros((height, width, 4), dtype=np.uint8), np.argwhere(nearest >= 0)
+        if not len(any_):
+            return found
+        low, high = any_.min(axis=0) // FINE, any_.max(axis=0) // FINE + 1
+        part = nearest[FINE * low[0] : FINE * high[0], FINE * low[1] : FINE * high[1]]
+        mean = np.sum([colours[part[i::FINE, j::FINE]] for i in range(FINE) for j in range(FINE)], axis=0) / FINE**2
+        mean[..., :3] /= np.maximum(mean[..., 3:], 1e-30)  # of the points that are covered
+        mean[..., 3] *= self._opacity
+        found[low[0] : high[0], low[1] : high[1]] = 255.0 * np.minimum(mean, 1.0) + 0.5
+        return found
 
 
-def draw_triangles(corners: Array, colours: Array, picture: Array) -> None:
-    """Draw triangles into a picture: each of its points has the colour of the nearest one that covers it.
+def nearest_triangles(corners: Array, size: tuple[int, int]) -> NDArray[np.int64]:
+    """Return the number of the nearest triangle that covers each point of a picture (height, width), -1 for none.
+
+    Each row of points that a triangle reaches is cut by its three edges: what is left are the points that it covers.
 
     Parameters
     ----------
     corners : (k, 3, 3) array
         x to the right and y upwards, points of the picture; depth, larger is farther.
-    colours : (k, 3) array
-        Red, green, blue, from 0 to 1.
-    picture : (height, width, 4) array
-        Written where a triangle is; its last number is then 1.
     """
-    height, width = picture.shape[:2]
-    first = np.maximum(np.ceil(corners[..., :2].min(axis=1) - 0.5), 0.0).astype(int)
-    last = np.minimum(np.ceil(corners[..., :2].max(axis=1) - 0.5), [width, height]).astype(int)
-    wide, high = np.maximum(last - first, 0).T
-    counts = wide * high  # points of the rectangle about each triangle
-    k = np.repeat(np.arange(len(corners)), counts)
-    i, j = np.divmod(np.arange(len(k)) - np.repeat(np.cumsum(counts) - counts, counts), wide[k])
-    j, i = j + first[k, 0], i + first[k, 1]
-    origin, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = one[:, 0] * other[:, 1] - other[:, 0] * one[:, 1]
-    x, y = j + 0.5 - origin[k, 0], i + 0.5 - origin[k, 1]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a triangle seen from its edge covers nothing
-        b = (x * other[k, 1] - other[k, 0] * y) / area[k]
-        c = (one[k, 0] * y - x * one[k, 1]) / area[k]
-        covered = np.flatnonzero((b >= 0.0) & (c >= 0.0) & (b + c <= 1.0))
-    k, b, c = k[covered], b[covered], c[covered]
-    depth = origin[k, 2] + b * one[k, 2] + c * other[k, 2]
-    order = np.argsort(-depth, kind="stable")  # the nearest is written last
-    picture[i[covered][order], j[covered][order]] = np.column_stack([colours, np.ones(len(colours))])[k[order]]
+    height, width = size
+    x, y, z = np.moveaxis(corners, 2, 0)
+    across = np.roll(y, -1, axis=1) - y, x - np.roll(x, -1, axis=1)  # an edge's normal, inwards or outwards
+    area = across[0][:, 0] * (x[:, 2] - x[:, 0]) + across[1][:, 0] * (y[:, 2] - y[:, 0])
+    low = np.maximum(np.ceil(y.min(axis=1) - 0.5), 0.0)
+    counts = np.maximum(np.minimum(np.floor(y.max(axis=1) - 0.5) + 1.0, height) - low, 0.0)
+    counts = np.where((area != 0.0) & np.isfinite(area), counts, 0.0).astype(int)  # one seen from its edge covers none
+    k, row = _steps(counts, low)
+    begin, end = np.zeros(len(k)), np.full(len(k), float(width))
+    for edge in range(3):
+        a, b = (part[:, edge] * np.sign(area) for part in across)
+        reach = a * x[:, edge] + b * y[:, edge]  # inside is where a x + b y is not below it
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cut = (reach[k] - b[k] * (row + 0.5)) / a[k]
+        begin = np.where(a[k] > 0.0, np.maximum(begin, np.ceil(cut - 0.5)), begin)
+        end = np.where(a[k] < 0.0, np.minimum(end, np.floor(cut - 0.5) + 1.0), end)
+    lines, column = _steps(np.maximum(end - begin, 0.0).astype(int), begin)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = z[:, 1:] - z[:, :1], np.stack([x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1]])
+        (x1, x2), (y1, y2), (z1, z2) = gain[1][0].T, gain[1][1].T, gain[0].T
+        per_x, per_y = (z1 * y2 - z2 * y1) / (x1 * y2 - x2 * y1), (x1 * z2 - x2 * z1) / (x1 * y2 - x2 * y1)
+    at_row = z[k, 0] + per_y[k] * (row + 0.5 - y[k, 0]) + per_x[k] * (0.5 - x[k, 0])
+    depth = at_row[lines] + per_x[k][lines] * column
+    places = row.astype(int)[lines] * width + column.astype(int)
+    least = np.full(height * width, np.inf)
+    np.minimum.at(least, places, depth)
+    seen = depth == least[places]
+    found = np.full(height * width, -1)
+    found[places[seen]] = k[lines[seen]]
+    return found.reshape(height, width)
+
+
+def _steps(counts: NDArray[Any], first: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return, for as many steps as are counted of each of some things, which it is of, and the first's number on."""
+    of = np.repeat(np.arange(len(counts)), counts)
+    return of, first[of] + (np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts))

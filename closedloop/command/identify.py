@@ -12,7 +12,7 @@ from closedloop.command.border import DONE, Parser, as_command
 if TYPE_CHECKING:
     from robot_models import RobotModel
 
-TERMS = ("viscous", "dry", "offset", "stribeck", "drive_inertia")
+TERMS = ("viscous", "dry", "offset", "load", "stribeck", "drive_inertia")
 
 
 @as_command()
@@ -40,7 +40,7 @@ def main(words: list[str]) -> int:
     logs = [read_log(path, robot, columns=mapped, degrees=options.degrees, gain=gain) for path in options.logs]
     found = identify(
         logs, robot,
-        friction=[term for term in terms if term in ("viscous", "dry", "offset")],
+        friction=[term for term in terms if term not in ("drive_inertia", "stribeck")],
         drive_inertia="drive_inertia" in terms,
         stribeck_speed="fit" if "stribeck" in terms else None,
         coupled=options.coupled, cutoff=options.cutoff, slow=options.slow, held_out=options.held_out,

@@ -52,6 +52,8 @@ def simulated(name="wam4", count=8000, step=0.002, noise=(0.0, 0.0), seed=0, fri
     torque += friction.get("viscous", 0) * v + friction.get("dry", 0) * np.sign(v) + friction.get("offset", 0)
     if "stribeck" in friction:
         torque += friction["stribeck"] * np.sign(v) * np.exp(-((v / friction["speed"]) ** 2))
+    if "load" in friction:  # τ = D + μ |τ| sign q̇
+        torque /= 1.0 - friction["load"] * np.sign(v * torque)
     rng = np.random.default_rng(1000 + seed)
     q = q + noise[0] * rng.normal(size=q.shape)
     return Log(np.arange(count) * step, q, torque + noise[1] * rng.normal(size=q.shape), robot.joint_names), robot

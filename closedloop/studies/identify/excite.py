@@ -22,7 +22,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.base.optional import needs
-from closedloop.studies.identify.regressor import FRICTION, BaseParameters, Regressor, Terms, base_parameters
+from closedloop.studies.identify.regressor import FRICTION, LOAD, BaseParameters, Regressor, Terms, base_parameters
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -161,6 +161,8 @@ def excite(
     ):  # fmt: skip
         if not low <= value <= high:
             raise ModelError(f"{name} is {value!r}: it must be from {low:g} to {high:g}")
+    if LOAD in friction:
+        raise ModelError(f"friction is {LOAD!r}: it grows with the torque, and a motion has none; leave it out")
     regressor = Regressor(model, Terms(tuple(friction), drive_inertia))
     base = base_parameters(regressor)
     names = tuple(regressor.names[k] for k in base.kept)

@@ -19,6 +19,7 @@ from closedloop.studies.identify.motion import Motion, joined, motion, usual_cut
 from closedloop.studies.identify.regressor import (
     BOUNDED,
     FRICTION,
+    LOAD,
     REST,
     BaseParameters,
     Columns,
@@ -39,7 +40,7 @@ STRIBECK_SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 # Windows in which a joint has to move for its torques to count at all: fewer tell its noise no more than its friction.
 FEWEST = 20
 # Parameters of a joint that act on its own torque alone.
-OWN = ("viscous", "dry", "offset", "stribeck", "drive_inertia")
+OWN = (*FRICTION, LOAD, "stribeck", "drive_inertia")
 # The Stribeck term of a log, per unit of its coefficient, is below this at most: it was not excited.
 LEAST_STRIBECK = 0.1
 # Pieces of a log, a share of each of which is held out.
@@ -227,8 +228,9 @@ def identify(
         Time, positions and torques, see `closedloop.studies.identify.log.Log` and `read_log`.
     robot : RobotModel, or what `robot_models.load` takes
         Its kinematics are used; the inertias in its file are not.
-    friction : of "viscous", "dry", "offset"
-        What each joint has, see `closedloop.studies.identify.regressor`.
+    friction : of "viscous", "dry", "offset", "load"
+        What each joint has, see `closedloop.studies.identify.regressor`; "load" is `transmission.load_friction`, from a
+        log in which the robot touches nothing.
     drive_inertia : bool
         Whether each joint has an inertia of its drive.
     coupled : pairs of joint names
@@ -402,6 +404,7 @@ def _reason(k: int, found: Fit, base: BaseParameters, regressor: Regressor, used
         "viscous": f"move {joint} at several speeds",
         "dry": f"move {joint} both ways at several speeds",
         "offset": f"move {joint} both ways",
+        LOAD: f"move {joint} under loads that differ, as with a payload and without",
         "drive_inertia": f"accelerate {joint} more, in several postures",
         "stribeck": f"move {joint} slowly, below the Stribeck speed, as well as fast",
     }.get(kind, "more postures, and joints that accelerate together")

@@ -7,6 +7,7 @@ joint's frame, the links fixed to it included. Then by joint
     dry friction       F_c sign(q̇)
     viscous friction   F_v q̇
     offset             a constant, of the drive's current or of friction that is not the same both ways
+    load friction      μ |τ| sign(q̇), of a gear that rubs in proportion to what it passes on; τ is the torque measured
     Stribeck           F_s sign(q̇) exp(−(q̇/v_s)²), the excess of static friction, at a given v_s
 
 and of a pair of joints whose second motor turns with both of them (the wrist of a Stäubli TX: motor 6 turns by
@@ -20,8 +21,9 @@ diagonal entry of R vanishes is a combination of those before it, W₂ = W₁ β
 
 Sources: W. Khalil, E. Dombre, Modeling, identification and control of robots (2002) ch. 12; M. Gautier, A. Janot,
 P.-O. Vandanjon, A new closed-loop output error method for parameter identification of robot dynamics, IEEE Trans.
-Control Systems Technology 21 (2013) 428-444, which has the TX40 and its wrist; M. Gautier, Numerical calculation of the
-base inertial parameters of robots, J. Robotic Systems 8 (1991) 485-506.
+Control Systems Technology 21 (2013) 428-444, which has the TX40 and its wrist; P. Hamon, M. Gautier, P. Garrec, Dynamic
+identification of robots with a dry friction model depending on load and velocity, IROS 2010; M. Gautier, Numerical
+calculation of the base inertial parameters of robots, J. Robotic Systems 8 (1991) 485-506.
 """
 
 from __future__ import annotations
@@ -46,16 +48,17 @@ Columns = Callable[[Array, Array, Array], Array]
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 FRICTION = ("viscous", "dry", "offset")
+LOAD = "load"  # what else may be asked for
 # Units of what a joint has, one that turns and one that slides.
 UNITS = {
     "m": ("kg", "kg"), "mx": ("kg m", "kg m"), "my": ("kg m", "kg m"), "mz": ("kg m", "kg m"),
     **dict.fromkeys(INERTIAL[4:], ("kg m²", "kg m²")),
     "drive_inertia": ("kg m²", "kg"), "dry": ("N m", "N"), "viscous": ("N m s/rad", "N s/m"), "offset": ("N m", "N"),
-    "stribeck": ("N m", "N"),
+    "stribeck": ("N m", "N"), LOAD: ("", ""),
     "coupled_inertia": ("kg m²", "kg"), "coupled_viscous": ("N m s/rad", "N s/m"), "coupled_dry": ("N m", "N"),
 }  # fmt: skip
 # What begins so dissipates or stores energy, and is not below zero.
-BOUNDED = ("viscous_", "dry_", "drive_inertia_", "coupled_inertia_", "coupled_viscous_", "coupled_dry_")
+BOUNDED = ("viscous_", "dry_", "load_", "drive_inertia_", "coupled_inertia_", "coupled_viscous_", "coupled_dry_")
 # Below so many standard deviations of its noise the sign of a velocity is not relied on.
 NOISY = 5.0
 # A joint that moves by less than this, rad (m), before it turns round, does not slide: its parts give, as bristles do.
@@ -70,7 +73,7 @@ class Terms:
 
     Attributes
     ----------
-    friction : sequence of "viscous", "dry", "offset"
+    friction : sequence of "viscous", "dry", "offset", "load"
     drive_inertia : bool
     coupled : sequence of pairs of joint names
         The second motor of each pair turns with both joints.
@@ -103,8 +106,8 @@ class Regressor:
 
     def __init__(self, robot: RobotModel, terms: Terms) -> None:
         for name in terms.friction:
-            if name not in FRICTION:
-                raise ModelError(f"friction is {name!r}: it must be of {', '.join(FRICTION)}")
+            if name not in (*FRICTION, LOAD):
+                raise ModelError(f"friction is {name!r}: it must be of {', '.join((*FRICTION, LOAD))}")
         for name in {name for pair in terms.coupled for name in pair} - set(robot.joint_names):
             raise ModelError(f"coupled: {robot.name} has no joint {name!r}: it has {', '.join(robot.joint_names)}")
         for k, pair in enumerate(terms.coupled):
@@ -141,8 +144,8 @@ class Regressor:
         )
         return UNITS[kind][slides]
 
-    def rows(self, q: Array, v: Array, a: Array) -> Array:
-        """Return W (N, n, p) at each row of q, v, a (N, n)."""
+    def rows(self, q: Array, v: Array, a: Array, torque: Array | None = None) -> Array:
+        """Return W (N, n, p) at each row of q, v, a, and of the torque that friction may grow with, (N, n)."""
         import pinocchio as pin
 
         n, model, data = self.n, self._model, self._data
@@ -157,7 +160,8 @@ class Regressor:
             if kind == "stribeck" and self.terms.stribeck_speed is not None:
                 column = sign * np.exp(-((v / self.terms.stribeck_speed) ** 2))
             else:
-                column = {"drive_inertia": a, "viscous": v, "dry": sign, "offset": np.ones_like(v)}[kind]
+                load = np.zeros_like(v) if torque is None else sign * np.abs(torque)
+                column = {"drive_inertia": a, "viscous": v, "dry": sign, "offset": np.ones_like(v), LOAD: load}[kind]
             W[:, joints, at + joints] = column
             at += n
         for i, j in self._pairs:
@@ -178,7 +182,9 @@ class Regressor:
         for first in range(0, R, block):
             count = min(block, R - first)
             rows = slice(first * D, (first + count) * D)
-            W[first : first + count] = self.rows(x.q[rows], x.v[rows], x.a[rows]).reshape(count, D, self.n, -1).mean(1)
+            torque = np.repeat(x.torque[first : first + count], D, axis=0)
+            each = self.rows(x.q[rows], x.v[rows], x.a[rows], torque)
+            W[first : first + count] = each.reshape(count, D, self.n, -1).mean(1)
         return W
 
     def certain(self, x: Motion) -> NDArray[np.bool_]:
@@ -189,7 +195,7 @@ class Regressor:
         """
         R, D = len(x.time), x.size
         good = np.ones((R, self.n), dtype=bool)
-        if "dry" not in self.terms.friction:
+        if not {"dry", LOAD} & set(self.terms.friction):
             return good
         channels: list[tuple[Array, Array, float, tuple[int, ...]]]
         channels = [(x.q[:, j], x.v[:, j], x.noise[j], (j,)) for j in range(self.n)]
@@ -241,7 +247,7 @@ def base_parameters(regressor: Regressor, seed: int = 0) -> BaseParameters:
     q, v, a = rng.uniform(-np.pi, np.pi, (count, n)), rng.uniform(-2, 2, (count, n)), rng.uniform(-5, 5, (count, n))
     if regressor.terms.stribeck_speed is not None:  # whatever v_s is, its column is one of its own
         regressor = Regressor(regressor.robot, replace(regressor.terms, stribeck_speed=1.0))
-    W = regressor.rows(q, v, a).reshape(-1, p)
+    W = regressor.rows(q, v, a, rng.normal(size=(count, n))).reshape(-1, p)
     size = np.linalg.norm(W, axis=0)
     order = _preferred(regressor, np.flatnonzero(size > RANK))
     R = linalg.qr(W[:, order] / size[order], mode="r")[0][: len(order)]

@@ -27,7 +27,7 @@ from scipy import linalg, optimize
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.base.files import write_whole
-from closedloop.studies.identify.regressor import BOUNDED
+from closedloop.studies.identify.regressor import BOUNDED, LOAD
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -178,7 +178,7 @@ def report(found: Identification) -> list[str]:
 
 
 def friction_section(found: Identification) -> str:
-    """Return the [joint_friction] section of a scenario, with what is not known as 0 and said so."""
+    """Return the [joint_friction] of a scenario, and its friction of the load; what is not known is 0, and said so."""
     lines = ["# Friction identified from a log; intervals are in report.txt."]
     rows = {}
     for key, kind in (("kinetic", "dry"), ("viscous", "viscous")):
@@ -194,6 +194,11 @@ def friction_section(found: Identification) -> str:
         offsets = ", ".join("?" if e.why else f"{e.value:.4g}" for e in found.joints("offset"))
         lines.append(f"# No law of friction has an offset; found were, N m: {offsets}")
     lines += ["[joint_friction]", 'kind = "coulomb_viscous"', *(f"{key} = {row}" for key, row in rows.items())]
+    if LOAD in found.regressor.terms.friction:
+        shares = found.joints(LOAD)
+        lines += [f"# {e.name} is 0 here: {e.why or 'it was found below 0'}" for e in shares if e.why or e.value < 0.0]
+        row = [0.0 if e.why or e.value < 0.0 else float(f"{e.value:.6g}") for e in shares]
+        lines += ["", "[transmission]", f"load_friction = {row}"]
     return "\n".join(lines) + "\n"
 
 

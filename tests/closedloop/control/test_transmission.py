@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from rounding import within
+from scipy.linalg import expm
+from scipy.optimize import brentq, fsolve
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
@@ -292,3 +294,63 @@ def test_what_does_not_go_is_refused_in_one_line(case):
         cl.prepare(cl.load_scenario("wam_slide", changes))
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def describing_function(x):
+    """Return by what share of its stiffness a spring with play b acts on an oscillation of the amplitude b/x."""
+    return 1.0 - 2.0 / np.pi * (np.arcsin(x) + x * np.sqrt(1.0 - x * x))
+
+
+def limit_cycle(M, B, k, b, kp, c):
+    """Return half the period and the largest wind-up of a symmetric cycle of link and motor, piece by piece exactly.
+
+    The state q, q̇, θ, θ̇ moves linearly while the teeth touch, and while they do not; half a cycle negates it.
+    """
+    free = np.array([[0, 1, 0, 0], [0, -c / M, 0, 0], [0, 0, 0, 1], [-kp / B, 0, 0, 0]])
+    spring = np.array([[0, 0, 0, 0], [-k / M, 0, k / M, 0], [0, 0, 0, 0], [k / B, 0, -k / B, 0]])
+    middle = np.array([0.0, 0.0, b, 0.0])  # the spring is relaxed there
+
+    def touching(x, t):
+        both = np.zeros((5, 5))
+        both[:4, :4], both[:4, 4] = free + spring, -spring @ middle
+        return (expm(t * both) @ np.append(x, 1.0))[:4]
+
+    def closed(unknown):
+        x = np.array([*unknown[:2], unknown[0] + b, unknown[2]])
+        y = touching(x, unknown[3])
+        return [*(expm(unknown[4] * free) @ y + x), y[2] - y[0] - b]
+
+    w, A = np.sqrt(kp / B), b / brentq(lambda x: describing_function(x) - kp / k, 1e-6, 1.0)
+    gap = np.arcsin(b / A) / w
+    guess = [0.0, 0.0, A * w, np.pi / w - 2.0 * gap, 2.0 * gap]
+    found, _, good, _ = fsolve(closed, guess, full_output=True, xtol=1e-13)
+    assert good == 1
+    x = np.array([*found[:2], found[0] + b, found[2]])
+    wound = [y[2] - y[0] for y in (touching(x, t) for t in np.linspace(0.0, found[3], 400))]
+    return found[3] + found[4], max(wound), A, w
+
+
+def test_backlash_swings_in_the_cycle_of_its_pieces():
+    """A law on the link of a mass behind a spring with play swings by itself: its gain is too high for no spring.
+
+    The exact cycle of the piecewise linear motion has its period and amplitude. The describing function N of the play
+    tells them to some percent: of B θ̈ = −K_p q − τ and M q̈ = τ − c q̇ the loop is at its limit where N k = K_p, with
+    ω² = K_p/B (A. Gelb, W. Vander Velde, Multiple-input describing functions, 1968, for the play as a dead zone).
+    """
+    M, B, k, b, kp, c = 2.0, 0.5, 400.0, 0.002, 150.0, 12.0
+    half, wound, A, w = limit_cycle(M, B, k, b, kp, c)
+    run = cl.simulate(cl.load_scenario({
+        "robot": {"model": "pointmass3", "gravity": [0, 0, 0]},
+        "law": {"kind": "paper", "kp": [kp] * 3, "kd": [0.0] * 3},
+        "joint_friction": {"kind": "coulomb_viscous", "kinetic": 0.0, "viscous": c}, "start": {"v": [0.1, 0, 0]},
+        "transmission": {"stiffness": k, "motor_inertia": B, "backlash": 2 * b}, "stabiliser": {"kind": "none"},
+        "time": {"duration": 20.0, "step": 1e-3, "integrator": "rk4"},
+    }))  # fmt: skip
+    assert run.model.n == 3
+    d = (run.motor_position - run.q)[:, 0]
+    at = np.flatnonzero((d[:-1] < 0.0) & (d[1:] >= 0.0))
+    crossings = run.time[at] - 1e-3 * d[at] / (d[at + 1] - d[at])
+    assert np.diff(crossings)[-5:] == pytest.approx([2.0 * half] * 5, rel=1e-4)
+    assert d[-1000:].max() == pytest.approx(wound, rel=1e-3)
+    assert 2.0 * half == pytest.approx(2.0 * np.pi / w, rel=0.05)
+    assert wound == pytest.approx(A, rel=0.1)

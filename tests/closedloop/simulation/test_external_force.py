@@ -140,15 +140,53 @@ def test_a_batch_has_the_same_pushes():
     assert len(set(table["rms_path_error"].to_pylist())) == 3
 
 
+# A law that reads its sensor, on an arm with gears, which is pushed.
+PUSHED = SLIDE | {
+    "time.duration": 0.3, "law.force_feedback": 0.3, "law.pd_start": 0.0, "sensor.mass": 0.5,
+    "belief.normal_noise": 1e-3, "sensor.filter_time_constant": 0.01, "external_force": [{"force": [1.0, 2.0, 3.0], "start": 0.1, "duration": 0.1004}],
+}  # fmt: skip
+GEARS = {
+    "transmission.stiffness": 5e3, "transmission.damping": 10.0, "transmission.backlash": [0.0, 1e-3, 0.0, 1e-3],
+    "transmission.load_friction": 0.05, "joint_friction.kind": "coulomb_viscous", "joint_friction.kinetic": 0.1,
+    "joint_friction.viscous": 0.5,
+}  # fmt: skip
+
+
 @pytest.mark.slow
-def test_derivatives_by_the_keys_of_a_push():
-    """With a stiff arm f falls by what lifts; the impulse of a push grows with its duration."""
-    push = [{"link": "box", "force": [3.0, 0.0, 0.0], "start": 0.1, "duration": 0.2555}]
-    scenario = cl.load_scenario(BOX | {"external_force": push})
-    keys = ["external_force.0.force", "external_force.0.duration"]
-    found = cl.gradient(scenario, keys, of=["v"]).derivative["v"]
-    np.testing.assert_allclose(found[keys[0]][-1, 0, 0], 0.2555 / 2.0, rtol=1e-6)
-    np.testing.assert_allclose(found[keys[1]][-1, 0], 3.0 / 2.0, rtol=1e-6)
+@pytest.mark.parametrize(
+    ("changes", "keys"),
+    [
+        ({}, ("sensor.mass", "belief.normal_noise", "external_force.0.force", "external_force.0.duration")),
+        (GEARS, ("transmission.backlash", "transmission.load_friction", "external_force.0.moment")),
+    ],
+)
+def test_derivatives_by_the_keys_of_what_disturbs(changes, keys):
+    """They are the differences of runs on both sides; and a batch of such runs has the values of each alone."""
+    scenario = cl.load_scenario("wam_slide", PUSHED | changes)
+    found = cl.gradient(scenario, list(keys), of=["rms_force_error"])
+    value = cl.simulate(scenario, engine="compiled").summary()["rms_force_error"]
+    assert found.value["rms_force_error"] == pytest.approx(value, rel=1e-9)
+    for key in keys:
+        own = np.asarray(_value(scenario, key))
+        step = 1e-4 * max(float(np.max(np.abs(own))), 0.01)
+        sides = []
+        for sign in (-1.0, 1.0):
+            moved = own + sign * step * np.eye(own.size)[-1].reshape(own.shape)
+            sides.append(moved.tolist())
+        table = cl.simulate_batch(scenario, {key: sides})["rms_force_error"].to_pylist()
+        alone = [cl.simulate(scenario.replace({key: side}), engine="compiled") for side in sides]
+        assert table == pytest.approx([run.summary()["rms_force_error"] for run in alone], rel=1e-10)
+        expected = (table[1] - table[0]) / (2.0 * step)
+        derivative = np.ravel(found.derivative["rms_force_error"][key])[-1]
+        assert derivative == pytest.approx(expected, rel=2e-2, abs=1e-6), key
+
+
+def _value(scenario, key):
+    """Return the value of a dotted key."""
+    value = scenario.model_dump()
+    for part in key.split("."):
+        value = value[int(part) if part.isdigit() else part]
+    return value
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import closedloop as cl
 import robot_models
 from closedloop.studies.identify.fit import fit
 from closedloop.studies.identify.log import LogError
-from closedloop.studies.identify.written import report
+from closedloop.studies.identify.written import friction_section, report
 
 NOISE = (2e-5, 0.3)  # rad, N m
 
@@ -184,6 +184,25 @@ def test_a_stribeck_term_is_found_where_it_is_excited():
     assert [entry.name for entry in found.joints("Izz")] == [f"Izz_{joint}" for joint in robot.joint_names]
     with pytest.raises(cl.ModelError, match=r"joints\('x'\): a kind of parameter must be one of viscous, dry, offset,"):
         found.joints("x")
+
+
+def test_friction_of_the_load_is_found_beside_the_others():
+    """A gear that rubs with 12 % of what it passes on: exact without noise, near it with; left out, it is missed."""
+    rubs = {"viscous": 1.5, "dry": 2.0, "offset": 0.4, "load": 0.12}
+    terms = ("viscous", "dry", "offset", "load")
+    log, robot = simulated("planar2", count=4000, friction=rubs)
+    found = cl.identify(log, robot, cutoff=10.0, friction=terms)
+    for kind, value in rubs.items():
+        # in some windows the load changes its sign
+        assert [e.value for e in found.joints(kind)] == pytest.approx([value] * 2, abs=1e-2)
+    assert "[transmission]\nload_friction = [0.1" in friction_section(found)
+    noisy = replace(log, torque=log.torque + NOISE[1] * coloured(log.q.shape, 0.0, 1))
+    noisy = cl.identify(noisy, robot, cutoff=10.0, friction=terms)
+    assert all(e.low - 0.005 < 0.12 < e.high + 0.005 for e in noisy.joints("load"))
+    assert noisy.joints("load")[0].high - noisy.joints("load")[0].low < 0.05
+    assert cl.identify(log, robot, cutoff=10.0).held_out.max() > 5.0 * found.held_out.max()
+    with pytest.raises(cl.ClosedLoopError, match=r"friction is 'load'.*leave it out"):
+        cl.excite(robot, friction=("load",))
 
 
 def test_a_wrong_model_is_found_out():

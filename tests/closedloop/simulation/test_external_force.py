@@ -143,7 +143,8 @@ def test_a_batch_has_the_same_pushes():
 # A law that reads its sensor, on an arm with gears, which is pushed.
 PUSHED = SLIDE | {
     "time.duration": 0.3, "law.force_feedback": 0.3, "law.pd_start": 0.0, "sensor.mass": 0.5,
-    "belief.normal_noise": 1e-3, "sensor.filter_time_constant": 0.01, "external_force": [{"force": [1.0, 2.0, 3.0], "start": 0.1, "duration": 0.1004}],
+    "belief.normal_noise": 1e-3, "sensor.filter_time_constant": 0.01,
+    "external_force": [{"force": [1.0, 2.0, 3.0], "start": 0.1, "duration": 0.1004}],
 }  # fmt: skip
 GEARS = {
     "transmission.stiffness": 5e3, "transmission.damping": 10.0, "transmission.backlash": [0.0, 1e-3, 0.0, 1e-3],

@@ -258,7 +258,7 @@ def _parser() -> Parser:
         "SCENARIO",
         description="Simulate a robot arm whose tip is in contact with a surface.",
         epilog=list_of_sections()
-        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on;\n"
+        + "\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on;\n"
         "with --strict 4, a bad verdict, or 5, of the control; 130 Ctrl-C, 143 SIGTERM.",
         cure="a key of the scenario is set as --law.force 15; see --help",
     )  # fmt: skip

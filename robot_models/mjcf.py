@@ -454,7 +454,7 @@ def _check(model: Any, names: Names, where: str) -> None:
         raise ModelError(f"{where}: joint {joint!r} has a negative armature: an inertia is zero or more")
     for count, what in ((model.nflex, "<flex>"), (model.nplugin, "<plugin>")):
         if count:
-            raise ModelError(f"{where}: {what} is not simulated: the model must do without it")
+            raise ModelError(f"{where}: {what} is not simulated: remove it from the model")
     for a in range(model.nu):
         if model.actuator_gaintype[a] == _MUSCLE or model.actuator_biastype[a] == _MUSCLE:
             name = names.own("actuator", a) or str(a + 1)
@@ -496,13 +496,13 @@ def _left_out(model: Any, names: Names) -> list[str]:
         found.append(f"springs of joints that turn freely do not act: {_some(held)}")
     for j, (low, high) in enumerate(model.jnt_range.tolist()):
         if not model.jnt_limited[j] and low >= high and (low or high):
-            found.append(f"joint {names.joint[j]!r}: its range {low:g} {high:g} is none to MuJoCo, and does not act")
+            found.append(f"joint {names.joint[j]!r}: range {low:g} {high:g} is invalid and does not act")
     for a in range(model.nu):
         for key in ("force", "ctrl"):
             low, high = getattr(model, f"actuator_{key}range")[a].tolist()
             if not getattr(model, f"actuator_{key}limited")[a] and low >= high and (low or high):
                 name = names.own("actuator", a) or str(a + 1)
-                found.append(f"actuator {name!r}: its {key}range {low:g} {high:g} is none to MuJoCo, and does not act")
+                found.append(f"actuator {name!r}: {key}range {low:g} {high:g} is invalid and does not act")
     turning = [
         names.joint[j] for j in range(model.njnt) if model.jnt_limited[j] and JOINTS[model.jnt_type[j]] == "ball"
     ]

@@ -46,7 +46,7 @@ def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, 
             continue
         kind = int(model.eq_type[k])
         if kind > _TENDON:
-            raise ModelError(f"{where}: <equality>: a <flex> is not simulated: the model must do without it")
+            raise ModelError(f"{where}: <equality>: a <flex> is not simulated: remove it from the model")
         title = ("connect", "weld", "joint", "tendon")[kind]
         name = names.own("eq", k) or f"{title} {k + 1}"
         largest = float(np.abs(model.eq_data[k]).max())

@@ -197,5 +197,5 @@ def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -
             continue
         best = max(best, least_inertia(H))
     if not best > SINGULAR:
-        reason = culprit or "some joints, moved together, move no inertia"
+        reason = culprit or "some joints that move together have no inertia"
         raise ModelError(f"{where}: the mass matrix is singular: {reason}; give its links their inertia")

@@ -52,7 +52,7 @@ def read_beside(path: Path, text: str) -> Beside:
     root, warnings = ET.fromstring(text), []
     for name, kind in zip(changed, kinds, strict=True):
         if not _change(root, name, kind.upper(), path):
-            warnings.append(f"{path.name}: joint_name {name!r} is no joint of the URDF, and is passed over")
+            warnings.append(f"{path.name}: joint_name {name!r} is no joint of the URDF, and is ignored")
         elif kind.upper() == "SPHERICAL":
             warnings.append(f"joint {name!r} is three hinges, about x, y and z: it must not turn by 90 degrees about y")
     pairs, types = table["closed_loop"], _names(table, "type", path)

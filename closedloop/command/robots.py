@@ -375,7 +375,7 @@ def _of_mujoco(robot: Robot, file: str, states: list[tuple[Array, Array]], close
 
     model = robot.model
     if any(model.locked.values()) or (model.locked and model.format == "mjcf"):
-        raise LookupError("joints are held rigid, which MuJoCo cannot be told")
+        raise LookupError("joints are held rigid, which an MJCF cannot state")
     if model.format == "mjcf":
         compiled = (
             mujoco.MjModel.from_xml_path(file) if Path(file).is_file() else mujoco.MjModel.from_xml_string(model.text)

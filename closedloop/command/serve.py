@@ -75,7 +75,7 @@ def _until_ended(served: Served, results: Results, watch: Watch | None) -> int:
     wrote = what_was_written(*paths, folder=results.folder) + beside
     print(f"{max(0, len(run) - 1)} steps served{share}{late}; {wrote}", flush=True)
     if watch is not None:
-        watch.finish(run, f"The simulation has ended: this is all of it. It is in {results.folder}.")
+        watch.finish(run, f"The simulation has ended, and the whole run is shown. It is saved in {results.folder}.")
     if failure is not None:
         raise failure
     if isinstance(stop, Terminated):

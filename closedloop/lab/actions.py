@@ -37,7 +37,7 @@ def act(lab: Lab, client: Client, said: Said) -> None:
     except ClosedLoopError as error:
         _say(lab, one_line(str(error)), loud=True)
     except Exception:  # the page goes on: what comes from a browser may be anything
-        client.put("status", pack(_status("what the page asked for failed: the terminal says why", True)))
+        client.put("status", pack(_status("what the page asked for failed: see the terminal", True)))
         logger.exception("a request of the page failed")
 
 

@@ -56,7 +56,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         age, cure = ("a newer", "") if version > FORMAT_VERSION else ("an older", "; run its scenario again")
         raise RunFileError(f"was written by {age} version: format {version}, this one reads {FORMAT_VERSION}{cure}")
     if CHECKSUM not in found:
-        raise RunFileError("has no checksum, so nothing tells whether it is what was written; run its scenario again")
+        raise RunFileError("has no checksum, so it cannot be checked for damage; run its scenario again")
     # Of what was written, whatever else another program has added since.
     ours = {name: value for name, value in found.items() if name in ATTRIBUTES}
     if found[CHECKSUM] != checksum(ours, columns):

@@ -47,7 +47,7 @@ def integrator_of(scenario: Scenario, joint_friction: JointFriction) -> tuple[ty
     if scenario.reads_encoders:
         what = "encoder" if encoder_kind(scenario.encoder) != NO_ENCODER else "transmission.measured = 'motor'"
         raise ScenarioError(
-            f"{what}: is read once a step, and {name!r} chooses its own steps; use an integrator of fixed step, "
+            f"{what}: is sampled once a step, and {name!r} chooses its own steps; use an integrator of fixed step, "
             f"{' or '.join(map(repr, INTEGRATORS))}"
         )
     for key, law, family, possible in (

@@ -87,7 +87,7 @@ class Path(Parameters):
     on_surface: Literal["projected", "geodesic", "no"] = Field(
         "projected",
         description="how it is mapped onto a curved or moving surface: projected along the normal at the start; "
-        "geodesic: with its lengths and angles, at the speed that it says; no: it stays in space",
+        "geodesic: with the same lengths, angles and speed; no: not at all",
     )
 
     orientation: Held = Field(

@@ -66,10 +66,10 @@ class EdgeSection(Section):
 
     half: HalfAxis = Field(description="half the edge, m, axes of the frame link")
     sides: tuple[HalfAxis, HalfAxis] | None = Field(
-        None, description="normals of its two faces, out of the body; none of a rod"
+        None, description="normals of its two faces, out of the body; left out for a rod"
     )
     onto: tuple[HalfAxis, ...] = Field(
-        description="half axes of the box, m, axes of the frame against: three vectors at right angles; one of a rod"
+        description="half axes of the box, m, axes of the frame against: three vectors at right angles; one for a rod"
     )
     onto_radius: Annotated[NotNegative, PLACE] = Field(0.0, description="radius of that rod, m")
     crossing: Literal["first", "last"] = Field(

@@ -188,7 +188,7 @@ def judge_control(
         with np.errstate(all="ignore"):
             problems += _contact(signals, unknown) + _path(signals, unknown)
             if signals.negative_gain:
-                text = f"{signals.negative_gain} is below 0: the feedback drives the arm away, however slowly"
+                text = f"{signals.negative_gain} is below 0: the feedback has the wrong sign"
                 problems.append(problem_of("unstable", text))
             if signals.sparse:
                 unknown.append(f"oscillation: rows are {signals.h:g} s apart, steps are shorter")

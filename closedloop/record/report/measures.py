@@ -21,7 +21,7 @@ MEASURES: dict[str, Measure] = {
     "final_contact_force": Measure("N", "contact force at the end"),
     "peak_contact_force": Measure("N", "highest contact force"),
     "min_contact_force": Measure("N", "lowest contact force"),
-    "max_stabiliser_force": Measure("N", "largest share of the contact force that answers the stabiliser"),
+    "max_stabiliser_force": Measure("N", "largest share of the contact force that is due to the stabiliser"),
     "max_abs_closure_error": Measure("m", "largest closure error in contact, either way"),
     "final_closure_error": Measure("m", "closure error at the end; positive off the surface"),
     "max_abs_closure_rate": Measure("m s-1", "largest closure rate in contact, either way"),

@@ -129,7 +129,7 @@ def contact_rows(run: Record) -> list[tuple[str, str, str, str]]:
     said = []
     if shares is not None:
         at, count, rank = shares
-        what = f"{rank} of {count} rows are independent; the forces of least norm are given"
+        what = f"{rank} of {count} rows are independent; the forces of least norm are recorded"
         said = [("share of each contact not determined", f"from {at:.4g}", "s", what)]
     return [
         *said,

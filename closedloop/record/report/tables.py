@@ -102,7 +102,7 @@ def _undetermined_rows(facts: dict[str, Any]) -> list[Row]:
     at = facts["force_not_determined_from"]
     if at is None:
         return []
-    return [("f not determined by rigid bodies", f"from {at:.4g}", "s", "at rest; that of least friction is given")]
+    return [("f not determined by rigid bodies", f"from {at:.4g}", "s", "at rest; that of least friction is recorded")]
 
 
 def _direction_rows(facts: dict[str, Any]) -> list[Row]:

@@ -252,7 +252,7 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     if facts.steps >= 0:
         problems += _limits(facts) + _saturation(facts)
         problems += [
-            problem_of(name, f"the scenario keeps to this assumption of the paper, and it failed: {measured}", at)
+            problem_of(name, f"an assumption of the paper that the scenario makes is violated: {measured}", at)
             for name, (at, measured) in facts.failed.items()
         ]
         problems += _step(facts) + [problem_of("resolution", text) for text in facts.unresolved]
@@ -271,11 +271,11 @@ def probable_reason(problems: Sequence[Mapping[str, Any]]) -> str:
     """
     said = {problem["name"]: problem["text"] for problem in problems}
     if "gains" in said:
-        return "probably unstable: gains that the step cannot carry"
+        return "probably unstable: the gains are too high for this step"
     if DIVERGES in said.get("stopped", ""):
-        return "probably unstable: the feedback drives the arm away"
+        return "probably unstable: the feedback has the wrong sign"
     if {"energy", "chatter"} <= said.keys():
-        return "probably unstable: it shakes from step to step"
+        return "probably unstable: it oscillates from step to step"
     return ""
 
 
@@ -401,7 +401,7 @@ def _step(facts: Facts) -> list[dict[str, Any]]:
         f"take a shorter time.step than {time.step:g} s{other}"
     )
     if facts.events >= STRIKES:
-        text += "; where bounces go on, each depends on all steps before it, and no step is short enough"
+        text += "; while the tip bounces on, a small change grows from bounce to bounce, and no shorter step helps"
     return [problem_of("step", text)]
 
 

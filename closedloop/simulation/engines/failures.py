@@ -100,14 +100,14 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
         who = "contacts" if problem.scenario.contact else "tip and the stops of joints"
         return ChatterError(
-            f"{when(t)}: the {who} chatter: at one instant their modes change again and again, for the forces of "
-            f"each set of modes ask for another; {cure}",
+            f"{when(t)}: the {who} chatter: at one instant their modes change again and again, and no set of "
+            f"modes agrees with its own forces; {cure}",
             t,
         )
     if status == CHATTER:
         return ChatterError(
-            f"{when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the "
-            "surface and lifts it off while it is on; look at a law that depends on the contact, and at time.step",
+            f"{when(t)}: the contact chatters: at one instant the torque presses the tip "
+            "on while it is free, and lifts it while it touches; look at a law that depends on the contact, and at time.step",
             t,
         )
     if status in (RUBS, CROWDED):
@@ -160,8 +160,8 @@ def _rubs_without_end(status: int, t: float) -> SimulationError:
     """Return the error of a tip that changes its mode again and again, at one instant or in every step."""
     if status == RUBS:
         return ChatterError(
-            f"{when(t)}: stick and slip follow each other without end at one instant: friction finds no direction in "
-            "which the tip slips, and cannot hold it; look at friction, at stabiliser.kind (a tip that sticks drifts "
+            f"{when(t)}: stick and slip alternate without end at one instant: no direction of slip "
+            "agrees with its own friction, and friction cannot hold the tip; look at friction, at stabiliser.kind (a tip that sticks drifts "
             "without one), and at time.step",
             t,
         )
@@ -177,7 +177,7 @@ def _contacts_fail(status: int, t: float, scenario: Scenario) -> SimulationError
     """Return the error of several contacts that no forces go with."""
     if status == SINGULAR:
         return SingularClosureError(
-            f"{when(t)}: the contacts contradict each other: no forces give all of them the accelerations that they "
+            f"{when(t)}: the contacts are inconsistent: no forces give all of them the accelerations that they "
             "require; look for contacts of bodies that cannot move, and leave one out",
             t,
         )

@@ -112,7 +112,7 @@ class Page:
             found.append(f"{text:28}{pole.frequency:>9.3g}{pole.damping:>9.3f}  {belongs}")
         rest = sum(pole.at_rest for pole in loop.poles())
         if rest:
-            found.append(f"{rest} more do not change: friction holds these motions, or nothing controls them")
+            found.append(f"{rest} more neither grow nor decay: friction blocks these motions, or no gain acts on them")
         if loop.mode == 0:
             found += ["", "the tip touches nothing: f has no bandwidth, and there is no port"]
             return found + self._limit_lines()
@@ -162,7 +162,7 @@ def trial_line(trial: Trial) -> str:
     if math.isinf(trial.seen) and trial.seen > 0.0:
         seen = "a whole run from there on stops"
     else:
-        seen = f"two whole runs grow apart with exp({trial.seen:+.3g} t)"
+        seen = f"two neighbouring runs diverge with exp({trial.seen:+.3g} t)"
     verdict = "" if trial.agrees else ": the two DISAGREE"
     return f"  {values}: linear exp({trial.expected:+.3g} t), {seen}{verdict}"
 

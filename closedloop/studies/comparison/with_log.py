@@ -342,7 +342,7 @@ def _explained(reasons: Sequence[Reason]) -> list[str]:
             f"(alone {100 * reason.alone:.0f} %; with it {100 * (1.0 - reason.left):.1f} %)"
         )
         if reason.as_well:
-            told.append(f"  as well by {' or by '.join(reason.as_well)}: this log does not tell them apart")
+            told.append(f"  as well by {' or by '.join(reason.as_well)}: this log does not distinguish them")
     return told
 
 

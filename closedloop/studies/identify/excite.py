@@ -162,7 +162,7 @@ def excite(
         if not low <= value <= high:
             raise ModelError(f"{name} is {value!r}: it must be from {low:g} to {high:g}")
     if LOAD in friction:
-        raise ModelError(f"friction is {LOAD!r}: it grows with the torque, and a motion has none; leave it out")
+        raise ModelError(f"friction is {LOAD!r}: it depends on the torque, not on the motion; leave it out")
     regressor = Regressor(model, Terms(tuple(friction), drive_inertia))
     base = base_parameters(regressor)
     names = tuple(regressor.names[k] for k in base.kept)

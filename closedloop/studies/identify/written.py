@@ -164,7 +164,7 @@ def report(found: Identification) -> list[str]:
         )
     for e in found.not_physical:
         lines.append(
-            f"  NOT PHYSICAL: {e.name} is {e.value:.4g} {e.unit}, and surely below 0: {_WRONG['inertia' in e.name]}; "
+            f"  NOT PHYSICAL: {e.name} is {e.value:.4g} {e.unit}, and surely negative: {_WRONG['inertia' in e.name]}; "
             "the log has an effect that the model lacks, or torques of another gain or instant"
         )
     lines += ["", f"  {'parameter':30}{'value':>12}  {100 * found.confidence:.0f} % interval"]
@@ -296,11 +296,11 @@ def write(found: Identification, folder: Path, source: str) -> list[Path]:
         errors = ", ".join(f"{100 * x:.1f}" for x in body.relative_error)
         lines += [
             "",
-            f"robot.urdf has bodies that can be, {body.distance:.2f} standard deviations (RMS) from the values above; "
+            f"robot.urdf has possible bodies, {body.distance:.2f} standard deviations (RMS) from the values above; "
             f"their torque errs by {errors} %",
         ]
         if body.distance > FAR:
-            lines.append("so far from them the values above are those of no robot: do not use them for a model")
+            lines.append("so far from them the values above are physically impossible: do not use them for a model")
     texts |= {
         "report.txt": "\n".join(lines) + "\n",
         "identified.json": json.dumps(found.summary(), indent=2, allow_nan=False) + "\n",

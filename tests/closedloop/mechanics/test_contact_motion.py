@@ -158,7 +158,7 @@ def test_shares_that_are_not_determined_are_told(tmp_path):
     four = simulate(tmp_path, HALF, FOUR, start, 0.3, **{"time.duration": 0.005})
     assert share_not_determined(four) == (0.0, 12, 6)
     said = {row[0]: row for row in contact_rows(four)}["share of each contact not determined"]
-    assert said[1:] == ("from 0", "s", "6 of 12 rows are independent; the forces of least norm are given")
+    assert said[1:] == ("from 0", "s", "6 of 12 rows are independent; the forces of least norm are recorded")
     three = [[0.1, 0.0, -0.05], [-0.1, 0.05, -0.05], [-0.1, -0.05, -0.05]]
     three = simulate(tmp_path, HALF, three, start, 0.0, **{"time.duration": 0.005})
     assert share_not_determined(three) is None

@@ -164,7 +164,7 @@ STALL_STEPS, STALL_TIME = 500, 5e-7
 LATE = 1e-12
 
 STALLED = (
-    "the step of the adaptive integrator has shrunk to nothing: the motion has no smooth continuation here; look for a "
+    "the step of the adaptive integrator has become zero: the motion has no smooth continuation here; look for a "
     "torque that jumps with the state, or take an integrator of fixed step"
 )
 

@@ -139,12 +139,12 @@ def _estimates(found: Fit, covariance: Array, late: float, middle: float, sensor
     if apart:
         told.append(known("damping", float(found.value[2]), float(deviation[2]), "N s/m", z))
     else:
-        why = "in this log damping looks like a delay: press faster and slower, or give the delay"
+        why = "damping cannot be distinguished from a delay here: press faster and slower, or give the delay"
         told.append(unknown("damping", "N s/m", why))
     if apart and not sensor.delay_known:
         told.append(known("delay", late, float(deviation[3]), "s", z))
     elif not apart:
-        told.append(unknown("delay", "s", "in this log a delay looks like damping: press faster and slower"))
+        told.append(unknown("delay", "s", "a delay cannot be distinguished from damping here: press faster and slower"))
     if sensor.part.estimates[0].why:
         why = "it looks like a bias of the sensor, which is known if the tip is free for a while"
         told.append(unknown("surface_offset", "m", why))

@@ -273,7 +273,7 @@ def probable_reason(problems: Sequence[Mapping[str, Any]]) -> str:
     if "gains" in said:
         return "probably unstable: the gains are too high for this step"
     if DIVERGES in said.get("stopped", ""):
-        return "probably unstable: the feedback has the wrong sign"
+        return "probably unstable: the motion diverges"
     if {"energy", "chatter"} <= said.keys():
         return "probably unstable: it oscillates from step to step"
     return ""

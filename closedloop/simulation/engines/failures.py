@@ -107,7 +107,8 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     if status == CHATTER:
         return ChatterError(
             f"{when(t)}: the contact chatters: at one instant the torque presses the tip "
-            "on while it is free, and lifts it while it touches; look at a law that depends on the contact, and at time.step",
+            "on while it is free, and lifts it while it touches; look at a law that depends on the contact, and at "
+            "time.step",
             t,
         )
     if status in (RUBS, CROWDED):
@@ -161,8 +162,8 @@ def _rubs_without_end(status: int, t: float) -> SimulationError:
     if status == RUBS:
         return ChatterError(
             f"{when(t)}: stick and slip alternate without end at one instant: no direction of slip "
-            "agrees with its own friction, and friction cannot hold the tip; look at friction, at stabiliser.kind (a tip that sticks drifts "
-            "without one), and at time.step",
+            "agrees with its own friction, and friction cannot hold the tip; look at friction, at "
+            "stabiliser.kind (a tip that sticks drifts without one), and at time.step",
             t,
         )
     return ChatterError(

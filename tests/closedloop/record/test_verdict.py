@@ -143,10 +143,10 @@ def test_gains_are_named_where_they_show():
 
 @pytest.mark.parametrize(
     ("law", "reason"),
-    [({"law.kp": 3e5}, "the gains are too high for this step"), ({"law.kd": -30.0}, "the feedback has the wrong sign")],
+    [({"law.kp": 3e5}, "the gains are too high for this step"), ({"law.kd": -30.0}, "the motion diverges")],
 )
 def test_an_instability_is_the_reason_in_the_first_line(law, reason, capsys):
-    """Of the gains are too high for this step, of any motion that diverges, and of what shakes; not of a limit alone."""
+    """Of gains too high for the step, of a motion that diverges, and of an oscillation; not of a limit alone."""
     with pytest.raises(cl.DivergenceError) as caught:
         cl.simulate(cl.load_scenario("wam_slide", law | {"time.duration": 1.0}))
     print_report(caught.value.run)

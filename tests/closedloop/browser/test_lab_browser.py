@@ -116,7 +116,7 @@ def test_all_joints_move_together_or_each_by_itself(page, lab):
 def test_a_drag_in_space_pulls_at_what_is_below_the_pointer(page, lab):
     """With `pull` pressed a drag at the tip is a force for 0.2 s, along the drag; one beside the arm turns the view."""
     page.evaluate("seek(2.0)")
-    page.wait_for_function("space.frame && !space.waits && still.time[0] === 2")
+    wait_until(page, "space.frame && !space.waits && space.scene && counts !== null")
     box, shown = page.locator("#view").bounding_box(), "JSON.stringify([space.view().turn, space.view().rise])"
     x, y = page.evaluate(
         """() => { const v = space.view(), c = space.canvas, cam = space.camera(v, c.clientWidth / c.clientHeight);

@@ -11,7 +11,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.figures.force import friction_bounds
-from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
+from closedloop.figures.scene.scene import LOOP, OUTSIDE, TOUCH, quaternions, scene_of
 from closedloop.figures.scene.solids import Ghost, Joined, Shape
 from closedloop.lab import curves
 from closedloop.lab.animate import CELLS, OWN
@@ -370,3 +370,27 @@ def test_no_link_passes_through_the_surface(name):
     """From the start to the end of the run the arm is drawn clear of its table; only the ball at the tip touches it."""
     run = cl.simulate(cl.load_scenario(name), engine="compiled")
     assert run.summary()["clearance"]["distance"] > 0.0
+
+
+def test_the_points_of_a_face_have_one_arrow():
+    """It is their sum, at their centre of pressure, as `contact_wrench` has them: 37 arrows would hide each other."""
+    body = {"name": "puck", "shape": "cylinder", "radius": 0.05, "length": 0.02, "mass": 1.0}
+    body["position"] = [0, 0, 0.0099]
+    pad = {"kind": "kelvin_voigt", "stiffness": 2e5, "damping": 200.0}
+    face = {"name": "pad", "link": "puck", "at": {"disc": 0.05, "centre": [0, 0, -0.01]}, "compliance": pad}
+    push = [{"link": "puck", "at": [0.02, 0.0, 0.0], "force": [0.0, 0.0, -5.0]}]
+    run = cl.simulate(cl.load_scenario({
+        "robot": {"model": "none"}, "body": [body], "contact": [face], "external_force": push,
+        "stabiliser": {"kind": "none"}, "time": {"duration": 0.2, "step": 1e-3, "integrator": "rk4"},
+    }))  # fmt: skip
+    scene, row = scene_of(run), len(run) - 1
+    assert run.link_forces.shape[1] == 37
+    (touch,) = (arrow for arrow in scene.arrows([row])[0] if arrow.kind == TOUCH)
+    wrench = run.contact_wrench("pad")[row]
+    np.testing.assert_allclose(touch.force, wrench[:3], atol=1e-9)
+    np.testing.assert_allclose(touch.tail, wrench[6:], atol=1e-9)
+    (outside,) = (arrow for arrow in scene.arrows([row])[0] if arrow.kind == OUTSIDE)
+    np.testing.assert_allclose(outside.force, [0.0, 0.0, -5.0])
+    assert outside.tail[0] == pytest.approx(0.02, abs=1e-3)
+    assert {TOUCH, OUTSIDE} <= set(scene.kinds)
+    assert all(len(each["tails"][0]) == len(scene.arrows([0])[0]) for each in [frames(scene, [0, row])])

@@ -145,7 +145,7 @@ REFUSED = {
     "negative": ({"encoder.noise": -1e-5}, "encoder.noise = -1e-05: must not be negative"),
     "length": ({"encoder.quantisation": [1e-5, 1e-5]}, "encoder.quantisation has 2 entries: the robot has 4 joints"),
     "word": ({"encoder.velocity": "guess"}, "encoder.velocity = 'guess'"),
-    "adaptive": ({"encoder.noise": 1e-5, "time.integrator": "dop853"}, "encoder: is read once a step"),
+    "adaptive": ({"encoder.noise": 1e-5, "time.integrator": "dop853"}, "encoder: is sampled once a step"),
     "one count": ({"encoder.quantisation": [0.0, 6.28, 0.0, 0.0]}, "joint J2 moves 3.94444 rad (m) in all"),
     "seed": ({"encoder.seed": -1}, "must be a whole number, 0 or above"),
     "a seed no number holds": ({"encoder.seed": 10**400}, "must be at most 2**128"),

@@ -276,7 +276,7 @@ REFUSED = {
     "length": ({"transmission.stiffness": [1e3, 1e3]}, "transmission.stiffness has 2 entries: the robot has 4 joints"),
     "motor": (
         {"transmission.stiffness": 1e3, "transmission.measured": "motor", "time.integrator": "dop853"},
-        "is read",
+        "is sampled",
     ),
     "damper": (
         {"transmission.stiffness": 1e3, "transmission.damping": 1e7},

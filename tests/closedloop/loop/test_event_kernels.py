@@ -290,6 +290,6 @@ def test_events_without_end_stop_the_run_and_are_told_apart():
             assert interpreted(too_many_events)(state, most) == (told != 0)
             assert state.status == told
     alternating, crowded = (_rubs_without_end(status, 0.25) for status in (RUBS, CROWDED))
-    assert "stick and slip follow each other" in str(alternating)
+    assert "stick and slip alternate" in str(alternating)
     assert f"more than {MAX_IN_STEP} times" in str(crowded)
     assert all("torque presses" not in str(error) and error.time == 0.25 for error in (alternating, crowded))

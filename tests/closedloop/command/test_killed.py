@@ -130,6 +130,6 @@ def test_signal_at_a_few_moments(number, place):
 @pytest.mark.parametrize("number", ALLOWED)
 def test_signal_at_many_moments(number, place):
     """Some moments each, forty with the full budget, of which some are in the middle of the run."""
-    statuses, lengths = judge(place, number, budget(9, 40), 1)
+    statuses, lengths = judge(place, number, budget(16, 40), 1)
     assert statuses <= ALLOWED[number]
     assert number == signal.SIGKILL or len(lengths) > 2

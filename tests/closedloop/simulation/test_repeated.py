@@ -82,7 +82,7 @@ def starts(problem):
     far = {} if q is None or model.balls else {"start.q": [x + 0.02 * (-1) ** i for i, x in enumerate(q)]}
     slower = {"start.v": (0.5 * rates).tolist()}
     wrong = {"start.q": [0.1] * 99, "start.v": [0.1] * 98}
-    fast = {"start.v": [1e3] * len(rates)}
+    fast = {"start.v": [1e2] * len(rates)}
     return [near | slower, {"start.v": rates.tolist()}, far, wrong, near, fast, near | slower]
 
 

@@ -77,7 +77,7 @@ def recorded(seed=0, noise=(3e-6, 0.1), true=TRUE, law=None, torque=True, **movi
 @pytest.mark.slow
 def test_biases_are_below_a_third_of_the_intervals_that_hold():
     """Of logs with noise and delay: every parameter of contact and sensor, and 95 % intervals that cover."""
-    found = [cl.identify_contact(recorded(seed), point()) for seed in range(budget(12, 40))]
+    found = [cl.identify_contact(recorded(seed), point()) for seed in range(budget(20, 40))]
     for name, true in TRUE.items():
         value, low, high = np.array([[getattr(x[name], k) for k in ("value", "low", "high")] for x in found]).T
         half = (high - low).mean() / 2.0

@@ -11,12 +11,16 @@ import os
 import signal
 import sys
 from collections import Counter
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+# Before numpy is imported: xdist has a process for each core, in which threads of BLAS wait for each other, spinning.
+# They doubled the processor time of tests that fit.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from closedloop.command.compile_all import main as compile_all
 from closedloop.command.compile_all import pieces
 from closedloop.jit.background import VARIABLE
 from closedloop.jit.cache_folder import cache_folder
@@ -77,22 +81,21 @@ def pytest_collection_modifyitems(items):
 MANY = 40
 
 
-@pytest.fixture(scope="session", autouse=True)
-def compiled_once(request, tmp_path_factory):
-    """Compile what ships before a whole suite, each part in one of xdist's processes only.
+def pytest_sessionstart(session):
+    """Compile what ships before a whole suite, once: before xdist starts its processes, which would share it badly.
 
-    They begin at opposite ends of the list and take what no other has taken; what is kept already is not touched.
+    One that needs what another is compiling compiles it too. What is kept already is not touched.
     """
-    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
-    if not worker or jit_disabled() or len({item.path for item in request.session.items}) < MANY:
+    config = session.config
+    if hasattr(config, "workerinput") or config.option.collectonly or jit_disabled():
         return
-    everything, taken = pieces(), tmp_path_factory.getbasetemp().parent / "compiled"
-    taken.mkdir(exist_ok=True)
-    for piece in everything if int(worker.removeprefix("gw")) % 2 == 0 else reversed(everything):
-        if not any(cache_folder().glob(f"*.{piece.kernel}-*.nbc")):
-            with suppress(FileExistsError):
-                (taken / piece.kernel).touch(exist_ok=False)
-                piece.compile()
+    given = [Path(argument.partition("::")[0]) for argument in config.args]
+    if sum(len(list(path.rglob("test_*.py"))) for path in given) < MANY:
+        return
+    kept = {file.name.partition(".")[2].rpartition("-")[0] for file in cache_folder().glob("*.nbc")}
+    if missing := {piece.kernel for piece in pieces()} - kept:
+        print(f"compiling {len(missing)} kernels, once, before the tests begin")
+        compile_all([])
 
 
 @pytest.fixture(autouse=True)

@@ -101,17 +101,14 @@ def errors(engine, oracle, q, v, torque, normal, b, restitution):
             yield method, np.abs(got - wanted).max() / sizes[method], bound
 
 
-@pytest.mark.parametrize(
-    ("name", "states"),
-    [*((name, 2) for name in QUICK), *(pytest.param(name, 8, marks=pytest.mark.slow) for name in ROBOTS)],
-)
+@pytest.mark.parametrize("name", [pytest.param(x, marks=() if x in QUICK else pytest.mark.slow) for x in ROBOTS])
 @pytest.mark.parametrize("engine", PEERS, ids=lambda e: e.name)
-def test_agrees_with_the_oracle(engine, name, states):
+def test_agrees_with_the_oracle(engine, name):
     """Terms agree to rounding, accelerations and forces to rounding times the condition number."""
     robot, rng = robot_of(name), np.random.default_rng(7)
     peer, oracle = build(engine, robot), oracle_of(name)
     worst = {}
-    for _ in range(states):
+    for _ in range(budget(2, 8)):
         for quantity, error, bound in errors(peer, oracle, *draw(robot, rng)):
             worst[quantity] = max(worst.get(quantity, (0.0, bound)), (error, bound))
     assert len(worst) >= len(engine.covers - {"stabilised"})

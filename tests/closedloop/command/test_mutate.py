@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import re
 import sys
 from pathlib import Path
 
@@ -57,10 +58,8 @@ def test_every_test_that_is_named_is_there():
     named = {name.split()[0] for names in mutate.TESTS.values() for name in names}
     for name in named:
         file, _, test = name.partition("[")[0].partition("::")
-        found = {
-            n.name for n in ast.walk(ast.parse((mutate.ROOT / file).read_text())) if isinstance(n, ast.FunctionDef)
-        }
-        assert not test or test in found, name
+        text = (mutate.ROOT / file).read_text()
+        assert not test or re.search(rf"^ *def {test}\(", text, re.MULTILINE), name
 
 
 def test_every_mutant_is_one_change_and_compiles():

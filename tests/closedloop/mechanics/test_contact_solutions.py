@@ -92,15 +92,21 @@ def test_random_contacts_keep_their_cones_and_give_no_energy():
     check_random(budget(100, 10_000), 2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "number"), [(20264, 9767), (20268, 7538)], ids=["long sweeps", "polished"])
-def test_hardest_of_many_random_problems(seed, number):
+@pytest.mark.parametrize(
+    ("seed", "drawn", "half"),
+    [(20264, 503629, 2457415189), (20268, 387662, 2817846566)],
+    ids=["long sweeps", "polished"],
+)
+def test_hardest_of_many_random_problems(seed, drawn, half):
     """Four paths end before the first, and after long sweeps Newton's method has it; the line search ends at 2e-10 of
     the force in the second, and full steps polish what it leaves.
+
+    They are problems 9767 and 7538 of `check_random`: what the others draw, and half a number left, is passed over.
     """
     rng = np.random.default_rng(seed)
-    for trial in range(number):
-        memory, _ = filled(rng, planar=trial % 3 == 0)
+    rng.bit_generator.advance(drawn)
+    rng.bit_generator.state |= {"has_uint32": 1, "uinteger": half}
+    memory, _ = filled(rng, planar=False)
     assert solve_at(memory.address) == 1
     assert faults(memory.contacts, int(memory.links.k)) < 1e-13
 

@@ -7,6 +7,7 @@ from collections import Counter, defaultdict
 import numba
 import numpy as np
 import pytest
+from budget import budget
 
 import closedloop as cl
 from closedloop.control.reference.follow import follow
@@ -323,12 +324,12 @@ def test_a_draft_serves_until_the_compiled_form_is_there(monkeypatch):
     assert not kernel.interpreting
 
 
-DRAFTED = "an observer, a sensor", "loops", "contacts of links"
+DRAFTED = budget(("an observer, a sensor", "loops"), ("an observer, a sensor", "loops", "contacts of links"))
 
 
 @pytest.mark.slow
 def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypatch):
-    """The step, loops, contacts of links, laws of friction and of compensation, before they are optimised."""
+    """The step, loops, laws of friction and of compensation, before they are optimised; in full contacts of links."""
     scenarios = [cl.load_scenario(name, SHORT | more) for name, more in map(CASES.get, DRAFTED)]
     sound = [bits(cl.simulate(scenario)) for scenario in scenarios]
     mine = tmp_path / "closedloop-0123456789abcdef"

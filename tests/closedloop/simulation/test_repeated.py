@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from budget import budget
 
 import closedloop as cl
 import robot_models
@@ -81,18 +82,25 @@ def starts(problem):
     far = {} if q is None or model.balls else {"start.q": [x + 0.02 * (-1) ** i for i, x in enumerate(q)]}
     slower = {"start.v": (0.5 * rates).tolist()}
     wrong = {"start.q": [0.1] * 99, "start.v": [0.1] * 98}
-    fast = {"start.v": [1e3] * len(rates)}
+    fast = {"start.v": [1e2] * len(rates)}
     return [near | slower, {"start.v": rates.tolist()}, far, wrong, near, fast, near | slower]
 
 
-def names_from_elsewhere():
-    """Return the scenarios that are started elsewhere: those above, and with the slow tests all others that ship."""
+ENGINES = ("compiled", "pinocchio")
+
+
+def from_elsewhere():
+    """Return the scenarios that are started elsewhere, and engines: those above on both, in the slow suite all in turn.
+
+    With the full budget all on both.
+    """
     more = [name for name in shipped_scenarios() if name not in FROM_ELSEWHERE]
-    return [*FROM_ELSEWHERE, *(pytest.param(name, marks=pytest.mark.slow) for name in more)]
+    slow = [(name, engine) for k, name in enumerate(more) for engine in budget((ENGINES[k % 2],), ENGINES)]
+    quick = [(name, engine) for name in FROM_ELSEWHERE for engine in ENGINES]
+    return [*quick, *(pytest.param(*each, marks=pytest.mark.slow) for each in slow)]
 
 
-@pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
-@pytest.mark.parametrize("name", names_from_elsewhere())
+@pytest.mark.parametrize(("name", "engine"), from_elsewhere())
 def test_a_run_from_another_start_equals_one_that_finds_nothing_made(name, engine):
     """What steps a problem is taken over for the next start, and nothing of the run before is left in it."""
     given = cl.load_scenario(name)

@@ -49,7 +49,7 @@ def assert_stepped_the_same(scenario, engine):
             assert state.measured == once.measured_force[k - 1]
 
 
-LONGEST = budget(4.0, np.inf)  # s of a scenario, in the longer tests
+LONGEST = budget(2.5, np.inf)  # s of a scenario, in the longer tests
 # Those whose terms cost most begin to move at once, and end soon.
 SOON = {"reference.start": 0.02, "time.duration": 0.12}
 SHORTER = budget({"stewart": SOON, "delta": SOON, "five_bar": {"time.duration": 1.5}}, {})

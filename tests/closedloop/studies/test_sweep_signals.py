@@ -101,8 +101,8 @@ def test_any_signal_at_any_moment_costs_nothing(tmp_path, whole, number):
     """From the start of the process to the renaming of the table, at random."""
     rng = random.Random(int(number))
     (tmp_path / "mine.txt").write_text("mine")
-    for k in range(budget(4, 12)):
-        # Every fourth while it starts; else from the first part that is there on: the runs, then the joining.
+    for k in range(budget(3, 12)):
+        # The first, and every fourth, while it starts; else from the first part on: the runs, then the joining.
         starts = k % 4 == 0
         run = (process if starts else Forked)(tmp_path, *ARGUMENTS, "--out", "t.parquet")
         _, err = send(run, number, tmp_path, -rng.uniform(0.2, 3.0) if starts else rng.uniform(0.0, 1.5))

@@ -25,7 +25,14 @@ from closedloop.mechanics.contacts.sections import ContactSection, ImpactSection
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES, Compliance, Surface
-from closedloop.scenario.robot_sections import BeliefSection, BodySection, ModelErrorSection, RobotSection, ToolSection
+from closedloop.scenario.robot_sections import (
+    BeliefSection,
+    BodySection,
+    MocapSection,
+    ModelErrorSection,
+    RobotSection,
+    ToolSection,
+)
 from closedloop.scenario.time_sections import BaumgarteSection, Stabiliser, StartSection, TimeSection
 
 
@@ -64,6 +71,7 @@ class Scenario(Section):
         description="contacts of the robot's links, in addition to the tip's",
     )
     body: tuple[BodySection, ...] | None = Field(None, description="free bodies beside the robot")
+    mocap: tuple[MocapSection, ...] | None = Field(None, description="frames whose motion moves the robot")
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
     reference: Annotated[paths.Path, paths.PATHS] = Field(
         default_factory=lambda: paths.PATHS["hold"](),
@@ -137,7 +145,7 @@ class Scenario(Section):
     @property
     def is_passive(self) -> bool:
         """Whether nothing does work on what moves: there is no law, and the surfaces that it touches are at rest."""
-        motions = [self.surface_motion, *(each.motion for each in self.contact or ())]
+        motions = [self.surface_motion, *(each.motion for each in (*(self.contact or ()), *(self.mocap or ())))]
         return not self.has_law and all(motion is None or motion.kind == "none" for motion in motions)
 
     @property

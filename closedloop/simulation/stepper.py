@@ -60,7 +60,7 @@ class Stepper:
 
     def __init__(self, problem: Problem, engine: str) -> None:
         # A robot of its own: the terms that it has evaluated last are used again.
-        problem = replace(problem, robot=Robot(problem.robot.model, problem.robot.tip))
+        problem = replace(problem, robot=problem.robot.again())
         self._problem = problem
         self.loop = problem.loop()
         make_ready(*kernels_of(engine), *problem.called(self.loop))

@@ -233,6 +233,10 @@ def log_contacts(w: Work, links: ContactLinks, c: Contacts, state: State, events
         w.supply.energy += c.F[i] * w.tip.carried[i]
     for i in range(3, 3 * links.k):
         w.supply.energy += c.F[i] * c.carried[i]
+    if state.loops.frames != 0:
+        for i in range(3):
+            c.carried[i] = w.tip.carried[i]
+        w.supply.energy += impulse_of_frames(w, c.X, c.F, c.problem.after, c.carried)
     for i in range(links.k):
         if c.event.happened[i] == 0.0:
             continue

@@ -230,8 +230,8 @@ def proceed(
             advance_on_manifold(stage, tau, semi_implicit, substep, tableau, w, constants)
         if not semi_implicit:
             advance_decaying(stage, tau, tableau, w)
-        ask_loops(state, CLOSE)  # at every stage: rows that depend on others do so only where the loops are closed
         finish_stage(w, constants.h, state, tableau)
+        ask_loops(state, CLOSE)  # at every stage: rows that depend on others do so only where the loops are closed
     elif todo == ENLARGE_TABLE:
         return TABLE_FULL
     elif todo == SOLVE_IMPACT:

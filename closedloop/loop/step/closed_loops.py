@@ -22,8 +22,9 @@ from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, forward_su
 from closedloop.mechanics.loops.close import close_state
 from closedloop.mechanics.loops.drives import through_drives
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
+from closedloop.mechanics.loops.moved import place_frames
 from closedloop.mechanics.loops.passing import find_required_on_the_way
-from closedloop.mechanics.loops.solve import leave_free, take_free
+from closedloop.mechanics.loops.solve import dot, leave_free, multiply_transposed, take_free
 
 # What the loops are asked for.
 BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, BIND_PERCEIVED = range(7)
@@ -55,6 +56,8 @@ def closed_loops(address: int, what: int) -> int:
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
+    if links.frames > 0 and (what == BIND_TIP or what == BIND_PERCEIVED or what == CLOSE):
+        place_frames(links, w.time)
     if what == BIND_TIP:
         bind_tip(links, rows, w, w.L, w.tip.X, w.tip.S)
         for k in range(3):
@@ -128,3 +131,27 @@ def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
         for j in range(n):
             s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
         w.scratch.column[i] = s
+
+
+@kernel
+def power_of_frames(H: Array, C: Array, w: Work, state: State) -> None:
+    """Write the power of frames that move the mechanism, W, and its rate with what the loops give held, W/s."""
+    missing_torque(H, C, w, state)
+    w.supply.moved_power = dot(w.scratch.column, w.v, state.n)
+    w.supply.moved_rate = dot(w.scratch.column, w.qdd, state.n)
+
+
+@kernel
+def impulse_of_frames(w: Work, X: Array, F: Array, velocity: Array, carried: Array) -> float:
+    """Return the work, J, of frames that move the mechanism in an impact with impulses F (m,), N s.
+
+    The impulses find the free part of Lᵀq̇ alone. What a point has beside X Lᵀq̇, X = P X, of its velocity, `velocity` to
+    its surface and `carried` of that, it has by the frames, and their loops take the impulse there.
+    """
+    n, work = w.v.shape[0], 0.0
+    for j in range(n):
+        w.scratch.column[j] = w.v[j]
+    multiply_transposed(w.L, w.scratch.column, n)
+    for i in range(F.shape[0]):
+        work += F[i] * (dot(row_of(X, i), w.scratch.column, n) - velocity[i] - carried[i])
+    return work

@@ -7,6 +7,9 @@ stage, which holds the torque over the step, the work is that torque times the m
 
     P = (Q + τ)ᵀq̇ + F·N ṙ        τ friction of the joints, F = (f, F_t) at the tip, N ṙ = u on a surface at rest
 
+Loops do no work, but for those of a frame that moves as it is told: the power of all is Pₗ = (Gᵀλ)ᵀq̇, with Gᵀλ what is
+missing in the equation of motion.
+
 It counts from row 0, which holds the state after the events of t = 0: what these took is in the table of events alone.
 
 With elastic joints the arm ends at the links: Q is then what they pass on to these.
@@ -39,7 +42,7 @@ def power(w: Work, state: State) -> float:
         total += (driving_torque(w, state, j) + w.joint_friction.torque[j]) * w.v[j]
     if state.coupled != 0:
         total += w.contacts.power
-    return total
+    return total + w.supply.moved_power
 
 
 @kernel_inlined
@@ -58,7 +61,7 @@ def save_power(w: Work, state: State) -> None:
             growth += (driving_torque(w, state, j) + w.joint_friction.torque[j]) * w.qdd[j]
         if state.coupled != 0:
             growth += w.contacts.power_rate
-        w.supply.power_rate = growth
+        w.supply.power_rate = growth + w.supply.moved_rate
 
 
 @kernel_inlined

@@ -54,6 +54,8 @@ class Supply(Block):
     work: float  # of the substep, J
     power: float  # at its beginning, W, and the rate
     power_rate: float
+    moved_power: float  # of frames that move the mechanism, and their rate, see `closedloop.mechanics.loops.moved`
+    moved_rate: float
 
 
 class Impact(Block):
@@ -227,6 +229,7 @@ class Loops(Called):
     """The loops of a mechanism."""
 
     perceived_at: int  # address of the memory of the loops as the law sees them, 0: it sees the state itself
+    frames: int  # that move the mechanism as they are told
 
 
 class Sensor(Block):

@@ -24,7 +24,6 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.loop.events.table import KINDS
-from closedloop.loop.step.advance import turn
 from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.perceived import sensor_feels
 from closedloop.loop.step.record_row import Row, complete_record
@@ -32,6 +31,7 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.close import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.reactions import loop_rows
+from closedloop.mechanics.robot.tree.turning import turn
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for

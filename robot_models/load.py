@@ -76,9 +76,7 @@ def _load_packaged(name: str, drive_inertia: bool) -> RobotModel:
     return _load(name, drive_inertia, ())
 
 
-def _load(
-    name: "str | PathLike[str]", drive_inertia: bool, lock: Lock, mocap: Collection[str] = ()
-) -> RobotModel:
+def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock, mocap: Collection[str] = ()) -> RobotModel:
     """See `load`."""
     found = _with_coordinates(find(name, mocap))
     locked = _locked(found, lock)

@@ -134,7 +134,8 @@ def moved_frames(scenario: Scenario, robot: Robot) -> tuple[MovedFrame, ...]:
         where = f"mocap.{k}.frame = {section.frame!r}"
         fixed = robot.frames_at_rest() - {name for frame in found for name in frame.names}
         if section.frame not in fixed:
-            raise ScenarioError(f"{where}: must be a frame that is fixed to the world, one of {', '.join(sorted(fixed)) or 'none'}")
+            known = ", ".join(sorted(fixed)) or "it has none"
+            raise ScenarioError(f"{where}: must be a frame of the robot that is fixed to the world: {known}")
         names = robot.fixed_to(section.frame)
         if not any(name in names for loop in robot.model.loops for name in loop.frames):
             raise ScenarioError(

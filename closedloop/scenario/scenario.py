@@ -145,8 +145,8 @@ class Scenario(Section):
     @property
     def is_passive(self) -> bool:
         """Whether nothing does work on what moves: there is no law, and the surfaces that it touches are at rest."""
-        motions = [self.surface_motion, *(each.motion for each in (*(self.contact or ()), *(self.mocap or ())))]
-        return not self.has_law and all(motion is None or motion.kind == "none" for motion in motions)
+        motions = [self.surface_motion, *(each.motion for each in self.contact or ())]
+        return not (self.has_law or self.mocap) and all(motion is None or motion.kind == "none" for motion in motions)
 
     @property
     def stores_energy(self) -> bool:

@@ -408,9 +408,8 @@ def _encoder(scenario: Scenario, model: RobotModel) -> Array:
 
 def robot_key(scenario: Scenario, cache: Cache) -> Hashable:
     """Return what the robot depends on."""
-    return (
-        cache.texts(scenario, of=("robot", "body", "mocap", "tool")), scenario.model_error.payload, scenario.transmission.elastic
-    )  # fmt: skip
+    of_robot = cache.texts(scenario, of=("robot", "body", "mocap", "tool"))
+    return of_robot, scenario.model_error.payload, scenario.transmission.elastic
 
 
 def model_key(scenario: Scenario) -> Hashable:

@@ -24,7 +24,6 @@ from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.drives import lose_undriven, torque_of_drives
-from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.simulation.engines.loops import kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law, UserLaw

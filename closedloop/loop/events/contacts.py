@@ -27,6 +27,7 @@ from closedloop.loop.events.phases import (
 )
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
 from closedloop.loop.events.table import EDGE, LIFTOFF, RELEASE, STOP, EventRow
+from closedloop.loop.step.closed_loops import impulse_of_frames
 from closedloop.loop.step.contact_rows import resolution
 from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED
 from closedloop.loop.step.entries import RESTART

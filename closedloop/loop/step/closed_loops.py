@@ -56,7 +56,7 @@ def closed_loops(address: int, what: int) -> int:
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
-    if links.frames > 0 and (what == BIND_TIP or what == BIND_PERCEIVED or what == CLOSE):
+    if links.frames > 0 and what in (BIND_TIP, BIND_PERCEIVED, CLOSE):
         place_frames(links, w.time)
     if what == BIND_TIP:
         bind_tip(links, rows, w, w.L, w.tip.X, w.tip.S)

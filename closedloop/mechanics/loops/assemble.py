@@ -48,6 +48,9 @@ def assembled(robot: Robot, memory: LoopMemory, q: Array) -> Array:
 
     model, v = robot.model, np.zeros(robot.n)
 
+    def errors(x: Array) -> Array:
+        return errors_at(robot, memory, x, v)[0]
+
     def rows(x: Array) -> Array:
         errors_at(robot, memory, x, v)
         return memory.rows.G.copy()
@@ -58,9 +61,7 @@ def assembled(robot: Robot, memory: LoopMemory, q: Array) -> Array:
     for k in range(STARTS):
         around = q + random.normal(size=robot.n) * k / STARTS
         inside = np.clip(around, low + AT_LIMIT, high - AT_LIMIT)
-        found.append(
-            least_squares(lambda x: errors_at(robot, memory, x, v)[0], inside, slopes, (low, high), max_nfev=EVALUATIONS)
-        )
+        found.append(least_squares(errors, inside, slopes, (low, high), max_nfev=EVALUATIONS))
         if np.max(np.abs(found[-1].fun)) <= START_OPEN:
             break
     return np.array(min(found, key=lambda each: each.cost).x)
@@ -97,9 +98,10 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
         )
     if not assemble and float(np.max(np.abs(error))) > START_OPEN:
         j = int(np.argmax(np.abs(turned)))
+        nearest = with_quaternions(near, robot.model.joint_types)
         raise ScenarioError(
             f"start.q: the loops are open, by {_worst(robot, error)}; the nearest closed posture is "
-            f"{[float(f'{x:.9g}') for x in with_quaternions(near, robot.model.joint_types)]} ({names[j]} turned by {turned[j]:.3g}): start there, or with "
+            f"{[float(f'{x:.9g}') for x in nearest]} ({names[j]} turned by {turned[j]:.3g}): start there, or with "
             "start.assemble = true"
         )
     if out := [names[j] for j in range(robot.n) if not low[j] - START_OPEN <= near[j] <= high[j] + START_OPEN]:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.base.families import Member
 from closedloop.jit.calls import call_at, integers_at, vector_at
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.jit.kernel import kernel
@@ -22,6 +21,7 @@ from closedloop.jit.user_code import of_users
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.surface.contact import SurfaceMemory, ask_at, make_memory, motion_entry
 from closedloop.mechanics.surface.geometry import Pose
+from closedloop.mechanics.surface.motion import SurfaceMotion
 
 if TYPE_CHECKING:
     from closedloop.mechanics.loops.memory import LoopLinks
@@ -31,7 +31,7 @@ class MovedFrame(NamedTuple):
     """A frame that moves, and its pose at rest, before its motion displaces it."""
 
     names: tuple[str, ...]  # its own name first, then those of frames that are fixed to it
-    motion: Member
+    motion: SurfaceMotion
     axes: Array  # (3, 3), columns, base frame
     origin: Array  # (3,), m
 
@@ -79,7 +79,8 @@ def place_frames(links: LoopLinks, t: float) -> None:
 def add_frames(links: Any, frames: tuple[MovedFrame, ...]) -> None:
     """Give loops the memory of frames that move, as interpreted code calls it, and place them at t = 0."""
     memories = [frame.memory() for frame in frames]
-    called = np.array([(twin_address(f.entry), m.address) for f, m in zip(frames, memories, strict=True)], dtype=np.int64)
+    called = np.array([(twin_address(frame.entry), 0) for frame in frames], dtype=np.int64)
+    called[:, 1] = [memory.address for memory in memories]
     links.frames, links.moved = len(frames), called.ctypes.data
     links.keep_alive(frames=called, memories=memories)
     interpreted(place_frames)(links, 0.0)

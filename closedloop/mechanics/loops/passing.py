@@ -85,8 +85,9 @@ def interpolate_part(links: LoopLinks, rows: LoopRows, L: Array, q: Array, v: Ar
 
         f(0) = (4 f(1) + 4 f(−1) − f(2) − f(−2)) / 6 + O(step⁴).
 
-    Returns false where that is not so: with frames that move, which are elsewhere then, at rest, where the rows do not get farther from losing rank on both sides, or
-    where the mechanism cannot be closed there. The rows are those of another state afterwards.
+    Returns false where that is not so: with frames that move, which are elsewhere then, at rest, where the rows do not
+    get farther from losing rank on both sides, or where the mechanism cannot be closed there. The rows are those of
+    another state afterwards.
     """
     if links.frames > 0 or not dot(v, v, links.n) > 0.0:
         return False

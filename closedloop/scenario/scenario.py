@@ -196,7 +196,7 @@ def families_in(section: type[Section]) -> dict[str, Family[Any]]:
     return {
         name: each
         for name, field in section.model_fields.items()
-        for part in get_args(field.annotation)
-        for each in getattr(part, "__metadata__", ())
+        for found in (field.metadata, *(getattr(part, "__metadata__", ()) for part in get_args(field.annotation)))
+        for each in found
         if isinstance(each, Family)
     }

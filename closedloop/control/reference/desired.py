@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.follow import follow
 from closedloop.control.reference.force import ConstantForceSection, ForceProfile, force_at
 from closedloop.control.reference.joint_path import JointPath

@@ -231,7 +231,10 @@ def proceed(
         if not semi_implicit:
             advance_decaying(stage, tau, tableau, w)
         finish_stage(w, constants.h, state, tableau)
-        ask_loops(state, CLOSE)  # at every stage: rows that depend on others do so only where the loops are closed
+        # at every stage: rows that depend on others do so only where the loops are closed
+        state.status = ask_loops(state, CLOSE)
+        if state.status != OK:
+            return FAILED
     elif todo == ENLARGE_TABLE:
         return TABLE_FULL
     elif todo == SOLVE_IMPACT:

@@ -18,8 +18,8 @@ from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.loop.step.energy_supplied import driving_torque
 from closedloop.loop.step.memory import Constants, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.contact_force import factorise
-from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, forward_substitute
-from closedloop.mechanics.loops.close import close_state
+from closedloop.mechanics.closure.solve import LOOPS_OPEN, OK, SINGULAR_MOBILITY, forward_substitute
+from closedloop.mechanics.loops.close import TOLERANCE, close_state
 from closedloop.mechanics.loops.drives import through_drives
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.mechanics.loops.moved import place_frames
@@ -43,13 +43,14 @@ def factorise_tip(H: Array, w: Work, constants: Constants, state: State) -> int:
 
 @entry_kernel
 def closed_loops(address: int, what: int) -> int:
-    """Answer for the loops, by the address of their memory.
+    """Answer for the loops, by the address of their memory; return a status of `closedloop.mechanics.closure.solve`.
 
     BIND_TIP        project X, write S of it, and add to the tip's drift what the loops require of it
     BIND_LOAD       replace y = L⁻¹(Q − C) by P y + y_b
     BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it
     DRIVE           replace the torque by one of the drives alone, see `closedloop.mechanics.loops.drives`
-    CLOSE           move q and q̇ to the nearest state that the loops allow
+    CLOSE           move q and q̇ to the nearest state that the loops allow; LOOPS_OPEN where a frame that moves has left
+                    none
     REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
                     tip's drift what BIND_TIP has added
     BIND_PERCEIVED       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
@@ -76,12 +77,13 @@ def closed_loops(address: int, what: int) -> int:
     elif what == DRIVE:
         through_drives(links, rows, w.torque)
     elif what == CLOSE:
-        close_state(links, rows, w.q, w.v)
+        if not close_state(links, rows, w.q, w.v) <= TOLERANCE and links.frames > 0:
+            return LOOPS_OPEN
     else:
         reaction(links, rows, w)
         for k in range(3):
             w.tip.drift_c[k] -= rows.moved[k]
-    return 0
+    return OK
 
 
 @kernel

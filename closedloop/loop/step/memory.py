@@ -443,10 +443,11 @@ STATE_COUNT = State.count()
 
 
 @kernel_inlined
-def ask_loops(state: State, what: int) -> None:
-    """Ask the loops, if there are any, for one of what `closedloop.loop.step.closed_loops` names."""
-    if state.loops.entry != 0:
-        call_at(state.loops.entry, state.loops.at, what)
+def ask_loops(state: State, what: int) -> int:
+    """Ask the loops for one of what `closedloop.loop.step.closed_loops` names; return a status, OK without any."""
+    if state.loops.entry == 0:
+        return OK
+    return call_at(state.loops.entry, state.loops.at, what)
 
 
 @kernel_inlined

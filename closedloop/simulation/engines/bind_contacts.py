@@ -370,11 +370,13 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
         if section.link == section.against:
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
         if section.link in moved:
-            raise ScenarioError(f"contact {name!r}: link {section.link!r} moves as a [[mocap]] says: name it as against")
+            raise ScenarioError(
+                f"contact {name!r}: link {section.link!r} moves as a [[mocap]] says: name it as against"
+            )
         if section.against in moved and section.motion is None:
             raise ScenarioError(
-                f"contact {name!r}: {section.against!r} moves as a [[mocap]] says: give the contact that motion too, in "
-                "the axes of this frame at the start"
+                f"contact {name!r}: {section.against!r} moves as a [[mocap]] says: give the contact that motion too, "
+                "in the axes of this frame at the start"
             )
     bound, shapes = bind_rows(sections, robot), shapes_of(sections, robot)
     sides = bound.sides.reshape(4, -1)[:, ::3]

@@ -31,7 +31,6 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.close import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.reactions import loop_rows
-from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree.turning import turn
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
@@ -246,7 +245,6 @@ class Here:
 
     def __post_init__(self) -> None:
         self.problem = problem = replace(self.problem, robot=self.problem.robot.again())
-        model = problem.robot.model
         self.row = round(self.instant.time / problem.h)
         self.loop = loop = problem.loop()
         self._loops: LoopMemory | None = loop.w.kept.get("loops")

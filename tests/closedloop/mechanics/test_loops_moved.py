@@ -44,6 +44,7 @@ def moved(tmp_path, text, motion, tip, changes=None, **sections):
 
 
 def simulated(scenario, **options):
+    """Its run."""
     return cl.simulate(scenario, progress=False, **options)
 
 
@@ -116,11 +117,12 @@ def test_what_a_frame_does_is_in_the_balance_of_energy_through_impacts(tmp_path)
         {"link": "tip", "against": "box", "through": [0, 0, 0.05], "friction": 0.4, "restitution": 0.6},
         {"link": "box", "at": "collision", "friction": 0.5},
     ]}  # fmt: skip
-    for text, more in ((FINGER, on_surface), (FINGER.replace("</worldbody>", box + "</worldbody>"), on_box)):
+    cases = ((FINGER, on_surface, 0.3), (FINGER.replace("</worldbody>", box + "</worldbody>"), on_box, 0.21))
+    for text, more, end in cases:
         left = []
         for step in (1e-3, 5e-4):
-            run = simulated(moved(tmp_path, text, POSES, "tip", {"time.duration": 0.31, "time.step": step}, **more))
-            assert sum(event.kind == "impact" for event in run.events) >= 2
+            run = simulated(moved(tmp_path, text, POSES, "tip", {"time.duration": end, "time.step": step}, **more))
+            assert sum(event.kind == "impact" for event in run.events) >= 3
             assert run.summary()["energy_lost_in_impacts"] > 0.01
             left.append(np.abs(energy_balance(run)[0]).max())
         assert left[0] < 1e-8
@@ -135,7 +137,7 @@ def test_other_integrators_follow_the_frame_too(tmp_path, integrator):
         simulated(moved(tmp_path, ARM, POSES, "lower", {"time.duration": 0.2, "time.integrator": name}))
         for name in ("rk4", integrator)
     ]
-    np.testing.assert_allclose(runs[1].q, runs[0].q, atol=2e-3 if integrator != "dop853" else 1e-8)
+    np.testing.assert_allclose(runs[1].q, runs[0].q, atol=5e-3 if integrator != "dop853" else 1e-8)
     assert np.abs(runs[1].loops.errors).max() < 1e-14
 
 

@@ -95,7 +95,8 @@ def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock, mocap: C
     if defaults.closed_loop:
         new = [name not in defaults.home for name in coordinate_names(joints, built.joint_types)]
         home = _placed(built, defaults.closed_loop, home, new)
-    tip = defaults.tip or default_tip(model, _frames(model), stands_for(defaults.closed_loop))
+    loops, driven = defaults.closed_loop, defaults.drives
+    tip = defaults.tip or default_tip(model, _frames(model), stands_for(loops), None if loops else driven)
     return _finish(built, home, found, locked, tip, None)
 
 

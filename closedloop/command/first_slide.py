@@ -338,12 +338,16 @@ def _fault_of_gains(scenario: Scenario, robot: Robot) -> str:
 
 def _fault(scenario: Scenario, robot: Robot) -> tuple[int, str]:
     """Return where a scenario fails, before its run by its path or after it, and why: an empty string if it is good."""
+    from closedloop.simulation.halve import beside_half
     from closedloop.simulation.simulate import simulate
 
     if fault := _fault_of_gains(scenario, robot):
         return RUN, fault
     try:
-        problems = simulate(scenario, model=robot.model).summary()["verdict"]["problems"]
+        run = simulate(scenario, model=robot.model)
+        problems = run.summary()["verdict"]["problems"]
+        if not problems:  # as `closedloop run` asks in the end
+            problems = beside_half(run, model=robot.model, progress=False).summary()["verdict"]["problems"]
     except InterruptedRunError:
         raise
     except (ScenarioError, SimulationError) as error:

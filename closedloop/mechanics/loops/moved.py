@@ -8,7 +8,7 @@ rows (`closedloop.mechanics.robot.tree.layout`), so that a row reads either side
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.surface.contact import SurfaceMemory, ask_at, make_memory, motion_entry
 from closedloop.mechanics.surface.geometry import Pose
 from closedloop.mechanics.surface.motion import SurfaceMotion
-
-if TYPE_CHECKING:
-    from closedloop.mechanics.loops.memory import LoopLinks
 
 
 class MovedFrame(NamedTuple):
@@ -60,8 +57,8 @@ class MovedFrame(NamedTuple):
 
 
 @kernel
-def place_frames(links: LoopLinks, t: float) -> None:
-    """Write where the frames that move are at an instant, s, and how they move, into the scratch of the tree."""
+def place_frames(links: Any, t: float) -> None:
+    """Write where the frames that move are at an instant, s, and how they move, into the scratch of the tree of loops."""
     w, called = vector_at(links.scratch, links.scratch_size), integers_at(links.moved, 2 * links.frames)
     gravity = vector_at(links.tree_constants, links.tree_constants_size)
     for k in range(links.frames):

@@ -58,7 +58,7 @@ class MovedFrame(NamedTuple):
 
 @kernel
 def place_frames(links: Any, t: float) -> None:
-    """Write where the frames that move are at an instant, s, and how they move, into the scratch of the tree of loops."""
+    """Write where the frames of the loops are at an instant, s, and how they move, into the scratch of the tree."""
     w, called = vector_at(links.scratch, links.scratch_size), integers_at(links.moved, 2 * links.frames)
     gravity = vector_at(links.tree_constants, links.tree_constants_size)
     for k in range(links.frames):

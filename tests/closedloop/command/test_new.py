@@ -263,8 +263,8 @@ def test_a_leg_on_a_trunk_that_nothing_drives_presses_as_on_a_stand(new, tmp_pat
         '<joint name="rz" type="slide" axis="0 0 1" ref="1"/><joint name="ry" axis="0 1 0"/><geom size=".1" mass="3"/>'
         f'<body name="thigh">{hinge.format("hip")}<body name="foot" pos="0 0 -.4">{hinge.format("knee")}</body></body>'
         '</body><body name="goal"><joint name="gx" type="slide" axis="1 0 0"/>'
-        '<joint name="gy" type="slide" axis="0 1 0"/><joint name="gz" type="slide" axis="0 0 1"/><geom size=".1"/></body></worldbody>'
-        '<actuator><motor joint="hip"/><motor joint="knee"/></actuator></mujoco>'
+        '<joint name="gy" type="slide" axis="0 1 0"/><joint name="gz" type="slide" axis="0 0 1"/>'
+        '<geom size=".1"/></body></worldbody><actuator><motor joint="hip"/><motor joint="knee"/></actuator></mujoco>'
     )
     status, out, err = new("stand", "--robot", "leg.xml")
     assert (status, err) == (0, "")

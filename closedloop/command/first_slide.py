@@ -209,8 +209,7 @@ def _judged(robot: Robot, normal: tuple[float, float, float], q: Array, first: b
         return MOBILITY, "no joint moves the tip: it lies on their axes, and tool.offset puts it elsewhere"
     if not mobility > LEAST_MOBILITY:
         return MOBILITY, "the tip hardly moves, neither up and down nor across a wall"
-    free = _free_motions(robot, q)
-    U, sizes, _ = np.linalg.svd(terms.jacobian @ free, full_matrices=False)
+    U, sizes, _ = np.linalg.svd(terms.jacobian @ _free_motions(robot, q), full_matrices=False)
     rank = int(np.count_nonzero(sizes > 1e-6 * sizes[0]))
     dexterity = float(sizes[rank - 1] / sizes[0])
     directions = tuple(_directions(U[:, :rank], frame))
@@ -218,12 +217,7 @@ def _judged(robot: Robot, normal: tuple[float, float, float], q: Array, first: b
         return DEXTERITY, "the tip is near a singular pose, or cannot move along the surface"
     score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin)
     score *= (10.0 if first else 1.0) * _from_above(robot, frame[0])
-    bears = np.stack([terms.bias, A[0]])
-    if model.loops:  # what a joint without a drive bears, drives bear by the same power in each motion that is free
-        drives, asked = np.flatnonzero(model.driven), bears @ free
-        bears = np.zeros((2, robot.n))
-        bears[:, drives] = np.linalg.lstsq(free[drives].T, asked.T)[0].T
-    return Posture(q, score, normal, directions, *bears)
+    return Posture(q, score, normal, directions, np.array(terms.bias), A[0])
 
 
 def _free_motions(robot: Robot, q: Array) -> Array:
@@ -346,7 +340,7 @@ def _fault(scenario: Scenario, robot: Robot) -> tuple[int, str]:
     try:
         run = simulate(scenario, model=robot.model)
         problems = run.summary()["verdict"]["problems"]
-        if not problems:  # as `closedloop run` asks in the end
+        if not problems and not robot.model.loops:  # as `closedloop run` asks in the end
             problems = beside_half(run, model=robot.model, progress=False).summary()["verdict"]["problems"]
     except InterruptedRunError:
         raise

@@ -11,8 +11,7 @@ import closedloop as cl
 import robot_models
 from closedloop.__main__ import main
 from closedloop.base.errors import SimulationError
-from closedloop.command.first_slide import SPEEDS, _judged, _with_gains, first_slide
-from closedloop.mechanics.loops.drives import torque_of_drives
+from closedloop.command.first_slide import SPEEDS, _with_gains, first_slide
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.modes import unresolved_feedback
 from robot_models.shipped import path_of
@@ -273,12 +272,3 @@ def test_a_leg_on_a_trunk_that_nothing_drives_presses_as_on_a_stand(new, tmp_pat
     scenario = cl.load_scenario("stand.toml")
     assert scenario.robot.lock == {"rx": 0.0, "rz": 1.0, "ry": 0.0}
     assert cl.simulate(scenario).summary()["verdict"]["good"]
-
-
-def test_what_joints_bear_in_a_mechanism_is_borne_by_its_drives():
-    """The share of each drive is that of the simulator, found in another way; a joint without one bears none."""
-    robot = Robot(robot_models.load("five_bar"))
-    posture = _judged(robot, (0.0, 0.0, 1.0), np.array(robot.model.home), first=True)
-    terms = robot.terms(posture.q, np.zeros(robot.n))
-    for bears, asked in ((posture.weight, terms.bias), (posture.along, terms.jacobian[2])):
-        np.testing.assert_allclose(bears, torque_of_drives(robot, posture.q, asked)[0], atol=1e-10)

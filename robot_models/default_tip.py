@@ -1,4 +1,7 @@
-"""Which frame of a robot touches a surface if nobody says: the frame of a tool, or the end of the longest chain."""
+"""Which frame of a robot touches a surface if nobody says: the frame of a tool, or the end of the longest chain.
+
+Frames that no drive moves, as those of a body beside the robot, come last.
+"""
 
 import re
 from collections.abc import Collection
@@ -20,7 +23,9 @@ _IDLE = re.compile(
 )
 
 
-def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[str]) -> str | None:
+def default_tip(
+    model: "pin.Model", usable: Collection[str], made: Collection[str], driven: Collection[str] | None = None
+) -> str | None:
     """Return the frame of a tool, else the last link of the longest chain of joints; fingers and sensors come last.
 
     Parameters
@@ -31,6 +36,8 @@ def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[st
         Names of frames that can be a tip.
     made
         Names of joints and links that stand for loop joints.
+    driven
+        Joints with a drive, where each frame is moved by the joints of its own chain alone; None if all have one.
 
     Returns
     -------
@@ -47,7 +54,7 @@ def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[st
             while not (fingers[index] or _IDLE.search(frame.name)) and index != frame.parentFrame:
                 index, frame = frame.parentFrame, model.frames[frame.parentFrame]
                 bearers.add(index)
-    best: tuple[tuple[bool, int, bool, int, int, int], str] | None = None
+    best: tuple[tuple[bool, bool, int, bool, int, int, int], str] | None = None
     for index, frame in enumerate(model.frames):
         kind = frame.type
         if frame.name not in usable or frame.name in made or frame.parentJoint == 0:
@@ -59,6 +66,7 @@ def default_tip(model: "pin.Model", usable: Collection[str], made: Collection[st
         if not is_tool and (kind != pin.FrameType.BODY or index in bearers):
             continue
         reach = 0 if fingers[index] else len(chains[index])
-        rank = (is_tool and reach > 0, reach, not _IDLE.search(frame.name), -tool, len(chains[index]), index)
+        moved = driven is None or not {*driven}.isdisjoint(chains[index])
+        rank = (moved, is_tool and reach > 0, reach, not _IDLE.search(frame.name), -tool, len(chains[index]), index)
         best = max(best, (rank, frame.name)) if best else (rank, frame.name)
     return best[1] if best else None

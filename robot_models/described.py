@@ -1,5 +1,6 @@
 """A robot by its name or its file: its canonical text, and what is known beside it."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -33,8 +34,8 @@ class Description:
     warnings: list[str] = field(default_factory=list)
 
 
-def find(name: "str | PathLike[str]") -> Description:
-    """Return the description of a robot that comes with a package, or of a file.
+def find(name: "str | PathLike[str]", mocap: Collection[str] = ()) -> Description:
+    """Return the description of a robot that comes with a package, or of a file; of `mocap` see `mjcf.read`.
 
     Raises
     ------
@@ -45,7 +46,7 @@ def find(name: "str | PathLike[str]") -> Description:
         return _from_file(str(name), shipped.path_of(str(name)), "robot_models")
     if names_a_file(name):
         path = Path(name)
-        return _from_file(path.stem, path, "")
+        return _from_file(path.stem, path, "", mocap)
     assert isinstance(name, str)
     if name not in example_robots.example_names():
         known = (*shipped.shipped_names(), *example_robots.example_names())
@@ -73,7 +74,7 @@ def names_a_file(name: "str | PathLike[str]") -> bool:
     return not isinstance(name, str) or path.suffix.lower() in _SUFFIXES or len(path.parts) > 1
 
 
-def _from_file(name: str, path: Path, owner: str) -> Description:
+def _from_file(name: str, path: Path, owner: str, mocap: Collection[str] = ()) -> Description:
     where = path.name if owner else str(path)
     text = read_text(path)
     root = parse(text, where).tag
@@ -83,7 +84,7 @@ def _from_file(name: str, path: Path, owner: str) -> Description:
     if path.suffix.lower() == ".xacro":
         text = urdf.expanded(path, where)
     beside = read_beside(path.with_suffix(".yaml"), text) if format == "urdf" else Beside(text)
-    found = canonical(beside.text, format, name, where, path)
+    found = canonical(beside.text, format, name, where, path, mocap)
     own, sidecar = found.sidecar, read_sidecar(path.with_suffix(".toml"), joint_names(found.text, format))
     sidecar = replace(
         sidecar,
@@ -95,7 +96,9 @@ def _from_file(name: str, path: Path, owner: str) -> Description:
     return replace(found, sidecar=sidecar, warnings=[*found.warnings, *beside.warnings])
 
 
-def canonical(text: str, format: Format, name: str, where: str, path: Path | None) -> Description:
+def canonical(
+    text: str, format: Format, name: str, where: str, path: Path | None, mocap: Collection[str] = ()
+) -> Description:
     """Return the description of a text alone, that of the file `path` if there is one.
 
     Raises
@@ -107,7 +110,7 @@ def canonical(text: str, format: Format, name: str, where: str, path: Path | Non
         return _of_urdf(urdf.read(text, where), name, where)
     from robot_models import mjcf  # here: it imports MuJoCo
 
-    said = mjcf.read(text, where, path)
+    said = mjcf.read(text, where, path, mocap)
     sidecar = Sidecar(home=said.home, drives=said.drives, closed_loop=said.loops)
     return Description(name, said.text, format, where, sidecar, said.warnings)
 

@@ -1,7 +1,7 @@
 """One loader for every kind of robot: text in, inspected, built once, and handed out as data."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from math import isfinite
@@ -37,7 +37,9 @@ Lock = Mapping[str, float] | Sequence[str]
 
 
 @np.errstate(all="ignore")  # what overflows is refused by name
-def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock = ()) -> RobotModel:
+def load(
+    name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock = (), mocap: Collection[str] = ()
+) -> RobotModel:
     """Load a robot: an arm on a fixed base, or a tree of bodies some of which are free.
 
     Parameters
@@ -53,6 +55,8 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
         Joints to hold rigid: a mapping to their values (rad, m), or names alone, which are locked at the
         robot's home posture. A free or a ball joint is held as the file has it, at 0. If it is empty, the robot's own
         default applies (the fingers of "panda" are locked); if not, it replaces the default.
+    mocap
+        Mocap bodies of an MJCF whose `weld` and `connect` are loop joints; those of others are left out.
 
     Raises
     ------
@@ -63,7 +67,7 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
     """
     if isinstance(name, str) and not lock and not names_a_file(name):
         return _load_packaged(name, bool(drive_inertia))
-    return _load(name, drive_inertia, lock)
+    return _load(name, drive_inertia, lock, mocap)
 
 
 @lru_cache(maxsize=16)
@@ -72,9 +76,9 @@ def _load_packaged(name: str, drive_inertia: bool) -> RobotModel:
     return _load(name, drive_inertia, ())
 
 
-def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> RobotModel:
+def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock, mocap: Collection[str] = ()) -> RobotModel:
     """See `load`."""
-    found = _with_coordinates(find(name))
+    found = _with_coordinates(find(name, mocap))
     locked = _locked(found, lock)
     built = _built(found, locked, drive_inertia)
     if idle := physics.massless(built.model):
@@ -89,10 +93,10 @@ def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> Robot
     defaults, model, joints = found.sidecar, built.model, built.joint_names
     home = _geared(_home(found, built), built, defaults.closed_loop)
     if defaults.closed_loop:
-        _refuse_loops(built, defaults.closed_loop, found.where)
         new = [name not in defaults.home for name in coordinate_names(joints, built.joint_types)]
         home = _placed(built, defaults.closed_loop, home, new)
-    tip = defaults.tip or default_tip(model, _frames(model), stands_for(defaults.closed_loop))
+    loops, driven = defaults.closed_loop, defaults.drives
+    tip = defaults.tip or default_tip(model, _frames(model), stands_for(loops), None if loops else driven)
     return _finish(built, home, found, locked, tip, None)
 
 
@@ -149,7 +153,6 @@ def from_text(
     n = built.model.nv
     given = np.ones(n, dtype=bool)
     if found.text != own.text:  # what is given is of the joints that the text had
-        _refuse_loops(built, found.sidecar.closed_loop, name)
         given = np.array([joint in joint_names(own.text, format) for joint in built.joint_names])
     m = int(given.sum())
     built.model.armature = np.zeros(n)
@@ -238,26 +241,6 @@ def _geared(posture: NDArray[np.float64], built: build.Built, loops: Sequence[Lo
                 value = sum(c * x**k for k, c in enumerate(loop.polynomial))
                 q[names.index(lead)] = (value - rest) / first[lead]
     return q
-
-
-def _refuse_loops(built: build.Built, loops: Sequence[LoopJoint], where: str) -> None:
-    """Refuse a loop with a joint that turns freely on the way from the base to one of its sides.
-
-    Raises
-    ------
-    ModelError
-    """
-    model = built.model
-    turning = {built.joint_names[j].removesuffix(RATES[0]) for j in balls(built.joint_types)}
-    for loop in loops if turning else ():
-        for frame in loop.frames:
-            joint = model.frames[model.getFrameId(frame)].parentJoint if model.existFrame(frame) else 0
-            free = [name for i in model.supports[joint] if (name := model.names[i]) in turning]
-            if free:
-                raise ModelError(
-                    f"{where}: closed_loop {loop.name!r}: joint {free[0]!r}, which turns freely, carries {frame!r}: "
-                    "a loop passes through hinges and sliders alone; three hinges of the body do what a ball joint does"
-                )
 
 
 def _placed(
@@ -363,8 +346,6 @@ def _finish(
         drives=_drives(found.sidecar, joints),
         warnings=found.warnings,
     )
-    if robot.loops:
-        _refuse_loops(built, robot.loops, found.where)
     check_loops(robot.loops, robot.drives or (), robot.frames, joints, found.sidecar.where or found.where)
     if tip is not None:
         robot.require_frame(tip)

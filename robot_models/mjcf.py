@@ -10,7 +10,7 @@ What does no work is left out with a warning. What would change the motion and c
 
 import warnings as python_warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -83,7 +83,7 @@ class Mjcf(NamedTuple):
     warnings: list[str]
 
 
-def read(text: str, where: str, path: Path | None) -> Mjcf:
+def read(text: str, where: str, path: Path | None, mocap: Collection[str] = ()) -> Mjcf:
     """Return what MuJoCo makes of an MJCF.
 
     Parameters
@@ -94,6 +94,8 @@ def read(text: str, where: str, path: Path | None) -> Mjcf:
         How to name it in a message.
     path
         Its file, for what it includes; None for a text that must stand by itself.
+    mocap
+        Mocap bodies whose equalities are loop joints.
 
     Raises
     ------
@@ -125,7 +127,7 @@ def read(text: str, where: str, path: Path | None) -> Mjcf:
     _write_hulls(plain, model, names)
     _write_tendons(plain, model, names)
     _write_drives(plain, model, names)
-    loops, more = couplings(model, names, where)
+    loops, more = couplings(model, names, where, mocap)
     return Mjcf(
         ET.tostring(plain, encoding="unicode"),
         _home(model, joints),
@@ -484,7 +486,7 @@ def _left_out(model: Any, names: Names) -> list[str]:
     found += [f"{_NOT_READ[kind]} of the file are not read as shapes" for kind in kinds]
     still = [names.body[b] for b in range(model.nbody) if model.body_mocapid[b] >= 0]
     if still:
-        found.append(f"mocap bodies move by the motion of a [[contact]] against them alone: {', '.join(still)}")
+        found.append(f"mocap bodies move as a [[mocap]], or the motion of a [[contact]], says: {', '.join(still)}")
     if model.nv and model.body_gravcomp.any():
         carried = [names.body[b] for b in np.flatnonzero(model.body_gravcomp)]
         found.append(f"gravcomp does not act ({_some(carried)}): compensation of gravity is the law's")

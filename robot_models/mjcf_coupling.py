@@ -11,6 +11,7 @@ a motor is its control, held in `ctrlrange`. Actuators of one joint add up, and 
 their sum.
 """
 
+from collections.abc import Collection
 from math import comb, inf
 from typing import TYPE_CHECKING, Any
 
@@ -31,8 +32,12 @@ _OTHER_TRANSMISSIONS = {2: "a crank", 4: "a site", 5: "a body"}
 _FOLLOWS = (0, 2, 3)  # no activation, or one that goes to the control and never beyond
 
 
-def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, ...], list[str]]:
+def couplings(
+    model: Any, names: "Names", where: str, mocap: Collection[str] = ()
+) -> tuple[tuple[LoopJoint, ...], list[str]]:
     """Return the equalities of a compiled model as loop joints, and warnings of what is left out.
+
+    Those to a mocap body are left out but for bodies that are named in `mocap`, whose motion a scenario gives.
 
     Raises
     ------
@@ -56,11 +61,12 @@ def couplings(model: Any, names: "Names", where: str) -> tuple[tuple[LoopJoint, 
             )
         if kind in (_CONNECT, _WELD):
             ends = _ends(model, names, k)
-            pulled = [frame for frame, body in ends if model.body_mocapid[body] >= 0]
+            pulled = [frame for frame, body in ends if model.body_mocapid[body] >= 0 and names.body[body] not in mocap]
             if pulled:
                 warnings.append(
-                    f"{title} {name!r} to the mocap body {pulled[0]!r} is left out, since a law moves the robot: a "
-                    f"[[closed_loop]] of a sidecar with frames = [..., {pulled[0]!r}] would hold it where that stands"
+                    f"{title} {name!r} to the mocap body {pulled[0]!r} is left out: a [[mocap]] of a scenario with "
+                    f"frame = {pulled[0]!r} moves the robot by it; a [[closed_loop]] of a sidecar with frames = [..., "
+                    f"{pulled[0]!r}] holds it where that stands"
                 )
                 continue
             made.append(_frames(model, k, kind, name, ends))

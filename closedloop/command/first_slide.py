@@ -1,8 +1,9 @@
 """A first scenario for a robot: where to start, which way to slide and with which gains, found by trying.
 
 The surface is level, or a wall for a tip that hardly moves up and down. A tip that moves along one line only, such as
-the pad of a gripper, presses and stays where it is. What turns freely is held where the file has it: the trunk of a
-walking robot as on a stand, and free bodies beside an arm where they lie.
+the pad of a gripper, or finds no way to slide, presses and stays where it is. What turns freely is held where the file
+has it, and joints without a drive that carry all that have one: the trunk of a walking robot as on a stand, free bodies
+beside an arm where they lie.
 
 Postures are drawn within the joint limits and kept if the tip is away from singular poses, the joints from their limits
 and the torques from theirs; each that is kept is simulated, the best first, until the verdict of a run is good.
@@ -33,7 +34,7 @@ from robot_models.model import AT_LIMIT, RobotModel
 from robot_models.physics import SINGULAR, least_inertia
 
 POSTURES, SEED = 2000, 0  # drawn, fewer for more than twenty joints
-MOST_RUNS = 48  # simulated
+MOST_RUNS = 60  # simulated
 # Least share of the tip's mobility along the normal, of its smallest to its largest velocity, and of a joint's range to
 # its nearest limit; a third of the mobility is that of a tip that moves alike in all directions.
 LEAST_MOBILITY, LEAST_DEXTERITY, LEAST_MARGIN = 0.03, 0.1, 0.05
@@ -43,7 +44,7 @@ LEVEL = (0.0, 0.0, 1.0)
 NORMALS = (LEVEL, (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 FORCES = (10.0, 5.0, 2.0, 1.0, 0.5)  # N, tried in turn where none is asked for
 BEGIN, END, DURATION = 0.5, 3.5, 4.0  # of the slide and of the run, s
-SPEEDS = {0.02: 24, 0.01: 12, 0.005: 12}  # of the slide, m/s, in this order, and how many runs each has
+SPEEDS = {0.02: 24, 0.01: 12, 0.005: 12, 0.0: 12}  # of the slide, m/s, in this order, and how many runs each has
 STEP = 0.001  # s
 FREQUENCY = 15.0  # of a joint with its gains, rad/s; lowered where the step cannot carry them
 MOST_DAMPING = 0.2  # of a joint's velocity in a step, which a step gets right by a tenth
@@ -116,14 +117,23 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
 
 
 def held(name: str) -> RobotModel:
-    """Load a robot and hold what turns freely where its file has it, if joints are left that move."""
+    """Load a robot and hold where its file has it what turns freely, or carries all drives and has none itself."""
     model = robot_models.load(name)
     of_loops = stands_for(model.loops)
     balls = [model.joint_names[j].removesuffix(RATES[0]) for j in model.balls]
-    free = [joint for joint in balls if joint not in of_loops]
-    if not free or all(model.of_bodies):
+    stand = {joint: 0.0 for joint in balls if joint not in of_loops}
+    if not model.loops and model.driven.any():
+        mechanism = model.pinocchio_model()
+        chains = [
+            {mechanism.names[i] for i in mechanism.supports[mechanism.getJointId(model.joint_names[j])]}
+            for j in np.flatnonzero(model.driven)
+        ]
+        carriers = set.intersection(*chains) - {*np.array(model.joint_names)[model.driven | model.free]}
+        home = zip(model.coordinate_names, model.home.tolist(), strict=True)
+        stand |= {joint: value for joint, value in home if joint in carriers}
+    if not stand or all(model.of_bodies):
         return model
-    return robot_models.load(name, lock=dict(model.locked) | dict.fromkeys(free, 0.0))
+    return robot_models.load(name, lock=dict(model.locked) | stand)
 
 
 def has_limits(robot: Robot) -> bool:
@@ -266,8 +276,9 @@ def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture], f
     """Return scenarios to be tried, the best first; `faults` has those of the ones before."""
     for speed, most in SPEEDS.items():
         if speed < max(SPEEDS) and PATH not in faults:
-            return  # a slow slide is a short one: it helps where the long one leaves the workspace
-        tried = ((posture, direction) for posture in postures for direction in posture.directions[:2] or (None,))
+            return  # a slow slide is a short one: it helps where the long one leaves the workspace, or none at all
+        ways = 2 if speed > 0.0 else 0
+        tried = ((posture, direction) for posture in postures for direction in posture.directions[:ways] or (None,))
         for posture, direction in itertools.islice(tried, most):
             yield _with_gains(robot, name, force, posture.q, direction, speed, posture.normal)
 
@@ -321,12 +332,16 @@ def _fault_of_gains(scenario: Scenario, robot: Robot) -> str:
 
 def _fault(scenario: Scenario, robot: Robot) -> tuple[int, str]:
     """Return where a scenario fails, before its run by its path or after it, and why: an empty string if it is good."""
+    from closedloop.simulation.halve import beside_half
     from closedloop.simulation.simulate import simulate
 
     if fault := _fault_of_gains(scenario, robot):
         return RUN, fault
     try:
-        problems = simulate(scenario, model=robot.model).summary()["verdict"]["problems"]
+        run = simulate(scenario, model=robot.model)
+        problems = run.summary()["verdict"]["problems"]
+        if not problems and not robot.model.loops:  # as `closedloop run` asks in the end
+            problems = beside_half(run, model=robot.model, progress=False).summary()["verdict"]["problems"]
     except InterruptedRunError:
         raise
     except (ScenarioError, SimulationError) as error:

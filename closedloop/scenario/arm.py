@@ -12,6 +12,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError, ScenarioError
 from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
+from closedloop.mechanics.loops.moved import MovedFrame
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import unit
 from closedloop.scenario.robot_sections import ToolSection
@@ -78,7 +79,7 @@ def _whole(
 
 def is_of_model(key: str) -> bool:
     """Whether an overridden key says which robot it is, or which bodies are beside it."""
-    return key.startswith(("robot.", "body")) and key != "robot.tip"
+    return key.startswith(("robot.", "body", "mocap")) and key != "robot.tip"
 
 
 def beside_bodies(scenario: Scenario, model: RobotModel) -> RobotModel:
@@ -116,7 +117,34 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
         changes["gravity"] = np.array(scenario.robot.gravity)
     if scenario.transmission.elastic:
         changes["elastic"] = True
-    return Robot(model.changed(**changes) if changes else model, scenario.robot.tip)
+    robot = Robot(model.changed(**changes) if changes else model, scenario.robot.tip)
+    return Robot(robot.model, robot.tip, moved_frames(scenario, robot)) if scenario.mocap else robot
+
+
+def moved_frames(scenario: Scenario, robot: Robot) -> tuple[MovedFrame, ...]:
+    """Return each [[mocap]] of a scenario where the robot has it.
+
+    Raises
+    ------
+    ScenarioError
+        If it is no frame that is fixed to the world, two are one, or no loop joint holds onto one.
+    """
+    found: list[MovedFrame] = []
+    for k, section in enumerate(scenario.mocap or ()):
+        where = f"mocap.{k}.frame = {section.frame!r}"
+        fixed = robot.frames_at_rest() - {name for frame in found for name in frame.names}
+        if section.frame not in fixed:
+            known = ", ".join(sorted(fixed)) or "it has none"
+            raise ScenarioError(f"{where}: must be a frame of the robot that is fixed to the world: {known}")
+        names = robot.fixed_to(section.frame)
+        if not any(name in names for loop in robot.model.loops for name in loop.frames):
+            raise ScenarioError(
+                f"{where}: no loop joint holds onto it: an MJCF has a <weld> or <connect> to this mocap body, and the "
+                "sidecar of a URDF a [[closed_loop]] of this frame"
+            )
+        _, axes, origin = robot.frame_at(section.frame, robot.model.home)
+        found.append(MovedFrame(names, section.motion, axes, origin))
+    return tuple(found)
 
 
 def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:

@@ -189,6 +189,15 @@ class ExternalForceSection(Section):
         return math.inf if self.duration is None else self.start + self.duration
 
 
+class MocapSection(Section):
+    """[[mocap]]: a frame that moves as it is told, and what loop joints hold onto it."""
+
+    frame: str = Field(description="a frame that is fixed to the world, as a mocap body of an MJCF is")
+    motion: Annotated[SurfaceMotion, MOTIONS] = Field(
+        description="how it moves from where it is fixed, with the keys of [surface_motion], base frame"
+    )
+
+
 class BeliefSection(Section):
     """[belief]: the surface that path, law and compensation take for the true one; what is left out is as it is."""
 

@@ -29,6 +29,7 @@ from closedloop.scenario.robot_sections import (
     BeliefSection,
     BodySection,
     ExternalForceSection,
+    MocapSection,
     ModelErrorSection,
     RobotSection,
     ToolSection,
@@ -74,6 +75,7 @@ class Scenario(Section):
     external_force: tuple[ExternalForceSection, ...] | None = Field(
         None, description="forces on the tip or a link from outside, of which the controller does not know"
     )
+    mocap: tuple[MocapSection, ...] | None = Field(None, description="frames whose motion moves the robot")
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
     reference: Annotated[paths.Path, paths.PATHS] = Field(
         default_factory=lambda: paths.PATHS["hold"](),
@@ -146,12 +148,10 @@ class Scenario(Section):
 
     @property
     def is_passive(self) -> bool:
-        """Whether nothing does work on what moves: no law, no force from outside, and surfaces that are at rest."""
+        """Whether nothing does work on what moves: no law, force from outside or moving frame; surfaces are at rest."""
         motions = [self.surface_motion, *(each.motion for each in self.contact or ())]
-        return (
-            not self.has_law
-            and not self.external_force
-            and all(motion is None or motion.kind == "none" for motion in motions)
+        return not (self.has_law or self.external_force or self.mocap) and all(
+            motion is None or motion.kind == "none" for motion in motions
         )
 
     @property
@@ -202,7 +202,7 @@ def families_in(section: type[Section]) -> dict[str, Family[Any]]:
     return {
         name: each
         for name, field in section.model_fields.items()
-        for part in get_args(field.annotation)
-        for each in getattr(part, "__metadata__", ())
+        for found in (field.metadata, *(getattr(part, "__metadata__", ()) for part in get_args(field.annotation)))
+        for each in found
         if isinstance(each, Family)
     }

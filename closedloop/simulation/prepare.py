@@ -408,14 +408,14 @@ def _encoder(scenario: Scenario, model: RobotModel) -> Array:
 
 def robot_key(scenario: Scenario, cache: Cache) -> Hashable:
     """Return what the robot depends on."""
-    return (
-        cache.texts(scenario, of=("robot", "body", "tool")), scenario.model_error.payload, scenario.transmission.elastic
-    )  # fmt: skip
+    of_robot = cache.texts(scenario, of=("robot", "body", "mocap", "tool"))
+    return of_robot, scenario.model_error.payload, scenario.transmission.elastic
 
 
 def model_key(scenario: Scenario) -> Hashable:
     """Return what the model depends on that `load_model` returns."""
-    return scenario.robot.model_dump_json(), *(each.model_dump_json() for each in scenario.body or ())
+    beside = (*(scenario.body or ()), *(scenario.mocap or ()))
+    return scenario.robot.model_dump_json(), *(each.model_dump_json() for each in beside)
 
 
 def _surface_key(scenario: Scenario, cache: Cache) -> tuple[Hashable, ...]:
@@ -445,6 +445,7 @@ def load_model(scenario: Scenario) -> RobotModel:
     if section.model == NO_ROBOT:
         return only_bodies(free_bodies(scenario))
     options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
+    options["mocap"] = {each.frame for each in scenario.mocap or ()}
     model = robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
     return beside_bodies(scenario, model)
 

@@ -24,7 +24,6 @@ from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.drives import lose_undriven, torque_of_drives
-from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.simulation.engines.loops import kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law, UserLaw
@@ -60,7 +59,7 @@ class Stepper:
 
     def __init__(self, problem: Problem, engine: str) -> None:
         # A robot of its own: the terms that it has evaluated last are used again.
-        problem = replace(problem, robot=Robot(problem.robot.model, problem.robot.tip))
+        problem = replace(problem, robot=problem.robot.again())
         self._problem = problem
         self.loop = problem.loop()
         make_ready(*kernels_of(engine), *problem.called(self.loop))

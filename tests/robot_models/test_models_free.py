@@ -71,20 +71,6 @@ def test_home_is_where_the_body_is_written_or_the_keyframe(tmp_path):
     assert again.joint_names == pickle.loads(pickle.dumps(model)).joint_names == NAMES
 
 
-@pytest.mark.parametrize(
-    ("more", "says"),
-    [
-        ('<equality><connect body1="arm" body2="base" anchor="0 0 0.1"/></equality>', "which turns freely, carries"),
-    ],
-)
-def test_what_is_wrong_is_said_in_one_line(tmp_path, more, says):
-    """Each fault is named with its place."""
-    with pytest.raises(ModelError) as caught:
-        robot_models.load(written(tmp_path, MJCF.format(more=more), ".xml"))
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize(("suffix", "text"), [(".xml", MJCF.format(more="")), (".urdf", URDF)])
 @pytest.mark.parametrize(("held", "left"), [("wrist", slice(0, 6)), ("base", slice(6, 9))])
 def test_what_turns_freely_is_held_as_the_file_has_it(suffix, text, held, left, tmp_path):

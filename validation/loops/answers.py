@@ -128,7 +128,7 @@ def _motion(case: Case, problem: Problem, row: Any, fault: LoopFault) -> Motion:
     """Return what a row says, and the reactions that a run would give for it."""
     q, v, a, torque = (np.array(x)[None, :] for x in (row.q, row.v, row.acceleration, row.torque))
     F = (row.contact_force * np.array(row.surface_normal) + row.friction_force)[None, :]
-    found = loop_reactions(problem.robot, q, v, a, torque, F)
+    found = loop_reactions(problem.robot, np.zeros(1), q, v, a, torque, F)
     forces = fault.reactions(found.multipliers)[0]
     memory = loop_memory(problem.robot)  # with the rows that no joint can move
     memory.rows.q[:], memory.rows.v[:] = case.q, case.v

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from closedloop.base.arrays import Array
+from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.follow import follow
 from closedloop.control.reference.force import ConstantForceSection, ForceProfile, force_at
 from closedloop.control.reference.joint_path import JointPath
@@ -85,6 +86,11 @@ def desired(
         If [reference] or the force profile is at fault, the path leaves the surface, or is not one for the tool, or
         leaves the workspace or the joint limits.
     """
+    if robot.moved and scenario.reference.kind != "hold":
+        raise ScenarioError(
+            f"reference.kind = {scenario.reference.kind!r}: inverse kinematics follows no path with a robot that a "
+            "[[mocap]] moves: leave [reference] out"
+        )
     tip = path_on(scenario.reference, robot.position(q), surface, duration)
     if scenario.reference.on_surface != "no":
         refuse_without_normal(surface, tip)

@@ -155,6 +155,8 @@ HELD = ("point", "hinge", "weld", "gear", "distance")  # types of loop joints th
 
 def check_joined(scene: Scene) -> None:
     """Refuse loop joints that MuJoCo has no equality for, and contacts of links but of points and balls with planes."""
+    if scene.run.scenario.mocap:
+        raise ScenarioError("--to mjcf: the motion of a [[mocap]] is not written; use --to csv or --to mcap")
     for loop in scene.run.model.loops:
         if loop.type not in HELD:
             raise ScenarioError(

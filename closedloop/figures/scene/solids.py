@@ -426,7 +426,7 @@ def errors_in(run: Run, rows: NDArray[np.int64]) -> Array:
     robot = robot_in(run)
     compile_rows(robot)
     with _one_at_a_time:
-        return loop_rows(robot, run.q[rows], run.v[rows])[1]
+        return loop_rows(robot, run.q[rows], run.v[rows], run.time[rows])[1]
 
 
 def compile_rows(robot: Robot) -> None:
@@ -434,7 +434,7 @@ def compile_rows(robot: Robot) -> None:
     memory, n, m = loop_memory(robot), robot.n, sum(loop.rows for loop in robot.model.loops)
     states = np.zeros((0, n))
     states.flags.writeable = False  # as a run's columns are: for another type it would be compiled again
-    rows_along(memory.address, states, states, np.zeros((0, m, n)), np.zeros((0, m)))
+    rows_along(memory.address, states, states, np.zeros((0, 0)), np.zeros((0, m, n)), np.zeros((0, m)))
 
 
 def _upright(axis: Array) -> Array:

@@ -27,6 +27,7 @@ from closedloop.loop.events.phases import (
 )
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
 from closedloop.loop.events.table import EDGE, LIFTOFF, RELEASE, STOP, EventRow
+from closedloop.loop.step.closed_loops import impulse_of_frames
 from closedloop.loop.step.contact_rows import resolution
 from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED
 from closedloop.loop.step.entries import RESTART
@@ -233,6 +234,10 @@ def log_contacts(w: Work, links: ContactLinks, c: Contacts, state: State, events
         w.supply.energy += c.F[i] * w.tip.carried[i]
     for i in range(3, 3 * links.k):
         w.supply.energy += c.F[i] * c.carried[i]
+    if state.loops.frames != 0:
+        for i in range(3):
+            c.carried[i] = w.tip.carried[i]
+        w.supply.energy += impulse_of_frames(w, c.X, c.F, c.problem.after, c.carried)
     for i in range(links.k):
         if c.event.happened[i] == 0.0:
             continue

@@ -9,6 +9,7 @@ from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.loop.events.phases import MAX_RAPID
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN, write_event
+from closedloop.loop.step.closed_loops import impulse_of_frames
 from closedloop.loop.step.entries import RESTART
 from closedloop.loop.step.evaluate import call_law
 from closedloop.loop.step.locate import set_anchor
@@ -35,6 +36,10 @@ def log_event(w: Work, constants: Constants, state: State, events: Array, energy
     w.supply.energy -= energy
     for i in range(3):  # a surface that moves does work on the arm
         w.supply.energy += (x.compression[i] + x.decompression[i]) * w.tip.carried[i]
+    if state.loops.frames != 0:
+        for i in range(3):
+            w.scratch.target[i] = x.compression[i] + x.decompression[i]
+        w.supply.energy += impulse_of_frames(w, w.tip.X, w.scratch.target, x.after, w.tip.carried)
 
 
 @kernel

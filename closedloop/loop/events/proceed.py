@@ -230,8 +230,11 @@ def proceed(
             advance_on_manifold(stage, tau, semi_implicit, substep, tableau, w, constants)
         if not semi_implicit:
             advance_decaying(stage, tau, tableau, w)
-        ask_loops(state, CLOSE)  # at every stage: rows that depend on others do so only where the loops are closed
         finish_stage(w, constants.h, state, tableau)
+        # at every stage: rows that depend on others do so only where the loops are closed
+        state.status = ask_loops(state, CLOSE)
+        if state.status != OK:
+            return FAILED
     elif todo == ENLARGE_TABLE:
         return TABLE_FULL
     elif todo == SOLVE_IMPACT:

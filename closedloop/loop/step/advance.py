@@ -32,6 +32,7 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.loop.step.memory import Constants, Work
+from closedloop.mechanics.robot.tree.turning import turn
 
 # Some weights are negative. Where a changes so much in a step that an exponential would grow by more than e to this,
 # both are one, which is of order 2.
@@ -123,30 +124,6 @@ def advance(stage: int, h: float, semi_implicit: bool, substep: bool, tableau: A
 
 # Below this angle the series for c is exact to rounding, rad.
 SMALL = 0.1
-
-
-@kernel
-def quaternion(x0: float, x1: float, x2: float) -> tuple[float, float, float, float]:
-    """Return the quaternion w, x, y, z of a rotation vector, rad."""
-    half = 0.5 * math.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
-    share = 0.5 * math.sin(half) / half if half > 1e-8 else 0.5
-    return math.cos(half), share * x0, share * x1, share * x2
-
-
-@kernel
-def turn(q: Array, j: int, from_: Array, i: int, u0: float, u1: float, u2: float) -> None:
-    """Write θ ∘ u to q from entry j on, rad, with θ in `from_` from entry i on: of at most half a turn."""
-    w, x, y, z = quaternion(from_[i], from_[i + 1], from_[i + 2])
-    d, a, b, c = quaternion(u0, u1, u2)
-    x, y, z, w = (
-        w * a + d * x + (y * c - z * b), w * b + d * y + (z * a - x * c), w * c + d * z + (x * b - y * a),
-        w * d - (x * a + y * b + z * c),
-    )  # fmt: skip
-    sine = math.sqrt(x * x + y * y + z * z)
-    if w < 0.0:
-        w, x, y, z = -w, -x, -y, -z
-    share = 2.0 * math.atan2(sine, w) / sine if sine > 1e-8 else 2.0
-    q[j], q[j + 1], q[j + 2] = share * x, share * y, share * z
 
 
 @kernel

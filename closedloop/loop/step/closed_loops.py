@@ -18,12 +18,13 @@ from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.loop.step.energy_supplied import applied_torque
 from closedloop.loop.step.memory import Constants, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.contact_force import factorise
-from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, forward_substitute
-from closedloop.mechanics.loops.close import close_state
+from closedloop.mechanics.closure.solve import LOOPS_OPEN, OK, SINGULAR_MOBILITY, forward_substitute
+from closedloop.mechanics.loops.close import TOLERANCE, close_state
 from closedloop.mechanics.loops.drives import through_drives
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
+from closedloop.mechanics.loops.moved import place_frames
 from closedloop.mechanics.loops.passing import find_required_on_the_way
-from closedloop.mechanics.loops.solve import leave_free, take_free
+from closedloop.mechanics.loops.solve import dot, leave_free, multiply_transposed, take_free
 
 # What the loops are asked for.
 BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, BIND_PERCEIVED = range(7)
@@ -42,19 +43,22 @@ def factorise_tip(H: Array, w: Work, constants: Constants, state: State) -> int:
 
 @entry_kernel
 def closed_loops(address: int, what: int) -> int:
-    """Answer for the loops, by the address of their memory.
+    """Answer for the loops, by the address of their memory; return a status of `closedloop.mechanics.closure.solve`.
 
     BIND_TIP        project X, write S of it, and add to the tip's drift what the loops require of it
     BIND_LOAD       replace y = L⁻¹(Q − C) by P y + y_b
     BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it
     DRIVE           replace the torque by one of the drives alone, see `closedloop.mechanics.loops.drives`
-    CLOSE           move q and q̇ to the nearest state that the loops allow
+    CLOSE           move q and q̇ to the nearest state that the loops allow; LOOPS_OPEN where a frame that moves has left
+                    none
     REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
                     tip's drift what BIND_TIP has added
     BIND_PERCEIVED       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
+    if links.frames > 0 and what in (BIND_TIP, BIND_PERCEIVED, CLOSE):
+        place_frames(links, w.time)
     if what == BIND_TIP:
         bind_tip(links, rows, w, w.L, w.tip.X, w.tip.S)
         for k in range(3):
@@ -73,12 +77,13 @@ def closed_loops(address: int, what: int) -> int:
     elif what == DRIVE:
         through_drives(links, rows, w.torque)
     elif what == CLOSE:
-        close_state(links, rows, w.q, w.v)
+        if not close_state(links, rows, w.q, w.v) <= TOLERANCE and links.frames > 0:
+            return LOOPS_OPEN
     else:
         reaction(links, rows, w)
         for k in range(3):
             w.tip.drift_c[k] -= rows.moved[k]
-    return 0
+    return OK
 
 
 @kernel
@@ -128,3 +133,27 @@ def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
         for j in range(n):
             s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
         w.scratch.column[i] = s
+
+
+@kernel
+def power_of_frames(H: Array, C: Array, w: Work, state: State) -> None:
+    """Write the power of frames that move the mechanism, W, and its rate with what the loops give held, W/s."""
+    missing_torque(H, C, w, state)
+    w.supply.moved_power = dot(w.scratch.column, w.v, state.n)
+    w.supply.moved_rate = dot(w.scratch.column, w.qdd, state.n)
+
+
+@kernel
+def impulse_of_frames(w: Work, X: Array, F: Array, velocity: Array, carried: Array) -> float:
+    """Return the work, J, of frames that move the mechanism in an impact with impulses F (m,), N s.
+
+    The impulses find the free part of Lᵀq̇ alone. What a point has beside X Lᵀq̇, X = P X, of its velocity, `velocity` to
+    its surface and `carried` of that, it has by the frames, and their loops take the impulse there.
+    """
+    n, work = w.v.shape[0], 0.0
+    for j in range(n):
+        w.scratch.column[j] = w.v[j]
+    multiply_transposed(w.L, w.scratch.column, n)
+    for i in range(F.shape[0]):
+        work += F[i] * (dot(row_of(X, i), w.scratch.column, n) - velocity[i] - carried[i])
+    return work

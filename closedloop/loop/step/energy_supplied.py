@@ -9,6 +9,9 @@ stage, which holds the torque over the step, the work is that torque times the m
 
 with τ the friction of the joints and what forces from outside do (`closedloop.loop.step.external`).
 
+Loops do no work, but for those of a frame that moves as it is told: the power of all is Pₗ = (Gᵀλ)ᵀq̇, with Gᵀλ what is
+missing in the equation of motion.
+
 It counts from row 0, which holds the state after the events of t = 0: what these took is in the table of events alone.
 
 With elastic joints the arm ends at the links: Q is then what they pass on to these.
@@ -48,7 +51,7 @@ def power(w: Work, state: State) -> float:
         total += applied_torque(w, state, j) * w.v[j]
     if state.coupled != 0:
         total += w.contacts.power
-    return total
+    return total + w.supply.moved_power
 
 
 @kernel_inlined
@@ -67,7 +70,7 @@ def save_power(w: Work, state: State) -> None:
             growth += applied_torque(w, state, j) * w.qdd[j]
         if state.coupled != 0:
             growth += w.contacts.power_rate
-        w.supply.power_rate = growth
+        w.supply.power_rate = growth + w.supply.moved_rate
 
 
 @kernel_inlined

@@ -19,7 +19,7 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.parameters import parameter_block
 from closedloop.jit.simd8 import every
-from closedloop.loop.step.closed_loops import DRIVE, factorise_tip
+from closedloop.loop.step.closed_loops import DRIVE, factorise_tip, power_of_frames
 from closedloop.loop.step.contacts import FRICTION_RATES
 from closedloop.loop.step.entries import (
     RATES,
@@ -106,6 +106,8 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
         write_rates(w, constants, state)
         if state.raised != 0:
             return LAW_FAILED
+    if state.loops.frames != 0:
+        power_of_frames(H, C, w, state)
     return OK if bounded(w) else DIVERGED
 
 

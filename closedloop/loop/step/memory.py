@@ -54,6 +54,8 @@ class Supply(Block):
     work: float  # of the substep, J
     power: float  # at its beginning, W, and the rate
     power_rate: float
+    moved_power: float  # of frames that move the mechanism, and their rate, see `closedloop.mechanics.loops.moved`
+    moved_rate: float
 
 
 class Impact(Block):
@@ -229,6 +231,7 @@ class Loops(Called):
     """The loops of a mechanism."""
 
     perceived_at: int  # address of the memory of the loops as the law sees them, 0: it sees the state itself
+    frames: int  # that move the mechanism as they are told
 
 
 class Sensor(Block):
@@ -450,10 +453,11 @@ STATE_COUNT = State.count()
 
 
 @kernel_inlined
-def ask_loops(state: State, what: int) -> None:
-    """Ask the loops, if there are any, for one of what `closedloop.loop.step.closed_loops` names."""
-    if state.loops.entry != 0:
-        call_at(state.loops.entry, state.loops.at, what)
+def ask_loops(state: State, what: int) -> int:
+    """Ask the loops for one of what `closedloop.loop.step.closed_loops` names; return a status, OK without any."""
+    if state.loops.entry == 0:
+        return OK
+    return call_at(state.loops.entry, state.loops.at, what)
 
 
 @kernel_inlined

@@ -95,7 +95,7 @@ def residuals(
 SINGULAR_MOBILITY = 1e-12
 
 OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED = range(7)
-NO_NORMAL, PUSHED, RUBS, CROWDED = range(7, 11)
+NO_NORMAL, PUSHED, RUBS, CROWDED, LOOPS_OPEN = range(7, 12)
 
 
 def bordered_matrix(H: ArrayLike, A: ArrayLike) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from closedloop.base.arrays import Array
@@ -13,6 +15,7 @@ from closedloop.mechanics.loops.close import TOLERANCE, closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
+from robot_models.coordinates import with_quaternions
 from robot_models.model import AT_LIMIT
 
 # A start that is open by no more than this, m or rad, or moves a loop by no more, m/s or rad/s, is meant to be closed.
@@ -30,7 +33,7 @@ def errors_at(robot: Robot, memory: LoopMemory, q: Array, v: Array) -> tuple[Arr
     """Return the errors of the rows, m or rad, and their rates, at a state (q, q̇)."""
     memory.rows.q[:], memory.rows.v[:] = q, v
     interpreted(locate_rows)(memory.links, memory.rows)
-    return memory.rows.error.copy(), memory.rows.G @ v
+    return memory.rows.error.copy(), memory.rows.rate.copy()
 
 
 @_undefined_passes
@@ -45,18 +48,20 @@ def assembled(robot: Robot, memory: LoopMemory, q: Array) -> Array:
 
     model, v = robot.model, np.zeros(robot.n)
 
+    def errors(x: Array) -> Array:
+        return errors_at(robot, memory, x, v)[0]
+
     def rows(x: Array) -> Array:
         errors_at(robot, memory, x, v)
         return memory.rows.G.copy()
 
+    slopes: Any = "2-point" if model.balls else rows  # a rotation vector's rates are not those of its joint
     low, high = model.position_lower - AT_LIMIT, model.position_upper + AT_LIMIT
     random, found = np.random.default_rng(0), []
     for k in range(STARTS):
         around = q + random.normal(size=robot.n) * k / STARTS
         inside = np.clip(around, low + AT_LIMIT, high - AT_LIMIT)
-        found.append(
-            least_squares(lambda x: errors_at(robot, memory, x, v)[0], inside, rows, (low, high), max_nfev=EVALUATIONS)
-        )
+        found.append(least_squares(errors, inside, slopes, (low, high), max_nfev=EVALUATIONS))
         if np.max(np.abs(found[-1].fun)) <= START_OPEN:
             break
     return np.array(min(found, key=lambda each: each.cost).x)
@@ -93,16 +98,17 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
         )
     if not assemble and float(np.max(np.abs(error))) > START_OPEN:
         j = int(np.argmax(np.abs(turned)))
+        nearest = with_quaternions(near, robot.model.joint_types)
         raise ScenarioError(
             f"start.q: the loops are open, by {_worst(robot, error)}; the nearest closed posture is "
-            f"{[float(f'{x:.9g}') for x in near]} ({names[j]} turned by {turned[j]:.3g}): start there, or with "
+            f"{[float(f'{x:.9g}') for x in nearest]} ({names[j]} turned by {turned[j]:.3g}): start there, or with "
             "start.assemble = true"
         )
     if out := [names[j] for j in range(robot.n) if not low[j] - START_OPEN <= near[j] <= high[j] + START_OPEN]:
         raise ScenarioError(
             f"start.q: in the nearest closed posture joint {out[0]} is outside its limits: start elsewhere"
         )
-    if float(np.max(np.abs(rate))) > START_RATE:
+    if np.any(v) and float(np.max(np.abs(rate))) > START_RATE:  # at rest it starts with what moves it
         raise ScenarioError(
             f"start.v: the loops would open, by {_worst(robot, rate)} a second; the nearest velocity that they "
             f"allow is {[float(f'{x:.9g}') for x in rates]}"

@@ -38,7 +38,7 @@ NO_ROW = 1e-11
 def bound_by_loops(robot: Robot) -> Bound:
     """Return what the loop joints of a robot bind."""
     model, tree = robot.model, robot.tree
-    poses = link_poses(tree, model.home)
+    poses = link_poses(tree, model.loop_home)
     rows: list[tuple[int, int, int, Array, Array, Array, Array, Array]] = []
     sums = np.zeros((2, sum(loop.rows for loop in model.loops), tree.n))
     none, zero = np.zeros(5), np.zeros(3)
@@ -64,10 +64,11 @@ def bound_by_loops(robot: Robot) -> Bound:
     at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
     sides = np.array([kinds, one_sides, other_sides, np.zeros(len(kinds))], dtype=np.int64)
     made = Bound(
-        sides.ravel(), at_a, at_b, along_a, along_b, value, sums[0], sums[1], np.ones(len(kinds)), model.undriven
-    )
+        sides.ravel(), at_a, at_b, along_a, along_b, value, sums[0], sums[1], np.ones(len(kinds)), model.undriven,
+        robot.moved,
+    )  # fmt: skip
     idle, lengths = _lengths(tree, made)
-    sides[0, idle] = IDLE
+    sides[0, idle & np.all(sides[1:3] >= -1, axis=0)] = IDLE  # what moves as it is told may open any row
     return _with_points_shared(made._replace(sides=sides.ravel(), scale=1.0 / lengths))
 
 
@@ -131,6 +132,9 @@ def _side(robot: Robot, poses: list[tuple[Array, Array]], loop: LoopJoint, k: in
     """
     link, rotation, origin = robot.frame_at(loop.frames[k], robot.model.home)
     axes, place = poses[link]
+    for i, frame in enumerate(robot.moved):
+        if loop.frames[k] in frame.names:
+            link, axes, place = -2 - i, frame.axes, frame.origin
     return link, axes.T @ (origin + rotation @ np.array(loop.points[k]) - place), axes.T @ rotation @ side_axes(loop, k)
 
 

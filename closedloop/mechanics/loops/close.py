@@ -15,9 +15,10 @@ from closedloop.jit.calls import row_of
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.mechanics.loops.factor import factor, meet
-from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at
+from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at, tree_at
 from closedloop.mechanics.loops.rows import locate_rows, place_rows
 from closedloop.mechanics.loops.solve import basis_alike, dot, leave_free, take_free
+from closedloop.mechanics.robot.tree.turning import move_posture
 
 # Newton steps at most, and the error, m or rad, below which there is no other: rounding.
 MOST_MOVES, CLOSED = 50, 1e-15
@@ -53,7 +54,7 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
     Newton's method on the error, each step the shortest, until the error is rounding or no longer shrinks; then the
     velocity. The rows are factored again only where they have changed much since.
     """
-    n, before, left, factored_here = links.n, math.inf, math.inf, False
+    n, tree, before, left, factored_here = links.n, tree_at(links), math.inf, math.inf, False
     # Rows that depend on others where the loops are closed seem not to where they are open.
     most = links.known if links.known > 0 else links.m
     for _ in range(MOST_MOVES):
@@ -69,8 +70,7 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
         if not factored_here:
             meet(links, rows, rows.error)
         take_free(links, rows, rows.met)
-        for j in range(n):
-            q[j] -= rows.met[j]
+        move_posture(tree, q, rows.met, -1.0)
         if not factored_here and left * left <= 0.01 * CLOSED * before:
             left = left * left / before  # what this step leaves, below rounding
             break
@@ -80,12 +80,21 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
             rows.error[k] -= sought(rows.error[k])
         meet(links, rows, rows.error)
         take_free(links, rows, rows.met)
+        move_posture(tree, q, rows.met, -1.0)
         for j in range(n):
-            q[j] -= rows.met[j]
             rows.q[j] = q[j]
         place_rows(links, rows)
         factor_rows(links, rows, rows.error, most)
         factored_here = True
+    if links.frames > 0:  # G q̇ is minus the rate with which frames that move open the rows
+        for j in range(n):
+            rows.q[j], rows.v[j] = q[j], v[j]
+        locate_rows(links, rows)
+        factor_rows(links, rows, rows.rate, most)
+        take_free(links, rows, rows.met)
+        for j in range(n):
+            v[j] -= rows.met[j]
+        return left
     leave_free(links, rows, v)
     if not factored_here:  # that was where the loops were not closed yet
         for k in range(links.m):

@@ -10,7 +10,9 @@ from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, integers_at, vector_at
 from closedloop.jit.kernel import kernel, plain
+from closedloop.mechanics.loops.moved import MovedFrame, add_frames
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, work_size
+from closedloop.mechanics.robot.tree.layout import SCRATCHES
 
 N, M = Count.of("n"), Count.of("m")
 
@@ -42,6 +44,8 @@ class LoopLinks(Block):
     tree_constants_size: int
     scratch: int
     scratch_size: int
+    frames: int  # that move as they are told, see `closedloop.mechanics.loops.moved`
+    moved: int  # address of entry and memory of each
 
 
 class LoopRows(Block, sizes=("n", "m")):
@@ -125,6 +129,12 @@ class LoopMemory(NamedTuple):
         """Return what `loops_at` takes."""
         return int(self.links.address)
 
+    @property
+    def placed(self) -> Array:
+        """Return what `closedloop.mechanics.loops.moved.place_frames` writes."""
+        scratch: Array = self.links.kept["scratch"]
+        return scratch[len(scratch) - int(self.links.frames) * SCRATCHES :]
+
 
 #: What is told of each row, of those that `LoopRows` and `Bound` both have.
 VALUES = ("at_a", "at_b", "along_a", "along_b", "value", "first", "second", "scale")
@@ -134,7 +144,8 @@ class Bound(NamedTuple):
     """What the m rows of a mechanism's loops bind."""
 
     # (4 m,): kind of each row, see `closedloop.mechanics.loops.rows`; then the link (gear: a joint) of the one side
-    # of each; then of the other; −1 is the base; then 1 for a row whose points are those of the row before it
+    # of each; then of the other; −1 is the base, −2 − k frame k of `moved`; then 1 for a row whose points are those of
+    # the row before it
     sides: IntArray
     # at_a, at_b, along_a, along_b, value, first, second: (m, 3), ..., (m, 5), (m, n), (m, n): see `LoopRows`
     at_a: Array
@@ -148,6 +159,7 @@ class Bound(NamedTuple):
     # some posture is known to be
     scale: Array
     undriven: Array  # (u, n), see `robot_models.model.RobotModel.undriven`
+    moved: tuple[MovedFrame, ...] = ()
 
     @property
     def m(self) -> int:
@@ -166,7 +178,7 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     """Return the memory of a mechanism's loops."""
     sizes = tree.n, bound.m
     links, rows = LoopLinks(np.zeros(LOOP_LINKS, dtype=np.int64)), LoopRows(np.zeros(LoopRows.count(*sizes)), *sizes)
-    scratch = np.zeros(plain(work_size)(tree.n))
+    scratch = np.zeros(plain(work_size)(tree.n) + len(bound.moved) * SCRATCHES)
     links.address, links.numbers, links.total = address_of(links.memory), address_of(rows.memory), rows.memory.size
     links.n, links.m, links.undriven = *sizes, len(bound.undriven)
     order = np.arange(bound.m + tree.n, dtype=np.int64)
@@ -180,4 +192,6 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     rows.undriven[: len(bound.undriven)] = bound.undriven
     rows.clear[:] = np.inf
     links.keep_alive(tree=tree, bound=bound, scratch=scratch, order=order)
+    if bound.moved:
+        add_frames(links, bound.moved)
     return LoopMemory(links, rows)

@@ -14,9 +14,10 @@ from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.loops.close import TOLERANCE, close_state
 from closedloop.mechanics.loops.factor import factor, smallest_share
-from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
+from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.loops.solve import basis_in_metric, dot, multiply_transposed, take_free
+from closedloop.mechanics.robot.tree.turning import move_posture
 
 # A row is near to losing its direction below this share; the way to the next of the four states between which what it
 # requires is interpolated, rad or m; by how much more it has to be outside the span there; and the way to the state
@@ -70,9 +71,9 @@ def find_required_on_the_way(links: LoopLinks, rows: LoopRows, L: Array, q: Arra
 def close_beside(links: LoopLinks, rows: LoopRows, q: Array, v: Array, way: float) -> float:
     """Write the state near_q, near_v at a way, rad or m, along the velocity, closed; return the error left."""
     n = links.n
-    share = way / math.sqrt(dot(v, v, n))
     for j in range(n):
-        rows.near_q[j], rows.near_v[j] = q[j] + share * v[j], v[j]
+        rows.near_q[j], rows.near_v[j] = q[j], v[j]
+    move_posture(tree_at(links), rows.near_q, v, way / math.sqrt(dot(v, v, n)))
     return close_state(links, rows, rows.near_q, rows.near_v)
 
 
@@ -84,10 +85,11 @@ def interpolate_part(links: LoopLinks, rows: LoopRows, L: Array, q: Array, v: Ar
 
         f(0) = (4 f(1) + 4 f(−1) − f(2) − f(−2)) / 6 + O(step⁴).
 
-    Returns false where that is not so: at rest, where the rows do not get farther from losing rank on both sides, or
-    where the mechanism cannot be closed there. The rows are those of another state afterwards.
+    Returns false where that is not so: with frames that move, which are elsewhere then, at rest, where the rows do not
+    get farther from losing rank on both sides, or where the mechanism cannot be closed there. The rows are those of
+    another state afterwards.
     """
-    if not dot(v, v, links.n) > 0.0:
+    if links.frames > 0 or not dot(v, v, links.n) > 0.0:
         return False
     for j in range(links.n):
         rows.near_part[j] = 0.0

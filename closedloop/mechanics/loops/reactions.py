@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array, Mask
 from closedloop.jit.background import awaited
+from closedloop.jit.calls import vector_at
 from closedloop.jit.interim import call_now
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel
 from closedloop.mechanics.loops.bind import bound_by_loops, loop_memory, rotation_axes, side_axes
 from closedloop.mechanics.loops.factor import DEPENDENT
 from closedloop.mechanics.loops.memory import loops_at
+from closedloop.mechanics.loops.moved import place_frames
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from robot_models import RobotModel
@@ -63,7 +66,7 @@ def named_side(robot: Robot, loop: LoopJoint) -> tuple[str, Array]:
     return loop.frames[1], np.array(loop.points[1])
 
 
-def wrenches(robot: Robot, q: Array, rows: Array, forces: Array) -> Array:
+def wrenches(robot: Robot, q: Array, time: Array, rows: Array, forces: Array) -> Array:
     """Return the parts of the reactions (N, c), in the order of `labels_of`, N or N m.
 
     Parameters
@@ -71,6 +74,8 @@ def wrenches(robot: Robot, q: Array, rows: Array, forces: Array) -> Array:
     robot : Robot
         With loops.
     q : (N, nq) array
+    time : (N,) array
+        s.
     rows : (N, m, n) array
         G, see `closedloop.mechanics.loops.reactions.loop_rows`.
     forces : (N, m) array
@@ -79,6 +84,11 @@ def wrenches(robot: Robot, q: Array, rows: Array, forces: Array) -> Array:
     found, at = [], 0
     between = [loop for loop in robot.model.loops if loop.type != "gear"]
     poses = robot.poses_of({n for loop in between for n in (*loop.frames, named_side(robot, loop)[0])}, q)
+    for frame in robot.moved:
+        turns, shifts = frame.displacements(time)
+        for name in poses.keys() & frame.names:
+            axes, origins = poses[name]
+            poses[name] = turns @ axes, np.einsum("kij,kj->ki", turns, origins) + shifts
     for loop in robot.model.loops:
         own = slice(at, at + loop.rows)
         at = own.stop
@@ -190,8 +200,8 @@ class LoopReactions(NamedTuple):
 
 
 def loop_reactions(
-    robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array, at_stop: Mask | None = None,
-    stops: Array | None = None,
+    robot: Robot, time: Array, q: Array, v: Array, acceleration: Array, torque: Array, force: Array,
+    at_stop: Mask | None = None, stops: Array | None = None,
 ) -> LoopReactions:  # fmt: skip
     """Return what the loops carried: Gᵀλ = H q̈ + C − Q − Jᵣᵀ F, with H, C and Jᵣ of Pinocchio.
 
@@ -199,6 +209,8 @@ def loop_reactions(
     ----------
     robot : Robot
         With loops.
+    time : (N,) array
+        s: frames that move are where they are then.
     q : (N, nq) array
     v, acceleration, torque : (N, n) arrays
         q̇ and q̈; Q and friction in the joints together, N m (N).
@@ -209,7 +221,7 @@ def loop_reactions(
     stops : (s, n) array, optional
         The torque of each of them for a force of one; those of the joints if left out, s = n.
     """
-    rows, errors = loop_rows(robot, q, v)
+    rows, errors = loop_rows(robot, q, v, time)
     missing = robot.needed_torque(q, v, acceleration, force) - torque
     # rows differ in unit: what depends on what is decided with each by its usual length
     scaled = bound_by_loops(robot).scale[:, None] * rows
@@ -217,17 +229,19 @@ def loop_reactions(
     forces, of_stops = share_of_rows(rows, missing, at_stop, bool(np.all(rank == rows.shape[1])), stops)
     left = np.max(np.abs(missing - of_stops - np.einsum("kmn,km->kn", rows, forces)), axis=1, initial=0.0)
     joints = tuple(loop.name for loop in robot.model.loops for _ in range(loop.rows))
-    parts = wrenches(robot, q, rows, forces)
+    parts = wrenches(robot, q, time, rows, forces)
     return LoopReactions(*labels_of(robot.model), parts, joints, forces, errors, np.asarray(rank), left)
 
 
-def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
+def loop_rows(robot: Robot, q: Array, v: Array, time: Array | None = None) -> tuple[Array, Array]:
     """Return the rows G (N, m, n) of a robot's loops at states, and their errors (N, m), m or sines of angles.
 
     Parameters
     ----------
     q : (N, nq) array, or (N, n)
     v : (N, n) array
+    time : (N,) array, optional
+        s: frames that move are where they are then, or at t = 0.
     """
     memory = loop_memory(robot)
     states = [np.ascontiguousarray(x).view() for x in (robot.rotation_vectors(q), v)]
@@ -235,10 +249,14 @@ def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
         each.flags.writeable = False  # as a run's columns are: another type would be compiled for this alone
     count, n, m = len(q), robot.n, int(memory.links.m)
     rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
+    frames = np.zeros((count, len(memory.placed)))
+    for k, t in enumerate(np.zeros(count) if time is None else time) if robot.moved else ():
+        interpreted(place_frames)(memory.links, float(t))
+        frames[k] = memory.placed
     written = memory.rows.memory, memory.links.memory, rows, errors
     if count > FEW_STATES:
         awaited((rows_along,))
-    call_now(rows_along, written, memory.address, *states, rows, errors)
+    call_now(rows_along, written, memory.address, *states, frames, rows, errors)
     return rows, errors
 
 
@@ -266,10 +284,16 @@ def share_of_rows(
 
 
 @entry_kernel
-def rows_along(address: int, q: Array, v: Array, rows: Array, errors: Array) -> None:
-    """Write the rows (N, m, n) and their errors (N, m) at states (N, n), by the address of the loops' memory."""
+def rows_along(address: int, q: Array, v: Array, frames: Array, rows: Array, errors: Array) -> None:
+    """Write the rows (N, m, n) and their errors (N, m) at states (N, n), by the address of the loops' memory.
+
+    frames (N, k) is what `place_frames` writes at each.
+    """
     links, there = loops_at(address)
+    placed = vector_at(links.scratch, links.scratch_size)[links.scratch_size - frames.shape[1] :]
     for k in range(q.shape[0]):
+        for j in range(frames.shape[1]):
+            placed[j] = frames[k, j]
         for j in range(links.n):
             there.q[j], there.v[j] = q[k, j], v[k, j]
         locate_rows(links, there)

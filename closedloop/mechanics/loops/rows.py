@@ -18,12 +18,14 @@ import math
 
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import integers_at, row_of, vector_at
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.loops.memory import DISTANCE, GEAR, IDLE, POSITION, ROTATION, LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.kinematics import motion, sines
 
+# A side on the base, which is at rest; below it frames that move as they are told (`closedloop.mechanics.loops.moved`).
+BASE = -1
 # Of a point and a direction fixed to a link, in base axes: position, velocity and acceleration at q̈ = 0 of the point,
 # then the direction with its first and second derivative.
 POINT, VELOCITY, ACCELERATION, ALONG, TURNING, SECOND = 0, 3, 6, 9, 12, 15
@@ -122,8 +124,8 @@ def _positions(
     _along_joints(tree, work, other, a, -1.0, rows, k, count)
     x, y, z = x - a[VELOCITY], y - a[VELOCITY + 1], z - a[VELOCITY + 2]
     d0, d1, d2 = a[POINT] - b[POINT], a[POINT + 1] - b[POINT + 1], a[POINT + 2] - b[POINT + 2]
-    if moving and other >= 0:  # of its own point
-        s = tree.links[at.SCRATCH * tree.n + other]
+    if moving and other != BASE:  # of its own point
+        s = _slot(tree, work, other)
         o0, o1, o2 = work[s + at.O0], work[s + at.O1], work[s + at.O2]
         x, y, z = x + o1 * d2 - o2 * d1, y + o2 * d0 - o0 * d2, z + o0 * d1 - o1 * d0
     for r in range(count):
@@ -209,12 +211,12 @@ def move_point(tree: Tree, work: Array, link: int, point: Array, out: Array) -> 
 @kernel
 def _move_point(tree: Tree, work: Array, link: int, point: Array, out: Array, moving: bool) -> None:
     """Write the position of a point that is fixed to a link, and if asked for its acceleration."""
-    if link < 0:
+    if link == BASE:
         for i in range(3):
             out[POINT + i], out[ACCELERATION + i] = point[i], 0.0
         return
     _carry(tree, work, link, point, out, POINT, moving)
-    s = tree.links[at.SCRATCH * tree.n + link]
+    s = _slot(tree, work, link)
     w, k = work, tree.constants
     out[POINT] += w[s + at.P0]
     out[POINT + 1] += w[s + at.P1]
@@ -234,7 +236,7 @@ def turn_direction(tree: Tree, work: Array, link: int, along: Array, out: Array)
 @kernel
 def _turn(tree: Tree, work: Array, link: int, along: Array, out: Array, first: int, moving: bool) -> None:
     """Write a direction that is fixed to a link, and if asked for its derivatives, from an entry on."""
-    if link < 0:
+    if link == BASE:
         for i in range(3):
             out[first + i], out[first + 3 + i], out[first + 6 + i] = along[i], 0.0, 0.0
         return
@@ -245,7 +247,7 @@ def _turn(tree: Tree, work: Array, link: int, along: Array, out: Array, first: i
 def _carry(tree: Tree, work: Array, link: int, c: Array, out: Array, first: int, moving: bool) -> None:
     """Write a vector that is fixed to a link in base axes, and if asked for its derivatives, from an entry on."""
     w = work
-    s = tree.links[at.SCRATCH * tree.n + link]
+    s = _slot(tree, work, link)
     x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
     z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
     y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
@@ -264,6 +266,12 @@ def _carry(tree: Tree, work: Array, link: int, c: Array, out: Array, first: int,
     out[first + 8] = e0 * d1 - e1 * d0 + o0 * u1 - o1 * u0
 
 
+@kernel_inlined
+def _slot(tree: Tree, work: Array, link: int) -> int:
+    """Return where in the scratch a link is, or a frame that moves as it is told."""
+    return int(tree.links[at.SCRATCH * tree.n + link]) if link >= 0 else work.shape[0] + (link + 1) * at.SCRATCHES
+
+
 @kernel
 def _along_joints(
     tree: Tree, work: Array, link: int, place: Array, sign: float, rows: LoopRows, k: int, count: int
@@ -274,6 +282,11 @@ def _along_joints(
     """
     n, w, u, joint = tree.n, work, rows.directions, link
     p0, p1, p2, x, y, z = place[POINT], place[POINT + 1], place[POINT + 2], 0.0, 0.0, 0.0
+    if link < BASE:
+        s = _slot(tree, work, link)
+        d0, d1, d2 = p0 - w[s + at.P0], p1 - w[s + at.P1], p2 - w[s + at.P2]
+        o0, o1, o2 = w[s + at.O0], w[s + at.O1], w[s + at.O2]
+        x, y, z = w[s + at.V0] + o1 * d2 - o2 * d1, w[s + at.V1] + o2 * d0 - o0 * d2, w[s + at.V2] + o0 * d1 - o1 * d0
     while joint >= 0:
         s = tree.links[at.SCRATCH * n + joint]
         z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]

@@ -64,6 +64,8 @@ class Robot:
         From `robot_models.load`.
     tip : str, optional
         Frame whose origin touches the surface; the model's own default if left out.
+    moved : tuple of MovedFrame
+        Frames of loop joints that move as they are told, `closedloop.mechanics.loops.moved`.
 
     Raises
     ------
@@ -72,8 +74,8 @@ class Robot:
     """
 
     @arguments_checked()
-    def __init__(self, model: RobotModel, tip: str | None = None) -> None:
-        self.model = model
+    def __init__(self, model: RobotModel, tip: str | None = None, moved: tuple[Any, ...] = ()) -> None:
+        self.model, self.moved = model, moved
         if not model.n:
             raise ModelError(f"{model.source or model.name}: has no joint that moves: name a robot that has one")
         name = tip if tip is not None else model.tip
@@ -108,6 +110,10 @@ class Robot:
             data.v[carrier].vector,
             data.a_gf[carrier].vector,
         )
+
+    def again(self) -> Robot:
+        """Return the same robot with memory of its own."""
+        return Robot(self.model, self.tip, self.moved)
 
     def _reach(self) -> float:
         """Return the attribute `reach`."""
@@ -373,6 +379,18 @@ class Robot:
                 place = pin.updateFramePlacement(self._pin, self._data, number)
                 found[name][0][k], found[name][1][k] = place.rotation, place.act(-tips[name])
         return found
+
+    def frames_at_rest(self) -> set[str]:
+        """Return the names of the frames that are fixed to the world."""
+        return {frame.name for frame in self._pin.frames if frame.parentJoint == 0} & {*self.model.frames}
+
+    def fixed_to(self, name: str) -> tuple[str, ...]:
+        """Return a frame, and those that are fixed to it, by their names."""
+        found = [self._pin.getFrameId(self.model.require_frame(name))]
+        for number, frame in enumerate(self._pin.frames):
+            if frame.type != pin.FrameType.JOINT and frame.parentFrame in found and number not in found:
+                found.append(number)
+        return tuple(self._pin.frames[number].name for number in found)
 
     def link_below(self, joint: str) -> tuple[str, Array]:
         """Return the name of the link that a joint hangs on, and where on it (3,), m, in the axes of that link."""

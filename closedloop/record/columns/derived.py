@@ -76,7 +76,8 @@ def tip_force(run: Record) -> Array:
 def reactions_of(run: Record, robot: Robot) -> LoopReactions:
     """Return what the loops of a mechanism carried, its robot being that of the run's scenario."""
     torque = _drive(run) + run.joint_friction + _of_contacts(run, robot)
-    return loop_reactions(robot, run.q, run.v, run.acceleration, torque, tip_force(run), at_stop(run), stop_rows(run))
+    forces = tip_force(run), at_stop(run), stop_rows(run)
+    return loop_reactions(robot, run.time, run.q, run.v, run.acceleration, torque, *forces)
 
 
 def _drive(run: Record) -> Array:
@@ -146,7 +147,7 @@ def stop_torque(run: Record) -> Array:
     found = robot.needed_torque(run.q, run.v, run.acceleration, tip_force(run)) - known
     there, stops = at_stop(run), stop_rows(run)
     if robot.model.loops or len(stops) > robot.n:
-        rows = loop_rows(robot, run.q, run.v)[0] if robot.model.loops else np.zeros((len(run.q), 0, robot.n))
+        rows = loop_rows(robot, run.q, run.v, run.time)[0] if robot.model.loops else np.zeros((len(run.q), 0, robot.n))
         return share_of_rows(rows, found, there, stops=stops)[1]
     return np.where(there, found, 0.0)
 

@@ -365,9 +365,19 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ScenarioError(f"contact: two are called {twice!r}: name each")
+    moved = {name for frame in robot.moved for name in frame.names}
     for name, section in zip(names, sections, strict=True):
         if section.link == section.against:
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
+        if section.link in moved:
+            raise ScenarioError(
+                f"contact {name!r}: link {section.link!r} moves as a [[mocap]] says: name it as against"
+            )
+        if section.against in moved and section.motion is None:
+            raise ScenarioError(
+                f"contact {name!r}: {section.against!r} moves as a [[mocap]] says: give the contact that motion too, "
+                "in the axes of this frame at the start"
+            )
     bound, shapes = bind_rows(sections, robot), shapes_of(sections, robot)
     sides = bound.sides.reshape(4, -1)[:, ::3]
     memory = make_loop_memory(robot.tree, bound)

@@ -31,6 +31,7 @@ from closedloop.loop.step.memory import Loop
 from closedloop.mechanics.closure.solve import (
     CHATTER,
     CROWDED,
+    LOOPS_OPEN,
     NO_NORMAL,
     NOT_POSITIVE_DEFINITE,
     PAINLEVE,
@@ -94,6 +95,12 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             f"{', or that of another contact where its point is' if problem.scenario.contact else ''}: the gradient "
             "of its φ vanishes there, or within a step from there, or is not a number; keep the tip near the surface, "
             "away from its centre, edge or apex",
+            t,
+        )
+    if status == LOOPS_OPEN:
+        return SimulationError(
+            f"{when(t)}: at q = {_numbers(q)} the joints cannot follow a [[mocap]]: the loops that hold onto it stay "
+            "open; look at mocap.motion, and at the start",
             t,
         )
     if status == CHATTER and problem.placed is not None:

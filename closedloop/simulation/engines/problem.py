@@ -137,7 +137,7 @@ class Problem(ScenarioNumbers):
             loop.w.keep_alive(external=external)
         if self.robot.model.loops:
             loops = step_memory(self.robot)
-            state.loops.at, loops.links.loop = loops.address, state.address
+            state.loops.at, loops.links.loop, state.loops.frames = loops.address, state.address, len(self.robot.moved)
             loop.w.keep_alive(loops=loops)
         if self.robot.model.loops and state.settings.perceived != 0:
             perceived = step_memory(self.robot)
@@ -189,7 +189,7 @@ class Problem(ScenarioNumbers):
         """Return all entry kernels that the loop of this memory calls by address; see `loop` for `user_law`."""
         entries = [*self.entries(user_law).values(), *self.believed_entries().values()]
         if loop.state.loops.at != 0:
-            entries.append(closed_loops)
+            entries += [closed_loops, *(frame.entry for frame in self.robot.moved)]
         if loop.state.ball.at != 0:
             entries.append(ball_tip)
         if loop.state.external.at != 0:
@@ -237,6 +237,10 @@ class Problem(ScenarioNumbers):
             getattr(loop.state, name).entry = address_of_member(entry, name, getattr(self.scenario, name))
         if loop.state.loops.at != 0:
             loop.state.loops.entry = address(closed_loops)
+            for k, frame in enumerate(self.robot.moved):
+                where = address_of_member(frame.entry, f"mocap.{k}.motion", frame.motion)
+                for name in loop.w.kept.keys() & {"loops", "perceived_loops"}:
+                    loop.w.kept[name].links.kept["frames"][k, 0] = where
         if loop.state.ball.at != 0:
             loop.state.ball.entry = address(ball_tip)
         if loop.state.external.at != 0:

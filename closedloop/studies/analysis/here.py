@@ -24,7 +24,6 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.loop.events.table import KINDS
-from closedloop.loop.step.advance import turn
 from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.perceived import sensor_feels
 from closedloop.loop.step.record_row import Row, complete_record
@@ -32,7 +31,7 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.close import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.reactions import loop_rows
-from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.robot.tree.turning import turn
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
@@ -178,7 +177,7 @@ def rows_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) ->
     kick : float
         Added to f_des at the first sample, N.
     """
-    problem = replace(problem, robot=Robot(problem.robot.model, problem.robot.tip))
+    problem = replace(problem, robot=problem.robot.again())
     loop, n = problem.loop(), problem.robot.n
     make_ready(*kernels_of(PINOCCHIO), *problem.called(loop), complete_record, collide)
     problem.connect(loop)
@@ -245,9 +244,7 @@ class Here:
     free: bool = False  # whether it may be in flight
 
     def __post_init__(self) -> None:
-        problem = self.problem
-        model = problem.robot.model
-        self.problem = problem = replace(problem, robot=Robot(model, problem.robot.tip))
+        self.problem = problem = replace(self.problem, robot=self.problem.robot.again())
         self.row = round(self.instant.time / problem.h)
         self.loop = loop = problem.loop()
         self._loops: LoopMemory | None = loop.w.kept.get("loops")
@@ -285,6 +282,8 @@ class Here:
                 f"linearise: compensation.kind = {kind!r} reads forces along the tangents, which is not part of the "
                 "linear loop: take another compensation"
             )
+        if problem.robot.moved:
+            raise ScenarioError("linearise: the motion of a [[mocap]] is not part of the linear loop: leave it out")
         constants.s_v = constants.s_p = 0.0
         self.contacts = ClosedContacts(problem, loop) if self.instant.contacts else None
         touches = self.free or self.contacts is not None

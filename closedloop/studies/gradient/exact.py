@@ -315,6 +315,8 @@ def _exact(
     report: Callable[[int, int], None], workers: int | None,
 ) -> Exact:  # fmt: skip
     start, cache = prepared(prepare(keys.scenario, model)), Cache()
+    if start.problem.robot.moved:
+        raise NotDualError("the memory of a [[mocap]] is of plain numbers")
     seeds = {d: seeds_of(keys, d, start, model, cache) for d in keys.directions}
     known = {d: each for d, each in seeds.items() if each is not None}
     if not known:

@@ -250,3 +250,25 @@ def test_a_tip_that_no_drive_moves_is_named_at_once(new, tmp_path):
     status, _, err = new("trial", "--robot", "mine.xml", "--tip", "target")
     assert status == 2
     assert "with the tip target: no joint with a drive moves it; another frame may work, see --tip" in err
+
+
+def test_a_leg_on_a_trunk_that_nothing_drives_presses_as_on_a_stand(new, tmp_path):
+    """The joints of the trunk are held where the file has them; the tip is the foot, not the goal beside it."""
+    hinge = (
+        '<joint name="{0}" axis="0 1 0" damping="1"/><geom type="capsule" fromto="0 0 0 0 0 -.4" size=".03" mass="1"/>'
+    )
+    (tmp_path / "leg.xml").write_text(
+        '<mujoco><worldbody><body name="trunk" pos="0 0 1"><joint name="rx" type="slide" axis="1 0 0"/>'
+        '<joint name="rz" type="slide" axis="0 0 1" ref="1"/><joint name="ry" axis="0 1 0"/><geom size=".1" mass="3"/>'
+        f'<body name="thigh">{hinge.format("hip")}<body name="foot" pos="0 0 -.4">{hinge.format("knee")}</body></body>'
+        '</body><body name="goal"><joint name="gx" type="slide" axis="1 0 0"/>'
+        '<joint name="gy" type="slide" axis="0 1 0"/><joint name="gz" type="slide" axis="0 0 1"/>'
+        '<geom size=".1"/></body></worldbody><actuator><motor joint="hip"/><motor joint="knee"/></actuator></mujoco>'
+    )
+    status, out, err = new("stand", "--robot", "leg.xml")
+    assert (status, err) == (0, "")
+    assert "the tip is foot" in out
+    assert "held rigid, see robot.lock: rx, rz, ry" in out
+    scenario = cl.load_scenario("stand.toml")
+    assert scenario.robot.lock == {"rx": 0.0, "rz": 1.0, "ry": 0.0}
+    assert cl.simulate(scenario).summary()["verdict"]["good"]

@@ -12,8 +12,9 @@ import robot_models
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
-from closedloop.loop.step.advance import turn, turn_rate
+from closedloop.loop.step.advance import turn_rate
 from closedloop.mechanics.robot.tree import tree_potential_energy, tree_terms, work_size
+from closedloop.mechanics.robot.tree.turning import turn
 from robot_models.coordinates import continuous, with_quaternions, with_rotation_vectors
 from tests.closedloop.free_bodies import BODY, TREE, matrices, no_torque, random_positions, scenario_of, written
 

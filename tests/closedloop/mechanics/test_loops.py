@@ -291,7 +291,7 @@ def test_what_loops_and_stops_cannot_explain_is_told(mechanisms, stopped):
     q, v, acceleration, torque = (rng.normal(size=(3, model.n)) for _ in range(4))
     force, at_stop = rng.normal(size=(3, 3)), np.arange(model.n) == np.array([[0], [1], [3]])
     robot = Robot(model)
-    found = loop_reactions(robot, q, v, acceleration, torque, force, at_stop if stopped else None)
+    found = loop_reactions(robot, np.zeros(len(q)), q, v, acceleration, torque, force, at_stop if stopped else None)
     for k in range(3):
         G, terms = rows_at(model, q[k], v[k])[1], robot.terms(q[k], v[k])
         H = np.triu(terms.mass_matrix) + np.triu(terms.mass_matrix, 1).T

@@ -94,7 +94,7 @@ class Memory:
         self.w.q[:], self.w.v[:], self.w.z[:] = y[: self.n], y[self.n : 2 * self.n], y[2 * self.n : -1]
         self.w.supply.energy = y[-1]
         if self.state.loops.entry != 0:  # rows that depend on others do so only where the loops are closed
-            closed_loops(int(self.state.loops.at), CLOSE)
+            self._check(closed_loops(int(self.state.loops.at), CLOSE))
 
     def get(self) -> Array:
         """Return a copy of the state in the memory."""
@@ -113,8 +113,8 @@ class Memory:
         Stopped
             If there is no solution, or a user's law returns no torque.
         """
-        self.put(y)
         self.set_time(t, interval)
+        self.put(y)
         self._evaluate_for(use)
 
     def set_time(self, t: float, interval: Interval) -> None:
@@ -150,6 +150,7 @@ class Memory:
             self._answer(answer)
             answer = self._proceed()
         # The loop has begun a step already: its beginning is the state at t = 0.
+        self.w.time = self.w.start.time
         self.put(np.append(self.w.start.state, self.w.supply.energy))
         self.w.supply.work = 0.0
         self._evaluate_for(BEGIN_STEP)

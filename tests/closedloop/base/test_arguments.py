@@ -57,7 +57,7 @@ GOOD = {
     "Recording": {"time": TIME, "q": ROWS, "torque": None, "v": None, "force": None, "speed": None,
                   "source": "the log"},
     "Plane": {"normal": np.array([0.0, 0.0, 1.0]), "offset": 0.0},
-    "Robot": {"model": robot_models.load("planar2"), "tip": None},
+    "Robot": {"model": robot_models.load("planar2"), "tip": None, "moved": ()},
     "Run": {"scenario": SCENARIO, "model": RUN.model, "columns": RUN.columns},
 }  # fmt: skip
 # What a step or a run hands over, and what users derive their classes from; `figures` is a module, `serve` a server.

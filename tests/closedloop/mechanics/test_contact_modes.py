@@ -238,7 +238,7 @@ def test_each_contact_to_which_something_happened_has_its_row(struck):
     c.before[[3, 6, 9]], c.problem.after[[3, 6, 9]] = [-2.0, -2.0, -2.0], [0.5, -0.5, 0.0]
     supply, tip = SimpleNamespace(energy=1.0), SimpleNamespace(carried=rng.normal(size=3))
     w, events = SimpleNamespace(time=0.3, supply=supply, tip=tip), np.full((5, EVENT_WIDTH), np.nan)
-    state = SimpleNamespace(event=SimpleNamespace(rows=1), striking=-1)
+    state = SimpleNamespace(event=SimpleNamespace(rows=1), striking=-1, loops=SimpleNamespace(frames=0))
     interpreted(log_contacts)(w, links, c, state, events)
     assert state.event.rows == 4
     assert np.all(np.isnan(events[[0, 4]]))

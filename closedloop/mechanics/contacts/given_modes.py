@@ -278,9 +278,10 @@ def span_rows(c: Contacts, k: int, p: int) -> None:
                 c.scratch.basis[r, j] = c.X[int(c.scratch.unknown[r]), j]
         rank = orthonormal_rows(c.scratch.basis, p, c.scratch.column_order, c.scratch.unknowns, c.scratch.sought)
     for i in range(3 * k):
+        off = c.problem.form[i // 3] == OFF
         for j in range(n):
-            c.scratch.Y[i, j] = 0.0 if has_friction else c.X[i, j]
-        for r in range(rank if has_friction else 0):
+            c.scratch.Y[i, j] = 0.0 if has_friction or off else c.X[i, j]
+        for r in range(rank if has_friction and not off else 0):
             for j in range(n):
                 c.scratch.Y[i, r] += c.X[i, j] * c.scratch.basis[r, j]
 

@@ -14,12 +14,13 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.complementarity import into_cone
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shared_cone import add_shared_slope, nearest_shared
-from closedloop.mechanics.contacts.shortest import solve_any_rank
+from closedloop.mechanics.contacts.shortest import solve_any_rank, subtract
 
 # Newton steps; what may be left of the sum, of its size, when it is found, and if that was all that could be had.
 STEPS, FOUND, NEAR, HALVINGS = 60, 1e-14, 1e-11, 30
@@ -35,11 +36,11 @@ def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
     n, m = c.scratch.Y.shape[1], 3 * k
     size, scale = 0.0, 0.0
     for j in range(n):
-        s = 0.0
-        for i in range(m):
-            s += c.scratch.Y[i, j] * (force[i] + c.viscous[i])
-        c.scratch.sum[j], c.scratch.multiplier[j] = s, 0.0
-        size = max(size, abs(s))
+        c.scratch.sum[j], c.scratch.multiplier[j] = 0.0, 0.0
+    for i in range(m):
+        subtract(c.scratch.sum, -(force[i] + c.viscous[i]), row_of(c.scratch.Y, i), n)
+    for j in range(n):
+        size = max(size, abs(c.scratch.sum[j]))
     for i in range(m):
         scale = max(scale, c.W[i, i])
     if not size > 0.0 or not scale > 0.0:
@@ -86,9 +87,9 @@ def project_all(c: Contacts, k: int, multiplier: Array, spans: bool) -> float:
     """Write `trial` = Π(X λ), and s − Xᵀ Π(X λ) as the second row of `solution`; return its largest number."""
     n, m = c.scratch.Y.shape[1], 3 * k
     for i in range(m):
-        s = 0.0
-        for j in range(n):
-            s += c.scratch.Y[i, j] * multiplier[j]
+        s, row = 0.0, row_of(c.scratch.Y, i)
+        for j in range(n if c.problem.form[i // 3] != OFF else 0):
+            s += row[j] * multiplier[j]
         c.scratch.best[i], c.scratch.trial[i] = s, s
     for i in range(k):
         F, kind = c.scratch.trial[3 * i : 3 * i + 3], c.problem.form[i]
@@ -111,13 +112,14 @@ def project_all(c: Contacts, k: int, multiplier: Array, spans: bool) -> float:
             if f < 0.0 and kind < LINE and not spans:
                 f = 0.0
             F[0], F[1], F[2] = f, -c1 * f, -c2 * f
-    worst = 0.0
+    left, worst = row_of(c.scratch.solution, 1), 0.0
     for j in range(n):
-        s = c.scratch.sum[j]
-        for i in range(m):
-            s -= c.scratch.Y[i, j] * c.scratch.trial[i]
-        c.scratch.solution[1, j] = s
-        worst = max(worst, abs(s))
+        left[j] = c.scratch.sum[j]
+    for i in range(m):
+        if c.problem.form[i // 3] != OFF:
+            subtract(left, c.scratch.trial[i], row_of(c.scratch.Y, i), n)
+    for j in range(n):
+        worst = max(worst, abs(left[j]))
     return worst
 
 
@@ -153,9 +155,10 @@ def newton(c: Contacts, k: int, spans: bool, scale: float) -> None:
             for b in range(3):
                 d = c.scratch.slope[a, b]
                 if d != 0.0:
+                    x, y = row_of(c.scratch.Y, 3 * i + a), row_of(c.scratch.Y, 3 * i + b)
                     for j in range(n):
-                        for m in range(n):
-                            S[j, m] += c.scratch.Y[3 * i + a, j] * d * c.scratch.Y[3 * i + b, m]
+                        if x[j] != 0.0:
+                            subtract(row_of(S, j), -d * x[j], y, n)
     for j in range(n):
         c.scratch.sum_trial[j] = c.scratch.solution[1, j]
     solve_any_rank(S, n, 1, c.scratch.column_order, c.scratch.solution, 0.0)

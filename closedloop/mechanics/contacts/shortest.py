@@ -20,6 +20,31 @@ DEPENDENT = 1e-11
 
 
 @kernel
+def largest_number(S: Array, p: int, k: int) -> tuple[int, int, float]:
+    """Return row and column of the first largest number of S[k:p, k:p], and its size.
+
+    Of four numbers at a time: one after the other each waits for the one before.
+    """
+    row, column, largest = k, k, 0.0 * abs(S[k, k])
+    for i in range(k, p):
+        of = row_of(S, i)
+        a = b = c = d = 0.0 * largest
+        for j in range(k, p - 3, 4):
+            a, b = max(a, abs(of[j])), max(b, abs(of[j + 1]))
+            c, d = max(c, abs(of[j + 2])), max(d, abs(of[j + 3]))
+        for j in range(p - (p - k) % 4, p):
+            a = max(a, abs(of[j]))
+        most = max(max(a, b), max(c, d))
+        if most > largest:
+            row, largest = i, most
+    of = row_of(S, row)
+    for j in range(p - 1, k - 1, -1):
+        if abs(of[j]) >= largest:
+            column = j
+    return row, column, largest
+
+
+@kernel
 def solve_any_rank(S: Array, p: int, sides: int, order: Array, x: Array, dependent: float) -> int:
     """Solve the p equations in S[:p, :p] for right-hand sides in its next columns; return the rank.
 
@@ -40,26 +65,24 @@ def solve_any_rank(S: Array, p: int, sides: int, order: Array, x: Array, depende
     for i in range(p):
         order[i] = i
     for k in range(p):
-        row, column, largest = k, k, 0.0
-        for i in range(k, p):
-            for j in range(k, p):
-                if abs(S[i, j]) > largest:
-                    row, column, largest = i, j, abs(S[i, j])
+        row, column, largest = largest_number(S, p, k)
         if k == 0:
             first = largest
         if not largest > dependent * first:
             rank = k
             break
-        for j in range(p + sides):
-            S[k, j], S[row, j] = S[row, j], S[k, j]
-        for i in range(p):
+        of, other = row_of(S, k), row_of(S, row)
+        for j in range(p + sides if row != k else 0):
+            of[j], other[j] = other[j], of[j]
+        for i in range(p if column != k else 0):
             S[i, k], S[i, column] = S[i, column], S[i, k]
         order[k], order[column] = order[column], order[k]
         for i in range(k + 1, p):
-            share = S[i, k] / S[k, k]
-            if share != 0.0:
+            to = row_of(S, i)
+            if to[k] != 0.0:
+                share = to[k] / of[k]
                 for j in range(k + 1, p + sides):
-                    S[i, j] -= share * S[k, j]
+                    to[j] -= share * of[j]
     for side in range(sides):
         for i in range(p):
             x[side, i] = 0.0

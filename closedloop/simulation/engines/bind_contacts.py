@@ -145,7 +145,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
         more = ((0, k - points), (0, 0))
         shapes = make_shape_memory(robot.n, np.pad(placed.shapes, more), np.pad(placed.edges, more))
         write_feet(shapes.shapes, placed.bound)
-        write_spins(shapes.shapes, robot, placed.bound)
+        write_spins(shapes.shapes, robot, placed.bound, scenario.has_surface)
         links.shapes = shapes.address
         links.keep_alive(shapes=shapes)
     if surfaces := surfaces_of(sections, names):
@@ -170,14 +170,15 @@ def write_feet(shapes: Shapes, bound: Bound) -> None:
                 rim.foot_of[j] = i
 
 
-def write_spins(shapes: Shapes, robot: Robot, bound: Bound) -> None:
+def write_spins(shapes: Shapes, robot: Robot, bound: Bound, tip_touches: bool) -> None:
     """Write which joints turn a wheel: a link whose mass and whose contacts are symmetric about its axis.
 
-    It carries no other link, nor the tip, and no surface that others touch. Feet of a disc count as its edge.
+    It carries no other link, no tip that may touch a surface, and no surface that others touch. Feet of a disc count as
+    its edge.
     """
     tree, (own, others) = robot.tree, bound.sides.reshape(4, -1)[1:3, ::3]
     kinds, supports, parents = (tree.links[row * tree.n : (row + 1) * tree.n] for row in (REVOLUTE, SUPPORT, PARENT))
-    for j in np.flatnonzero((kinds == TURNS) & (supports == 0)):
+    for j in np.flatnonzero((kinds == TURNS) & ((supports == 0) | (not tip_touches))):
         x, mixed = tree.constants[tree.links[CONSTANT * tree.n + j] :], (XY, XZ, YZ, HX, HY)
         even = not np.any(x[list(mixed)]) and abs(x[HALF_XX] - x[HALF_YY]) <= ON_EDGE * x[HALF_XX]
         carries = bool(np.any(parents == j) or np.any(others == j))

@@ -258,7 +258,7 @@ def test_a_step_of_a_wheel_that_spins_costs_what_that_of_one_that_stands_does(tm
     scenario = {
         "robot": {"model": str(tmp_path / "car.xml")},
         "contact": [{"name": name, "link": name, **rim} for name in ("rl", "rr", "fl", "fr")],
-        "start": {"v": [0.0] * 6 + [spin, spin, 0.0, 0.0]},
+        "start": {"v": [0.0] * 6 + [spin] * 4},  # the tip, which touches nothing, is on the last
         "time": {"duration": 0.03, "step": 0.001, "integrator": "rk4"},
     }
     passes = Robot.passes.fget
@@ -276,9 +276,8 @@ def test_a_step_of_a_wheel_that_spins_costs_what_that_of_one_that_stands_does(tm
     run = cl.simulate(cl.Scenario.model_validate(scenario), engine="pinocchio")
     assert len(run) == 31
     assert evaluations[0] < 6 * 30
-    if spin > 0.0:  # both wheels at the back push with their friction
-        push = 0.05 * run.link_forces[15, :2].sum() / 12.0
-        assert run.v[-1, 0] == pytest.approx(0.03 * push, rel=0.2)
+    if spin > 0.0:  # all wheels push with their friction
+        assert run.v[-1, 0] == pytest.approx(0.03 * 0.05 * G, rel=1e-9)
 
 
 @pytest.mark.slow

@@ -205,7 +205,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     sticks: Annotated[Array, K]  # how, see SMOOTH
     capture: Annotated[Array, K]  # speed of slip up to which sticking is tried, m/s
     lag: Annotated[Array, K]  # by which friction is behind the slip, s
-    shared: Annotated[Array, K]  # largest |F_t|/f of a soft contact beside others, else 0; see `soft_friction`
+    shared: Annotated[Array, K]  # largest |F_t|/f of a soft contact beside others, else 0; see `write_shared`
     rises: float  # 1 if friction that is shared rises with the slip, see `let_friction_rise`
     held: Annotated[Array, K]  # 1 if its spring holds it, in the present problem
     states: Annotated[Array, K]  # how many its law of friction has

@@ -154,10 +154,8 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
         return False
     u1, u2, trace = c.u[n + 1], c.u[n + 2], W[n + 1, n + 1] + W[n + 2, n + 2]
     speed = math.hypot(u1, u2)
-    if c.friction.shared[i] > 0.0 and c.friction.rises != 0.0:
-        return False
     if c.friction.shared[i] > 0.0:  # the friction of the others of its body acts on its slip, too
-        return bool(h * shared_friction(c) * trace > speed)
+        return bool(c.friction.rises == 0.0 and h * shared_friction(c) * trace > speed)
     if not h * level_of(c, i) * abs(c.F[n]) * trace > speed:
         return False
     if speed > STILL and not u1 * c.direction[i, 0] + u2 * c.direction[i, 1] > 0.0:

@@ -4,7 +4,8 @@ import pytest
 from lab_page import opened_page
 
 import closedloop as cl
-from closedloop.lab import in_browser, mapping, server
+from closedloop.lab import mapping, server
+from validation.speed import in_browser
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,11 @@ from lab_page import plotted, row, settled
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.figures.motion import tip_errors
-from closedloop.lab import in_browser, mapping
-from closedloop.lab.in_browser import wait_until
+from closedloop.lab import mapping
 from closedloop.serve.watch import Watch
 from closedloop.studies.analysis.stability import Stability
+from validation.speed import in_browser
+from validation.speed.in_browser import wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
 

@@ -10,9 +10,9 @@ from lab_page import opened_page, plotted, settled
 
 import closedloop as cl
 from closedloop.figures.scene.scene import scene_of
-from closedloop.lab import in_browser
-from closedloop.lab.in_browser import wait_until
 from closedloop.lab.share import MOST_FRAMES
+from validation.speed import in_browser
+from validation.speed.in_browser import wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
 

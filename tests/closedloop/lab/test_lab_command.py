@@ -265,7 +265,7 @@ def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
 def test_a_minute_of_dragging_leaves_the_last_value_and_no_memory():
     """Sixty changes a second, for four seconds here: no fault, the last value shown, no growth."""
     pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
-    from closedloop.command.lab_benchmark import MOST_MB, drag
+    from validation.speed.lab import MOST_MB, drag
 
     lab = cl.lab("wam_slide", port=8441, show=False)
     try:

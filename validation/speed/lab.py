@@ -1,4 +1,4 @@
-"""How fast the lab answers: ``python -m closedloop.command.lab_benchmark [SCENARIO]``.
+"""How fast the lab answers: ``python -m validation.speed.lab [SCENARIO]``.
 
 A slider is moved as a browser would, and the time is taken until the run is computed and the new curves have been
 handed to the page. With --drag it is moved sixty times a second, for so many seconds. With --map a map of 40 by 40 runs
@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from closedloop.command.border import DONE, STOPPED, Parser, run_command
-from closedloop.lab import in_browser
+from closedloop.command.border import DONE, STOPPED, Parser, as_command
 from closedloop.lab.app import Lab
 from closedloop.lab.history import History
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.overrides import split_overrides
+from validation.speed import in_browser
 
 KEY, RATE = "law.force", 60.0
 MAP_KEYS = "law.force", "law.kp"  # of a list its first entry
@@ -99,10 +99,11 @@ def memory_mb() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def benchmark_command(arguments: list[str]) -> int:
+@as_command("validation.speed.lab")
+def main(arguments: list[str]) -> int:
     """Measure, print, and return the exit status: 3 where a target is missed."""
     overrides, rest = split_overrides(arguments)
-    parser = Parser(prog="python -m closedloop.command.lab_benchmark", description=(__doc__ or "").partition("\n")[0])
+    parser = Parser(prog="python -m validation.speed.lab", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("scenario", nargs="?", default="wam_slide")
     parser.add_argument("--changes", type=int, default=200, help="changes of which the time is taken (200)")
     parser.add_argument("--drag", type=float, default=0.0, metavar="SECONDS", help="move the slider all the time")
@@ -163,4 +164,4 @@ def _in_a_page(lab: Lab, changes: int, seconds: float, wanted: float) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit(run_command("closedloop.command.lab_benchmark", benchmark_command))
+    sys.exit(main())

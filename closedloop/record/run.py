@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -23,14 +23,12 @@ from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
-from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, Event, columns_there, events_of
+from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, Record
 from closedloop.record.columns.wrenches import face_wrench, joint_wrench
 from closedloop.record.report.summary import summarise
 from closedloop.record.save import CONVENTIONS, HDF5, attributes, save_run
 from closedloop.scenario.arm import robot_of
-from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import labels_of, tangents_of
-from robot_models import RobotModel
 from robot_models.cached import cached_property
 from robot_models.errors import shown
 
@@ -40,10 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from closedloop.record.columns.typed import TypedColumns as _Columns
-else:
-    _Columns = object
-
 
 def units_by_kind(units: str, kind: str) -> str:
     """Return the unit of an entry of a joint's column: of a joint or coordinate of this kind, from that for turning."""
@@ -51,7 +45,7 @@ def units_by_kind(units: str, kind: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Run(_Columns):
+class Run(Record):
     """The record of a simulation, and what produced it.
 
     Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute: `run.time` (N,),
@@ -91,19 +85,6 @@ class Run(_Columns):
     halved : mapping, optional
         By how much it differs from the same run at half the step, see `closedloop.simulation.halve`.
     """
-
-    scenario: Scenario
-    model: RobotModel
-    columns: Mapping[str, NDArray[Any]]
-    law: str = "scenario"
-    versions: Mapping[str, str] = field(default_factory=dict)
-    stopped: str | None = None
-    wall_seconds: float = 0.0
-    engine: str = "pinocchio"
-    law_digest: str = ""
-    member_digests: Mapping[str, str] = field(default_factory=dict)
-    added: Mapping[str, Column] = field(default_factory=dict)
-    halved: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.columns, Mapping) or not all(isinstance(x, np.ndarray) for x in self.columns.values()):
@@ -167,18 +148,10 @@ class Run(_Columns):
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self.specs, *columns_by_contact(self.scenario.contact or ()), *DERIVED, *SYMBOLS]
 
-    def __len__(self) -> int:
-        return int(self.columns["time"].size)
-
     def __repr__(self) -> str:
         end = self.columns["time"][-1] if len(self) else 0.0
         early = ", stopped early" if self.stopped else ""
         return f"<Run of {self.scenario.name}: {len(self)} rows, 0 to {end:g} s{early}>"
-
-    @cached_property
-    def events(self) -> tuple[Event, ...]:
-        """Changes of the contact, in order of time."""
-        return events_of(self.columns)
 
     @cached_property
     def _summary(self) -> dict[str, Any]:
@@ -205,11 +178,6 @@ class Run(_Columns):
         if not -len(self) <= row < len(self):
             raise ScenarioError(f"state: row = {row}: the run has {len(self)} rows")
         return {"start.q": self.q[row].tolist(), "start.v": self.v[row].tolist()}
-
-    @property
-    def specs(self) -> Mapping[str, Column]:
-        """Dimensions, unit and meaning of each of the columns."""
-        return columns_there(self.columns, bool(self.model.balls)) | dict(self.added)
 
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.record.report`."""

@@ -1,22 +1,28 @@
 """The columns that a run records, row by row and event by event: dimensions, unit and meaning of each.
 
-`Record` is what a run has. A report, and whatever follows from the columns, is written for this interface;
-`closedloop.record.run.Run` has it.
+`Record` is what a run has. A report, and whatever follows from the columns, is written for it;
+`closedloop.record.run.Run` adds these.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.mechanics.loops.reactions import LoopReactions
-from closedloop.record.columns.typed import TypedColumns
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
+from robot_models.cached import cached_property
+
+if TYPE_CHECKING:
+    from closedloop.record.columns.typed import TypedColumns as _Columns
+else:
+    _Columns = object
 
 
 class Event(NamedTuple):
@@ -198,76 +204,49 @@ def columns_there(columns: Iterable[str], turns_freely: bool = False) -> dict[st
     return found
 
 
-class Record(TypedColumns, Protocol):
-    """The record of a simulation; every column of `columns`, and every derived one, is an attribute too."""
+@dataclass(frozen=True, eq=False)
+class Record(_Columns):
+    """The record of a simulation, and what produced it; see `closedloop.record.run.Run`, which every record is.
 
-    @property
-    def scenario(self) -> Scenario:
-        """What was asked for."""
+    Every column of `columns`, and every derived one, is an attribute too.
+    """
 
-    @property
-    def model(self) -> RobotModel:
-        """The robot."""
+    scenario: Scenario
+    model: RobotModel
+    columns: Mapping[str, NDArray[Any]]
+    law: str = "scenario"
+    versions: Mapping[str, str] = field(default_factory=dict)
+    stopped: str | None = None
+    wall_seconds: float = 0.0
+    engine: str = "pinocchio"
+    law_digest: str = ""
+    member_digests: Mapping[str, str] = field(default_factory=dict)
+    added: Mapping[str, Column] = field(default_factory=dict)
+    halved: Mapping[str, Any] | None = None
 
-    @property
-    def columns(self) -> Mapping[str, NDArray[Any]]:
-        """The columns recorded."""
+    def __len__(self) -> int:
+        return int(self.columns["time"].size)
 
-    @property
-    def added(self) -> Mapping[str, Column]:
-        """What those of the columns are that not every run has, see `closedloop.record.columns.derived`."""
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Changes of the contact, in order of time."""
+        return events_of(self.columns)
 
     @property
     def specs(self) -> Mapping[str, Column]:
-        """What each column is."""
+        """Dimensions, unit and meaning of each of the columns."""
+        return columns_there(self.columns, bool(self.model.balls)) | dict(self.added)
 
-    @property
-    def law(self) -> str:
-        """The law's name: "scenario" for the scenario's own."""
+    if TYPE_CHECKING:  # what a `Run` works out of it
 
-    @property
-    def law_digest(self) -> str:
-        """The SHA-256 of the text of the user's law, "" if it is not known."""
+        @property
+        def loops(self) -> LoopReactions | None:
+            """What the loop joints of a mechanism carried; None of a tree."""
 
-    @property
-    def member_digests(self) -> Mapping[str, str]:
-        """The same of each user's class that the scenario picks, by its name."""
+        def summary(self) -> dict[str, Any]:
+            """Return the summary, see `closedloop.record.report.summary.summarise`."""
 
-    @property
-    def engine(self) -> str:
-        """Who computed the terms."""
+        def units(self, name: str) -> str:
+            """Return the unit of a column."""
 
-    @property
-    def versions(self) -> Mapping[str, str]:
-        """Packages that made the run."""
-
-    @property
-    def stopped(self) -> str | None:
-        """Why the simulation could not go on; None if it ran to its end."""
-
-    @property
-    def wall_seconds(self) -> float:
-        """Time the simulation took, s."""
-
-    @property
-    def halved(self) -> Mapping[str, Any] | None:
-        """By how much it differs from the same run at half the step; None if that was not run."""
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """What happened to the contact, in order of time."""
-
-    @property
-    def loops(self) -> LoopReactions | None:
-        """What the loop joints of a mechanism carried; None of a tree."""
-
-    def summary(self) -> dict[str, Any]:
-        """Return the summary, see `closedloop.record.report.summary.summarise`."""
-
-    def units(self, name: str) -> str:
-        """Return the unit of a column."""
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return a column by its name."""
-
-    def __len__(self) -> int: ...
+        def __getitem__(self, name: str) -> NDArray[Any]: ...

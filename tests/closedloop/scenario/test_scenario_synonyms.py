@@ -60,10 +60,10 @@ def test_on_the_command_line_and_in_a_sweep(command_line, capsys):
 def test_every_other_name_leads_to_a_key_that_there_is():
     """A key that is renamed leaves no line behind; and what is a key of every kind is no other's name."""
     names = {key.partition(".")[2] for key in all_keys()}
-    for word, meant in messages._KEYS.items():
+    for word, meant in messages._other_words()["keys"].items():
         assert set(meant) <= names, word
         assert word == word.lower()
         assert word not in meant
-    assert set(messages._SECTIONS.values()) <= set(sections())
-    assert not set(messages._SECTIONS.keys() - {"stiffness", "friction"}) & set(Scenario.model_fields)
+    assert set(messages._other_words()["sections"].values()) <= set(sections())
+    assert not set(messages._other_words()["sections"].keys() - {"stiffness", "friction"}) & set(Scenario.model_fields)
     assert all(described_key(key) == key for key in all_keys())

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import Array
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.mechanics.loops.reactions import LoopReactions
+from closedloop.record.columns.typed import Column as Column
+from closedloop.record.columns.typed import EveryRun, OfArm, OfContacts, columns_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.cached import cached_property
@@ -83,88 +85,8 @@ def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
     return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
 
 
-class Column(NamedTuple):
-    """Dimensions, unit and meaning of a column."""
-
-    dims: tuple[str, ...]
-    units: str
-    meaning: str
-
-
-# Joint quantities are in rad, rad/s, rad/s² and N m for revolute joints; for prismatic ones m, m/s, m/s² and N.
-_BY_TIME: dict[str, Column] = {
-    "time": Column(("time",), "s", "time since the start of the run"),
-    "q": Column(("time", "joint"), "rad", "joint positions"),
-    "v": Column(("time", "joint"), "rad s-1", "joint velocities"),
-    "acceleration": Column(("time", "joint"), "rad s-2", "joint accelerations, solution of Eq. 24"),
-    "torque": Column(("time", "joint"), "N m", "torque Q of the control law on the joints (Eq. 33)"),
-    "reference_position": Column(("time", "joint"), "rad", "q_des"),
-    "reference_velocity": Column(("time", "joint"), "rad s-1", "time derivative of q_des"),
-    "reference_tip": Column(("time", "axis"), "m", "desired tip position, base frame"),
-    "reference_force": Column(("time",), "N", "desired contact force f_des"),
-    "position": Column(("time", "axis"), "m", "tip position r, base frame"),
-    "velocity": Column(("time", "axis"), "m s-1", "tip velocity, base frame"),
-    "surface_normal": Column(("time", "axis"), "1", "unit normal n of the surface at the tip, base frame"),
-    "slip_velocity": Column(
-        ("time", "axis"), "m s-1", "velocity of the tip along the surface and relative to it, base frame"
-    ),
-    "contact_force": Column(
-        ("time",),
-        "N",
-        "force of the surface on the tip along the surface normal; positive pushes the robot away",
-    ),
-    "stabiliser_force": Column(("time",), "N", "part of contact_force that is due to the stabiliser"),
-    "friction_force": Column(("time", "axis"), "N", "tangential force of the surface on the tip, base frame"),
-    "joint_friction": Column(("time", "joint"), "N m", "torque of friction on the joints"),
-    "measured_force": Column(("time",), "N", "reading of the force sensor that the law gets at the next row"),
-    "closure_error": Column(("time",), "m", "e = n.r - d; positive off the surface"),
-    "closure_rate": Column(("time",), "m s-1", "time derivative of closure_error"),
-    "mode": Column(("time",), "1", "0 free, 1 pressed (sliding or at rest), 2 stuck"),
-    "residual_motion": Column(("time",), "1", "relative residual of the equation of motion in Eq. 24"),
-    "residual_closure": Column(("time",), "1", "relative residual of the closure row in Eq. 24"),
-    "kkt_condition": Column(("time",), "1", "condition number of the matrix of Eq. 24, 1-norm, SI units"),
-    "normal_mobility": Column(("time",), "1", "A H^-1 A^T over the trace of J H^-1 J^T; 0 at a singular pose"),
-    "kinetic_energy": Column(("time",), "J", "kinetic energy, drives included"),
-    "potential_energy": Column(("time",), "J", "potential energy of gravity"),
-    "energy_supplied": Column(
-        ("time",), "J", "work of torque, contact force and friction since row 0, less what the events after it took"
-    ),
-}
-
-
-# What a run has if its scenario asks for it, see `closedloop.simulation.engines.scenario_numbers.arm_columns`.
-ARM_COLUMNS: dict[str, Column] = {
-    "torque_limited": Column(
-        ("time", "joint"),
-        "1",
-        "0: torque is what the law asked for; 1: cut by the torque limit; 2: by the rate limit",
-    ),
-    "measured_position": Column(("time", "joint"), "rad", "joint positions as the encoders read them"),
-    "measured_velocity": Column(("time", "joint"), "rad s-1", "joint velocities as the controller has them"),
-    "motor_position": Column(("time", "joint"), "rad", "angles of the motors behind elastic joints, at the joints"),
-    "motor_velocity": Column(("time", "joint"), "rad s-1", "rates of the motors behind elastic joints, at the joints"),
-    "transmitted_torque": Column(("time", "joint"), "N m", "torque that elastic joints pass on to the links"),
-}
-
-# What it has if its links have contacts besides the tip.
-CONTACT_COLUMNS: dict[str, Column] = {
-    "link_modes": Column(("time", "contact"), "1", "mode of each contact of a link: 0 free, 1 sliding, 2 stuck"),
-    "link_gaps": Column(("time", "contact"), "m", "gap of each, positive off its plane"),
-    "link_forces": Column(("time", "contact"), "N", "force of each along its normal, on the link that has the point"),
-    "link_frictions": Column(
-        ("time", "contact_tangent"),
-        "N",
-        "force of each along the two tangents, which are fixed in the link that has the surface",
-    ),
-    "link_slips": Column(
-        ("time", "contact_tangent"), "m s-1", "velocity of each relative to its surface, along the two tangents"
-    ),
-    "link_rolling_moments": Column(
-        ("time", "contact_tangent"), "N m", "resistance of each to rolling, about the two tangents"
-    ),
-    "link_pivoting_moments": Column(("time", "contact"), "N m", "resistance of each to pivoting, about its normal"),
-}
-# Those of them that a run has if one of its contacts resists to rolling or to pivoting.
+_BY_TIME, ARM_COLUMNS, CONTACT_COLUMNS = map(columns_of, (EveryRun, OfArm, OfContacts))
+# Those of the last that a run has if one of its contacts resists to rolling or to pivoting.
 RESISTANCE_COLUMNS = ("link_rolling_moments", "link_pivoting_moments")
 SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
 

@@ -1,5 +1,7 @@
 """A run in the formats of other programs, by the ending of its path, and columns by their names."""
 
+from typing import get_type_hints
+
 import numpy as np
 import pytest
 
@@ -111,7 +113,7 @@ def test_the_version_is_that_of_the_package():
 
 def test_the_columns_that_a_type_checker_knows_are_those_there_are(run):
     """Each is an attribute of a run with a surface and none is missing, the events' and the derived ones included."""
-    assert set(TypedColumns.__annotations__) == {*ALL_COLUMNS, *DERIVED, *SYMBOLS}
-    assert all(name in TypedColumns.__annotations__ for name in run.specs)
+    assert set(get_type_hints(TypedColumns)) == {*ALL_COLUMNS, *DERIVED, *SYMBOLS}
+    assert all(name in get_type_hints(TypedColumns) for name in run.specs)
     with pytest.raises(AttributeError, match="a Run has no 'contact_forze'"):
         run.contact_forze  # noqa: B018

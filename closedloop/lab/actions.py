@@ -13,9 +13,9 @@ import numpy as np
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.base.files import what_was_written
 from closedloop.figures.scene.scene import mechanism_of, scene_of
+from closedloop.lab.app import Lab
 from closedloop.lab.drawn import pack
 from closedloop.lab.history import MOST_PINS, save, save_page
-from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Client
 from closedloop.scenario.load import shipped_scenarios
 

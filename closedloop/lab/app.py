@@ -20,16 +20,13 @@ from typing import Any
 from closedloop.base.errors import ClosedLoopError
 from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.scene.solids import Ghost
-from closedloop.lab.actions import act
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.controls import Control, begin_values
 from closedloop.lab.curves import Panel, beside, panels
-from closedloop.lab.details import Details
 from closedloop.lab.drawn import Message, curves, frames, pack, run_message
 from closedloop.lab.gallery import cards, pictures
 from closedloop.lab.groups import all_controls, rows_in_groups
 from closedloop.lab.history import IN_A_FILE, Changes, History, Pins
-from closedloop.lab.mapping import MapWork
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, Server, in_notebook, new_token, proxied
 from closedloop.lab.share import hello, page
 from closedloop.record.run import Run
@@ -73,6 +70,9 @@ class Lab:
         Whether the page begins with the scenarios that ship, to choose one.
     ghosts : sequence of Ghost
         Bodies that are shown beside those of each run, until another scenario is chosen.
+    act, details, map_work : callable
+        The parts that know the whole: `closedloop.lab.actions.act`, `closedloop.lab.details.Details`,
+        `closedloop.lab.mapping.MapWork`; see `closedloop.lab.start.begun`.
 
     Attributes
     ----------
@@ -92,6 +92,7 @@ class Lab:
     def __init__(
         self, history: History, *, law: Any = None, model: RobotModel | None = None, host: str = "127.0.0.1",
         port: int = FIRST_PORT, dark: bool = False, front: bool = False, ghosts: Sequence[Ghost] = (),
+        act: Callable[[Lab, Client, Any], None], details: Callable[[Lab], Any], map_work: Callable[[Lab], Any],
     ) -> None:  # fmt: skip
         self.answer: Answer | None = None
         self.after_show: list[Callable[[Answer], None]] = []
@@ -105,7 +106,7 @@ class Lab:
         self._begin(history, law, model)
         self.ghosts: tuple[Ghost, ...] = tuple(ghosts)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
-        self.details, self.map = Details(self), MapWork(self)
+        self.details, self.map = details(self), map_work(self)
         self._newest: Newest[Asked, tuple[Answers, Answer]] = Newest(self._compute, self._show)
         self._token = new_token()
         theme = "dark" if dark else ""

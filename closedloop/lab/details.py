@@ -12,10 +12,10 @@ import numpy as np
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.figures.scene.scene import Scene, scene_of
 from closedloop.lab.answers import Answer
+from closedloop.lab.app import Lab
 from closedloop.lab.curves import margin_tiles, reduced, tiles, values
 from closedloop.lab.drawn import Message, robot_message, space_message, spread
 from closedloop.lab.history import Changes, Pin, compared
-from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Newest
 from closedloop.record.run import Run
 from closedloop.simulation.cache import Cache

@@ -20,10 +20,10 @@ from closedloop.base.sections import Section
 from closedloop.jit.background import refused, seconds_to_compile, start
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.answers import Answer
+from closedloop.lab.app import Lab
 from closedloop.lab.controls import Control
 from closedloop.lab.drawn import Message
 from closedloop.lab.groups import DAMPING, STIFFNESS, group_of
-from closedloop.lab.protocol import Lab
 from closedloop.lab.server import Newest
 from closedloop.record.report.measures import MEASURES
 from closedloop.record.report.verdict import GOOD

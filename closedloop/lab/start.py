@@ -78,8 +78,6 @@ def lab(
     """
     if find_spec("websockets") is None:
         raise ScenarioError(NEEDS)
-    from closedloop.lab.app import Lab
-
     front, scenario = scenario is None, BEGIN if scenario is None else scenario
     changes = dict(overrides or {})
     if isinstance(law, type) and issubclass(law, ControlLaw):
@@ -88,12 +86,22 @@ def lab(
     if not isinstance(scenario, str | Path):
         name, changes = in_words(base)
     words = "" if law is None else f"--law {getattr(law, '__module__', '?')}:{getattr(law, '__qualname__', '?')}"
-    lab = Lab(History(base, name, _in_words(changes), words), law=law, model=model, host=host, port=port, dark=dark,
-              front=front, ghosts=ghosts)  # fmt: skip
+    history = History(base, name, _in_words(changes), words)
+    lab = begun(history, law=law, model=model, host=host, port=port, dark=dark, front=front, ghosts=ghosts)
     if show:
         _show(lab)
     lab.wait_for_plots(LONGEST)
     return lab
+
+
+def begun(history: History, **settings: Any) -> Lab:
+    """Return a lab with all its parts; `settings` are those of `closedloop.lab.app.Lab`."""
+    from closedloop.lab.actions import act
+    from closedloop.lab.app import Lab
+    from closedloop.lab.details import Details
+    from closedloop.lab.mapping import MapWork
+
+    return Lab(history, act=act, details=Details, map_work=MapWork, **settings)
 
 
 def _begin(

@@ -20,6 +20,7 @@ import numpy as np
 from closedloop.command.border import DONE, STOPPED, Parser, as_command
 from closedloop.lab.app import Lab
 from closedloop.lab.history import History
+from closedloop.lab.start import begun
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.overrides import split_overrides
 from validation.speed import in_browser
@@ -111,7 +112,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--map", action="store_true", help="compute a map as well")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="write pictures of the page instead")
     options = parser.parse_args(rest)
-    lab = Lab(History(load_scenario(options.scenario, overrides), options.scenario, overrides))
+    lab = begun(History(load_scenario(options.scenario, overrides), options.scenario, overrides))
     try:
         lab.wait(600.0)
         if options.pictures:

@@ -16,11 +16,11 @@ from closedloop.figures.scene.scene import scene_of
 from closedloop.lab import curves, groups
 from closedloop.lab.actions import act
 from closedloop.lab.answers import Answers
-from closedloop.lab.app import Lab
 from closedloop.lab.controls import TABS, begin_values, controls
 from closedloop.lab.drawn import from_text, in_text, pack, unpack
 from closedloop.lab.history import History, Pins, compared, in_words, save
 from closedloop.lab.server import LONG, Newest
+from closedloop.lab.start import begun
 from closedloop.plugins import Annotated, ControlLaw, Field, Positive, gain_in
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
@@ -416,7 +416,7 @@ def test_margins_stay_where_the_analysis_is_done_before_the_first_strip(monkeypa
     monkeypatch.setattr("closedloop.lab.details.REST", 1.0)
     monkeypatch.setattr("closedloop.lab.details.OFTEN", 1.0)
     monkeypatch.setattr("closedloop.lab.details.LATER", 0.0)
-    lab = Lab(History(cl.load_scenario("planar2_slide", {"time.duration": 0.2}), "planar2_slide"), port=8471)
+    lab = begun(History(cl.load_scenario("planar2_slide", {"time.duration": 0.2}), "planar2_slide"), port=8471)
     try:
         assert lab.wait(120.0)
         assert "phase margin" in [tile["name"] for tile in unpack(lab._last["strip"])["tiles"]]

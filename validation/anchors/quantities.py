@@ -1,4 +1,4 @@
-"""How a value is computed by an engine: one short function a quantity, its arguments those of a case.
+"""How a value is computed by an engine: what it is asked for itself, or a short function; arguments are those of a case.
 
 Orientations come from positions: beside its tip every robot that is asked for one carries links ``<tip>_x``,
 ``<tip>_y`` and ``<tip>_z``, one metre off along the tip's axes (see `description.with_triad`), so an engine that
@@ -19,54 +19,9 @@ from validation.oracle.spatial import Array, skew
 AXES = "xyz"
 
 
-def mass_matrix(engine: Asked, q: Array) -> Array:
-    """Return H (n, n)."""
-    return engine.mass_matrix(q)
-
-
-def gravity_term(engine: Asked, q: Array) -> Array:
-    """Return the torque that holds the arm at rest (n,)."""
-    return engine.gravity_term(q)
-
-
-def bias(engine: Asked, q: Array, v: Array) -> Array:
-    """Return C (n,)."""
-    return engine.bias(q, v)
-
-
-def coriolis_matrix(engine: Asked, q: Array, v: Array) -> Array:
-    """Return the Coriolis matrix of Christoffel symbols (n, n)."""
-    return engine.coriolis_matrix(q, v)
-
-
 def coriolis_torque(engine: Asked, q: Array, v: Array) -> Array:
     """Return C without gravity (n,)."""
     return engine.bias(q, v) - engine.gravity_term(q)
-
-
-def inverse_dynamics(engine: Asked, q: Array, v: Array, a: Array) -> Array:
-    """Return Q (n,) for accelerations a."""
-    return engine.inverse_dynamics(q, v, a)
-
-
-def forward_dynamics(engine: Asked, q: Array, v: Array, torque: Array) -> Array:
-    """Return q̈ (n,) of the free arm."""
-    return engine.forward_dynamics(q, v, torque)
-
-
-def position(engine: Asked, q: Array) -> Array:
-    """Return the tip (3,), base frame [m]."""
-    return engine.position(q)
-
-
-def jacobian(engine: Asked, q: Array) -> Array:
-    """Return Jᵣ (3, n)."""
-    return engine.jacobian(q)
-
-
-def drift(engine: Asked, q: Array, v: Array) -> Array:
-    """Return J̇ᵣq̇ (3,) [m/s²]."""
-    return engine.drift(q, v)
 
 
 def tip_velocity(engine: Asked, q: Array, v: Array) -> Array:
@@ -148,16 +103,16 @@ QUANTITIES: Mapping[str, Callable[..., Array]] = MappingProxyType(
     {
         function.__name__: function
         for function in (
-            mass_matrix,
-            gravity_term,
-            bias,
-            coriolis_matrix,
+            Asked.mass_matrix,
+            Asked.gravity_term,
+            Asked.bias,
+            Asked.coriolis_matrix,
             coriolis_torque,
-            inverse_dynamics,
-            forward_dynamics,
-            position,
-            jacobian,
-            drift,
+            Asked.inverse_dynamics,
+            Asked.forward_dynamics,
+            Asked.position,
+            Asked.jacobian,
+            Asked.drift,
             tip_velocity,
             tip_acceleration,
             rotation,

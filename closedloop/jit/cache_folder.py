@@ -152,11 +152,6 @@ def _cache_roots() -> Iterator[Path]:
             yield root
 
 
-def trusted_root() -> Path | None:
-    """Return the first of the cache roots that only this user and root can write; None if there is none."""
-    return next((root for root in _cache_roots() if not why_not_trusted(root)), None)
-
-
 def why_not_trusted(folder: Path) -> str:
     """Return why another user could have put code into a folder; "" if only this one and root could.
 

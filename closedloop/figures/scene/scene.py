@@ -243,17 +243,6 @@ class Scene:
         return int(self._tip_frame.parentJoint)
 
     @cached_property
-    def body_frames(self) -> frozenset[int]:
-        """The numbers of the joints that move free bodies, their sliders included, and what hangs on these bodies."""
-        mechanism, first = mechanism_of(self.model), set(self.run.model.bodies)
-        moved = [k for k in range(1, mechanism.njoints) if mechanism.joints[k].idx_v in first]
-        return frozenset(k for k in range(1, mechanism.njoints) if set(moved) & set(self.supports(k)))
-
-    def supports(self, joint: int) -> list[int]:
-        """Return the numbers of the joints from the base to one, the base's own, 0, first."""
-        return [int(each) for each in mechanism_of(self.model).supports[joint]]
-
-    @cached_property
     def size(self) -> float:
         """How far the furthest joint is along those before it, m, or the extent of the robot or the path if larger."""
         mechanism, far = mechanism_of(self.model), [0.0]

@@ -25,6 +25,7 @@ from closedloop.figures.style import (
     COLOURS,
     dress,
     explain_contact,
+    finished,
     legend_beside_title,
     legend_outside,
     length_text,
@@ -36,6 +37,7 @@ from closedloop.figures.style import (
     position_rounding,
     styled,
     tip_is_idle,
+    widen,
 )
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
@@ -79,9 +81,7 @@ def closure_error(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     if both:
         unit = _draw(drawn[1], run, np.where(touching, run.closure_error, np.nan))
         dress(drawn[1], run, f"In contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
-    no_upper_labels(figure, drawn)
-    explain_contact(figure, run)
-    return figure
+    return finished(figure, drawn, run)
 
 
 def _draw(axes: Axes, run: Run, error: NDArray[np.float64]) -> str:
@@ -278,16 +278,10 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
         axes.set_aspect("equal", adjustable="datalim")
     else:
         axes.margins(y=0.3)
-        axes.set_ylim(*_at_least(axes.get_ylim(), across * THIN * length))
+        widen(axes, 2.0 * across * THIN * length)
     legend_beside_title(axes)
 
 
 def _from(normal: Array) -> str:
     """Return in words whence a path is seen where there is no surface."""
     return "from above" if normal[2] == 1.0 else f"from ({', '.join(f'{x:.3g}' for x in normal)})"
-
-
-def _at_least(limits: tuple[float, float], half: float) -> tuple[float, float]:
-    """Return limits of an axis, no closer to each other than two halves."""
-    middle = 0.5 * (limits[0] + limits[1])
-    return min(limits[0], middle - half), max(limits[1], middle + half)

@@ -17,6 +17,7 @@ from closedloop.figures.style import (
     WIDE,
     dress,
     explain_contact,
+    finished,
     legend_beside_title,
     marks,
     new_figure,
@@ -368,6 +369,4 @@ def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     below.plot(run.time, 1e3 * slip, color=COLOURS[1])
     below.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
     dress(below, run, "Slip along the path", "velocity [mm/s]", label_marks=False)
-    no_upper_labels(figure, (above, below))
-    explain_contact(figure, run)
-    return figure
+    return finished(figure, (above, below), run)

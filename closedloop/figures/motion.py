@@ -17,11 +17,10 @@ from closedloop.figures.style import (
     STROKES,
     contact_changes,
     dress,
-    explain_contact,
+    finished,
     legend_beside_title,
     legend_outside,
     length_unit,
-    no_upper_labels,
     panels,
     widen,
 )
@@ -143,9 +142,7 @@ def tip_position(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
             label_marks=False,
         )
         legend_beside_title(below)
-    no_upper_labels(figure, drawn)
-    explain_contact(figure, run)
-    return figure
+    return finished(figure, drawn, run)
 
 
 # A moment that is less than this times the force, with an arm of a metre, is rounding.
@@ -184,9 +181,7 @@ def tool(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     told = f"Angle of the tool, up to {float(np.max(run.tool_angle)):.3g} deg"
     dress(last, run, told, "angle [deg]", label_marks=False)
     legend_beside_title(last)
-    no_upper_labels(figure, drawn)
-    explain_contact(figure, run)
-    return figure
+    return finished(figure, drawn, run)
 
 
 # A limit is drawn if the axis need not be longer than this times the range of the data for it; it is named in any case.
@@ -245,10 +240,8 @@ def joints(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         units = " | ".join(dict.fromkeys(each))
         told = f"{title}, {_told(values, low, high, names, each, positions=name == 'q')}"
         dress(axes, run, told, f"{label} [{units}]", label_marks=axes is on[0], show_events=axes is on[-1])
-    no_upper_labels(figure, on)
     _name_joints(figure, on[0], int(sum(not free for free in in_bodies(model, positions=False))))
-    explain_contact(figure, run)
-    return figure
+    return finished(figure, on, run)
 
 
 def _position_limits(model: RobotModel) -> tuple[Array, Array]:
@@ -385,10 +378,8 @@ def bodies(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
             widen(axes, LEAST * 1e3 * max(furthest, *size.values()))
         first, last = axes is on[0], axes is on[-1]
         dress(axes, run, f"{title}: {those}" if first and those else title, label, label_marks=first, show_events=last)
-    no_upper_labels(figure, on)
     legend_outside(figure, "upper center", on[0].get_legend_handles_labels()[0], 4, axes=on[0])
-    explain_contact(figure, run)
-    return figure
+    return finished(figure, on, run)
 
 
 def columns(run: Run, names: Sequence[str], ax: Axes | Sequence[Axes] | None = None) -> Figure:
@@ -438,6 +429,4 @@ def columns(run: Run, names: Sequence[str], ax: Axes | Sequence[Axes] | None = N
         )  # fmt: skip
         if len(labels) > 1:
             legend_beside_title(axes)
-    no_upper_labels(figure, on)
-    explain_contact(figure, run)
-    return figure
+    return finished(figure, on, run)

@@ -342,6 +342,13 @@ def explain_contact(figure: Figure, run: Run) -> None:
     legend_outside(figure, "lower center", contact_handles(run))
 
 
+def finished(figure: Figure, axes: Sequence[Axes], run: Run) -> Figure:
+    """Return a figure over time with its time below the last panel, and what its bands and events are below that."""
+    no_upper_labels(figure, axes)
+    explain_contact(figure, run)
+    return figure
+
+
 def legend_beside_title(axes: Axes, handles: Sequence[Artist] | None = None) -> None:
     """Put the legend of a panel beside its title, where no curve can be hidden by it; on a user's axes inside them."""
     found, labels = axes.get_legend_handles_labels() if handles is None else _labelled(handles)

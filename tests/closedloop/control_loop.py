@@ -17,9 +17,10 @@ from closedloop.control.sensor import SensorSection, pack_sensor
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import parameter_block, state_block
-from closedloop.loop.step.entries import RATES, RESTART, START, TORQUE, law_entry, law_input
+from closedloop.loop.step.entries import RESTART, START, TORQUE, law_entry, law_input
 from closedloop.loop.step.memory import make_loop
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.friction.answers import RATES
 from closedloop.mechanics.surface.placed import contact_frame
 from closedloop.simulation.engines.scenario_numbers import pack_law
 

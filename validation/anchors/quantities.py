@@ -1,4 +1,4 @@
-"""How a value is computed by an engine: what it is asked for itself, or a short function; arguments are those of a case.
+"""How an engine computes a value: what it is asked for itself, or a short function; arguments are those of a case.
 
 Orientations come from positions: beside its tip every robot that is asked for one carries links ``<tip>_x``,
 ``<tip>_y`` and ``<tip>_z``, one metre off along the tip's axes (see `description.with_triad`), so an engine that

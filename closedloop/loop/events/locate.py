@@ -21,9 +21,9 @@ from closedloop.loop.events.phases import (
     SHALLOW,
     STAGE_CHECKED,
 )
-from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import STILL
 
 # Where slip ends, the spring of a law that sticks by one pulls exactly at its limit: up to this share above it the tip

@@ -52,7 +52,6 @@ from closedloop.loop.events.phases import (
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
 from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, closed_depth, force_over_load, slips_turn
 from closedloop.loop.step.energy_supplied import save_power
-from closedloop.loop.step.entries import ADVANCE_STATES
 from closedloop.loop.step.joint_friction import advance_joint_friction
 from closedloop.loop.step.memory import SMOOTH, Constants, State, Work, ask_contacts
 from closedloop.loop.step.singular import near_singular, remember_approach
@@ -60,6 +59,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
+from closedloop.mechanics.friction.answers import ADVANCE_STATES
 
 
 @kernel_inlined

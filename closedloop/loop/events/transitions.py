@@ -34,8 +34,6 @@ from closedloop.loop.events.phases import (
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
 from closedloop.loop.events.table import EDGE, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN
 from closedloop.loop.step.closed_loops import factorise_tip
-from closedloop.loop.step.entries import LIMIT, SLIDE
-from closedloop.loop.step.entries import STICK as END_OF_SLIP
 from closedloop.loop.step.locate import set_anchor
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.loop.step.solve_contact import rub_softly, rubbed_force, spring_energy
@@ -50,6 +48,8 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_tangentially,
 )
 from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.friction.answers import LIMIT, SLIDE
+from closedloop.mechanics.friction.answers import STICK as END_OF_SLIP
 from closedloop.mechanics.impact import energy_lost
 
 # A surface from which the tip can lift off holds no tip that it would have to pull at with more than this, N: rounding.

@@ -25,6 +25,7 @@ from closedloop.jit.parameters import one_joint_block, parameter_block, state_bl
 from closedloop.jit.user_code import function_of, member_entry
 from closedloop.loop.step.memory import Constants, State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.friction.answers import HOLD, LIMIT, RATES, SLIDE, STICK, answers
 from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, length_of
 
 # The sum of two slopes, rad/s² (m/s²), that are rounding: their signs say nothing, but they may have derivatives.
@@ -125,9 +126,9 @@ def lead_motors(w: Work, tau: float, substep: bool) -> None:
         w.dz[at + j] = w.z[at + n + j] + (0.5 * tau if substep else tau) * w.dz[at + n + j]
 
 
-# Calls to a control law or a compensation, and to a law of friction.
-TORQUE, START, RESTART, RATES, SLIDE, HOLD, ADVANCE_STATES, LIMIT, STICK = range(9)
-CALLS = 9
+# Calls to a control law or a compensation, beside RATES; and how many calls there are with those to a law of friction.
+TORQUE, START, RESTART = range(3)
+CALLS = STICK + 1
 
 
 @kernel
@@ -202,32 +203,19 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
 
     In `Work` it reads slip, delayed_slip and direction.
     """
-    Parameters, States = parameter_block(member), state_block(member)
-    slide, hold, rates, decay = (function_of(member, name) for name in ("slide", "hold", "rates", "decay"))
-    advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
+    Parameters, States, answer = parameter_block(member), state_block(member), answers(member)
 
     def entry(address: int, what: int) -> int:
         state, constants, w = loop_at(address)
-        par, stuck = Parameters(constants.friction, state.n), state.mode == STUCK
         at = state.law_states + state.sensor.states
-        z = States(w.z[at : at + state.friction.states], 2)
+        end = at + state.friction.states
         x = Slip(w.friction.slip, length_of(w.friction.slip), w.friction.delayed_slip, w.friction.direction)
-        if what in (SLIDE, HOLD):
-            for k in range(2):
-                w.friction.c[k], w.friction.viscous[k] = 0.0, 0.0
-            if what == SLIDE:
-                slide(x, par, z, w.friction.c, w.friction.viscous)
-            else:
-                hold(par, z, w.friction.c)
-        elif what == RATES:
-            rates(x, par, z, stuck, States(w.dz[at : at + state.friction.states], 2))
-            decay(x, par, z, stuck, States(w.decays.rate[at : at + state.friction.states], 2))
-        elif what == ADVANCE_STATES:
-            advance(x, par, z, stuck, w.friction.span)
-        elif what == LIMIT:
-            w.friction.stick_limit = stick_limit(par, z)
-        elif what == STICK:
-            stick(x, par, z)
+        limit = answer(
+            what, x, Parameters(constants.friction, state.n), States(w.z[at:end], 2), state.mode == STUCK, w.friction.c,
+            w.friction.viscous, States(w.dz[at:end], 2), States(w.decays.rate[at:end], 2), w.friction.span,
+        )  # fmt: skip
+        if what == LIMIT:
+            w.friction.stick_limit = limit
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_surface_{member.__name__}"
@@ -241,39 +229,27 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
     As `friction_entry`, with joint_slip, joint_lagged and joint_direction read, and joint_dry, joint_viscous and
     joint_limit written. SLIDE is of each joint as it is, stuck or not; STICK of those with a direction.
     """
-    Parameters, States = one_joint_block(member), state_block(member)
-    slide, hold, rates, decay = (function_of(member, name) for name in ("slide", "hold", "rates", "decay"))
-    advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
+    Parameters, States, answer = one_joint_block(member), state_block(member), answers(member)
 
     def entry(address: int, what: int) -> int:
         state, constants, w = loop_at(address)
         count = state.joint_friction.states
         here = state.law_states + state.sensor.states + state.friction.states
         for j in range(state.n):
-            if constants.bearings[j] == 0.0:  # dry, viscous and limit stay zero, as the memory is
-                here += count
-                continue
-            par, stuck = Parameters(row_of(constants.joint_friction, j), 1), w.joint_friction.stuck[j] != 0.0
-            z = States(w.z[here : here + count], 1)
-            u, direction = w.joint_friction.slip[j : j + 1], w.joint_friction.direction[j : j + 1]
-            x = Slip(u, abs(u[0]), w.joint_friction.lagged[j], direction)
-            if what == SLIDE:
-                c, viscous = w.joint_friction.dry[j : j + 1], w.joint_friction.viscous[j : j + 1]
-                c[0], viscous[0] = 0.0, 0.0
-                if stuck:
-                    hold(par, z, c)
-                else:
-                    slide(x, par, z, c, viscous)
-            elif what == RATES:
-                rates(x, par, z, stuck, States(w.dz[here : here + count], 1))
-                decay(x, par, z, stuck, States(w.decays.rate[here : here + count], 1))
-            elif what == ADVANCE_STATES:
-                advance(x, par, z, stuck, w.friction.span)
-            elif what == LIMIT:
-                w.joint_friction.limit[j] = stick_limit(par, z)
-            elif what == STICK and direction[0] != 0.0:
-                stick(x, par, z)
-            here += count
+            end = here + count
+            # else dry, viscous and limit stay zero, as the memory is
+            if constants.bearings[j] != 0.0 and (what != STICK or w.joint_friction.direction[j] != 0.0):
+                stuck, u = w.joint_friction.stuck[j] != 0.0, w.joint_friction.slip[j : j + 1]
+                x = Slip(u, abs(u[0]), w.joint_friction.lagged[j], w.joint_friction.direction[j : j + 1])
+                limit = answer(
+                    HOLD if what == SLIDE and stuck else what, x, Parameters(row_of(constants.joint_friction, j), 1),
+                    States(w.z[here:end], 1), stuck, w.joint_friction.dry[j : j + 1],
+                    w.joint_friction.viscous[j : j + 1], States(w.dz[here:end], 1), States(w.decays.rate[here:end], 1),
+                    w.friction.span,
+                )  # fmt: skip
+                if what == LIMIT:
+                    w.joint_friction.limit[j] = limit
+            here = end
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_joint_{member.__name__}"

@@ -14,8 +14,6 @@ from closedloop.jit.calls import call_at, integers_at, row_of
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.closed_loops import BIND_ANSWER
 from closedloop.loop.step.contacts import ANSWER
-from closedloop.loop.step.entries import ADVANCE_STATES, LIMIT, SLIDE
-from closedloop.loop.step.entries import STICK as END_OF_SLIP
 from closedloop.loop.step.memory import (
     RIGID_STICK,
     SMOOTH,
@@ -37,6 +35,8 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_tangentially,
 )
 from closedloop.mechanics.contacts.memory import contacts_at
+from closedloop.mechanics.friction.answers import ADVANCE_STATES, LIMIT, SLIDE
+from closedloop.mechanics.friction.answers import STICK as END_OF_SLIP
 from robot_models.tendon import DAMPING
 
 # Sweeps of Gauss-Seidel at most, and the change of a torque, as a share of its limit, after which there is no other.

@@ -17,9 +17,9 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import AT_REST
 
 # Sweeps over the joints' limits at most, and the torque, N m, after which there is no more to change.

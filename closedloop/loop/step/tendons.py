@@ -11,8 +11,8 @@ from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.energy_supplied import driving_torque
-from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import AT_REST
 from robot_models.tendon import FRICTION, ROUGH, STOPS
 

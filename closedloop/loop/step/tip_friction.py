@@ -7,10 +7,10 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.loop.step.entries import HOLD, SLIDE
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.friction.answers import HOLD, SLIDE
 from closedloop.mechanics.friction.turning import turn_friction
 
 

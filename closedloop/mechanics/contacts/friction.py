@@ -20,7 +20,7 @@ from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import Entry, address_of, call_at, integers_at, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import pack, parameter_block, state_block
-from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
+from closedloop.jit.user_code import RAISED, member_entry, of_users
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.memory import (
     ELASTIC_STICK,
@@ -32,13 +32,12 @@ from closedloop.mechanics.contacts.memory import (
 )
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.surfaces import Called
+from closedloop.mechanics.friction.answers import ADVANCE_STATES, HOLD, LIMIT, RATES, SLIDE, STICK, answers
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import Slip, SurfaceFriction, length_of
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
 
-# What the entry of a law is asked for.
-SLIDE, HOLD, RATES, ADVANCE, LIMIT, STICK = range(6)
 STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
 # Where slip ends, a spring pulls exactly at its limit: up to this share above it, it still holds.
 AT_LIMIT = 1e-12
@@ -70,34 +69,21 @@ HEAD = FrictionQuery.count(0, 0)
 @cache
 def contact_friction_entry(member: type[SurfaceFriction]) -> Entry:
     """Return the entry of a law of friction at the address of a `FrictionQuery`, compiled when it is first needed."""
-    Parameters, States = parameter_block(member), state_block(member)
-    slide, hold, rates, decay = (function_of(member, name) for name in ("slide", "hold", "rates", "decay"))
-    advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
+    Parameters, States, answer = parameter_block(member), state_block(member), answers(member)
     states, count = States.count(2), Parameters.count(2)
     size = HEAD + 3 * states + count
 
     def entry(address: int, what: int) -> int:
         query = FrictionQuery(vector_at(address, size), states, count)
-        par, stuck, z = Parameters(query.par, 2), query.stuck != 0.0, States(query.z, 2)
         x = Slip(query.slip, length_of(query.slip), query.delayed, query.direction)
-        if what in (SLIDE, HOLD):
-            for k in range(2):
-                query.c[k], query.w[k] = 0.0, 0.0
-            if what == SLIDE:
-                slide(x, par, z, query.c, query.w)
-            else:
-                hold(par, z, query.c)
-        elif what == RATES:
-            for k in range(states):
-                query.dz[k] = query.decay[k] = 0.0
-            rates(x, par, z, stuck, States(query.dz, 2))
-            decay(x, par, z, stuck, States(query.decay, 2))
-        elif what == ADVANCE:
-            advance(x, par, z, stuck, query.span)
-        elif what == LIMIT:
-            query.limit = stick_limit(par, z)
-        else:
-            stick(x, par, z)
+        for k in range(states):
+            query.dz[k] = query.decay[k] = 0.0
+        limit = answer(
+            what, x, Parameters(query.par, 2), States(query.z, 2), query.stuck != 0.0, query.c, query.w,
+            States(query.dz, 2), States(query.decay, 2), query.span,
+        )  # fmt: skip
+        if what == LIMIT:
+            query.limit = limit
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_friction_{member.__name__}"
@@ -309,7 +295,7 @@ def advance_states(links: ContactLinks, c: Contacts, span: float, z: Array) -> N
             query, at = query_at(links, c, i), int(c.friction.states_at[i])
             query.slip[0], query.slip[1], query.span = c.friction.start_u[i, 0], c.friction.start_u[i, 1], span
             query.stuck = 1.0 if c.mode[i] == STUCK else 0.0
-            ask_law_of(links, i, ADVANCE)
+            ask_law_of(links, i, ADVANCE_STATES)
             for j in range(query.z.shape[0]):
                 z[at + j] = query.z[j]
 

@@ -29,7 +29,6 @@ from closedloop.loop.events.phases import OUTPACED
 from closedloop.loop.events.substep import save_slip
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
-from closedloop.loop.step.entries import LIMIT
 from closedloop.loop.step.evaluate import bounded
 from closedloop.loop.step.locate import locate_on_plane
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, Constants, State, Work, loop_at
@@ -46,6 +45,7 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_force,
 )
 from closedloop.mechanics.closure.solve import OK, SINGULAR
+from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms, work_size
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import ADDRESSES, Addresses

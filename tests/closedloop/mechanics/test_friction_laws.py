@@ -25,18 +25,10 @@ from test_friction_examples import (
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import one_joint_block, parameter_block, state_block
-from closedloop.loop.step.entries import (
-    ADVANCE_STATES,
-    HOLD,
-    LIMIT,
-    RATES,
-    SLIDE,
-    STICK,
-    friction_entry,
-    joint_friction_entry,
-)
+from closedloop.loop.step.entries import friction_entry, joint_friction_entry
 from closedloop.loop.step.memory import make_loop
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
+from closedloop.mechanics.friction.answers import ADVANCE_STATES, HOLD, LIMIT, RATES, SLIDE, STICK
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, joint_parameters, length_of, surface_parameters
 from closedloop.mechanics.friction.laws.stribeck import SurfaceStribeck

@@ -231,8 +231,8 @@ def mark_shape(kind: str, size: float, length: float = 0.0) -> Shape:
 
 Mesh = tuple[Array, NDArray[np.uint32]]
 
-# They are drawn this far beyond the contacts, m.
-BEYOND = 0.03
+# They are drawn this far beyond the contacts, m, if the ball that fits in what is drawn has at least this radius.
+BEYOND, THINNEST = 0.03, 1e-9
 
 
 def solids_mesh(scenario: Scenario, points: Array) -> Mesh:
@@ -252,42 +252,27 @@ def solids_mesh(scenario: Scenario, points: Array) -> Mesh:
         faces[1:, 3] += placed.section.oversize
         normals = faces[:, :3] @ placed.frame[[1, 2, 0]]  # a face's axes are the two tangents and the normal
         solid = np.column_stack([normals, faces[:, 3] + normals @ placed.origin])
-        for corners in _polygons(np.vstack([solid, box]), 0.5 * (low + high), float(np.linalg.norm(high - low))):
-            first, fan = sum(len(each) for each in vertices), np.arange(1, len(corners) - 1, dtype=np.int64)
-            triangles.append(first + np.column_stack([np.zeros_like(fan), fan, fan + 1]))
-            vertices.append(corners)
+        corners, sides = _between(np.vstack([solid, box]))
+        triangles.append(sides + sum(len(each) for each in vertices))
+        vertices.append(corners)
     return np.vstack(vertices), np.vstack(triangles).astype(np.uint32)
 
 
-def _polygons(planes: Array, middle: Array, size: float) -> list[Array]:
-    """Return the corners (c, 3) of each face of the body n·p ≤ d, whose planes (m, 4) are unit n and d.
+def _between(planes: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return the body n·p ≤ d, whose planes (m, 4) are unit n and d, as corners and triangles; none if it is empty.
 
-    The body lies within `size`, m, of `middle` (3,).
+    Within it is the centre of the largest ball that fits.
     """
-    found = []
-    for i, plane in enumerate(planes):
-        normal, offset = plane[:3], plane[3]
-        across, along = 2.0 * size * np.linalg.svd(normal[None])[2][1:]
-        centre = middle + (offset - normal @ middle) * normal
-        corners = [centre + a * across + b * along for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        for other in np.delete(planes, i, axis=0):
-            corners = _cut(corners, other[:3], other[3])
-        if len(corners) > 2:
-            found.append(np.array(corners))
-    return found
+    import trimesh
+    from scipy.optimize import linprog
+    from scipy.spatial import HalfspaceIntersection
 
-
-def _cut(corners: list[Array], normal: Array, offset: float) -> list[Array]:
-    """Return what is left of a convex polygon where n·p ≤ d."""
-    kept: list[Array] = []
-    for k, corner in enumerate(corners):
-        last = corners[k - 1]
-        a, b = float(normal @ last) - offset, float(normal @ corner) - offset
-        if (a > 0.0) != (b > 0.0):
-            kept.append(last + a / (a - b) * (corner - last))
-        if b <= 0.0:
-            kept.append(corner)
-    return kept
+    within, anywhere = np.insert(planes[:, :3], 3, 1.0, axis=1), (None, None)
+    ball = linprog([0.0, 0.0, 0.0, -1.0], within, planes[:, 3], bounds=[anywhere, anywhere, anywhere, (0.0, None)])
+    if not (ball.success and ball.x[3] > THINNEST):
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    found = trimesh.convex.convex_hull(HalfspaceIntersection(planes * [1, 1, 1, -1], ball.x[:3]).intersections)
+    return np.asarray(found.vertices), np.asarray(found.faces)
 
 
 # The robots of the runs drawn last: what is computed of a robot's loops is kept with it, and takes as long as a run of

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_friction_loop import BLOCK
 
 import closedloop as cl
 from closedloop.jit.kernel import jit_disabled
@@ -152,22 +153,7 @@ class Generous(Restitution):
     def coefficient(restitution, speed):
         return 1.5
 '''
-BLOCK = """
-[robot]
-model = "pointmass3"
-[surface]
-kind = "plane"
-[law]
-kp = 0.0
-kd = 0.0
-force = 0.0
-[stabiliser]
-kind = "projection"
-[time]
-duration = 0.5
-step = 0.001
-integrator = "rk4"
-"""
+HALF_A_SECOND = {"time.duration": 0.5}
 PULLED = {  # what wam_stick_slip does, softly, from rest: the tip sticks at first, and turns by some 160 degrees
     "law.stiffness": 2000.0,
     "law.damping": 40.0,
@@ -201,7 +187,7 @@ def block(engine, **overrides):
     """Simulate the point mass on a plane, without a command; `a__b` stands for the key a.b."""
     keys = {key.replace("__", "."): value for key, value in overrides.items()}
     weightless = {"surface.gap": 5.0, "surface.contact": "unilateral"} if "joint_friction" in keys else {}
-    return cl.simulate(parse_scenario(BLOCK, overrides=weightless | keys), engine=engine)
+    return cl.simulate(parse_scenario(BLOCK, overrides=HALF_A_SECOND | weightless | keys), engine=engine)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -278,7 +264,8 @@ def test_a_law_of_control_of_ones_own_beside_it(mine):
     def nothing(t, q, v, terms):
         return np.zeros(q.size)
 
-    scenario = parse_scenario(BLOCK, overrides={"friction.kind": mine.Drag, "start.v": (0.5, 0.0, 0.0)})
+    changes = HALF_A_SECOND | {"friction.kind": mine.Drag, "start.v": (0.5, 0.0, 0.0)}
+    scenario = parse_scenario(BLOCK, overrides=changes)
     run = cl.simulate(scenario, law=nothing)
     np.testing.assert_allclose(run.velocity[:, 0], 0.5 / (1.0 + 0.5 * 0.5 * run.time / MASS), atol=1e-10)
 

@@ -1,5 +1,6 @@
 """Every law of friction inside the simulator: the published trial of LuGre, energy by order, rest that strengthens."""
 
+import break_away
 import numpy as np
 import pytest
 
@@ -44,21 +45,9 @@ PUBLISHED = {
 }
 PUBLISHED_END = 1.908839199226505, 9.424154590959904e-06  # m, m/s
 
-LAWS = {
-    "coulomb": {"coefficient": 0.3},
-    "coulomb_viscous": {"coefficient": 0.3, "viscous": 2.0},
+LAWS = break_away.LAWS | {
     "stribeck": {"kinetic": 0.2, "static": 0.35, "stribeck_speed": 0.05, "viscous": 1.0},
     "karnopp": {"kinetic": 0.2, "static": 0.35, "dead_band": 1e-4},
-    "dahl": {"coefficient": 0.3, "stiffness": 1e3},
-    "lugre": {"kinetic": 0.2, "static": 0.35, "stribeck_speed": 0.05, "stiffness": 1e3, "damping": 10.0},
-    "seven_parameter": {
-        "kinetic": 0.2,
-        "static_excess": 0.15,
-        "stribeck_speed": 0.05,
-        "stiffness": 1e3,
-        "memory_delay": 0.005,
-        "rise_time": 0.5,
-    },
 }
 
 

@@ -61,6 +61,7 @@ def state_block(member: type) -> type[Block]:
     return _block(member, "States", dict.fromkeys(getattr(member, "states", ()), ()) | dict.fromkeys(arrays, (_N,)))
 
 
+@cache
 def _keys(section: type[Section]) -> dict[str, str]:
     """Return the key of each parameter, by its name."""
     names = {

@@ -30,6 +30,21 @@ MOST_TEXTS = 500
 MOST_CACHES = 2
 
 
+class Key:
+    """A long key that is part of many: its hash is worked out once."""
+
+    __slots__ = ("_hash", "_key")
+
+    def __init__(self, key: Hashable) -> None:
+        self._key, self._hash = key, hash(key)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Key) and self._key == other._key)
+
+
 class Cache:
     """The entries used last, up to a limit of memory. Not for use by several threads, but for `get_shared`.
 

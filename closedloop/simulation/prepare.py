@@ -5,8 +5,10 @@ Where the tip is to the surface at the start: on it, off it, or refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,6 +51,7 @@ from closedloop.scenario.arm import (
     start_positions,
     start_posture,
     start_velocities,
+    without_tools,
 )
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
@@ -56,7 +59,7 @@ from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import refuse_absent
 from closedloop.simulation.all_entries import with_all_entries
-from closedloop.simulation.cache import Cache
+from closedloop.simulation.cache import Cache, Key
 from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.scenario_numbers import PackedLaw, pack_compliance, pack_friction, pack_law
@@ -106,12 +109,13 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
 def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:
     """Return the surface, how the tip is to it at the start, and what it does on it."""
     section = scenario.surface
-    terms = robot.terms(q, v)
-    tip = terms.position
+    terms = robot.known_terms(robot.pinocchios(q), v)
+    tip, depth = terms.position, 0.0
     soft = not isinstance(scenario.compliance, Rigid)
-    pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
-    with of_users(scenario.compliance, "compliance.kind"):
-        depth = scenario.compliance.static_depth(pressed) if soft and not section.gap else 0.0
+    if soft and not section.gap:
+        pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
+        with of_users(scenario.compliance, "compliance.kind"):
+            depth = scenario.compliance.static_depth(pressed)
     surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth, scenario.tool.radius)
     if scenario.tool.radius > 0.0 and not surface.fixed_plane and surface.below_start:
         refuse_narrow(surface, np.zeros(1), surface.origin[None], scenario.tool.radius)
@@ -124,15 +128,16 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
     exact = surface.below_start and isinstance(section, PlaneSurface) and not soft
     gap = section.gap if exact else now.gap
     rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
-    given, at_most, place = _where_given(section, surface, tip)
     if soft:  # how deep the tip is, or how fast it comes, is for the surface to answer
         mobility = largest_mobility(terms.mass_matrix, now.frame[:1] @ terms.jacobian)
         if now.inside >= 0.0 and (thrown := scenario.compliance.thrown_out(-gap, mobility)):
+            given, at_most, _ = _where_given(section, surface, tip)
             raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface{thrown}: {at_most}")
         return surface, now, PRESSED if section.contact == "bilateral" or gap <= TOUCHING else FREE
     if section.contact == "bilateral":
         if abs(gap) > START_GAP:
             side = "off" if gap > 0 else "inside"
+            given, _, place = _where_given(section, surface, tip)
             raise ScenarioError(
                 f"{given}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
                 f'there from the start: use contact = "unilateral", or {place}'
@@ -143,6 +148,7 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
     if now.inside < 0.0:
         return surface, now, FREE
     if gap < -TOUCHING:
+        given, at_most, _ = _where_given(section, surface, tip)
         raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface: {at_most} for this start")
     if gap > TOUCHING:
         return surface, now, FREE
@@ -223,7 +229,7 @@ ROBOT_BYTES = 200_000
 # Memory of a section as numbers, about, bytes, and of all that is kept for the same problem from another start.
 SECTION_BYTES, SETTLED_BYTES = 2_000, 500_000
 # What follows from the numbers of a problem, wherever it starts.
-SETTLED = ("general", "row_width", "row_states", "places", "states", "sizes", "tendons", "spare")
+SETTLED = ("general", "row_width", "row_states", "places", "columns", "added", "sizes", "tendons", "spare")
 
 
 def completed(scenario: Scenario, model: RobotModel) -> Scenario:
@@ -250,7 +256,10 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
         stabiliser unstable, a tip that the robot does not have ...
     """
-    return problem_of(scenario, model, Cache() if cache is None else cache)
+    problem = problem_of(scenario, model, Cache() if cache is None else cache)
+    if cache is None:
+        problem.of_thread[get_ident()] = problem.settled
+    return problem
 
 
 def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Problem:
@@ -262,9 +271,30 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Pr
         ("settled", *cache.texts(scenario, but="start")), lambda: _settled(scenario, model, cache),
         lambda found: SETTLED_BYTES,
     )  # fmt: skip
+    problem = _problem(scenario, settled, cache)
+    cache.last = given, problem
+    return problem
+
+
+@contextmanager
+def started_elsewhere(problem: Problem, scenario: Scenario) -> Iterator[Callable[[], Problem]]:
+    """Give what prepares a scenario that differs from that of a problem in where it starts.
+
+    Meanwhile, as within a user's law, nobody else has its robot.
+    """
+    thread = get_ident()
+    settled: Settled | None = problem.of_thread.pop(thread, None)
+    if settled is None:
+        settled = problem_of(problem.scenario, without_tools(problem.robot.model), Cache()).settled
+    try:
+        yield lambda: _problem(scenario, settled, settled.cache)
+    finally:
+        problem.of_thread[thread] = settled
+
+
+def _problem(scenario: Scenario, settled: Settled, cache: Cache) -> Problem:
     problem = Problem(**settled.numbers, **_started(scenario, settled, cache))
     settled.keep(problem)
-    cache.last = given, problem
     return problem
 
 
@@ -273,16 +303,17 @@ class Settled(NamedTuple):
 
     scenario: Scenario  # as its run has it
     numbers: dict[str, Any]  # attributes of the `Problem`
-    keys: dict[str, tuple[Hashable, ...]]  # what surface, contacts, path and law depend on, but for the state
+    keys: dict[str, Key | None]  # what surface, contacts, path and law depend on, but for the state
     known: dict[str, Any]  # what follows from the numbers
+    cache: Cache  # of what is the same from start to start, or from a start asked for again
 
     def keep(self, problem: Problem) -> None:
         """Give a problem what is known; what steps the first is for all others, which find out the rest once."""
-        if self.known:
-            self.known.update({name: getattr(problem, name) for name in SETTLED if name not in self.known})
-            vars(problem).update(self.known)
-        else:
-            self.known["spare"] = problem.spare
+        if not self.known:
+            self.known.update(spare=problem.spare, settled=self)
+        elif "general" not in self.known:
+            self.known.update({name: getattr(problem, name) for name in SETTLED if name != "spare"})
+        vars(problem).update(self.known)
 
 
 def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Settled:
@@ -340,11 +371,11 @@ def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Sett
         "project": scenario.stabiliser.kind in ("projection", "both") and not soft,
     }  # fmt: skip
     keys = {
-        "surface": _surface_key(scenario, cache),
-        "contacts": _contacts_key(scenario, cache) if scenario.contact or has_stops(scenario, model) else (),
-        "path": cache.texts(scenario, of=("robot", "tool", "reference")), "law": cache.text(scenario.law),
+        "surface": Key(_surface_key(scenario, cache)),
+        "contacts": Key(_contacts_key(scenario, cache)) if scenario.contact or has_stops(scenario, model) else None,
+        "path": Key(cache.texts(scenario, of=("robot", "tool", "reference"))), "law": Key(cache.text(scenario.law)),
     }  # fmt: skip
-    return Settled(scenario, numbers, keys, {})
+    return Settled(scenario, numbers, keys, {}, Cache(SETTLED_BYTES))
 
 
 def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
@@ -370,7 +401,7 @@ def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
         check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
-    placed = None if not keys["contacts"] else cache.get(
+    placed = None if keys["contacts"] is None else cache.get(
         ("contacts", keys["contacts"], q.tobytes()), lambda: placed_contacts(scenario, robot, q),
         lambda placed: SECTION_BYTES * len(placed.start),
     )  # fmt: skip
@@ -379,7 +410,7 @@ def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
         wanted, table = reference_table(scenario, robot, taken, q, of["steps"], integrator.parts, cache, keys["path"])
     law, start = _law_from(scenario, wanted)
     if friction.member.sticks != "elastic" and mode == PRESSED:
-        u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
+        u = now.frame @ robot.known_terms(robot.pinocchios(q), v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return {
         "scenario": scenario, "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
@@ -475,7 +506,7 @@ BEYOND = 1.001
 
 def reference_table(
     scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, steps: int, nodes: int, cache: Cache,
-    key: tuple[Hashable, ...],
+    key: Hashable,
 ) -> tuple[Desired, Array]:  # fmt: skip
     """Return what is desired on a surface, and the table of it, `nodes` rows to a step, with noise behind it.
 
@@ -485,21 +516,17 @@ def reference_table(
     instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
     row = DrawnRow if scenario.reads_encoders else TableRow
     spare = row.count(n) - Reference.count(n)
-    motion = (
-        *key,
-        q.tobytes(),
-        _path_key(scenario, surface),
-    )
+    motion = Key((key, q.tobytes(), _path_key(scenario, surface)))
     tool = unit(scenario.tool.axis, "tool.axis"), scenario.tool.radius
     wanted = cache.get_shared(
-        ("desired", *motion),
+        ("desired", motion),
         lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, *tool),
         lambda made: 3 * made.joints.q.nbytes,
     )
-    wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
+    wanted = Desired(wanted.tip, wanted.joints, scenario.force_profile, scenario.law.force)
     drawn = scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
     table = cache.get(
-        ("table", *motion, instants.size, float(instants[1]), spare, drawn),
+        ("table", motion, instants.size, float(instants[1]), spare, drawn),
         lambda: wanted.table(instants, spare=spare),
         lambda made: made.nbytes,
     )

@@ -63,9 +63,8 @@ class Desired:
         n = self.joints.q.shape[1]
         table = np.zeros((instants.size, Reference.count(n) + spare))
         self.joints.write(instants, table, 2)
-        to = Reference(table.T, n)
-        for part, x in zip((to.position, to.velocity, to.acceleration), self.tip.sample(instants), strict=True):
-            part[:] = x.T
+        for name, x in zip(("position", "velocity", "acceleration"), self.tip.sample(instants), strict=True):
+            table[:, Reference.place(name, n)] = x
         table[:, Reference.place("force", n)] = force_at(self.profile, self.force, instants)
         return table
 

@@ -126,8 +126,8 @@ def tip_path(section: Path, origin: Array, normal: Array) -> TipPath:
         path = section.tip_path(origin, normal)
         if not isinstance(path, TipPath):
             raise TypeError(f"tip_path returned {type(path).__name__}, not a TipPath")
-        first = path.sample(np.zeros(1))[0][0]
-    if is_users(section) and not np.max(np.abs(first - origin)) <= ORIGIN:
+        first = path.sample(np.zeros(1))[0][0] if is_users(section) else None
+    if first is not None and not np.max(np.abs(first - origin)) <= ORIGIN:
         raise ScenarioError(
             f"reference.kind = {section.kind}: its path begins at {first.round(6).tolist()} m, where the tip starts at "
             f"{origin.round(6).tolist()} m"

@@ -230,7 +230,10 @@ class Robot:
         ValueError
             If a length is wrong or an entry is not finite (Pinocchio itself would let NaN pass).
         """
-        q, v = self._checked(q, "q"), self._checked(v, "v")
+        return self.known_terms(self._checked(q, "q"), self._checked(v, "v"))
+
+    def known_terms(self, q: Array, v: Array) -> Terms:
+        """Return what `terms` does, at positions as Pinocchio has them; nothing is checked."""
         state = q.tobytes(), v.tobytes()
         if self._latest is None or self._latest[0] != state:  # what begins a run is asked several times
             self._latest = state, self._terms(q, v)
@@ -413,6 +416,8 @@ class Robot:
 
     def _checked(self, x: ArrayLike, name: str) -> Array:
         array = np.ascontiguousarray(x, dtype=np.float64)
+        if array.shape == (self.n,) and not self.turns_freely and np.isfinite(array).all():
+            return array
         names = self.model.coordinate_names
         if name == "q" and self.turns_freely and array.shape in ((self.n,), (len(names),)) and np.isfinite(array).all():
             return self.pinocchios(array)

@@ -21,11 +21,13 @@ from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.reference.desired import Desired
+from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import PackedSensor, SensorSection
 from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_block
+from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
-from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded, row_width
+from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, ArmRow, ContactRow, Row, row_width
 from closedloop.loop.step.solve_contact import compliance_entry
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.friction.laws.none import NoFriction
@@ -36,7 +38,7 @@ from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.placed import PlacedSurface, Plane
 from closedloop.mechanics.surface.surface import Compliance
 from closedloop.record.columns.derived import recorded_states, state_columns
-from closedloop.record.columns.record import RESISTANCE_COLUMNS, Column
+from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of
 from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
 from closedloop.scenario.scenario import Scenario
@@ -125,6 +127,16 @@ def entries_of(scenario: Scenario, model: RobotModel, user_law: bool = False) ->
     if not isinstance(joints := joint_friction_of(scenario, model), NoFriction):
         found["joint_friction"] = joint_friction_entry(type(joints))
     return found
+
+
+# The columns of what is desired, and their parts of `Reference`.
+WANTED = {
+    "reference_position": "q", "reference_velocity": "v", "reference_tip": "position", "reference_force": "force",
+}  # fmt: skip
+
+
+def _moved(place: int | slice, by: int) -> int | slice:
+    return slice(place.start + by, place.stop + by) if isinstance(place, slice) else place + by
 
 
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
@@ -268,21 +280,36 @@ class ScenarioNumbers:
         return recorded_states(self.scenario, self.robot.n)
 
     @cached_property
-    def places(self) -> dict[str, int | slice]:
-        """Where in a row each of a run's columns is, but for those of `states`."""
-        sections = self.scenario.contact or ()
+    def places(self) -> dict[str, tuple[bool, int | slice]]:
+        """Where each column that is a part of the record is: whether in a row or in the table, and the place there."""
+        n, sections = self.robot.n, self.scenario.contact or ()
         left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
         of_contacts = [name for name in CONTACT_RECORDED if sections and name not in left_out]
-        numbers, found = np.arange(float(self.row_width))[None], {}
-        for name in (*RECORDED, *arm_columns(self.scenario), *of_contacts):
-            there = recorded(numbers, self.robot.n, name, len(sections), self.row_states)[0]
-            first = int(np.ravel(there)[0])
-            found[name] = slice(first, first + there.size) if np.ndim(there) else first
-        return found
+        behind = self.row_width - self.row_states
+        contacts = behind - ContactRow.count(len(sections))
+        return {
+            **{name: (False, Reference.place(part, n)) for name, part in WANTED.items()},
+            **{name: (True, Row.place(name, n)) for name in RECORDED},
+            **{name: (True, _moved(ArmRow.place(name, n), Row.count(n))) for name in arm_columns(self.scenario)},
+            **{name: (True, _moved(ContactRow.place(name, len(sections)), contacts)) for name in of_contacts},
+            **{name: (True, _moved(place, behind)) for name, (_, place) in self._states.items()},
+        }
 
     @cached_property
-    def states(self) -> dict[str, tuple[Column, int | slice]]:
-        """The columns of states of the law and its compensation, see `state_columns`."""
+    def columns(self) -> tuple[dict[str, None], dict[str, None]]:
+        """The names of a run's columns in order, without and with states of the law and its compensation."""
+        absent = () if self.scenario.has_surface else SURFACE_COLUMNS
+        names = ("time", *self.places, "potential_energy", *EVENT_COLUMNS)
+        every = dict.fromkeys(name for name in names if name not in absent)
+        return {name: None for name in every if name not in self._states}, every
+
+    @cached_property
+    def added(self) -> dict[str, Column]:
+        """What the columns of these states are, see `state_columns`."""
+        return {name: column for name, (column, _) in self._states.items()}
+
+    @property
+    def _states(self) -> dict[str, tuple[Column, int | slice]]:
         return state_columns(self.scenario, self.robot.n)
 
     @cached_property

@@ -200,9 +200,8 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     if problem.project and problem.mode != FREE:
         state.phase, state.projection.next_phase = PROJECTION, STEP_END
     w.q[:], w.v[:] = problem.q, problem.v
-    w.decays.first[:] = problem.integrator.first_tableau()
     w.tip.frame[:] = problem.frame
-    terms = problem.robot.terms(problem.q, problem.v)
+    terms = problem.robot.known_terms(problem.robot.pinocchios(problem.q), problem.v)
     velocity = terms.jacobian @ problem.v
     u = problem.frame @ velocity
     w.tip.anchor[:] = problem.frame @ terms.position
@@ -214,7 +213,9 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     slip = float(np.hypot(u[1], u[2]))
     if slip > 0.0:
         w.friction.direction[:] = u[1:] / slip
-    felt = float(Reference(problem.table[0], n).force) if problem.mode != FREE else 0.0  # the sensor's history is f_des
+    felt = (
+        float(problem.table[0, Reference.place("force", n)]) if problem.mode != FREE else 0.0
+    )  # the sensor's history is f_des
     sensor = int(state.law_states)
     friction = sensor + int(state.sensor.states)
     joints = friction + int(state.friction.states)

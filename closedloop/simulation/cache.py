@@ -61,6 +61,7 @@ class Cache:
         self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
         self._texts: dict[int, tuple[Section, tuple[Hashable, ...]]] = {}  # by the identity of what is kept
+        self.newest: dict[str, Any] = {}  # what steps the scenario whose numbers were made last, by engine
         self.last: tuple[Scenario, Problem] | None = None  # what was prepared last, whose table is still its own
 
     def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:

@@ -57,14 +57,14 @@ from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import refuse_absent
+from closedloop.scenario.user_module import members_of_users, refuse_absent
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache, Key
 from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.scenario_numbers import PackedLaw, pack_compliance, pack_friction, pack_law
 from closedloop.simulation.engines.start_memory import STICK_SPEED
-from closedloop.simulation.loop_calls import have_compiled
+from closedloop.simulation.loop_calls import MEMORY, have_compiled
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
@@ -109,8 +109,7 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
 def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:
     """Return the surface, how the tip is to it at the start, and what it does on it."""
     section = scenario.surface
-    terms = robot.known_terms(robot.pinocchios(q), v)
-    tip, depth = terms.position, 0.0
+    (tip, jacobian), depth = robot.known_tip(robot.pinocchios(q)), 0.0
     soft = not isinstance(scenario.compliance, Rigid)
     if soft and not section.gap:
         pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
@@ -119,7 +118,7 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
     surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth, scenario.tool.radius)
     if scenario.tool.radius > 0.0 and not surface.fixed_plane and surface.below_start:
         refuse_narrow(surface, np.zeros(1), surface.origin[None], scenario.tool.radius)
-    now = surface.touching(tip, terms.jacobian @ v)
+    now = surface.touching(tip, jacobian @ v)
     if now.inside < 0.0 and (section.contact == "bilateral" or soft):
         raise ScenarioError(
             f"surface.{edge_key(section)}: the tip starts {-now.inside:.4g} m beyond the edge of the surface; "
@@ -127,9 +126,10 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
         )
     exact = surface.below_start and isinstance(section, PlaneSurface) and not soft
     gap = section.gap if exact else now.gap
-    rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
+    rate = float(now.frame[0] @ jacobian @ v - now.carried[0])
     if soft:  # how deep the tip is, or how fast it comes, is for the surface to answer
-        mobility = largest_mobility(terms.mass_matrix, now.frame[:1] @ terms.jacobian)
+        H = robot.known_terms(robot.pinocchios(q), v).mass_matrix
+        mobility = largest_mobility(H, now.frame[:1] @ jacobian)
         if now.inside >= 0.0 and (thrown := scenario.compliance.thrown_out(-gap, mobility)):
             given, at_most, _ = _where_given(section, surface, tip)
             raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface{thrown}: {at_most}")
@@ -143,7 +143,7 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
                 f'there from the start: use contact = "unilateral", or {place}'
             )
         if abs(rate) > START_RATE:
-            raise ScenarioError(_through_the_closure(now.frame[0] @ terms.jacobian, v, rate))
+            raise ScenarioError(_through_the_closure(now.frame[0] @ jacobian, v, rate))
         return surface, now, PRESSED
     if now.inside < 0.0:
         return surface, now, FREE
@@ -229,7 +229,9 @@ ROBOT_BYTES = 200_000
 # Memory of a section as numbers, about, bytes, and of all that is kept for the same problem from another start.
 SECTION_BYTES, SETTLED_BYTES = 2_000, 500_000
 # What follows from the numbers of a problem, wherever it starts.
-SETTLED = ("general", "row_width", "row_states", "places", "columns", "added", "sizes", "tendons", "spare")
+SETTLED = (
+    "general", "row_width", "row_states", "record", "member_digests", "sizes", "tendons",
+)  # fmt: skip
 
 
 def completed(scenario: Scenario, model: RobotModel) -> Scenario:
@@ -277,19 +279,30 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Pr
 
 
 @contextmanager
-def started_elsewhere(problem: Problem, scenario: Scenario) -> Iterator[Callable[[], Problem]]:
-    """Give what prepares a scenario that differs from that of a problem in where it starts.
+def lent(problem: Problem) -> Iterator[Settled]:
+    """Give what is the same of a problem from another start, which this thread alone has meanwhile.
 
-    Meanwhile, as within a user's law, nobody else has its robot.
+    A run within a law of this one's has another.
     """
     thread = get_ident()
     settled: Settled | None = problem.of_thread.pop(thread, None)
     if settled is None:
         settled = problem_of(problem.scenario, without_tools(problem.robot.model), Cache()).settled
     try:
-        yield lambda: _problem(scenario, settled, settled.cache)
+        yield settled
     finally:
         problem.of_thread[thread] = settled
+
+
+def started_elsewhere(settled: Settled, scenario: Scenario) -> Problem:
+    """Prepare a scenario that differs in where it starts."""
+    return _problem(scenario, settled, settled.starts)
+
+
+def changed(settled: Settled, scenario: Scenario) -> Problem:
+    """Prepare a scenario of the same robot that differs in anything."""
+    cache = Cache() if members_of_users(scenario) else settled.changes
+    return problem_of(scenario, without_tools(settled.numbers["robot"].model), cache)
 
 
 def _problem(scenario: Scenario, settled: Settled, cache: Cache) -> Problem:
@@ -305,14 +318,13 @@ class Settled(NamedTuple):
     numbers: dict[str, Any]  # attributes of the `Problem`
     keys: dict[str, Key | None]  # what surface, contacts, path and law depend on, but for the state
     known: dict[str, Any]  # what follows from the numbers
-    cache: Cache  # of what is the same from start to start, or from a start asked for again
+    starts: Cache  # of what other starts have in common
+    changes: Cache  # of what scenarios with other values do
 
     def keep(self, problem: Problem) -> None:
         """Give a problem what is known; what steps the first is for all others, which find out the rest once."""
-        if not self.known:
-            self.known.update(spare=problem.spare, settled=self)
-        elif "general" not in self.known:
-            self.known.update({name: getattr(problem, name) for name in SETTLED if name != "spare"})
+        if "general" not in self.known:
+            self.known.update({name: getattr(problem, name) for name in SETTLED})
         vars(problem).update(self.known)
 
 
@@ -375,7 +387,15 @@ def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Sett
         "contacts": Key(_contacts_key(scenario, cache)) if scenario.contact or has_stops(scenario, model) else None,
         "path": Key(cache.texts(scenario, of=("robot", "tool", "reference"))), "law": Key(cache.text(scenario.law)),
     }  # fmt: skip
-    return Settled(scenario, numbers, keys, {}, Cache(SETTLED_BYTES))
+    # What stepped the scenario before may not be wanted again: its memory is taken over.
+    before, cache.newest = cache.newest, {}
+    if before:
+        kind, spare = before.popitem()
+        cache.newest[MEMORY] = spare if kind == MEMORY else spare.loop
+    known: dict[str, Any] = {"spare": cache.newest}
+    settled = Settled(scenario, numbers, keys, known, Cache(SETTLED_BYTES), Cache())
+    known["settled"] = settled
+    return settled
 
 
 def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
@@ -410,7 +430,7 @@ def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
         wanted, table = reference_table(scenario, robot, taken, q, of["steps"], integrator.parts, cache, keys["path"])
     law, start = _law_from(scenario, wanted)
     if friction.member.sticks != "elastic" and mode == PRESSED:
-        u = now.frame @ robot.known_terms(robot.pinocchios(q), v).jacobian @ v - now.carried
+        u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return {
         "scenario": scenario, "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,

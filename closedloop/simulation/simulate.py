@@ -10,7 +10,6 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -36,15 +35,14 @@ from closedloop.record.run import Run
 from closedloop.record.save import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.cache import kept_cache
 from closedloop.simulation.engines.failures import interrupted, member_error
 from closedloop.simulation.engines.law_source import arguments_of, law_digest
 from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.loop_calls import Calls
-from closedloop.simulation.prepare import problem_of, started_elsewhere
+from closedloop.simulation.loop_calls import MEMORY, Calls
+from closedloop.simulation.prepare import changed, lent, problem_of, started_elsewhere
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown
@@ -75,15 +73,15 @@ def as_run(
     return Run(  # type: ignore[abstract]  # its columns are there by their names
         scenario=problem.scenario,
         model=without_tools(problem.robot.model),
-        columns=ColumnsOnDemand(problem.columns[with_states], source.column),
+        columns=ColumnsOnDemand(problem.record.names[with_states], source.column),
         law=law[0],
         versions=package_versions(),
         stopped=stopped,
         wall_seconds=seconds,
         engine=engine,
         law_digest=law[1],
-        member_digests=member_digests(problem.scenario),
-        added=problem.added if with_states else {},
+        member_digests=problem.member_digests,
+        added=problem.record.states if with_states else {},
     )
 
 
@@ -105,7 +103,9 @@ class _Source(NamedTuple):
         """Return what the columns of rows, with the table of what is desired from the first of them on, are made of."""
         robot = problem.robot
         wanted = table[: len(rows) * problem.nodes : problem.nodes, : Reference.count(robot.n)].copy()
-        return cls(rows, wanted, events, first, problem.h, problem.places, robot.tree, robot.model, problem.scenario)
+        return cls(
+            rows, wanted, events, first, problem.h, problem.record.places, robot.tree, robot.model, problem.scenario
+        )
 
     def column(self, name: str) -> NDArray[Any]:
         """Return a column of the run, by its name."""
@@ -224,11 +224,11 @@ def simulate_changed(
     """Simulate a problem, its scenario with other values, or with `elsewhere` another start; see `simulate`."""
     if scenario is problem.scenario:
         return _simulated(scenario, lambda: problem, law, progress, engine, record)
-    if elsewhere:
-        with started_elsewhere(problem, scenario) as prepared:
-            return _simulated(scenario, prepared, law, progress, engine, record)
-    model = None if scenario.robot.model != problem.scenario.robot.model else without_tools(problem.robot.model)
-    return simulate.__wrapped__(scenario, law=law, model=model, progress=progress, engine=engine, record=record)
+    if scenario.robot.model != problem.scenario.robot.model:
+        return simulate(scenario, law=law, progress=progress, engine=engine, record=record)
+    with lent(problem) as settled:
+        prepared = started_elsewhere if elsewhere else changed
+        return _simulated(scenario, lambda: prepared(settled, scenario), law, progress, engine, record)
 
 
 def _simulated(
@@ -359,7 +359,7 @@ def run_loop(
     robot, steps = problem.robot, problem.steps
     rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
     spare = problem.spare.pop(engine, None) if law is None else None
-    calls: Calls = spare or Calls(problem, rows, law, engine, interim, tree)
+    calls: Calls = spare or Calls(problem, rows, law, engine, interim, tree, problem.spare.pop(MEMORY, None))
     calls.begin(problem, rows)
     loop, kernel, answers, user_law, step, many = (
         calls.loop, calls.kernel, calls.answers, calls.user_law, calls.once, calls.many,
@@ -367,10 +367,11 @@ def run_loop(
     state, w = loop.state, loop.w
 
     def finish(done: int) -> None:
-        call = partial(call_now, complete_record, loop_memory) if interim else complete_record
-        call(loop.address, rows, done)
+        if interim:
+            call_now(complete_record, (state.memory, w.memory), loop.address, rows, done)
+        else:
+            complete_record(loop.address, rows, done)
 
-    loop_memory = (state.memory, w.memory)
     failure: SimulationError | None = None
     request = TERMS
     began, first = clock.perf_counter(), engine == PINOCCHIO
@@ -392,7 +393,7 @@ def run_loop(
             report(int(state.row), steps)
         if failure is None:
             report(steps, steps)
-        finish(int(state.row) + (failure is None))
+            finish(int(state.row) + 1)
     except (LawError, DivergenceError) as error:
         failure = error
     except Exception as error:
@@ -411,7 +412,8 @@ def run_loop(
     done = int(state.row) + (failure is None)
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
-    finish(done)  # after an exception; else it has been done
+    if failure is not None:
+        finish(done)
     events = answers.events[: int(state.event.rows)].copy()
     if calls.may_be_kept:
         calls.end()

@@ -90,7 +90,7 @@ def desired(
             f"reference.kind = {scenario.reference.kind!r}: inverse kinematics follows no path with a robot that a "
             "[[mocap]] moves: leave [reference] out"
         )
-    tip = path_on(scenario.reference, robot.position(q), surface, duration)
+    tip = path_on(scenario.reference, robot.known_tip(robot.pinocchios(q))[0], surface, duration)
     if scenario.reference.on_surface != "no":
         refuse_without_normal(surface, tip)
         refuse_beyond_edge(surface, tip)

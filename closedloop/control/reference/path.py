@@ -141,8 +141,8 @@ def path_normal(section: Path, surface: Surface) -> Array:
     Without a surface a path may have any direction: of the normals across it, it is the nearest to `surface.normal`.
     """
     normal = unit(surface.normal, "surface.normal")
-    direction = getattr(section, "direction", None)
-    if surface.kind != "none" or direction is None:
+    direction = None if surface.kind != "none" else getattr(section, "direction", None)
+    if direction is None:
         return normal
     along = unit(direction, "reference.direction")
     across = normal - (normal @ along) * along

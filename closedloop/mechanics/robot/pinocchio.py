@@ -90,6 +90,7 @@ class Robot:
         self._frame: int = self._pin.getFrameId(self.tip)
         self._rest = np.zeros(self.n)
         self._latest: tuple[tuple[bytes, bytes], Terms] | None = None
+        self._latest_tip: tuple[bytes, tuple[Array, Array]] | None = None
         self._upper = np.triu(np.ones((self.n, self.n), dtype=bool))
         carrier = self._pin.frames[self._frame].parentJoint
         self.tip_offset: Array = np.array(self._pin.frames[self._frame].placement.translation)
@@ -238,6 +239,18 @@ class Robot:
         if self._latest is None or self._latest[0] != state:  # what begins a run is asked several times
             self._latest = state, self._terms(q, v)
         return self._latest[1]
+
+    def known_tip(self, q: Array) -> tuple[Array, Array]:
+        """Return r and Jᵣ of `terms`, to the bit, at positions as Pinocchio has them; nothing is checked."""
+        state = q.tobytes()
+        if self._latest_tip is None or self._latest_tip[0] != state:
+            data, frame = self._data, self._frame
+            pin.computeJointJacobians(self._pin, data, q)
+            pin.updateFramePlacement(self._pin, data, frame)
+            J = pin.getFrameJacobian(self._pin, data, frame, _ALIGNED).reshape(6, self.n)[:3]
+            tip = _frozen(data.oMf[frame].translation.copy()), _frozen(np.ascontiguousarray(J))
+            self._latest_tip = state, tip
+        return self._latest_tip[1]
 
     def _terms(self, q: Array, v: Array) -> Terms:
         model, data, frame = self._pin, self._data, self._frame

@@ -33,6 +33,7 @@ from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.contact import place_at
 from closedloop.record.columns.derived import Recorded
 from closedloop.record.run import Run
+from closedloop.scenario.overrides import START, Variants
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, entries_of
@@ -46,9 +47,6 @@ from closedloop.simulation.engines.start_memory import (
     write_start,
 )
 from robot_models.cached import cached_property
-
-# Keys of where a run starts.
-STARTS = {"start.q", "start.v"}
 
 # The members of a placed surface, by the names of its entries.
 MEMBERS = {"surface": "section", "surface_motion": "motion"}
@@ -85,8 +83,19 @@ class Problem(ScenarioNumbers):
         """
         start = {key: value for key, value in (("start.q", q), ("start.v", v)) if value is not None}
         changes = {**(changes or {}), **start}
-        scenario = self.scenario.replace(changes) if changes else self.scenario
-        return called("run", scenario, self, law, progress, engine, record, changes.keys() <= STARTS)
+        scenario, elsewhere = self.scenario, changes.keys() <= START
+        if elsewhere and changes:
+            scenario = scenario.replace(changes)
+        elif changes:
+            keys = tuple(changes)
+            if keys not in self._variants:
+                self._variants[keys] = Variants(scenario, keys)
+            scenario = self._variants[keys].scenario(tuple(changes.values()))
+        return called("run", scenario, self, law, progress, engine, record, elsewhere)
+
+    @cached_property
+    def _variants(self) -> dict[tuple[str, ...], Variants]:
+        return {}
 
     # What does not depend on where it starts, see `closedloop.simulation.prepare.Settled`.
     settled: ClassVar[Any] = None

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,12 +38,13 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.placed import PlacedSurface, Plane
 from closedloop.mechanics.surface.surface import Compliance
-from closedloop.record.columns.derived import recorded_states, state_columns
+from closedloop.record.columns.derived import StatesOf, recorded_states, state_columns
 from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of
 from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
+from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.engines.bind_contacts import ContactPlaces
 from robot_models import RobotModel
 from robot_models.cached import cached_property
@@ -133,6 +135,37 @@ def entries_of(scenario: Scenario, model: RobotModel, user_law: bool = False) ->
 WANTED = {
     "reference_position": "q", "reference_velocity": "v", "reference_tip": "position", "reference_force": "force",
 }  # fmt: skip
+
+
+class RecordLayout(NamedTuple):
+    """The columns of a run."""
+
+    # those that are a part of the record: whether in a row or in the table, and the place there
+    places: dict[str, tuple[bool, int | slice]]
+    names: tuple[dict[str, None], dict[str, None]]  # of all in order, without and with states of the law
+    states: dict[str, Column]  # what the columns of these states are, see `state_columns`
+
+
+@lru_cache(maxsize=128)
+def record_layout(
+    states_of: StatesOf, contacts: int, resists: bool, arm: tuple[str, ...], has_surface: bool
+) -> RecordLayout:
+    """Return the columns of a run with so many contacts of links, of which one may resist to rolling or pivoting."""
+    n, states = states_of.n, state_columns(states_of)
+    behind = row_width(n, bool(arm), contacts)
+    before = behind - ContactRow.count(contacts)
+    of_contacts = [name for name in CONTACT_RECORDED if contacts and (resists or name not in RESISTANCE_COLUMNS)]
+    places: dict[str, tuple[bool, int | slice]] = {
+        **{name: (False, Reference.place(part, n)) for name, part in WANTED.items()},
+        **{name: (True, Row.place(name, n)) for name in RECORDED},
+        **{name: (True, _moved(ArmRow.place(name, n), Row.count(n))) for name in arm},
+        **{name: (True, _moved(ContactRow.place(name, contacts), before)) for name in of_contacts},
+        **{name: (True, _moved(place, behind)) for name, (_, place) in states.items()},
+    }
+    absent = () if has_surface else SURFACE_COLUMNS
+    every = dict.fromkeys(x for x in ("time", *places, "potential_energy", *EVENT_COLUMNS) if x not in absent)
+    without = dict.fromkeys(name for name in every if name not in states)
+    return RecordLayout(places, (without, every), {name: column for name, (column, _) in states.items()})
 
 
 def _moved(place: int | slice, by: int) -> int | slice:
@@ -277,40 +310,20 @@ class ScenarioNumbers:
     @cached_property
     def row_states(self) -> int:
         """How many of them are states of the law and its compensation, the last."""
-        return recorded_states(self.scenario, self.robot.n)
+        return recorded_states(StatesOf.of(self.scenario, self.robot.n))
 
     @cached_property
-    def places(self) -> dict[str, tuple[bool, int | slice]]:
-        """Where each column that is a part of the record is: whether in a row or in the table, and the place there."""
-        n, sections = self.robot.n, self.scenario.contact or ()
-        left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
-        of_contacts = [name for name in CONTACT_RECORDED if sections and name not in left_out]
-        behind = self.row_width - self.row_states
-        contacts = behind - ContactRow.count(len(sections))
-        return {
-            **{name: (False, Reference.place(part, n)) for name, part in WANTED.items()},
-            **{name: (True, Row.place(name, n)) for name in RECORDED},
-            **{name: (True, _moved(ArmRow.place(name, n), Row.count(n))) for name in arm_columns(self.scenario)},
-            **{name: (True, _moved(ContactRow.place(name, len(sections)), contacts)) for name in of_contacts},
-            **{name: (True, _moved(place, behind)) for name, (_, place) in self._states.items()},
-        }
+    def record(self) -> RecordLayout:
+        """What its record has."""
+        scenario, sections = self.scenario, self.scenario.contact or ()
+        resists = any(section.resists for section in sections)
+        states = StatesOf.of(scenario, self.robot.n)
+        return record_layout(states, len(sections), resists, arm_columns(scenario), scenario.has_surface)
 
     @cached_property
-    def columns(self) -> tuple[dict[str, None], dict[str, None]]:
-        """The names of a run's columns in order, without and with states of the law and its compensation."""
-        absent = () if self.scenario.has_surface else SURFACE_COLUMNS
-        names = ("time", *self.places, "potential_energy", *EVENT_COLUMNS)
-        every = dict.fromkeys(name for name in names if name not in absent)
-        return {name: None for name in every if name not in self._states}, every
-
-    @cached_property
-    def added(self) -> dict[str, Column]:
-        """What the columns of these states are, see `state_columns`."""
-        return {name: column for name, (column, _) in self._states.items()}
-
-    @property
-    def _states(self) -> dict[str, tuple[Column, int | slice]]:
-        return state_columns(self.scenario, self.robot.n)
+    def member_digests(self) -> dict[str, str]:
+        """See `closedloop.scenario.user_module.member_digests`."""
+        return member_digests(self.scenario)
 
     @cached_property
     def sizes(self) -> dict[str, int]:

@@ -12,7 +12,7 @@ import closedloop as cl
 import robot_models
 from closedloop.scenario.load import shipped_scenarios
 from closedloop.simulation import prepare as prepare_module
-from closedloop.simulation.cache import Cache, _kept
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.loop_calls import Calls
 from closedloop.simulation.simulate import run_loop
 
@@ -145,7 +145,7 @@ def test_other_starts_are_run_by_the_same_memory():
             fresh = pool.submit(outcome, problem.scenario.replace({"start.q": q}), "compiled").result()
         assert same(runs[-1], fresh)
         assert runs[-1].scenario == fresh.scenario
-        (calls,) = _kept.caches[-1][1].last[1].spare.values()
+        (calls,) = problem.spare.values()
         memories.add(calls.loop.address)
     assert same(runs[0], runs[2])
     assert not same(runs[0], runs[1])

@@ -107,6 +107,16 @@ class Cache:
             return shared.get(key, make, size)
 
 
+class NoCache(Cache):
+    """What makes everything anew: for what is hardly asked for twice."""
+
+    def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
+        """Return what is made."""
+        return make()
+
+    get_shared = get
+
+
 class _Kept(threading.local):
     def __init__(self) -> None:
         self.caches: list[tuple[RobotModel | None, Cache]] = []  # of the models given last, the last one last

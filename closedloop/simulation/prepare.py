@@ -20,7 +20,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Section
 from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps, encoder_draws
-from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.reference.desired import Desired, desired
 from closedloop.control.reference.force import force_at
@@ -59,7 +59,7 @@ from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import members_of_users, refuse_absent
 from closedloop.simulation.all_entries import with_all_entries
-from closedloop.simulation.cache import Cache, Key
+from closedloop.simulation.cache import Cache, Key, NoCache
 from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.scenario_numbers import PackedLaw, pack_compliance, pack_friction, pack_law
@@ -296,7 +296,7 @@ def lent(problem: Problem) -> Iterator[Settled]:
 
 def started_elsewhere(settled: Settled, scenario: Scenario) -> Problem:
     """Prepare a scenario that differs in where it starts."""
-    return _problem(scenario, settled, settled.starts)
+    return _problem(scenario, settled, NoCache())
 
 
 def changed(settled: Settled, scenario: Scenario) -> Problem:
@@ -318,8 +318,9 @@ class Settled(NamedTuple):
     numbers: dict[str, Any]  # attributes of the `Problem`
     keys: dict[str, Key | None]  # what surface, contacts, path and law depend on, but for the state
     known: dict[str, Any]  # what follows from the numbers
-    starts: Cache  # of what other starts have in common
-    changes: Cache  # of what scenarios with other values do
+    laws: dict[float, PackedLaw]  # by the instant from which the PD part acts, s: the one used last
+    table: tuple[int, bool, bool]  # numbers that sensors draw beside each row; whether those of force and joints do
+    changes: Cache  # of what scenarios with other values have in common
 
     def keep(self, problem: Problem) -> None:
         """Give a problem what is known; what steps the first is for all others, which find out the rest once."""
@@ -385,15 +386,17 @@ def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Sett
     keys = {
         "surface": Key(_surface_key(scenario, cache)),
         "contacts": Key(_contacts_key(scenario, cache)) if scenario.contact or has_stops(scenario, model) else None,
-        "path": Key(cache.texts(scenario, of=("robot", "tool", "reference"))), "law": Key(cache.text(scenario.law)),
+        "path": Key(cache.texts(scenario, of=("robot", "tool", "reference"))),
     }  # fmt: skip
+    reads, drawn = scenario.reads_encoders, scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
+    table = (DrawnRow if reads else TableRow).count(n) - Reference.count(n), drawn, reads
     # What stepped the scenario before may not be wanted again: its memory is taken over.
     before, cache.newest = cache.newest, {}
     if before:
         kind, spare = before.popitem()
         cache.newest[MEMORY] = spare if kind == MEMORY else spare.loop
     known: dict[str, Any] = {"spare": cache.newest}
-    settled = Settled(scenario, numbers, keys, known, Cache(SETTLED_BYTES), Cache())
+    settled = Settled(scenario, numbers, keys, known, {}, table, Cache())
     known["settled"] = settled
     return settled
 
@@ -401,8 +404,8 @@ def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Sett
 def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
     """Return what depends on where a run starts: the other attributes of the `Problem`."""
     of = settled.numbers
-    robot, friction, integrator = of["robot"], of["friction"], of["integrator"]
-    model, n = robot.model, robot.n
+    robot, friction = of["robot"], of["friction"]
+    model = robot.model
     scenario, keys = settled.scenario, settled.keys
     if scenario.start is not given.start:
         scenario = scenario.model_copy(update={"start": given.start})
@@ -427,28 +430,34 @@ def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
     )  # fmt: skip
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         taken = surface if believed is None else believed
-        wanted, table = reference_table(scenario, robot, taken, q, of["steps"], integrator.parts, cache, keys["path"])
-    law, start = _law_from(scenario, wanted)
+        wanted, table = reference_table(scenario, settled, taken, q, cache)
+    start = _pd_start(scenario, wanted)
+    if start not in settled.laws:
+        settled.laws.clear()
+        settled.laws[start] = _packed_law(scenario, start, model)
     if friction.member.sticks != "elastic" and mode == PRESSED:
         u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return {
         "scenario": scenario, "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
         "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed,
-        "law": cache.get(
-            ("law", n, keys["law"], start), lambda: pack_law(law, n, model.joint_names),
-            lambda found: SECTION_BYTES,
-        ),
+        "law": settled.laws[start],
     }  # fmt: skip
 
 
-def _law_from(scenario: Scenario, wanted: Desired) -> tuple[ControlLaw, float]:
-    """Return the control law, and the instant, s, from which its PD part acts: of the path, if the law says none."""
-    law = scenario.law
-    given = getattr(law, "pd_start", None)
+def _pd_start(scenario: Scenario, wanted: Desired) -> float:
+    """Return the instant, s, from which the PD part of the law acts: of the path, if the law says none."""
+    given = getattr(scenario.law, "pd_start", None)
     h = scenario.time.step
-    start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
-    return law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law, start
+    start: float = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
+    return start
+
+
+def _packed_law(scenario: Scenario, start: float, model: RobotModel) -> PackedLaw:
+    """Return the control law as numbers, its PD part acting from an instant on, s."""
+    law = scenario.law
+    law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
+    return pack_law(law, model.n, model.joint_names)
 
 
 def _encoder(scenario: Scenario, model: RobotModel) -> Array:
@@ -525,35 +534,30 @@ BEYOND = 1.001
 
 
 def reference_table(
-    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, steps: int, nodes: int, cache: Cache,
-    key: Hashable,
-) -> tuple[Desired, Array]:  # fmt: skip
-    """Return what is desired on a surface, and the table of it, `nodes` rows to a step, with noise behind it.
-
-    `key` is what it depends on of the arm, the tool and the path.
-    """
+    scenario: Scenario, settled: Settled, surface: PlacedSurface, q: Array, cache: Cache
+) -> tuple[Desired, Array]:
+    """Return what is desired on a surface, and the table of it, with what sensors draw behind each row."""
+    of, (spare, drawn, reads) = settled.numbers, settled.table
+    robot, steps, nodes = of["robot"], of["steps"], of["nodes"]
     n = robot.n
     instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
-    row = DrawnRow if scenario.reads_encoders else TableRow
-    spare = row.count(n) - Reference.count(n)
-    motion = Key((key, q.tobytes(), _path_key(scenario, surface)))
+    motion = settled.keys["path"], q.tobytes(), _path_key(scenario, surface)
     tool = unit(scenario.tool.axis, "tool.axis"), scenario.tool.radius
     wanted = cache.get_shared(
-        ("desired", motion),
+        ("desired", *motion),
         lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, *tool),
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = Desired(wanted.tip, wanted.joints, scenario.force_profile, scenario.law.force)
-    drawn = scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
     table = cache.get(
-        ("table", motion, instants.size, float(instants[1]), spare, drawn),
+        ("table", *motion, instants.size, float(instants[1]), spare, drawn),
         lambda: wanted.table(instants, spare=spare),
         lambda made: made.nbytes,
     )
     table[:, Reference.place("force", n)] = force_at(wanted.profile, wanted.force, instants)
     if drawn:  # else its columns have the zeros that they were made with
         table[::nodes, TableRow.place("sensor", n)] = draws(scenario.sensor, steps + 1)
-    if scenario.reads_encoders:
+    if reads:
         table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(scenario.encoder, steps + 1, n)
     return wanted, table
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import count
 from typing import Any, NamedTuple
@@ -242,7 +243,8 @@ def _simulated(
     try:
         with held_back(), not_compiled_first():
             problem = prepared()
-        with reporting(progress, problem.scenario.name, problem.steps) as report:
+        showing = reporting(progress, problem.scenario.name, problem.steps) if progress else nullcontext(_silent)
+        with showing as report:
             rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     except KeyboardInterrupt as stop:
         if problem is None:

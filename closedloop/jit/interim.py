@@ -229,9 +229,14 @@ def not_compiled_first() -> Iterator[None]:
         _compiled_first.reset(token)
 
 
+def compiles_ahead() -> bool:
+    """Whether what a run will want is compiled in the background: within `not_compiled_first`."""
+    return not _compiled_first.get()
+
+
 def compile_ahead(functions: Sequence[Callable[..., Any]]) -> None:
-    """Have compiled in the background what a run will want that may begin interpreted: within `not_compiled_first`."""
-    if not _compiled_first.get():
+    """Have compiled in the background what a run will want that may begin interpreted, see `compiles_ahead`."""
+    if compiles_ahead():
         background.start([function for function in functions if not at_hand(function)])
 
 

@@ -20,7 +20,7 @@ from closedloop.jit.background import make_ready, start, takes_long
 from closedloop.jit.blocks import arrays_of
 from closedloop.jit.buffers import draft_address
 from closedloop.jit.calls import address_of
-from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead
+from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead, compiles_ahead
 from closedloop.jit.kernel import direct
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
@@ -304,7 +304,7 @@ def have_compiled(scenario: Scenario, model: RobotModel) -> None:
 
     A run that begins interpreted does so, and not one that is over before it would ask for compiled code.
     """
-    if scenario.time.duration < PROBE * scenario.time.step:
+    if not compiles_ahead() or scenario.time.duration < PROBE * scenario.time.step:
         return
     surface = PlacedSurface(scenario.surface, scenario.surface_motion, np.eye(3), np.zeros(3), below_start=False)
     called = [*surface.entries().values(), *([] if surface.fixed_plane else (put_on_surface, normals_on_surface))]

@@ -34,6 +34,7 @@ from closedloop.jit.parameters import lists_per_joint, pack
 from closedloop.jit.user_code import of_users
 from closedloop.loop.events.phases import RESTING, TOUCHING
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
@@ -43,6 +44,7 @@ from closedloop.mechanics.surface.placed import PlacedSurface, Touching, unit
 from closedloop.mechanics.surface.rates import check_rates
 from closedloop.mechanics.surface.surface import Surface, largest_mobility
 from closedloop.scenario.arm import (
+    acting_tendons,
     beside_bodies,
     free_bodies,
     has_stops,
@@ -57,9 +59,9 @@ from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import members_of_users, refuse_absent
+from closedloop.scenario.user_module import member_digests, members_of_users
 from closedloop.simulation.all_entries import with_all_entries
-from closedloop.simulation.cache import Cache, Key, NoCache
+from closedloop.simulation.cache import Cache, Key, NoCache, Watched
 from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.scenario_numbers import PackedLaw, pack_compliance, pack_friction, pack_law
@@ -230,7 +232,7 @@ ROBOT_BYTES = 200_000
 SECTION_BYTES, SETTLED_BYTES = 2_000, 500_000
 # What follows from the numbers of a problem, wherever it starts.
 SETTLED = (
-    "general", "row_width", "row_states", "record", "member_digests", "sizes", "tendons",
+    "general", "row_width", "row_states", "record", "sizes",
 )  # fmt: skip
 
 
@@ -331,71 +333,63 @@ class Settled(NamedTuple):
 
 def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Settled:
     """Check what does not depend on where a run starts, and return it as numbers."""
-    refuse_absent(scenario)
-    robot = _robot(scenario, model, cache)
-    model = robot.model
-    scenario = completed(scenario, model)
-    n = robot.n
-    refuse_lengths(scenario, model)
-    start_state(scenario, model)  # what is wrong with it is said first
-    refuse_combinations(scenario, model)
+    digests = cache.follow("digests", scenario, member_digests)
+    robot: Robot = cache.follow("robot", scenario, lambda s: _robot(s, model, cache), model)
+    model, n = robot.model, robot.n
+
+    def follow(name: str, make: Callable[[Any], Any], *others: Any) -> Any:
+        return cache.follow(name, scenario, make, robot, *others)
+
+    given = scenario
+    scenario = follow("completed", lambda s: completed(s, model))
+    scenario = given if isinstance(scenario, Watched) else scenario
+    follow("lengths", lambda s: refuse_lengths(s, model))
+    follow("start", lambda s: start_state(s, model) and None)  # what is wrong with it is said first
+    follow("combinations", lambda s: refuse_combinations(s, model))
     have_compiled(scenario, model)
-    soft = not isinstance(scenario.compliance, Rigid)
-    joint_friction = joint_friction_of(scenario, model)
-    integrator, tolerance = integrator_of(scenario, joint_friction)
-    if np.any(scenario.transmission.load_friction) and joint_friction.sticks != "rigid":
-        raise ScenarioError(
-            "transmission.load_friction: adds to a dry friction of the joints: give joint_friction.kind = 'coulomb', "
-            "'coulomb_viscous', 'stribeck' or 'karnopp', with joint_friction.kinetic = 0 where there is no other"
-        )
-    h, period = scenario.time.step, scenario.law.sample_period
-    steps, hold = steps_and_hold(scenario, n)
-    law, compensation = scenario.law, _believed_compensation(scenario)
-    compensation.check(law)
-    if compensation.reads_tangential and scenario.sensor.axes == 1:
-        raise ScenarioError(
-            f"compensation.kind = {compensation.kind!r}: needs the force along the tangents too: set sensor.axes = 3"
-        )
-    check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
-
-    def packed(name: str, section: Any, how: Callable[[], PackedLaw]) -> PackedLaw:
-        return cache.get(("packed", name, n, *cache.text(section)), how, lambda found: SECTION_BYTES)
-
+    joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model))
+    integrator, tolerance = follow("integrator", lambda s: integrator_of(s, joint_friction), joint_friction)
+    follow("load friction", lambda s: _refuse_load_friction(s, joint_friction), joint_friction)
+    steps, hold = follow("steps", lambda s: steps_and_hold(s, n))
+    compensation = follow("believed compensation", _believed_compensation)
+    follow("sampling", lambda s: _check_compensation(s, compensation), compensation)
     numbers = {
-        "robot": robot, "integrator": integrator, "tolerance": tolerance, "h": h, "steps": steps, "hold": hold,
-        "nodes": integrator.parts,
-        "friction": packed("friction", scenario.friction, lambda: pack_friction(scenario.friction, n)),
-        "compensation": packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
-        "joint_friction": packed(
-            "joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)
+        "robot": robot, "integrator": integrator, "tolerance": tolerance, "h": scenario.time.step, "steps": steps,
+        "hold": hold, "nodes": integrator.parts,
+        "friction": follow("friction", lambda s: pack_friction(s.friction, n)),
+        "compensation": follow(
+            "compensation", lambda s: pack_law(compensation, n, model.joint_names), compensation
         ),
-        "compliance": packed("compliance", scenario.compliance, lambda: pack_compliance(scenario.compliance, n)),
-        "sensor": cache.get(
-            ("sensor", *cache.text(scenario.sensor), h), lambda: pack_sensor(scenario.sensor, h),
-            lambda found: SECTION_BYTES,
+        "joint_friction": follow(
+            "joint_friction", lambda s: pack_friction(joint_friction, n, joints=True), joint_friction
         ),
-        "encoder": cache.get(
-            ("encoder", n, *cache.text(scenario.encoder), robot_key(scenario, cache)),
-            lambda: _encoder(scenario, model), lambda found: SECTION_BYTES,
-        ),
-        "transmission": transmission_constants(scenario.transmission, model),
-        "drives": np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
-        "stabiliser": np.array(stabiliser_gains(scenario)),
-        "project": scenario.stabiliser.kind in ("projection", "both") and not soft,
+        "compliance": follow("compliance", lambda s: pack_compliance(s.compliance, n)),
+        "sensor": follow("sensor", lambda s: pack_sensor(s.sensor, s.time.step)),
+        "encoder": follow("encoder", lambda s: _encoder(s, model)),
+        "transmission": follow("transmission", lambda s: transmission_constants(s.transmission, model)),
+        "drives": follow("drives", lambda s: np.stack(
+            [torque_limits(s.drives, model), torque_steps(s.drives, model, s.law.sample_period)]
+        )),
+        "stabiliser": follow("stabiliser", lambda s: np.array(stabiliser_gains(s))),
+        "project": follow("project", lambda s: s.stabiliser.kind in ("projection", "both") and _is_rigid(s)),
     }  # fmt: skip
     keys = {
-        "surface": Key(_surface_key(scenario, cache)),
-        "contacts": Key(_contacts_key(scenario, cache)) if scenario.contact or has_stops(scenario, model) else None,
-        "path": Key(cache.texts(scenario, of=("robot", "tool", "reference"))),
+        "surface": follow("surface key", lambda s: Key(_surface_key(s, cache))),
+        "contacts": follow("contacts key", lambda s: _contacts_key(s, model, cache)),
+        "path": follow("path key", lambda s: Key(cache.texts(s, of=("robot", "tool", "reference")))),
     }  # fmt: skip
-    reads, drawn = scenario.reads_encoders, scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
+    drawn = scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
+    reads = follow("reads", lambda s: s.reads_encoders)
     table = (DrawnRow if reads else TableRow).count(n) - Reference.count(n), drawn, reads
     # What stepped the scenario before may not be wanted again: its memory is taken over.
     before, cache.newest = cache.newest, {}
     if before:
         kind, spare = before.popitem()
         cache.newest[MEMORY] = spare if kind == MEMORY else spare.loop
-    known: dict[str, Any] = {"spare": cache.newest}
+    known: dict[str, Any] = {
+        "spare": cache.newest, "tendons": follow("tendons", lambda s: acting_tendons(s, model)),
+        "member_digests": digests,
+    }  # fmt: skip
     settled = Settled(scenario, numbers, keys, known, {}, table, Cache())
     known["settled"] = settled
     return settled
@@ -486,9 +480,35 @@ def _surface_key(scenario: Scenario, cache: Cache) -> tuple[Hashable, ...]:
     return robot_key(scenario, cache), *map(cache.text, sections)
 
 
-def _contacts_key(scenario: Scenario, cache: Cache) -> tuple[Hashable, ...]:
-    """Return what the places of contacts depend on, but for the state."""
-    return robot_key(scenario, cache), cache.texts(scenario, of=("contact",))
+def _contacts_key(scenario: Scenario, model: RobotModel, cache: Cache) -> Key | None:
+    """Return what the places of contacts depend on, but for the state; None if there are none."""
+    if not scenario.contact and not has_stops(scenario, model):
+        return None
+    return Key((robot_key(scenario, cache), cache.texts(scenario, of=("contact",))))
+
+
+def _is_rigid(scenario: Scenario) -> bool:
+    return isinstance(scenario.compliance, Rigid)
+
+
+def _refuse_load_friction(scenario: Scenario, joint_friction: JointFriction) -> None:
+    """Refuse gears that rub with their load, where a law of friction in the joints is no dry one."""
+    if np.any(scenario.transmission.load_friction) and joint_friction.sticks != "rigid":
+        raise ScenarioError(
+            "transmission.load_friction: adds to a dry friction of the joints: give joint_friction.kind = 'coulomb', "
+            "'coulomb_viscous', 'stribeck' or 'karnopp', with joint_friction.kinetic = 0 where there is no other"
+        )
+
+
+def _check_compensation(scenario: Scenario, compensation: Compensation) -> None:
+    """Refuse a compensation that does not go with the law or the sensor, and a law that is sampled too slowly."""
+    law = scenario.law
+    compensation.check(law)
+    if compensation.reads_tangential and scenario.sensor.axes == 1:
+        raise ScenarioError(
+            f"compensation.kind = {compensation.kind!r}: needs the force along the tangents too: set sensor.axes = 3"
+        )
+    check_sampling(law, compensation, scenario.sensor, law.sample_period or scenario.time.step)
 
 
 def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:

@@ -12,8 +12,6 @@ import re
 import signal
 import sys
 from collections import Counter
-from contextlib import suppress
-from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -81,29 +79,32 @@ def pytest_collection_modifyitems(items):
     items.sort(key=place)
 
 
-# With the extra `physics` alone, what needs one of these packages is passed over.
-ABSENT = {"robots": "example_robot_data", "tables": "pyarrow"}
+# With the extra `physics` alone, what says that it lacks one of these packages is passed over.
+PACKAGES = {"robots": ("example_robot_data",), "tables": ("pyarrow", "pandas", "xarray"), "peers": ("sympy", "mpmath")}
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item, call):
-    """Report a test as skipped that was told to install an extra, if that is not installed."""
-    report = yield
-    said = re.search(r'pip install "closedloop\[(\w+)\]"', str(call.excinfo.value)) if call.excinfo else None
-    package = ABSENT.get(said[1]) if said else None
-    if report.failed and package and package not in installed():
-        report.outcome, report.longrepr = "skipped", (str(item.path), 0, f"needs the extra {said[1]}")
+def passed_over(report, path):
+    """Return a report of what failed for want of a package that is not installed as one of what was skipped."""
+    if not report.failed:
+        return report
+    for extra, packages in PACKAGES.items():
+        said = "|".join([rf"closedloop\[{extra}\]", *(f"No module named '{package}[.']" for package in packages)])
+        if re.search(said, str(report.longrepr)) and not all(map(find_spec, packages)):
+            report.outcome, report.longrepr = "skipped", (str(path), 0, f"Skipped: needs the extra {extra}")
+            break
     return report
 
 
-@cache
-def installed():
-    """Return those of the packages of `ABSENT` that can be imported."""
-    found = set()
-    for package in ABSENT.values():
-        with suppress(ModuleNotFoundError):
-            found |= {package} if find_spec(package) else set()
-    return found
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    """See `passed_over`."""
+    return passed_over((yield), collector.path)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item):
+    """See `passed_over`."""
+    return passed_over((yield), item.path)
 
 
 # Files of tests from which on all that ships is needed, and compiled beforehand.

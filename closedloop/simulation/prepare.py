@@ -108,8 +108,13 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
         )
 
 
-def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:
-    """Return the surface, how the tip is to it at the start, and what it does on it."""
+def placed_surface(
+    scenario: Scenario, robot: Robot, q: Array, v: Array, like: PlacedSurface | None
+) -> tuple[PlacedSurface, Touching, int]:
+    """Return the surface, how the tip is to it at the start, and what it does on it.
+
+    `like` is the surface of the same scenario from another start, if that is known.
+    """
     section = scenario.surface
     (tip, jacobian), depth = robot.known_tip(robot.pinocchios(q)), 0.0
     soft = not isinstance(scenario.compliance, Rigid)
@@ -117,7 +122,11 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
         pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
         with of_users(scenario.compliance, "compliance.kind"):
             depth = scenario.compliance.static_depth(pressed)
-    surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth, scenario.tool.radius)
+    surface = (
+        PlacedSurface.of(section, scenario.surface_motion, tip, depth, scenario.tool.radius)
+        if like is None
+        else like.below(tip, depth)
+    )
     if scenario.tool.radius > 0.0 and not surface.fixed_plane and surface.below_start:
         refuse_narrow(surface, np.zeros(1), surface.origin[None], scenario.tool.radius)
     now = surface.touching(tip, jacobian @ v)
@@ -320,7 +329,7 @@ class Settled(NamedTuple):
     numbers: dict[str, Any]  # attributes of the `Problem`
     keys: dict[str, Key | None]  # what surface, contacts, path and law depend on, but for the state
     known: dict[str, Any]  # what follows from the numbers
-    laws: dict[float, PackedLaw]  # by the instant from which the PD part acts, s: the one used last
+    last: dict[str, Any]  # of the start before: its surface, its law, and the instant from which its PD part acts
     table: tuple[int, bool, bool]  # numbers that sensors draw beside each row; whether those of force and joints do
     changes: Cache  # of what scenarios with other values have in common
 
@@ -400,7 +409,7 @@ def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
     of = settled.numbers
     robot, friction = of["robot"], of["friction"]
     model = robot.model
-    scenario, keys = settled.scenario, settled.keys
+    scenario, keys, last = settled.scenario, settled.keys, settled.last
     if scenario.start is not given.start:
         scenario = scenario.model_copy(update={"start": given.start})
         scenario = with_all_entries(scenario, model) if model.loop_coordinates else scenario
@@ -409,9 +418,10 @@ def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
         q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
     surface, now, mode = cache.get(
         ("surface", keys["surface"], q.tobytes(), v.tobytes()),
-        lambda: placed_surface(scenario, robot, q, v),
+        lambda: placed_surface(scenario, robot, q, v, last.get("surface")),
         lambda placed: SECTION_BYTES,
     )
+    last["surface"] = surface
     check_rates(surface, scenario.time.duration)
     believed = believed_surface(scenario, robot, surface, q)
     if not isinstance(scenario.compliance, Rigid) and of["tolerance"] is None:
@@ -426,16 +436,15 @@ def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
         taken = surface if believed is None else believed
         wanted, table = reference_table(scenario, settled, taken, q, cache)
     start = _pd_start(scenario, wanted)
-    if start not in settled.laws:
-        settled.laws.clear()
-        settled.laws[start] = _packed_law(scenario, start, model)
+    if last.get("start") != start:
+        last.update(start=start, law=_packed_law(scenario, start, model))
     if friction.member.sticks != "elastic" and mode == PRESSED:
         u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return {
         "scenario": scenario, "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
         "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed,
-        "law": settled.laws[start],
+        "law": last["law"],
     }  # fmt: skip
 
 

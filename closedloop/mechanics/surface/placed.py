@@ -187,6 +187,15 @@ class PlacedSurface:
         origin = tip - (radius + section.gap - depth) * normal if given is None else given
         return cls(section, motion, contact_frame(normal), origin, given is None, radius, where)
 
+    def below(self, tip: Array, depth: float) -> PlacedSurface:
+        """Return it where `of` places it for another tip at the start."""
+        if not self.below_start:
+            return self
+        moved: PlacedSurface = object.__new__(PlacedSurface)
+        vars(moved).update(vars(self), origin=tip - (self.radius + self.section.gap - depth) * self.normal)
+        vars(moved).pop("_interpreted", None)  # whose memory has the origin
+        return moved
+
     @cached_property
     def fixed_plane(self) -> bool:
         """Whether it is a plane at rest without an edge, or none: its frame is constant, and the loop does not ask."""

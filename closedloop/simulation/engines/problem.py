@@ -33,7 +33,7 @@ from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.contact import place_at
 from closedloop.record.columns.derived import Recorded
 from closedloop.record.run import Run
-from closedloop.scenario.overrides import START, Variants
+from closedloop.scenario.overrides import START, Variants, replaced
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, entries_of
@@ -85,7 +85,7 @@ class Problem(ScenarioNumbers):
         changes = {**(changes or {}), **start}
         scenario, elsewhere = self.scenario, changes.keys() <= START
         if elsewhere and changes:
-            scenario = scenario.replace(changes)
+            scenario = replaced(scenario, changes)
         elif changes:
             keys = tuple(changes)
             if keys not in self._variants:

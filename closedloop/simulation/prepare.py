@@ -5,8 +5,7 @@ Where the tip is to the surface at the start: on it, off it, or refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from threading import get_ident
 from typing import Any, NamedTuple
@@ -289,20 +288,15 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Pr
     return problem
 
 
-@contextmanager
-def lent(problem: Problem) -> Iterator[Settled]:
-    """Give what is the same of a problem from another start, which this thread alone has meanwhile.
+def borrowed(problem: Problem) -> Settled:
+    """Return what is the same of a problem from another start, of this thread: its caller puts it back.
 
-    A run within a law of this one's has another.
+    A run within a law of this one's has another meanwhile.
     """
-    thread = get_ident()
-    settled: Settled | None = problem.of_thread.pop(thread, None)
+    settled: Settled | None = problem.of_thread.pop(get_ident(), None)
     if settled is None:
         settled = problem_of(problem.scenario, without_tools(problem.robot.model), Cache()).settled
-    try:
-        yield settled
-    finally:
-        problem.of_thread[thread] = settled
+    return settled
 
 
 def started_elsewhere(settled: Settled, scenario: Scenario) -> Problem:

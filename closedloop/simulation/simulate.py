@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import count
+from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,7 +44,7 @@ from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.loop_calls import MEMORY, Calls
-from closedloop.simulation.prepare import changed, lent, problem_of, started_elsewhere
+from closedloop.simulation.prepare import borrowed, changed, problem_of, started_elsewhere
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown
@@ -227,9 +228,11 @@ def simulate_changed(
         return _simulated(scenario, lambda: problem, law, progress, engine, record)
     if scenario.robot.model != problem.scenario.robot.model:
         return simulate(scenario, law=law, progress=progress, engine=engine, record=record)
-    with lent(problem) as settled:
-        prepared = started_elsewhere if elsewhere else changed
+    settled, prepared = borrowed(problem), started_elsewhere if elsewhere else changed
+    try:
         return _simulated(scenario, lambda: prepared(settled, scenario), law, progress, engine, record)
+    finally:
+        problem.of_thread[get_ident()] = settled
 
 
 def _simulated(

@@ -50,7 +50,8 @@ class Watched:
     """A scenario that notes which of its sections are read, by what it is given to."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario, self.read = scenario, {}
+        self._scenario = scenario
+        self.read: dict[str, Any] = {}
 
     def __getattr__(self, name: str) -> Any:
         if name in Scenario.model_fields:

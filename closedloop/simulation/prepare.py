@@ -340,8 +340,10 @@ def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Sett
     robot: Robot = cache.follow("robot", scenario, lambda s: _robot(s, model, cache), model)
     model, n = robot.model, robot.n
 
+    arm = model.without_tools  # whose masses nothing below depends on
+
     def follow(name: str, make: Callable[[Any], Any], *others: Any) -> Any:
-        return cache.follow(name, scenario, make, robot, *others)
+        return cache.follow(name, scenario, make, *arm, *others)
 
     given = scenario
     scenario = follow("completed", lambda s: completed(s, model))

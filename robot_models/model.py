@@ -247,6 +247,11 @@ class RobotModel:
         vars(other).update(known | {"_built": text})
         return other
 
+    @property
+    def without_tools(self) -> tuple[Any, ...]:
+        """What it is made of but for the tools: the same objects for a robot that was `changed` in them alone."""
+        return self._built, self.gravity, self.elastic, self.armature, self.home, self.tip, self.drives, self.whole
+
     @cached_property
     def _built(self) -> "pin.Model":
         """What `robot_models.build` makes of the text, once: reading and checking it takes as long as 3000 steps."""

@@ -8,9 +8,11 @@ python -m pytest --hypothesis-profile=explore      # other examples each time, t
 
 import gc
 import os
+import re
 import signal
 import sys
 from collections import Counter
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -75,6 +77,34 @@ def pytest_collection_modifyitems(items):
         return LONGEST.index(name) if name in LONGEST else len(LONGEST), -tests[item.path], str(item.path)
 
     items.sort(key=place)
+
+
+# With the extra `physics` alone, what says that it lacks one of these packages is passed over.
+PACKAGES = {"robots": ("example_robot_data",), "tables": ("pyarrow", "pandas", "xarray"), "peers": ("sympy", "mpmath")}
+
+
+def passed_over(report, path):
+    """Return a report of what failed for want of a package that is not installed as one of what was skipped."""
+    if not report.failed:
+        return report
+    for extra, packages in PACKAGES.items():
+        said = "|".join([rf"closedloop\[{extra}\]", *(f"No module named '{package}[.']" for package in packages)])
+        if re.search(said, str(report.longrepr)) and not all(map(find_spec, packages)):
+            report.outcome, report.longrepr = "skipped", (str(path), 0, f"Skipped: needs the extra {extra}")
+            break
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    """See `passed_over`."""
+    return passed_over((yield), collector.path)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item):
+    """See `passed_over`."""
+    return passed_over((yield), item.path)
 
 
 # Files of tests from which on all that ships is needed, and compiled beforehand.

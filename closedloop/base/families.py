@@ -243,7 +243,9 @@ class Family(Mapping[str, type[M]], Generic[M]):
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a member with this name."""
-        return isinstance(name, str) and self.get(name) is not None
+        if not isinstance(name, str) or (":" not in name and name not in self._files):
+            return False
+        return name in self._shipped or self.get(name) is not None
 
     def __len__(self) -> int:
         """Return how many there are."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _signal  # type: ignore[import-not-found]  # what `signal` is made of
 import os
 import signal
 import threading
@@ -110,36 +111,40 @@ def _comes_again(number: int, frame: FrameType | None) -> bool:
     return True
 
 
-@contextmanager
-def held_back(*numbers: signal.Signals) -> Iterator[None]:
+class held_back:  # a context, as those beside it
     """Let the first Ctrl-C or SIGTERM wait until the block is done, and then act; a second one does not wait.
 
-    With `numbers`, those signals only.
+    With `numbers`, those signals only. Each run has two such blocks: what the module `signal` is made of takes a sixth
+    of its time.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield  # exceptions of signals come in the main thread only
-        return
-    waiting: list[tuple[int, FrameType | None]] = []
-    usual: dict[int, Any] = {}
 
-    def hold(number: int, frame: FrameType | None) -> None:
-        if waiting:
-            usual[number](number, frame)
-        waiting.append((number, frame))
+    __slots__ = ("_numbers", "_usual", "_waiting")
 
-    for number in numbers or _SIGNALS:
-        before = signal.getsignal(number)
-        if callable(before):  # not ignored, nor left to the system
-            usual[number] = before
-            signal.signal(number, hold)
-    try:
-        yield
-    finally:
-        for which, handler in usual.items():
+    def __init__(self, *numbers: signal.Signals) -> None:
+        self._numbers = numbers or _SIGNALS
+        self._waiting: tuple[int, FrameType | None] | None = None
+
+    def _hold(self, number: int, frame: FrameType | None) -> None:
+        if self._waiting is not None:
+            self._usual[number](number, frame)
+        self._waiting = self._waiting or (number, frame)
+
+    def __enter__(self) -> None:
+        self._usual: dict[int, Any] = {}
+        if threading.get_ident() != threading.main_thread().ident:
+            return  # exceptions of signals come in the main thread only
+        for number in self._numbers:
+            before = _signal.getsignal(number)
+            if callable(before):  # not ignored, nor left to the system
+                self._usual[number] = before
+                _signal.signal(number, self._hold)
+
+    def __exit__(self, *raised: object) -> None:
+        for which, handler in self._usual.items():
             with suppress(ValueError, TypeError):
-                signal.signal(which, handler)
-    if waiting:
-        usual[waiting[0][0]](*waiting[0])
+                _signal.signal(which, handler)
+        if self._waiting is not None and raised[0] is None:
+            self._usual[self._waiting[0]](*self._waiting)
 
 
 # How long after a signal that could not be answered it is sent again, s.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 ABOVE = {
     "replace": "closedloop.scenario.overrides:replaced",
     "unchanged": "closedloop.scenario.messages:unchanged",
-    "run": "closedloop.simulation.simulate:simulate_prepared",
+    "run": "closedloop.simulation.simulate:simulate_changed",
     "plot": "closedloop.figures.errors:plot",
     "html": "closedloop.figures.files:html",
     "show": "closedloop.lab.share:show_run",
@@ -28,8 +29,13 @@ ABOVE = {
 
 def called(name: str, *arguments: Any, **options: Any) -> Any:
     """Return what the function of that name returns, see `ABOVE`."""
+    return _found(name)(*arguments, **options)
+
+
+@cache
+def _found(name: str) -> Callable[..., Any]:
     module, _, function = ABOVE[name].partition(":")
-    return getattr(import_module(module), function)(*arguments, **options)
+    return getattr(import_module(module), function)
 
 
 def make_callable(package: str, found: Callable[[], Callable[..., Any]]) -> None:

@@ -53,12 +53,13 @@ class EncoderSection(Section):
     seed: Seed = Field(0, description="seed of the noise")
 
 
+_EXACT = EncoderSection()
 EncoderParameters = parameter_block(EncoderSection)
 
 
 def encoder_kind(section: EncoderSection) -> int:
     """Return NO_ENCODER, MEASURED_VELOCITY or DIFFERENCE."""
-    if section == EncoderSection():
+    if section is _EXACT or section == _EXACT:
         return NO_ENCODER
     return DIFFERENCE if section.velocity == "difference" else MEASURED_VELOCITY
 

@@ -13,6 +13,7 @@ range act between them too. A controller's reading is always a sample, hence of 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -223,10 +224,19 @@ def start_sensor(f_true: float, sensor: PackedSensor, z: Array, signal: Array, r
 
     The force is f_true, N, along the normal.
     """
+    for axis, (felt, reading) in enumerate(_steady(sensor, f_true + 0.0)):
+        signal[axis] = felt
+        z[axis : axis + 1] = felt
+        ring[axis] = reading
+
+
+@lru_cache(maxsize=64)
+def _steady(sensor: PackedSensor, f_true: float) -> tuple[tuple[float, float], ...]:
+    """Return the signal and the reading of each axis in steady state, N."""
     par: Any = sensor.par
-    F = np.array([f_true, 0.0, 0.0])
+    F, found = np.array([f_true, 0.0, 0.0]), []
     for axis in range(sensor.axes):
-        signal[axis] = plain(across)(F, axis, par)
-        z[axis : axis + 1] = signal[axis]
-        bias = plain(bias_at)(0.0, axis, par)
-        ring[axis] = plain(quantised)(plain(continuous_reading)(signal[axis], bias, par), par.quantisation)
+        felt, bias = plain(across)(F, axis, par), plain(bias_at)(0.0, axis, par)
+        reading = plain(quantised)(plain(continuous_reading)(felt, bias, par), par.quantisation)
+        found.append((float(felt), float(reading)))
+    return tuple(found)

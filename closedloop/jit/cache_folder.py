@@ -222,9 +222,16 @@ _BINARY = getattr(os, "O_BINARY", 0)
 
 def is_kept(function: Callable[..., Any], form: str = OPTIMISED) -> bool:
     """Whether some compiled form of an entry kernel is in the folder, OPTIMISED or a DRAFT."""
-    with suppress(OSError):
-        return any(cache_folder().glob(f"*.{function.__name__}-*{form}"))
-    return False
+    folder = cache_folder()
+    what = folder, function.__name__, form
+    if what not in _kept:  # it is asked before each run
+        with suppress(OSError):
+            if any(folder.glob(f"*.{function.__name__}-*{form}")):
+                _kept.add(what)
+    return what in _kept
+
+
+_kept: set[tuple[Path, str, str]] = set()
 
 
 def why_not_kept() -> str:

@@ -36,7 +36,7 @@ MOST_KEPT = 128
 
 def address_of(array: NDArray[Any]) -> int:
     """Return the address of an array's data; the caller keeps the array alive and in place."""
-    return int(array.ctypes.data)
+    return int(array.__array_interface__["data"][0])  # a third of the time of `ctypes.data`
 
 
 @lru_cache(maxsize=MOST_KEPT)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time as clock
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
@@ -219,19 +218,26 @@ _spent: defaultdict[str, float] = defaultdict(float)
 _compiled_first: ContextVar[bool] = ContextVar("_compiled_first", default=True)
 
 
-@contextmanager
-def not_compiled_first() -> Iterator[None]:
+class not_compiled_first:  # a context, as those beside it
     """Let `call_once` interpret meanwhile what is not compiled yet: for one run, and not for a batch of them."""
-    token = _compiled_first.set(False)
-    try:
-        yield
-    finally:
-        _compiled_first.reset(token)
+
+    __slots__ = ("_token",)
+
+    def __enter__(self) -> None:
+        self._token = _compiled_first.set(False)
+
+    def __exit__(self, *raised: object) -> None:
+        _compiled_first.reset(self._token)
+
+
+def compiles_ahead() -> bool:
+    """Whether what a run will want is compiled in the background: within `not_compiled_first`."""
+    return not _compiled_first.get()
 
 
 def compile_ahead(functions: Sequence[Callable[..., Any]]) -> None:
-    """Have compiled in the background what a run will want that may begin interpreted: within `not_compiled_first`."""
-    if not _compiled_first.get():
+    """Have compiled in the background what a run will want that may begin interpreted, see `compiles_ahead`."""
+    if compiles_ahead():
         background.start([function for function in functions if not at_hand(function)])
 
 

@@ -61,6 +61,7 @@ def state_block(member: type) -> type[Block]:
     return _block(member, "States", dict.fromkeys(getattr(member, "states", ()), ()) | dict.fromkeys(arrays, (_N,)))
 
 
+@cache
 def _keys(section: type[Section]) -> dict[str, str]:
     """Return the key of each parameter, by its name."""
     names = {
@@ -128,16 +129,15 @@ def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) 
         If a list has not one entry a joint.
     """
     kind = parameter_block(type(section))
-    block = kind(np.zeros(kind.count(n)), n)
-    for name, value in _values(section).items():
-        shape = kind.layout.shape[name]
-        if _is_per_joint(shape):
-            getattr(block, name)[:] = per_joint(f"{where}.{name}", value, n, joint_names)
-        elif shape:
-            getattr(block, name)[:] = value
+    values, memory, counts = _values(section), np.zeros(kind.count(n)), kind.layout.shape
+    for name, begin, end, shape in kind.layout.places(n).values():
+        value = values[name]
+        if shape:
+            each = per_joint(f"{where}.{name}", value, n, joint_names) if _is_per_joint(counts[name]) else value
+            memory[begin:end].reshape(shape)[:] = each
         else:
-            setattr(block, name, value)
-    return block.memory
+            memory[begin] = value
+    return memory
 
 
 def lists_per_joint(section: Section) -> dict[str, tuple[float, ...]]:

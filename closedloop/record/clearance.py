@@ -81,11 +81,11 @@ def clearance(run: Record) -> Clearance | None:
         return None
     mechanism = run.model.pinocchio_model()
     rows = _some(known, MOST_ROWS)
-    poses = _poses(run, mechanism, rows)
     planes = _planes(run, mechanism)
     found = [_from_plane(run, solids, plane, touching, mechanism, known) for plane, touching in planes]
-    apart = (pair for pair in _pairs(run, mechanism, solids) if _distance(*pair, poses[0]) > TOUCHING)
-    pairs = list(islice(apart, MOST_PAIRS))
+    pairs = _pairs(run, mechanism, solids)
+    poses = _poses(run, mechanism, rows if pairs else rows[:0])
+    pairs = list(islice((pair for pair in pairs if _distance(*pair, poses[0]) > TOUCHING), MOST_PAIRS))
     nearest = (np.inf, 0, 0)
     bounds = _bounds(pairs, poses)
     for place in np.argsort(bounds, axis=None, kind="stable"):
@@ -149,10 +149,10 @@ def _poses(run: Record, mechanism: Any, rows: NDArray[Any]) -> Array:
     """Return the frames of the base and the joints (rows, n + 1, 4, 4) in each of these rows."""
     import pinocchio as pin
 
-    data, types = mechanism.createData(), run.model.joint_types
+    data, q = mechanism.createData(), in_pinocchios_order(run.q[rows], run.model.joint_types)
     found = np.zeros((len(rows), mechanism.njoints, 4, 4))
-    for at, row in enumerate(rows):
-        pin.forwardKinematics(mechanism, data, in_pinocchios_order(run.q[row], types))
+    for at, row in enumerate(q):
+        pin.forwardKinematics(mechanism, data, row)
         found[at] = [place.homogeneous for place in data.oMi]
     return found
 
@@ -197,11 +197,10 @@ def _from_plane(
     run: Record, solids: tuple[Solid, ...], plane: Plane, touching: frozenset[int], mechanism: Any, known: NDArray[Any]
 ) -> Clearance | None:
     """Return the least distance from a plane of the shapes that move, but for those of joints that touch it."""
-    rows = _some(known, 8 * MOST_ROWS)
+    moving = [solid for solid in solids if solid.joint != 0 and solid.joint not in touching]
+    rows = _some(known, 8 * MOST_ROWS if moving else 1)
     poses, best = _poses(run, mechanism, rows), None
-    for solid in solids:
-        if solid.joint == 0 or solid.joint in touching:
-            continue
+    for solid in moving:
         frames = poses[:, solid.joint] @ solid.place
         n = np.einsum("rji,j->ri", frames[:, :3, :3], plane.normal)  # in the shape's axes
         height = frames[:, :3, 3] @ plane.normal - plane.offset

@@ -23,7 +23,7 @@ from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
-from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, Record
+from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, ColumnsOnDemand, Record
 from closedloop.record.columns.wrenches import face_wrench, joint_wrench
 from closedloop.record.report.summary import summarise
 from closedloop.record.save import CONVENTIONS, HDF5, attributes, save_run
@@ -87,6 +87,8 @@ class Run(Record):
     """
 
     def __post_init__(self) -> None:
+        if isinstance(self.columns, ColumnsOnDemand):
+            return
         if not isinstance(self.columns, Mapping) or not all(isinstance(x, np.ndarray) for x in self.columns.values()):
             raise ScenarioError(f"columns = {shown(self.columns)}: must be a dictionary from names to arrays")
         derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)

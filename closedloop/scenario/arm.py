@@ -190,8 +190,9 @@ def acting_tendons(scenario: Scenario, model: RobotModel) -> Array:
 
 def has_stops(scenario: Scenario, model: RobotModel) -> bool:
     """Whether a joint has a hard stop."""
-    limits = stop_limits(scenario, model)
-    return scenario.robot.stops or bool(np.isfinite(limits).any())
+    if scenario.robot.stops or not model.loop_coordinates:
+        return scenario.robot.stops
+    return bool(np.isfinite(stop_limits(scenario, model)).any())
 
 
 @lru_cache(maxsize=8)

@@ -156,9 +156,8 @@ def members_of_users(scenario: Scenario) -> dict[str, str]:
 
 
 def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    sections = vars(scenario)
     for key, (section, *parts) in _parts_of_keys():
-        if (name := _at(sections[section], parts)) is not None:
+        if (name := _at(getattr(scenario, section), parts)) is not None:
             yield key, str(name)
     for i, contact in enumerate(scenario.contact or ()):
         yield f"contact.{i}.restitution_law", contact.restitution_law
@@ -176,17 +175,21 @@ def _parts_of_keys() -> tuple[tuple[str, list[str]], ...]:
     return tuple((key, key.split(".")) for key in families())
 
 
-def refuse_absent(scenario: Scenario) -> None:
-    """Refuse to run a scenario read from a run file with a user's class that has not been named in this process."""
-    for key, name in members_of_users(scenario).items():
-        if _class_of(scenario, key, name) is None:
-            raise ScenarioError(f"{key} = {name!r}: {how_to_name(key, name)}")
-
-
 def member_digests(scenario: Scenario) -> dict[str, str]:
-    """Return, for each user's class in a scenario, name -> SHA-256 of the text that it is defined in, "" if unknown."""
-    found = {name: _class_of(scenario, key, name) for key, name in members_of_users(scenario).items()}
-    return {name: "" if member is None else source_digest(member) for name, member in found.items()}
+    """Return, for each user's class in a scenario, name -> SHA-256 of the text that it is defined in, "" if unknown.
+
+    Raises
+    ------
+    ScenarioError
+        If it was read from a run file with a class that has not been named in this process.
+    """
+    found = {}
+    for key, name in members_of_users(scenario).items():
+        member = _class_of(scenario, key, name)
+        if member is None:
+            raise ScenarioError(f"{key} = {name!r}: {how_to_name(key, name)}")
+        found[name] = source_digest(member)
+    return found
 
 
 def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from operator import is_
 from typing import Any, TypeVar, cast
 
 from closedloop.base.sections import Section
@@ -30,6 +31,40 @@ MOST_TEXTS = 500
 MOST_CACHES = 2
 
 
+class Key:
+    """A long key that is part of many: its hash is worked out once."""
+
+    __slots__ = ("_hash", "_key")
+
+    def __init__(self, key: Hashable) -> None:
+        self._key, self._hash = key, hash(key)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Key) and self._key == other._key)
+
+
+class Watched:
+    """A scenario that notes which of its sections are read, by what it is given to."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self.read: dict[str, Any] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        if name in Scenario.model_fields:
+            part = self.read[name] = getattr(self._scenario, name)
+            return part
+        return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
+
+    def model_copy(self, *, update: Mapping[str, Any]) -> Scenario:
+        """Return a changed copy of the scenario, which depends on all of it."""
+        self.read.update(vars(self._scenario))
+        return self._scenario.model_copy(update=update)
+
+
 class Cache:
     """The entries used last, up to a limit of memory. Not for use by several threads, but for `get_shared`.
 
@@ -45,7 +80,9 @@ class Cache:
         self._limit, self._shared, self._lock = limit, shared, threading.Lock()
         self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
+        self._followed: dict[str, tuple[Any, dict[str, Any], tuple[Any, ...]]] = {}
         self._texts: dict[int, tuple[Section, tuple[Hashable, ...]]] = {}  # by the identity of what is kept
+        self.newest: dict[str, Any] = {}  # what steps the scenario whose numbers were made last, by engine
         self.last: tuple[Scenario, Problem] | None = None  # what was prepared last, whose table is still its own
 
     def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
@@ -60,6 +97,23 @@ class Cache:
             self._bytes -= self._entries.popitem(last=False)[1][1]
         return entry
 
+    def follow(self, name: str, scenario: Scenario, make: Callable[[Any], T], *others: Any) -> T:
+        """Return what is made of a scenario and of others: what it was for the last scenario, if that has the same.
+
+        Its sections that `make` has read must be the same objects, and so must be the others. In scenarios that differ
+        from one another in a few keys, those are that none of the keys is of.
+        """
+        found = self._followed.get(name)
+        if found is not None:
+            made, read, before = found
+            parts = vars(scenario)
+            if all(parts[k] is part for k, part in read.items()) and all(map(is_, others, before)):
+                return cast(T, made)
+        watched = Watched(scenario)
+        new = make(watched)
+        self._followed[name] = new, watched.read, others
+        return new
+
     def text(self, section: Section) -> tuple[Hashable, ...]:
         """Return all that a section says: its type, those of its members that a user may have made, and its text."""
         known = self._texts.get(id(section))
@@ -72,7 +126,7 @@ class Cache:
 
     def texts(self, scenario: Scenario, of: Sequence[str] = (), but: str = "") -> tuple[Hashable, ...]:
         """Return the same of these sections of a scenario, or of all but one, with what else it has."""
-        parts = [vars(scenario)[name] for name in of or vars(scenario) if name != but]
+        parts = [getattr(scenario, name) for name in of or Scenario.model_fields if name != but]
         return tuple(
             self.text(part) if isinstance(part, Section)
             else tuple(map(self.text, part)) if isinstance(part, tuple) else part
@@ -82,6 +136,7 @@ class Cache:
     def clear(self) -> None:
         """Remove all entries of this thread; those shared with others stay."""
         self._entries.clear()
+        self._followed.clear()
         self._bytes, self.last = 0, None
 
     def get_shared(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
@@ -89,6 +144,16 @@ class Cache:
         shared = self._shared or self
         with shared._lock:
             return shared.get(key, make, size)
+
+
+class NoCache(Cache):
+    """What makes everything anew: for what is hardly asked for twice."""
+
+    def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
+        """Return what is made."""
+        return make()
+
+    get_shared = get
 
 
 class _Kept(threading.local):

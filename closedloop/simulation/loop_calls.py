@@ -20,7 +20,7 @@ from closedloop.jit.background import make_ready, start, takes_long
 from closedloop.jit.blocks import arrays_of
 from closedloop.jit.buffers import draft_address
 from closedloop.jit.calls import address_of
-from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead
+from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead, compiles_ahead
 from closedloop.jit.kernel import direct
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
@@ -54,6 +54,8 @@ from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 
 Call = Callable[[Array], int]
+# Where the memory of a loop is, among what is spare, that nothing steps any more.
+MEMORY = "memory"
 
 # What a run calls once or twice before and after its loop, interpreted where it is not compiled yet; and with loops.
 USED_ONCE, WITH_LOOPS = (potential_energies, walk, sample_spline), (rows_along, along_path, closed_to)
@@ -125,6 +127,8 @@ class Calls:
         The problem; see `begin`.
     rows, law, engine, interim, tree
         See `closedloop.simulation.simulate.run_loop`.
+    into
+        See `closedloop.loop.step.memory.make_loop`.
 
     Attributes
     ----------
@@ -138,9 +142,9 @@ class Calls:
 
     def __init__(
         self, problem: Problem, rows: Array, law: Law | None, engine: str, interim: bool,
-        tree: tuple[Tree, Array] | None,
+        tree: tuple[Tree, Array] | None, into: Loop | None = None,
     ) -> None:  # fmt: skip
-        self.loop = loop = problem.memory(user_law=law is not None)
+        self.loop = loop = problem.memory(user_law=law is not None, into=into)
         self.user_law = None if law is None else UserLaw(law, loop)
         connect = partial(problem.connect, loop, self.user_law.connect if self.user_law else None)
         if interim:
@@ -300,7 +304,7 @@ def have_compiled(scenario: Scenario, model: RobotModel) -> None:
 
     A run that begins interpreted does so, and not one that is over before it would ask for compiled code.
     """
-    if scenario.time.duration < PROBE * scenario.time.step:
+    if not compiles_ahead() or scenario.time.duration < PROBE * scenario.time.step:
         return
     surface = PlacedSurface(scenario.surface, scenario.surface_motion, np.eye(3), np.zeros(3), below_start=False)
     called = [*surface.entries().values(), *([] if surface.fixed_plane else (put_on_surface, normals_on_surface))]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import replace
+from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Section
 from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps, encoder_draws
-from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.reference.desired import Desired, desired
 from closedloop.control.reference.force import force_at
@@ -32,6 +33,7 @@ from closedloop.jit.parameters import lists_per_joint, pack
 from closedloop.jit.user_code import of_users
 from closedloop.loop.events.phases import RESTING, TOUCHING
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
@@ -41,6 +43,7 @@ from closedloop.mechanics.surface.placed import PlacedSurface, Touching, unit
 from closedloop.mechanics.surface.rates import check_rates
 from closedloop.mechanics.surface.surface import Surface, largest_mobility
 from closedloop.scenario.arm import (
+    acting_tendons,
     beside_bodies,
     free_bodies,
     has_stops,
@@ -49,19 +52,20 @@ from closedloop.scenario.arm import (
     start_positions,
     start_posture,
     start_velocities,
+    without_tools,
 )
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import refuse_absent
+from closedloop.scenario.user_module import member_digests, members_of_users
 from closedloop.simulation.all_entries import with_all_entries
-from closedloop.simulation.cache import Cache
+from closedloop.simulation.cache import Cache, Key, NoCache, Watched
 from closedloop.simulation.engines.bind_contacts import placed_contacts
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.scenario_numbers import PackedLaw, pack_compliance, pack_friction, pack_law
 from closedloop.simulation.engines.start_memory import STICK_SPEED
-from closedloop.simulation.loop_calls import have_compiled
+from closedloop.simulation.loop_calls import MEMORY, have_compiled
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
@@ -103,19 +107,28 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
         )
 
 
-def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:
-    """Return the surface, how the tip is to it at the start, and what it does on it."""
+def placed_surface(
+    scenario: Scenario, robot: Robot, q: Array, v: Array, like: PlacedSurface | None
+) -> tuple[PlacedSurface, Touching, int]:
+    """Return the surface, how the tip is to it at the start, and what it does on it.
+
+    `like` is the surface of the same scenario from another start, if that is known.
+    """
     section = scenario.surface
-    terms = robot.terms(q, v)
-    tip = terms.position
+    (tip, jacobian), depth = robot.known_tip(robot.pinocchios(q)), 0.0
     soft = not isinstance(scenario.compliance, Rigid)
-    pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
-    with of_users(scenario.compliance, "compliance.kind"):
-        depth = scenario.compliance.static_depth(pressed) if soft and not section.gap else 0.0
-    surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth, scenario.tool.radius)
+    if soft and not section.gap:
+        pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
+        with of_users(scenario.compliance, "compliance.kind"):
+            depth = scenario.compliance.static_depth(pressed)
+    surface = (
+        PlacedSurface.of(section, scenario.surface_motion, tip, depth, scenario.tool.radius)
+        if like is None
+        else like.below(tip, depth)
+    )
     if scenario.tool.radius > 0.0 and not surface.fixed_plane and surface.below_start:
         refuse_narrow(surface, np.zeros(1), surface.origin[None], scenario.tool.radius)
-    now = surface.touching(tip, terms.jacobian @ v)
+    now = surface.touching(tip, jacobian @ v)
     if now.inside < 0.0 and (section.contact == "bilateral" or soft):
         raise ScenarioError(
             f"surface.{edge_key(section)}: the tip starts {-now.inside:.4g} m beyond the edge of the surface; "
@@ -123,26 +136,29 @@ def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tupl
         )
     exact = surface.below_start and isinstance(section, PlaneSurface) and not soft
     gap = section.gap if exact else now.gap
-    rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
-    given, at_most, place = _where_given(section, surface, tip)
+    rate = float(now.frame[0] @ jacobian @ v - now.carried[0])
     if soft:  # how deep the tip is, or how fast it comes, is for the surface to answer
-        mobility = largest_mobility(terms.mass_matrix, now.frame[:1] @ terms.jacobian)
+        H = robot.known_terms(robot.pinocchios(q), v).mass_matrix
+        mobility = largest_mobility(H, now.frame[:1] @ jacobian)
         if now.inside >= 0.0 and (thrown := scenario.compliance.thrown_out(-gap, mobility)):
+            given, at_most, _ = _where_given(section, surface, tip)
             raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface{thrown}: {at_most}")
         return surface, now, PRESSED if section.contact == "bilateral" or gap <= TOUCHING else FREE
     if section.contact == "bilateral":
         if abs(gap) > START_GAP:
             side = "off" if gap > 0 else "inside"
+            given, _, place = _where_given(section, surface, tip)
             raise ScenarioError(
                 f"{given}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
                 f'there from the start: use contact = "unilateral", or {place}'
             )
         if abs(rate) > START_RATE:
-            raise ScenarioError(_through_the_closure(now.frame[0] @ terms.jacobian, v, rate))
+            raise ScenarioError(_through_the_closure(now.frame[0] @ jacobian, v, rate))
         return surface, now, PRESSED
     if now.inside < 0.0:
         return surface, now, FREE
     if gap < -TOUCHING:
+        given, at_most, _ = _where_given(section, surface, tip)
         raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface: {at_most} for this start")
     if gap > TOUCHING:
         return surface, now, FREE
@@ -223,7 +239,9 @@ ROBOT_BYTES = 200_000
 # Memory of a section as numbers, about, bytes, and of all that is kept for the same problem from another start.
 SECTION_BYTES, SETTLED_BYTES = 2_000, 500_000
 # What follows from the numbers of a problem, wherever it starts.
-SETTLED = ("general", "row_width", "row_states", "places", "states", "sizes", "tendons", "spare")
+SETTLED = (
+    "general", "row_width", "row_states", "record", "sizes",
+)  # fmt: skip
 
 
 def completed(scenario: Scenario, model: RobotModel) -> Scenario:
@@ -250,7 +268,10 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
         stabiliser unstable, a tip that the robot does not have ...
     """
-    return problem_of(scenario, model, Cache() if cache is None else cache)
+    problem = problem_of(scenario, model, Cache() if cache is None else cache)
+    if cache is None:
+        problem.of_thread[get_ident()] = problem.settled
+    return problem
 
 
 def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Problem:
@@ -262,9 +283,36 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Pr
         ("settled", *cache.texts(scenario, but="start")), lambda: _settled(scenario, model, cache),
         lambda found: SETTLED_BYTES,
     )  # fmt: skip
+    problem = _problem(scenario, settled, cache)
+    cache.last = given, problem
+    return problem
+
+
+def borrowed(problem: Problem) -> Settled:
+    """Return what is the same of a problem from another start, of this thread: its caller puts it back.
+
+    A run within a law of this one's has another meanwhile.
+    """
+    settled: Settled | None = problem.of_thread.pop(get_ident(), None)
+    if settled is None:
+        settled = problem_of(problem.scenario, without_tools(problem.robot.model), Cache()).settled
+    return settled
+
+
+def started_elsewhere(settled: Settled, scenario: Scenario) -> Problem:
+    """Prepare a scenario that differs in where it starts."""
+    return _problem(scenario, settled, NoCache())
+
+
+def changed(settled: Settled, scenario: Scenario) -> Problem:
+    """Prepare a scenario of the same robot that differs in anything."""
+    cache = Cache() if members_of_users(scenario) else settled.changes
+    return problem_of(scenario, without_tools(settled.numbers["robot"].model), cache)
+
+
+def _problem(scenario: Scenario, settled: Settled, cache: Cache) -> Problem:
     problem = Problem(**settled.numbers, **_started(scenario, settled, cache))
     settled.keep(problem)
-    cache.last = given, problem
     return problem
 
 
@@ -273,86 +321,91 @@ class Settled(NamedTuple):
 
     scenario: Scenario  # as its run has it
     numbers: dict[str, Any]  # attributes of the `Problem`
-    keys: dict[str, tuple[Hashable, ...]]  # what surface, contacts, path and law depend on, but for the state
+    keys: dict[str, Key | None]  # what surface, contacts, path and law depend on, but for the state
     known: dict[str, Any]  # what follows from the numbers
+    last: dict[str, Any]  # of the start before: its surface, its law, and the instant from which its PD part acts
+    table: tuple[int, bool, bool]  # numbers that sensors draw beside each row; whether those of force and joints do
+    changes: Cache  # of what scenarios with other values have in common
 
     def keep(self, problem: Problem) -> None:
         """Give a problem what is known; what steps the first is for all others, which find out the rest once."""
-        if self.known:
-            self.known.update({name: getattr(problem, name) for name in SETTLED if name not in self.known})
-            vars(problem).update(self.known)
-        else:
-            self.known["spare"] = problem.spare
+        if "general" not in self.known:
+            self.known.update({name: getattr(problem, name) for name in SETTLED})
+        vars(problem).update(self.known)
 
 
 def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Settled:
     """Check what does not depend on where a run starts, and return it as numbers."""
-    refuse_absent(scenario)
-    robot = _robot(scenario, model, cache)
-    model = robot.model
-    scenario = completed(scenario, model)
-    n = robot.n
-    refuse_lengths(scenario, model)
-    start_state(scenario, model)  # what is wrong with it is said first
-    refuse_combinations(scenario, model)
+    digests = cache.follow("digests", scenario, member_digests)
+    robot: Robot = cache.follow("robot", scenario, lambda s: _robot(s, model, cache), model)
+    model, n = robot.model, robot.n
+
+    arm = model.without_tools  # whose masses nothing below depends on
+
+    def follow(name: str, make: Callable[[Any], Any], *others: Any) -> Any:
+        return cache.follow(name, scenario, make, *arm, *others)
+
+    given = scenario
+    scenario = follow("completed", lambda s: completed(s, model))
+    scenario = given if isinstance(scenario, Watched) else scenario
+    follow("lengths", lambda s: refuse_lengths(s, model))
+    follow("start", lambda s: start_state(s, model) and None)  # what is wrong with it is said first
+    follow("combinations", lambda s: refuse_combinations(s, model))
     have_compiled(scenario, model)
-    soft = not isinstance(scenario.compliance, Rigid)
-    joint_friction = joint_friction_of(scenario, model)
-    integrator, tolerance = integrator_of(scenario, joint_friction)
-    if np.any(scenario.transmission.load_friction) and joint_friction.sticks != "rigid":
-        raise ScenarioError(
-            "transmission.load_friction: adds to a dry friction of the joints: give joint_friction.kind = 'coulomb', "
-            "'coulomb_viscous', 'stribeck' or 'karnopp', with joint_friction.kinetic = 0 where there is no other"
-        )
-    h, period = scenario.time.step, scenario.law.sample_period
-    steps, hold = steps_and_hold(scenario, n)
-    law, compensation = scenario.law, _believed_compensation(scenario)
-    compensation.check(law)
-    if compensation.reads_tangential and scenario.sensor.axes == 1:
-        raise ScenarioError(
-            f"compensation.kind = {compensation.kind!r}: needs the force along the tangents too: set sensor.axes = 3"
-        )
-    check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
-
-    def packed(name: str, section: Any, how: Callable[[], PackedLaw]) -> PackedLaw:
-        return cache.get(("packed", name, n, *cache.text(section)), how, lambda found: SECTION_BYTES)
-
+    joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model))
+    integrator, tolerance = follow("integrator", lambda s: integrator_of(s, joint_friction), joint_friction)
+    follow("load friction", lambda s: _refuse_load_friction(s, joint_friction), joint_friction)
+    steps, hold = follow("steps", lambda s: steps_and_hold(s, n))
+    compensation = follow("believed compensation", _believed_compensation)
+    follow("sampling", lambda s: _check_compensation(s, compensation), compensation)
     numbers = {
-        "robot": robot, "integrator": integrator, "tolerance": tolerance, "h": h, "steps": steps, "hold": hold,
-        "nodes": integrator.parts,
-        "friction": packed("friction", scenario.friction, lambda: pack_friction(scenario.friction, n)),
-        "compensation": packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
-        "joint_friction": packed(
-            "joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)
+        "robot": robot, "integrator": integrator, "tolerance": tolerance, "h": scenario.time.step, "steps": steps,
+        "hold": hold, "nodes": integrator.parts,
+        "friction": follow("friction", lambda s: pack_friction(s.friction, n)),
+        "compensation": follow(
+            "compensation", lambda s: pack_law(compensation, n, model.joint_names), compensation
         ),
-        "compliance": packed("compliance", scenario.compliance, lambda: pack_compliance(scenario.compliance, n)),
-        "sensor": cache.get(
-            ("sensor", *cache.text(scenario.sensor), h), lambda: pack_sensor(scenario.sensor, h),
-            lambda found: SECTION_BYTES,
+        "joint_friction": follow(
+            "joint_friction", lambda s: pack_friction(joint_friction, n, joints=True), joint_friction
         ),
-        "encoder": cache.get(
-            ("encoder", n, *cache.text(scenario.encoder), robot_key(scenario, cache)),
-            lambda: _encoder(scenario, model), lambda found: SECTION_BYTES,
-        ),
-        "transmission": transmission_constants(scenario.transmission, model),
-        "drives": np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
-        "stabiliser": np.array(stabiliser_gains(scenario)),
-        "project": scenario.stabiliser.kind in ("projection", "both") and not soft,
+        "compliance": follow("compliance", lambda s: pack_compliance(s.compliance, n)),
+        "sensor": follow("sensor", lambda s: pack_sensor(s.sensor, s.time.step)),
+        "encoder": follow("encoder", lambda s: _encoder(s, model)),
+        "transmission": follow("transmission", lambda s: transmission_constants(s.transmission, model)),
+        "drives": follow("drives", lambda s: np.stack(
+            [torque_limits(s.drives, model), torque_steps(s.drives, model, s.law.sample_period)]
+        )),
+        "stabiliser": follow("stabiliser", lambda s: np.array(stabiliser_gains(s))),
+        "project": follow("project", lambda s: s.stabiliser.kind in ("projection", "both") and _is_rigid(s)),
     }  # fmt: skip
     keys = {
-        "surface": _surface_key(scenario, cache),
-        "contacts": _contacts_key(scenario, cache) if scenario.contact or has_stops(scenario, model) else (),
-        "path": cache.texts(scenario, of=("robot", "tool", "reference")), "law": cache.text(scenario.law),
+        "surface": follow("surface key", lambda s: Key(_surface_key(s, cache))),
+        "contacts": follow("contacts key", lambda s: _contacts_key(s, model, cache)),
+        "path": follow("path key", lambda s: Key(cache.texts(s, of=("robot", "tool", "reference")))),
     }  # fmt: skip
-    return Settled(scenario, numbers, keys, {})
+    drawn = scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
+    reads = follow("reads", lambda s: s.reads_encoders)
+    table = (DrawnRow if reads else TableRow).count(n) - Reference.count(n), drawn, reads
+    # What stepped the scenario before may not be wanted again: its memory is taken over.
+    before, cache.newest = cache.newest, {}
+    if before:
+        kind, spare = before.popitem()
+        cache.newest[MEMORY] = spare if kind == MEMORY else spare.loop
+    known: dict[str, Any] = {
+        "spare": cache.newest, "tendons": follow("tendons", lambda s: acting_tendons(s, model)),
+        "member_digests": digests,
+    }  # fmt: skip
+    settled = Settled(scenario, numbers, keys, known, {}, table, Cache())
+    known["settled"] = settled
+    return settled
 
 
 def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
     """Return what depends on where a run starts: the other attributes of the `Problem`."""
     of = settled.numbers
-    robot, friction, integrator = of["robot"], of["friction"], of["integrator"]
-    model, n = robot.model, robot.n
-    scenario, keys = settled.scenario, settled.keys
+    robot, friction = of["robot"], of["friction"]
+    model = robot.model
+    scenario, keys, last = settled.scenario, settled.keys, settled.last
     if scenario.start is not given.start:
         scenario = scenario.model_copy(update={"start": given.start})
         scenario = with_all_entries(scenario, model) if model.loop_coordinates else scenario
@@ -361,43 +414,49 @@ def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
         q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
     surface, now, mode = cache.get(
         ("surface", keys["surface"], q.tobytes(), v.tobytes()),
-        lambda: placed_surface(scenario, robot, q, v),
+        lambda: placed_surface(scenario, robot, q, v, last.get("surface")),
         lambda placed: SECTION_BYTES,
     )
+    last["surface"] = surface
     check_rates(surface, scenario.time.duration)
     believed = believed_surface(scenario, robot, surface, q)
     if not isinstance(scenario.compliance, Rigid) and of["tolerance"] is None:
         check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
-    placed = None if not keys["contacts"] else cache.get(
+    placed = None if keys["contacts"] is None else cache.get(
         ("contacts", keys["contacts"], q.tobytes()), lambda: placed_contacts(scenario, robot, q),
         lambda placed: SECTION_BYTES * len(placed.start),
     )  # fmt: skip
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         taken = surface if believed is None else believed
-        wanted, table = reference_table(scenario, robot, taken, q, of["steps"], integrator.parts, cache, keys["path"])
-    law, start = _law_from(scenario, wanted)
+        wanted, table = reference_table(scenario, settled, taken, q, cache)
+    start = _pd_start(scenario, wanted)
+    if last.get("start") != start:
+        last.update(start=start, law=_packed_law(scenario, start, model))
     if friction.member.sticks != "elastic" and mode == PRESSED:
-        u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
+        u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return {
         "scenario": scenario, "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
         "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed,
-        "law": cache.get(
-            ("law", n, keys["law"], start), lambda: pack_law(law, n, model.joint_names),
-            lambda found: SECTION_BYTES,
-        ),
+        "law": last["law"],
     }  # fmt: skip
 
 
-def _law_from(scenario: Scenario, wanted: Desired) -> tuple[ControlLaw, float]:
-    """Return the control law, and the instant, s, from which its PD part acts: of the path, if the law says none."""
-    law = scenario.law
-    given = getattr(law, "pd_start", None)
+def _pd_start(scenario: Scenario, wanted: Desired) -> float:
+    """Return the instant, s, from which the PD part of the law acts: of the path, if the law says none."""
+    given = getattr(scenario.law, "pd_start", None)
     h = scenario.time.step
-    start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
-    return law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law, start
+    start: float = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
+    return start
+
+
+def _packed_law(scenario: Scenario, start: float, model: RobotModel) -> PackedLaw:
+    """Return the control law as numbers, its PD part acting from an instant on, s."""
+    law = scenario.law
+    law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
+    return pack_law(law, model.n, model.joint_names)
 
 
 def _encoder(scenario: Scenario, model: RobotModel) -> Array:
@@ -426,9 +485,35 @@ def _surface_key(scenario: Scenario, cache: Cache) -> tuple[Hashable, ...]:
     return robot_key(scenario, cache), *map(cache.text, sections)
 
 
-def _contacts_key(scenario: Scenario, cache: Cache) -> tuple[Hashable, ...]:
-    """Return what the places of contacts depend on, but for the state."""
-    return robot_key(scenario, cache), cache.texts(scenario, of=("contact",))
+def _contacts_key(scenario: Scenario, model: RobotModel, cache: Cache) -> Key | None:
+    """Return what the places of contacts depend on, but for the state; None if there are none."""
+    if not scenario.contact and not has_stops(scenario, model):
+        return None
+    return Key((robot_key(scenario, cache), cache.texts(scenario, of=("contact",))))
+
+
+def _is_rigid(scenario: Scenario) -> bool:
+    return isinstance(scenario.compliance, Rigid)
+
+
+def _refuse_load_friction(scenario: Scenario, joint_friction: JointFriction) -> None:
+    """Refuse gears that rub with their load, where a law of friction in the joints is no dry one."""
+    if np.any(scenario.transmission.load_friction) and joint_friction.sticks != "rigid":
+        raise ScenarioError(
+            "transmission.load_friction: adds to a dry friction of the joints: give joint_friction.kind = 'coulomb', "
+            "'coulomb_viscous', 'stribeck' or 'karnopp', with joint_friction.kinetic = 0 where there is no other"
+        )
+
+
+def _check_compensation(scenario: Scenario, compensation: Compensation) -> None:
+    """Refuse a compensation that does not go with the law or the sensor, and a law that is sampled too slowly."""
+    law = scenario.law
+    compensation.check(law)
+    if compensation.reads_tangential and scenario.sensor.axes == 1:
+        raise ScenarioError(
+            f"compensation.kind = {compensation.kind!r}: needs the force along the tangents too: set sensor.axes = 3"
+        )
+    check_sampling(law, compensation, scenario.sensor, law.sample_period or scenario.time.step)
 
 
 def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
@@ -474,30 +559,21 @@ BEYOND = 1.001
 
 
 def reference_table(
-    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, steps: int, nodes: int, cache: Cache,
-    key: tuple[Hashable, ...],
-) -> tuple[Desired, Array]:  # fmt: skip
-    """Return what is desired on a surface, and the table of it, `nodes` rows to a step, with noise behind it.
-
-    `key` is what it depends on of the arm, the tool and the path.
-    """
+    scenario: Scenario, settled: Settled, surface: PlacedSurface, q: Array, cache: Cache
+) -> tuple[Desired, Array]:
+    """Return what is desired on a surface, and the table of it, with what sensors draw behind each row."""
+    of, (spare, drawn, reads) = settled.numbers, settled.table
+    robot, steps, nodes = of["robot"], of["steps"], of["nodes"]
     n = robot.n
     instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
-    row = DrawnRow if scenario.reads_encoders else TableRow
-    spare = row.count(n) - Reference.count(n)
-    motion = (
-        *key,
-        q.tobytes(),
-        _path_key(scenario, surface),
-    )
+    motion = settled.keys["path"], q.tobytes(), _path_key(scenario, surface)
     tool = unit(scenario.tool.axis, "tool.axis"), scenario.tool.radius
     wanted = cache.get_shared(
         ("desired", *motion),
         lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, *tool),
         lambda made: 3 * made.joints.q.nbytes,
     )
-    wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
-    drawn = scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
+    wanted = Desired(wanted.tip, wanted.joints, scenario.force_profile, scenario.law.force)
     table = cache.get(
         ("table", *motion, instants.size, float(instants[1]), spare, drawn),
         lambda: wanted.table(instants, spare=spare),
@@ -506,7 +582,7 @@ def reference_table(
     table[:, Reference.place("force", n)] = force_at(wanted.profile, wanted.force, instants)
     if drawn:  # else its columns have the zeros that they were made with
         table[::nodes, TableRow.place("sensor", n)] = draws(scenario.sensor, steps + 1)
-    if scenario.reads_encoders:
+    if reads:
         table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(scenario.encoder, steps + 1, n)
     return wanted, table
 

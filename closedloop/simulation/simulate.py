@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from itertools import count
-from typing import Any
+from threading import get_ident
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,25 +27,24 @@ from closedloop.control.reference.table import Reference
 from closedloop.jit.interim import Interim, at_hand, call_now, not_compiled_first
 from closedloop.jit.kernel import plain
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
-from closedloop.loop.events.table import EVENT_WIDTH, event_columns
+from closedloop.loop.events.table import EVENT_COLUMNS, EVENT_WIDTH, event_column
 from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.derived import DERIVED, RESERVED, Recorded, check_names, own_columns
-from closedloop.record.columns.record import ALL_COLUMNS, POSITIONS, SURFACE_COLUMNS, Column
+from closedloop.record.columns.record import ALL_COLUMNS, POSITIONS, ColumnsOnDemand
 from closedloop.record.run import Run
 from closedloop.record.save import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import member_digests
-from closedloop.simulation.cache import Cache, kept_cache
+from closedloop.simulation.cache import kept_cache
 from closedloop.simulation.engines.failures import interrupted, member_error
 from closedloop.simulation.engines.law_source import arguments_of, law_digest
 from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.loop_calls import Calls
-from closedloop.simulation.prepare import problem_of
+from closedloop.simulation.loop_calls import MEMORY, Calls
+from closedloop.simulation.prepare import borrowed, changed, problem_of, started_elsewhere
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown
@@ -71,55 +71,70 @@ def as_run(
     `law` is the name and the digest of what drove it, `with_states` whether the rows have the states of the scenario's,
     `first` the number of the first of the rows.
     """
-    model = problem.robot.model
-    columns, states = columns_of_rows(problem, rows, problem.table[first * problem.nodes :], with_states)
-    if first:
-        columns["time"] = problem.h * np.arange(first, first + len(rows))
-    if "link_modes" in columns:
-        columns["link_modes"] = columns["link_modes"].astype(np.int8)
-    columns["mode"] = columns["mode"].astype(np.int8)
-    if not problem.scenario.has_surface:
-        for name in SURFACE_COLUMNS:
-            del columns[name]
-    columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
-    columns |= positions_told(problem, columns)
+    source = _Source.of(problem, rows, problem.table[first * problem.nodes :], events, first)
     return Run(  # type: ignore[abstract]  # its columns are there by their names
         scenario=problem.scenario,
-        model=without_tools(model),
-        columns=columns | event_columns(events),
+        model=without_tools(problem.robot.model),
+        columns=ColumnsOnDemand(problem.record.names[with_states], source.column),
         law=law[0],
         versions=package_versions(),
         stopped=stopped,
         wall_seconds=seconds,
         engine=engine,
         law_digest=law[1],
-        member_digests=member_digests(problem.scenario),
-        added=states,
+        member_digests=problem.member_digests,
+        added=problem.record.states if with_states else {},
     )
 
 
-def columns_of_rows(
-    problem: Problem, rows: Array, table: Array, with_states: bool = True
-) -> tuple[dict[str, NDArray[Any]], dict[str, Column]]:
-    """Return the columns that rows and the table of what is desired have as they are, and what those of states are.
+class _Source(NamedTuple):
+    """What the columns of a run are made of: not the problem, whose table is large and may be another's next."""
+
+    rows: Array
+    wanted: Array  # (N, 2 n + 10): what is desired at each row
+    events: Array
+    first: int
+    h: float
+    places: Mapping[str, tuple[bool, int | slice]]
+    tree: Tree
+    model: RobotModel
+    scenario: Scenario
+
+    @classmethod
+    def of(cls, problem: Problem, rows: Array, table: Array, events: Array, first: int = 0) -> _Source:
+        """Return what the columns of rows, with the table of what is desired from the first of them on, are made of."""
+        robot = problem.robot
+        wanted = table[: len(rows) * problem.nodes : problem.nodes, : Reference.count(robot.n)].copy()
+        return cls(
+            rows, wanted, events, first, problem.h, problem.record.places, robot.tree, robot.model, problem.scenario
+        )
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a column of the run, by its name."""
+        if name == "time":
+            return self.h * np.arange(self.first, self.first + len(self.rows))
+        if name == "potential_energy":
+            return _potential_energies(self.tree, self.of_loop("q"))
+        if name in EVENT_COLUMNS:
+            return event_column(self.events, name)
+        found = self.of_loop(name)
+        if name in POSITIONS and self.model.balls:
+            return _told(self.scenario, self.model, found)
+        return found.astype(np.int8) if name in ("mode", "link_modes") else found
+
+    def of_loop(self, name: str) -> Array:
+        """Return a column as rows and table have it, a copy: of their derivatives it is the derivative."""
+        of_row, place = self.places[name]
+        return (self.rows if of_row else self.wanted)[:, place].copy()
+
+
+def columns_of_rows(problem: Problem, rows: Array, table: Array) -> dict[str, NDArray[Any]]:
+    """Return the columns that rows and the table of what is desired have as they are, and the time.
 
     They are copies of parts of both: of derivatives of rows and table they are the derivatives of the columns.
     """
-    n, length = problem.robot.n, rows.shape[0]
-    wanted = table[:: problem.nodes][:length]
-    reference_rows = wanted[:, : 2 * n].reshape(-1, 2, n)
-    columns: dict[str, NDArray[Any]] = {
-        "time": problem.h * np.arange(length),
-        "reference_position": reference_rows[:, 0].copy(),
-        "reference_velocity": reference_rows[:, 1].copy(),
-        "reference_tip": wanted[:, Reference.place("position", n)].copy(),
-        "reference_force": wanted[:, Reference.place("force", n)].copy(),
-    }
-    columns |= {name: rows[:, place].copy() for name, place in problem.places.items()}
-    states = problem.states if with_states else {}
-    first = rows.shape[1] - problem.row_states
-    columns |= {name: rows[:, first:][:, place].copy() for name, (_, place) in states.items()}
-    return columns, {name: column for name, (column, _) in states.items()}
+    source = _Source.of(problem, rows, table, np.empty((0, EVENT_WIDTH)))
+    return {"time": source.column("time"), **{name: source.of_loop(name) for name in source.places}}
 
 
 def positions_told(problem: Problem, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -127,12 +142,12 @@ def positions_told(problem: Problem, columns: Mapping[str, NDArray[Any]]) -> dic
     model = problem.robot.model
     if not model.balls:
         return {}
-    start, types = start_positions(problem.scenario, model), model.joint_types
-    return {
-        name: continuous(with_quaternions(column, types), types, start)
-        for name, column in columns.items()
-        if name in POSITIONS
-    }
+    return {name: _told(problem.scenario, model, x) for name, x in columns.items() if name in POSITIONS}
+
+
+def _told(scenario: Scenario, model: RobotModel, q: Array) -> Array:
+    types = model.joint_types
+    return continuous(with_quaternions(q, types), types, start_positions(scenario, model))
 
 
 def _potential_energies(tree: Tree, q: Array) -> Array:
@@ -200,32 +215,39 @@ def simulate(
         `DivergenceError` and others name the reason; the cause of a `LawError` is the exception of the user's law;
         `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps.
     """
-    return simulate_prepared(scenario, None, law, model, progress, engine, record)
-
-
-def simulate_prepared(
-    scenario: Scenario, problem: Problem | None, law: Law | None, model: RobotModel | None,
-    progress: bool | Callable[[int, int], None], engine: str, record: Recorded | None,
-) -> Run:  # fmt: skip
-    """Simulate a scenario that may be prepared already; see `simulate`."""
-    if problem is not None:
-        return _simulated(scenario, problem, law, model, progress, engine, record, None)
     with kept_cache(scenario, model) as cache:
-        return _simulated(scenario, None, law, model, progress, engine, record, cache)
+        return _simulated(scenario, lambda: problem_of(scenario, model, cache), law, progress, engine, record)
+
+
+def simulate_changed(
+    scenario: Scenario, problem: Problem, law: Law | None, progress: bool | Callable[[int, int], None], engine: str,
+    record: Recorded | None, elsewhere: bool,
+) -> Run:  # fmt: skip
+    """Simulate a problem, its scenario with other values, or with `elsewhere` another start; see `simulate`."""
+    if scenario is problem.scenario:
+        return _simulated(scenario, lambda: problem, law, progress, engine, record)
+    if scenario.robot.model != problem.scenario.robot.model:
+        return simulate(scenario, law=law, progress=progress, engine=engine, record=record)
+    settled, prepared = borrowed(problem), started_elsewhere if elsewhere else changed
+    try:
+        return _simulated(scenario, lambda: prepared(settled, scenario), law, progress, engine, record)
+    finally:
+        problem.of_thread[get_ident()] = settled
 
 
 def _simulated(
-    scenario: Scenario, problem: Problem | None, law: Law | None, model: RobotModel | None,
-    progress: bool | Callable[[int, int], None], engine: str, record: Recorded | None, cache: Cache | None,
+    scenario: Scenario, prepared: Callable[[], Problem], law: Law | None,
+    progress: bool | Callable[[int, int], None], engine: str, record: Recorded | None,
 ) -> Run:  # fmt: skip
+    problem: Problem | None = None
     check_engine(scenario, engine, law)
     if record:
         check_names(record, set(ALL_COLUMNS) | set(dir(Run)) | set(DERIVED) | RESERVED)
     try:
-        if problem is None:
-            with held_back(), not_compiled_first():
-                problem = problem_of(scenario, model, cache or Cache())
-        with reporting(progress, problem.scenario.name, problem.steps) as report:
+        with held_back(), not_compiled_first():
+            problem = prepared()
+        showing = reporting(progress, problem.scenario.name, problem.steps) if progress else nullcontext(_silent)
+        with showing as report:
             rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     except KeyboardInterrupt as stop:
         if problem is None:
@@ -342,7 +364,7 @@ def run_loop(
     robot, steps = problem.robot, problem.steps
     rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
     spare = problem.spare.pop(engine, None) if law is None else None
-    calls: Calls = spare or Calls(problem, rows, law, engine, interim, tree)
+    calls: Calls = spare or Calls(problem, rows, law, engine, interim, tree, problem.spare.pop(MEMORY, None))
     calls.begin(problem, rows)
     loop, kernel, answers, user_law, step, many = (
         calls.loop, calls.kernel, calls.answers, calls.user_law, calls.once, calls.many,
@@ -350,10 +372,11 @@ def run_loop(
     state, w = loop.state, loop.w
 
     def finish(done: int) -> None:
-        call = partial(call_now, complete_record, loop_memory) if interim else complete_record
-        call(loop.address, rows, done)
+        if interim:
+            call_now(complete_record, (state.memory, w.memory), loop.address, rows, done)
+        else:
+            complete_record(loop.address, rows, done)
 
-    loop_memory = (state.memory, w.memory)
     failure: SimulationError | None = None
     request = TERMS
     began, first = clock.perf_counter(), engine == PINOCCHIO
@@ -375,7 +398,7 @@ def run_loop(
             report(int(state.row), steps)
         if failure is None:
             report(steps, steps)
-        finish(int(state.row) + (failure is None))
+            finish(int(state.row) + 1)
     except (LawError, DivergenceError) as error:
         failure = error
     except Exception as error:
@@ -394,7 +417,8 @@ def run_loop(
     done = int(state.row) + (failure is None)
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
-    finish(done)  # after an exception; else it has been done
+    if failure is not None:
+        finish(done)
     events = answers.events[: int(state.event.rows)].copy()
     if calls.may_be_kept:
         calls.end()

@@ -18,7 +18,7 @@ from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import Touching
 from closedloop.mechanics.surface.surface import largest_mobility
-from closedloop.record.columns.derived import recorded_states
+from closedloop.record.columns.derived import StatesOf, recorded_states
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.simulation.engines.scenario_numbers import arm_columns
@@ -145,7 +145,7 @@ def steps_and_hold(scenario: Scenario, n: int) -> tuple[int, int]:
     h, duration, period = scenario.time.step, scenario.time.duration, scenario.law.sample_period
     steps = whole_steps(duration, h, "time.duration")
     most_rows = MOST_NUMBERS // row_width(
-        n, bool(arm_columns(scenario)), len(scenario.contact or ()), recorded_states(scenario, n)
+        n, bool(arm_columns(scenario)), len(scenario.contact or ()), recorded_states(StatesOf.of(scenario, n))
     )
     if steps > most_rows:
         raise ScenarioError(

@@ -81,7 +81,7 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import batch, bodies, contestants, derivatives, feet, inertia, loops
+    from validation.speed import batch, bodies, contestants, derivatives, feet, inertia, loops, repeated
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
@@ -121,7 +121,8 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             everyone += derivatives.racing(arm, problem)
             whole = slide(arm, 2 * steps)  # by default as long as `wam_slide`
             everyone += contestants.whole_call(arm, whole)
-            everyone += contestants.from_elsewhere(arm, problem)
+            everyone += repeated.from_elsewhere(arm, problem) + repeated.with_other_values(arm, problem)
+            everyone += repeated.episodes(arm)
             everyone += [batch.compiled_batch(arm, whole, runs, threads) for threads in (1, 2)]
             if there["mujoco"]:
                 everyone += [mujoco.rollout(arm, problem, min(runs, MOST_ROLLOUTS), threads) for threads in (1, 2)]

@@ -120,36 +120,6 @@ def whole_call(arm: str, problem: Problem) -> tuple[Contestant, Contestant]:
     return both, replace(both, name="call_steps", lap=call, what="cl.simulate, its steps")
 
 
-# Runs of a lap from other starts, their steps, and how far away the starts are, rad.
-STARTS, SHORT, NEAR = 20, 50, 1e-3
-
-
-def from_elsewhere(arm: str, problem: Problem) -> tuple[Contestant, Contestant]:
-    """Return short runs of a prepared problem from other starts, from call to Run, and their steps alone.
-
-    The law holds the arm where it starts, so that a start has no path of its own to be followed. Each lap has new
-    starts but for the last, which comes to what a run that finds nothing made comes to.
-    """
-    changes = {"time.duration": SHORT * problem.h, "reference.kind": "hold"}
-    short, random = cl.prepare(problem.scenario.replace(changes), problem.robot.model), np.random.default_rng(0)
-    last = problem.q + NEAR
-    alone = final(cl.prepare(short.scenario.replace({"start.q": last}), problem.robot.model))
-
-    def call() -> tuple[float, Array]:
-        seconds, end = 0.0, problem.q
-        for q in (*(problem.q + NEAR * random.uniform(-1.0, 1.0, (STARTS - 1, problem.robot.n))), last):
-            run = short.run(q=q, engine=COMPILED)
-            seconds, end = seconds + run.wall_seconds, run.q[-1]
-        return seconds, end
-
-    def whole() -> tuple[float | None, Array | None]:
-        return None, call()[1]
-
-    what, steps = f"{SHORT} steps from other starts", STARTS * SHORT
-    both = Contestant("elsewhere", arm, problem.robot.n, steps, whole, alone, 0.0, f"{what}, whole")
-    return both, replace(both, name="elsewhere_steps", lap=call, what=f"{what}, the steps")
-
-
 def user_law(arm: str, problem: Problem) -> Contestant:
     """Return the compiled engine with Eq. 33 as a law of a user's own, compiled by numba."""
     (press, pd_start), (kp, kd), path = problem.settings, problem.gains, problem.path

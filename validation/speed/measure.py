@@ -1,6 +1,6 @@
 """Laps, interleaved, and what is made of them.
 
-Contestants take turns, A B C A B C ..., so that whatever else the machine does hits all alike, and a ratio is the
+Contestants take turns, A B C C B A A B C ..., so that whatever else the machine does hits all alike, and a ratio is the
 median of the ratios of neighbours in time. Beside the wall's time stands the processor's: on a machine that is shared
 the share of a core that a contestant got is below one, and ratios are those of the processor's time.
 """
@@ -95,7 +95,8 @@ def race(
     for k in range(repeats):
         say(f"lap {k + 1} of {repeats}")
         gc.collect()
-        for key, contestant in zip(keys, contestants, strict=True):
+        turn = list(zip(keys, contestants, strict=True))
+        for key, contestant in turn if k % 2 == 0 else reversed(turn):
             busy, began = time.process_time(), time.perf_counter()
             seconds, ends[key] = contestant.lap()
             whole, used = time.perf_counter() - began, time.process_time() - busy

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from validation.speed.bodies import CUBE, TOWERS
 from validation.speed.feet import BOXES
 from validation.speed.measure import Timing, ratio
+from validation.speed.repeated import SHORT
 
 Timings = dict[tuple[str, str], Timing]
 ARM = "wam4"
@@ -38,6 +41,11 @@ def targets(timings: Timings) -> list[Target]:
         over, under = (timings.get((arm, name)) for name in (a, b))
         return ratio(over, under, wall=wall) if over and under else None
 
+    def beside(name: str) -> float | None:
+        """How many microseconds a short run takes beside its steps."""
+        whole, steps = (timings.get((ARM, each)) for each in (name, f"{name}_steps"))
+        return float(np.median(whole.busy - steps.busy)) * SHORT * 1e6 if whole and steps else None
+
     added = "12 → 30 joints adds: compiled / crba, rnea, Cholesky"
     rows: list[tuple[str, float, bool, Callable[[], float | None]]] = [
         ("MuJoCo from Python / compiled", 15.0, True, lambda: times("mujoco", "compiled")),
@@ -46,8 +54,11 @@ def targets(timings: Timings) -> list[Target]:
         ("MuJoCo rollout / compiled batch, two threads", 8.0, True, lambda: times("rollout_2", "batch_2", wall=True)),
         ("Pinocchio engine / MuJoCo from Python", 0.7, False, lambda: times("pinocchio", "mujoco")),
         ("Pinocchio engine / its bare calls", 1.4, False, lambda: times("pinocchio", "calls")),
-        ("whole cl.simulate / its steps", 2.5, False, lambda: times("call", "call_steps")),
-        ("50 steps from another start / its steps", 3.0, False, lambda: times("elsewhere", "elsewhere_steps")),
+        ("whole cl.simulate / its steps", 1.4, False, lambda: times("call", "call_steps")),
+        ("µs of a run from another start beside its 50 steps", 60.0, False, lambda: beside("elsewhere")),
+        ("µs of a run with another force beside its 50 steps", 60.0, False, lambda: beside("values")),
+        ("a reset of Press-v0 / a step of it", 1.0, False, lambda: times("reset", "gym_step")),
+        ("whole compiled batch, one thread / its steps in lanes", 1.25, False, lambda: times("batch_1", "lanes")),
         ("MuJoCo from Python / whole cl.simulate", 8.0, True, lambda: times("mujoco", "call")),
         ("H by Newton–Euler columns / composite bodies", 1.0, True, lambda: times("rnea_columns", "crba")),
         ("value and seven derivatives / compiled", of_registers(), False, lambda: times("duals", "compiled")),

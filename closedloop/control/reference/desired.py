@@ -63,9 +63,8 @@ class Desired:
         n = self.joints.q.shape[1]
         table = np.zeros((instants.size, Reference.count(n) + spare))
         self.joints.write(instants, table, 2)
-        to = Reference(table.T, n)
-        for part, x in zip((to.position, to.velocity, to.acceleration), self.tip.sample(instants), strict=True):
-            part[:] = x.T
+        for name, x in zip(("position", "velocity", "acceleration"), self.tip.sample(instants), strict=True):
+            table[:, Reference.place(name, n)] = x
         table[:, Reference.place("force", n)] = force_at(self.profile, self.force, instants)
         return table
 
@@ -91,7 +90,7 @@ def desired(
             f"reference.kind = {scenario.reference.kind!r}: inverse kinematics follows no path with a robot that a "
             "[[mocap]] moves: leave [reference] out"
         )
-    tip = path_on(scenario.reference, robot.position(q), surface, duration)
+    tip = path_on(scenario.reference, robot.known_tip(robot.pinocchios(q))[0], surface, duration)
     if scenario.reference.on_surface != "no":
         refuse_without_normal(surface, tip)
         refuse_beyond_edge(surface, tip)

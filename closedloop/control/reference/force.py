@@ -126,17 +126,17 @@ def force_at(section: ForceProfile, base: float, t: Array) -> Array:
         If a profile of waypoints has not as many forces as instants.
     """
     t = np.asarray(t, dtype=np.float64)
+    if isinstance(section, ConstantForceSection):
+        return np.full(t.shape, base)
     later = t + ROUNDING * np.maximum(1.0, np.abs(t))
     if isinstance(section, StepForceSection):
         return np.where(later >= section.at, section.to, base)
     if isinstance(section, SineForceSection):
         since = np.maximum(t - section.start, 0.0)
         return base + section.amplitude * np.sin(2.0 * np.pi * section.frequency * since)
-    if isinstance(section, WaypointForceSection):
-        if len(section.times) != len(section.forces):
-            raise ScenarioError(
-                f"force_profile.forces has {len(section.forces)} entries: must have one for each of the "
-                f"{len(section.times)} force_profile.times"
-            )
-        return np.where(later >= section.times[0], np.interp(t, section.times, section.forces), base)
-    return np.full(t.shape, base)
+    if len(section.times) != len(section.forces):
+        raise ScenarioError(
+            f"force_profile.forces has {len(section.forces)} entries: must have one for each of the "
+            f"{len(section.times)} force_profile.times"
+        )
+    return np.where(later >= section.times[0], np.interp(t, section.times, section.forces), base)

@@ -126,8 +126,8 @@ def tip_path(section: Path, origin: Array, normal: Array) -> TipPath:
         path = section.tip_path(origin, normal)
         if not isinstance(path, TipPath):
             raise TypeError(f"tip_path returned {type(path).__name__}, not a TipPath")
-        first = path.sample(np.zeros(1))[0][0]
-    if is_users(section) and not np.max(np.abs(first - origin)) <= ORIGIN:
+        first = path.sample(np.zeros(1))[0][0] if is_users(section) else None
+    if first is not None and not np.max(np.abs(first - origin)) <= ORIGIN:
         raise ScenarioError(
             f"reference.kind = {section.kind}: its path begins at {first.round(6).tolist()} m, where the tip starts at "
             f"{origin.round(6).tolist()} m"
@@ -141,8 +141,8 @@ def path_normal(section: Path, surface: Surface) -> Array:
     Without a surface a path may have any direction: of the normals across it, it is the nearest to `surface.normal`.
     """
     normal = unit(surface.normal, "surface.normal")
-    direction = getattr(section, "direction", None)
-    if surface.kind != "none" or direction is None:
+    direction = None if surface.kind != "none" else getattr(section, "direction", None)
+    if direction is None:
         return normal
     along = unit(direction, "reference.direction")
     across = normal - (normal @ along) * along

@@ -169,8 +169,8 @@ class TipPath:
         At a discontinuity velocity and acceleration have their right limits; a jump of the velocity does not enter r̈.
         """
         t = np.asarray(t, dtype=np.float64)
-        r = np.tile(self.origin, (t.size, 1))
-        velocity, acceleration = np.zeros_like(r), np.zeros_like(r)
+        r, velocity, acceleration = np.zeros((3, t.size, 3))
+        r[:] = self.origin
         if not self.segments:
             return r, velocity, acceleration
         last = self.segments[-1]

@@ -126,10 +126,12 @@ def write_event(
 WHOLE = ("event_kind", "event_contact")
 
 
+def event_column(table: Array, name: str) -> NDArray[Any]:
+    """Return one of `EVENT_COLUMNS` of the table (N, EVENT_WIDTH)."""
+    part = table[:, EventRow.place(name.removeprefix("event_"))]
+    return part.astype(np.int8) if name in WHOLE else np.ascontiguousarray(part)
+
+
 def event_columns(table: Array) -> dict[str, NDArray[Any]]:
     """Return the table (N, EVENT_WIDTH) as named columns."""
-    columns: dict[str, NDArray[Any]] = {}
-    for name in EVENT_COLUMNS:
-        part = table[:, EventRow.place(name.removeprefix("event_"))]
-        columns[name] = part.astype(np.int8) if name in WHOLE else np.ascontiguousarray(part)
-    return columns
+    return {name: event_column(table, name) for name in EVENT_COLUMNS}

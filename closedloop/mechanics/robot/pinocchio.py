@@ -90,6 +90,7 @@ class Robot:
         self._frame: int = self._pin.getFrameId(self.tip)
         self._rest = np.zeros(self.n)
         self._latest: tuple[tuple[bytes, bytes], Terms] | None = None
+        self._latest_tip: tuple[bytes, tuple[Array, Array]] | None = None
         self._upper = np.triu(np.ones((self.n, self.n), dtype=bool))
         carrier = self._pin.frames[self._frame].parentJoint
         self.tip_offset: Array = np.array(self._pin.frames[self._frame].placement.translation)
@@ -230,11 +231,26 @@ class Robot:
         ValueError
             If a length is wrong or an entry is not finite (Pinocchio itself would let NaN pass).
         """
-        q, v = self._checked(q, "q"), self._checked(v, "v")
+        return self.known_terms(self._checked(q, "q"), self._checked(v, "v"))
+
+    def known_terms(self, q: Array, v: Array) -> Terms:
+        """Return what `terms` does, at positions as Pinocchio has them; nothing is checked."""
         state = q.tobytes(), v.tobytes()
         if self._latest is None or self._latest[0] != state:  # what begins a run is asked several times
             self._latest = state, self._terms(q, v)
         return self._latest[1]
+
+    def known_tip(self, q: Array) -> tuple[Array, Array]:
+        """Return r and Jᵣ of `terms`, to the bit, at positions as Pinocchio has them; nothing is checked."""
+        state = q.tobytes()
+        if self._latest_tip is None or self._latest_tip[0] != state:
+            data, frame = self._data, self._frame
+            pin.computeJointJacobians(self._pin, data, q)
+            pin.updateFramePlacement(self._pin, data, frame)
+            J = pin.getFrameJacobian(self._pin, data, frame, _ALIGNED).reshape(6, self.n)[:3]
+            tip = _frozen(data.oMf[frame].translation.copy()), _frozen(np.ascontiguousarray(J))
+            self._latest_tip = state, tip
+        return self._latest_tip[1]
 
     def _terms(self, q: Array, v: Array) -> Terms:
         model, data, frame = self._pin, self._data, self._frame
@@ -413,6 +429,8 @@ class Robot:
 
     def _checked(self, x: ArrayLike, name: str) -> Array:
         array = np.ascontiguousarray(x, dtype=np.float64)
+        if array.shape == (self.n,) and not self.turns_freely and np.isfinite(array).all():
+            return array
         names = self.model.coordinate_names
         if name == "q" and self.turns_freely and array.shape in ((self.n,), (len(names),)) and np.isfinite(array).all():
             return self.pinocchios(array)

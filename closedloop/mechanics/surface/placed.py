@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,13 +43,17 @@ from robot_models.cached import cached_property
 
 
 def unit(vector: ArrayLike, key: str) -> Array:
-    """Return the (3,) unit vector along `vector`; `key` names it in messages.
+    """Return the (3,) unit vector along `vector`, read-only; `key` names it in messages.
 
     Raises
     ------
     ScenarioError
         If it is not three finite numbers, or has no direction.
     """
+    return _unit_of(vector, key) if isinstance(vector, tuple) else _unit(vector, key)
+
+
+def _unit(vector: ArrayLike, key: str) -> Array:
     v = np.array(vector, dtype=np.float64)
     if v.shape != (3,) or not np.all(np.isfinite(v)):
         raise ScenarioError(f"{key} = {vector!r}: must be three finite numbers")
@@ -57,26 +62,37 @@ def unit(vector: ArrayLike, key: str) -> Array:
     if largest == 0.0:
         raise ScenarioError(f"{key} = [0, 0, 0]: has no direction; give a vector such as [0, 0, 1]")
     v /= largest
-    return v / np.linalg.norm(v)
+    v /= np.linalg.norm(v)
+    v += 0.0  # no entry is −0
+    v.setflags(write=False)
+    return v
+
+
+_unit_of = lru_cache(maxsize=128)(_unit)  # of the direction that a section has
 
 
 def contact_frame(normal: ArrayLike) -> Array:
-    """Return the (3, 3) contact frame of a unit normal (3,): rows n, t1, t2, right-handed, base axes.
+    """Return the (3, 3) contact frame of a unit normal (3,): rows n, t1, t2, right-handed, base axes, read-only.
 
     The tangents are +x and +y turned by the least rotation that takes +z to n. So a level surface has (t1, t2) =
     (x, y), and the frame changes smoothly with n except at n = −z, where many rotations are the least: there it is half
     a turn about x. (Any choice of tangents must jump somewhere.)
     """
-    n = np.array(normal, dtype=np.float64)
-    x, y, z = n
+    return _contact_frame(*np.asarray(normal, dtype=np.float64).tolist())
+
+
+@lru_cache(maxsize=128)
+def _contact_frame(x: float, y: float, z: float) -> Array:
+    n = [x, y, z]
     across = math.hypot(x, y)
-    if across < 1e-290 and z < 0.0:
-        return np.array([n, [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    turns_over = across < 1e-290 and z < 0.0
     c, s = (x / across, y / across) if across > 1e-290 else (1.0, 0.0)
     turned = 1.0 - z
     t1 = [1.0 - turned * c * c, -turned * c * s, -x]
     t2 = [-turned * c * s, 1.0 - turned * s * s, -y]
-    return np.array([n, t1, t2]) + 0.0  # no entry is −0
+    frame = np.array([n, [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]] if turns_over else [n, t1, t2]) + 0.0  # no entry is −0
+    frame.setflags(write=False)
+    return frame
 
 
 @dataclass(frozen=True)
@@ -171,7 +187,16 @@ class PlacedSurface:
         origin = tip - (radius + section.gap - depth) * normal if given is None else given
         return cls(section, motion, contact_frame(normal), origin, given is None, radius, where)
 
-    @property
+    def below(self, tip: Array, depth: float) -> PlacedSurface:
+        """Return it where `of` places it for another tip at the start."""
+        if not self.below_start:
+            return self
+        moved: PlacedSurface = object.__new__(PlacedSurface)
+        vars(moved).update(vars(self), origin=tip - (self.radius + self.section.gap - depth) * self.normal)
+        vars(moved).pop("_interpreted", None)  # whose memory has the origin
+        return moved
+
+    @cached_property
     def fixed_plane(self) -> bool:
         """Whether it is a plane at rest without an edge, or none: its frame is constant, and the loop does not ask."""
         return isinstance(self.section, NoSurface) or (

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from traceback import extract_tb
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import LawError, ScenarioError, one_line
+from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.reference.orientation import turned_by
 from closedloop.jit.parameters import state_block
 from closedloop.mechanics.contacts.sections import ContactSection
@@ -201,32 +203,49 @@ RESERVED = frozenset(
 )
 
 
-def state_columns(scenario: Scenario, n: int) -> dict[str, tuple[Column, int | slice]]:
-    """Return the columns ``law_NAME`` and ``compensation_NAME`` of a run of n joints, and the place of each state.
+class StatesOf(NamedTuple):
+    """What the states of a law and its compensation depend on."""
+
+    law: type[ControlLaw]
+    compensation: type[Compensation]
+    kinds: tuple[str, str]
+    integral: bool  # whether `law.force_integral` asks for the integral of the force error
+    n: int  # joints
+
+    @classmethod
+    def of(cls, scenario: Scenario, n: int) -> StatesOf:
+        """Return that of a scenario."""
+        law, compensation = scenario.law, scenario.compensation
+        kinds = law.kind, compensation.kind
+        return cls(type(law), type(compensation), kinds, law.force_integral != 0.0, n)
+
+
+@lru_cache(maxsize=128)
+def state_columns(of: StatesOf) -> dict[str, tuple[Column, int | slice]]:
+    """Return the columns ``law_NAME`` and ``compensation_NAME`` of a run, and the place of each state.
 
     The places are among the states of the law and its compensation, in the loop's order. A joint's state is a column
-    (N, n). The integral of the force error is one only where `law.force_integral` asks for it.
+    (N, n).
     """
     found: dict[str, tuple[Column, int | slice]] = {}
     before = 0
-    for section, part in (("law", scenario.law), ("compensation", scenario.compensation)):
-        block = state_block(type(part))
+    for section, part, kind in zip(("law", "compensation"), (of.law, of.compensation), of.kinds, strict=True):
+        block = state_block(part)
         for name, shape in block.layout.shape.items():
-            if name == _USUAL and section == "law" and scenario.law.force_integral == 0.0:
+            if name == _USUAL and section == "law" and not of.integral:
                 continue
-            place = block.place(name, n)
+            place = block.place(name, of.n)
             where = slice(before + place.start, before + place.stop) if isinstance(place, slice) else before + place
             dims = ("time", "joint") if shape else ("time",)
-            found[f"{section}_{name}"] = Column(dims, "", f"state {name} of {section}.kind = {part.kind}"), where
-        before += block.count(n)
+            found[f"{section}_{name}"] = Column(dims, "", f"state {name} of {section}.kind = {kind}"), where
+        before += block.count(of.n)
     return found
 
 
-def recorded_states(scenario: Scenario, n: int) -> int:
+@lru_cache(maxsize=128)
+def recorded_states(of: StatesOf) -> int:
     """Return how many numbers of a row are states of the law and its compensation: all of them, or none."""
-    if not state_columns(scenario, n):
-        return 0
-    return sum(state_block(type(part)).count(n) for part in (scenario.law, scenario.compensation))
+    return sum(state_block(part).count(of.n) for part in (of.law, of.compensation)) if state_columns(of) else 0
 
 
 def check_names(record: Recorded, taken: set[str]) -> None:

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -124,6 +124,46 @@ def columns_there(columns: Iterable[str], turns_freely: bool = False) -> dict[st
     if turns_freely:
         found |= {name: found[name]._replace(dims=("time", "coordinate")) for name in POSITIONS}
     return found
+
+
+class ColumnsOnDemand(Mapping[str, NDArray[Any]]):
+    """Columns that are made when they are first asked for, each once; they are read-only.
+
+    Parameters
+    ----------
+    names : collection of str
+        Their names, in order.
+    make : callable
+        Makes the column of a name; it is let go when all are made.
+    """
+
+    def __init__(self, names: Mapping[str, Any], make: Callable[[str], NDArray[Any]]) -> None:
+        self._names, self._make = names, make
+        self._made: dict[str, NDArray[Any]] = {}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        found = self._made.get(name)
+        if found is None:
+            if name not in self._names:
+                raise KeyError(name)
+            made = self._make(name)
+            made.setflags(write=False)
+            found = self._made.setdefault(name, made)  # that of the thread which was first
+            if len(self._made) == len(self._names):
+                self._make = self._made.__getitem__
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __or__(self, other: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        return {**self, **other}
 
 
 @dataclass(frozen=True, eq=False)

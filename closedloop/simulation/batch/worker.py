@@ -51,7 +51,7 @@ from closedloop.simulation.engines.law_source import fresh
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.prepare import SECTION_BYTES, prepare
+from closedloop.simulation.prepare import SECTION_BYTES, problem_of
 from closedloop.simulation.simulate import positions_told, run_loop
 from robot_models import RobotModel
 
@@ -123,7 +123,7 @@ class Worker:
     def run(self, scenario: Scenario) -> Outcome:
         """Run a scenario and return its outcome; a run that fails says why."""
         try:
-            return self._run(prepare(scenario, self._model, self._cache))
+            return self._run(problem_of(scenario, self._model, self._cache))
         except Exception as error:  # the border of a row: see `failed`
             return self._failed(error)
 
@@ -148,7 +148,7 @@ class Worker:
 
         for i, scenario in enumerate(scenarios):
             try:
-                problem = prepare(scenario, self._model, self._cache)
+                problem = problem_of(scenario, self._model, self._cache)
                 kind = kind_of(problem) if together else None
                 if lane_runs is None and kind is not None:
                     lane_runs = self._lane_runs(problem, kind)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +33,7 @@ from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.contact import place_at
 from closedloop.record.columns.derived import Recorded
 from closedloop.record.run import Run
+from closedloop.scenario.overrides import START, Variants, replaced
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, entries_of
@@ -45,6 +46,7 @@ from closedloop.simulation.engines.start_memory import (
     write_settings,
     write_start,
 )
+from robot_models.cached import cached_property
 
 # The members of a placed surface, by the names of its entries.
 MEMBERS = {"surface": "section", "surface_motion": "motion"}
@@ -79,12 +81,29 @@ class Problem(ScenarioNumbers):
         law, progress, engine, record
             See `closedloop.simulate`, which names the errors too.
         """
-        start = {"start.q": q, "start.v": v}
-        changes = {**(changes or {}), **{key: value for key, value in start.items() if value is not None}}
-        scenario = self.scenario.replace(changes) if changes else self.scenario
-        model = self.robot.model if scenario.robot.model == self.scenario.robot.model else None
-        run: Run = called("run", scenario, None if changes else self, law, model, progress, engine, record)
-        return run
+        start = {key: value for key, value in (("start.q", q), ("start.v", v)) if value is not None}
+        changes = {**(changes or {}), **start}
+        scenario, elsewhere = self.scenario, changes.keys() <= START
+        if elsewhere and changes:
+            scenario = replaced(scenario, changes)
+        elif changes:
+            keys = tuple(changes)
+            if keys not in self._variants:
+                self._variants[keys] = Variants(scenario, keys)
+            scenario = self._variants[keys].scenario(tuple(changes.values()))
+        return called("run", scenario, self, law, progress, engine, record, elsewhere)
+
+    @cached_property
+    def _variants(self) -> dict[tuple[str, ...], Variants]:
+        return {}
+
+    # What does not depend on where it starts, see `closedloop.simulation.prepare.Settled`.
+    settled: ClassVar[Any] = None
+
+    @cached_property
+    def of_thread(self) -> dict[int, Any]:
+        """What `settled` is of each thread that steps the problem from other starts: it has a robot of its own."""
+        return {}
 
     def loop(self, user_law: bool = False, into: Loop | None = None) -> Loop:
         """Return the loop's memory at t = 0; see `make_loop` for `into`."""
@@ -115,6 +134,7 @@ class Problem(ScenarioNumbers):
         state.law.states, state.law_states = own, both
         state.friction.states, state.joint_friction.states, state.sensor.states = surface, joints, self.sensor.states
         write_settings(self, state)
+        loop.w.decays.first[:] = self.integrator.first_tableau()
         if not self.surface.fixed_plane:
             memory = self.surface.memory()
             state.surface.at = memory.address

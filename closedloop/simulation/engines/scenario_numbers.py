@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,11 +22,13 @@ from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.reference.desired import Desired
+from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import PackedSensor, SensorSection
 from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_block
+from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
-from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded, row_width
+from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, ArmRow, ContactRow, Row, row_width
 from closedloop.loop.step.solve_contact import compliance_entry
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.friction.laws.none import NoFriction
@@ -35,12 +38,13 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.placed import PlacedSurface, Plane
 from closedloop.mechanics.surface.surface import Compliance
-from closedloop.record.columns.derived import recorded_states, state_columns
-from closedloop.record.columns.record import RESISTANCE_COLUMNS, Column
+from closedloop.record.columns.derived import StatesOf, recorded_states, state_columns
+from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of
 from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
+from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.engines.bind_contacts import ContactPlaces
 from robot_models import RobotModel
 from robot_models.cached import cached_property
@@ -125,6 +129,47 @@ def entries_of(scenario: Scenario, model: RobotModel, user_law: bool = False) ->
     if not isinstance(joints := joint_friction_of(scenario, model), NoFriction):
         found["joint_friction"] = joint_friction_entry(type(joints))
     return found
+
+
+# The columns of what is desired, and their parts of `Reference`.
+WANTED = {
+    "reference_position": "q", "reference_velocity": "v", "reference_tip": "position", "reference_force": "force",
+}  # fmt: skip
+
+
+class RecordLayout(NamedTuple):
+    """The columns of a run."""
+
+    # those that are a part of the record: whether in a row or in the table, and the place there
+    places: dict[str, tuple[bool, int | slice]]
+    names: tuple[dict[str, None], dict[str, None]]  # of all in order, without and with states of the law
+    states: dict[str, Column]  # what the columns of these states are, see `state_columns`
+
+
+@lru_cache(maxsize=128)
+def record_layout(
+    states_of: StatesOf, contacts: int, resists: bool, arm: tuple[str, ...], has_surface: bool
+) -> RecordLayout:
+    """Return the columns of a run with so many contacts of links, of which one may resist to rolling or pivoting."""
+    n, states = states_of.n, state_columns(states_of)
+    behind = row_width(n, bool(arm), contacts)
+    before = behind - ContactRow.count(contacts)
+    of_contacts = [name for name in CONTACT_RECORDED if contacts and (resists or name not in RESISTANCE_COLUMNS)]
+    places: dict[str, tuple[bool, int | slice]] = {
+        **{name: (False, Reference.place(part, n)) for name, part in WANTED.items()},
+        **{name: (True, Row.place(name, n)) for name in RECORDED},
+        **{name: (True, _moved(ArmRow.place(name, n), Row.count(n))) for name in arm},
+        **{name: (True, _moved(ContactRow.place(name, contacts), before)) for name in of_contacts},
+        **{name: (True, _moved(place, behind)) for name, (_, place) in states.items()},
+    }
+    absent = () if has_surface else SURFACE_COLUMNS
+    every = dict.fromkeys(x for x in ("time", *places, "potential_energy", *EVENT_COLUMNS) if x not in absent)
+    without = dict.fromkeys(name for name in every if name not in states)
+    return RecordLayout(places, (without, every), {name: column for name, (column, _) in states.items()})
+
+
+def _moved(place: int | slice, by: int) -> int | slice:
+    return slice(place.start + by, place.stop + by) if isinstance(place, slice) else place + by
 
 
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
@@ -265,25 +310,20 @@ class ScenarioNumbers:
     @cached_property
     def row_states(self) -> int:
         """How many of them are states of the law and its compensation, the last."""
-        return recorded_states(self.scenario, self.robot.n)
+        return recorded_states(StatesOf.of(self.scenario, self.robot.n))
 
     @cached_property
-    def places(self) -> dict[str, int | slice]:
-        """Where in a row each of a run's columns is, but for those of `states`."""
-        sections = self.scenario.contact or ()
-        left_out = () if any(section.resists for section in sections) else RESISTANCE_COLUMNS
-        of_contacts = [name for name in CONTACT_RECORDED if sections and name not in left_out]
-        numbers, found = np.arange(float(self.row_width))[None], {}
-        for name in (*RECORDED, *arm_columns(self.scenario), *of_contacts):
-            there = recorded(numbers, self.robot.n, name, len(sections), self.row_states)[0]
-            first = int(np.ravel(there)[0])
-            found[name] = slice(first, first + there.size) if np.ndim(there) else first
-        return found
+    def record(self) -> RecordLayout:
+        """What its record has."""
+        scenario, sections = self.scenario, self.scenario.contact or ()
+        resists = any(section.resists for section in sections)
+        states = StatesOf.of(scenario, self.robot.n)
+        return record_layout(states, len(sections), resists, arm_columns(scenario), scenario.has_surface)
 
     @cached_property
-    def states(self) -> dict[str, tuple[Column, int | slice]]:
-        """The columns of states of the law and its compensation, see `state_columns`."""
-        return state_columns(self.scenario, self.robot.n)
+    def member_digests(self) -> dict[str, str]:
+        """See `closedloop.scenario.user_module.member_digests`."""
+        return member_digests(self.scenario)
 
     @cached_property
     def sizes(self) -> dict[str, int]:

@@ -200,21 +200,23 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     if problem.project and problem.mode != FREE:
         state.phase, state.projection.next_phase = PROJECTION, STEP_END
     w.q[:], w.v[:] = problem.q, problem.v
-    w.decays.first[:] = problem.integrator.first_tableau()
     w.tip.frame[:] = problem.frame
-    terms = problem.robot.terms(problem.q, problem.v)
-    velocity = terms.jacobian @ problem.v
+    q = problem.robot.pinocchios(problem.q)
+    tip, jacobian = problem.robot.known_tip(q)
+    velocity = jacobian @ problem.v
     u = problem.frame @ velocity
-    w.tip.anchor[:] = problem.frame @ terms.position
+    w.tip.anchor[:] = problem.frame @ tip
     if not problem.surface.fixed_plane:
-        now = problem.surface.touching(terms.position, velocity)
+        now = problem.surface.touching(tip, velocity)
         u -= now.carried
         state.past_edge = problem.mode == FREE and now.inside < 0.0 and now.gap <= TOUCHING
-        w.tip.anchor[:] = problem.surface.frame[[1, 2, 0]] @ (terms.position - problem.surface.origin)
+        w.tip.anchor[:] = problem.surface.frame[[1, 2, 0]] @ (tip - problem.surface.origin)
     slip = float(np.hypot(u[1], u[2]))
     if slip > 0.0:
         w.friction.direction[:] = u[1:] / slip
-    felt = float(Reference(problem.table[0], n).force) if problem.mode != FREE else 0.0  # the sensor's history is f_des
+    felt = (
+        float(problem.table[0, Reference.place("force", n)]) if problem.mode != FREE else 0.0
+    )  # the sensor's history is f_des
     sensor = int(state.law_states)
     friction = sensor + int(state.sensor.states)
     joints = friction + int(state.friction.states)
@@ -232,7 +234,7 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
             w.z[joints:motors] = np.concatenate([joint.rested() for joint in joint_contacts(problem)])
     if state.settings.elastic:
         # Each spring carries what holds the arm against gravity and the force desired, so that none is released.
-        held = terms.bias - felt * (problem.frame[0] @ terms.jacobian)
+        held = problem.robot.known_terms(q, problem.v).bias - felt * (problem.frame[0] @ jacobian)
         if problem.robot.model.loops:
             held, _ = torque_of_drives(problem.robot, problem.q, held)
         stiffness, play = problem.transmission[0], problem.transmission[3]

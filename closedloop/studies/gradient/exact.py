@@ -395,7 +395,7 @@ def _the_same(run: Run, start: Prepared, duals: DualRun) -> bool:
     They are to the last bit, but where a search ends with another Newton step for the derivatives, as that which closes
     the loops of a mechanism.
     """
-    columns, _ = columns_of_rows(start.problem, duals.rows[..., 0], duals.table[..., 0])
+    columns = columns_of_rows(start.problem, duals.rows[..., 0], duals.table[..., 0])
     columns |= positions_told(start.problem, columns) | event_columns(duals.events[..., 0])
     pairs = [(run.columns[name], columns[name]) for name in ("q", "v", "event_time")]
     return all(
@@ -430,7 +430,7 @@ class _Reader:
 
         The errors of those that follow from the columns are in `errors`.
         """
-        columns, _ = columns_of_rows(self._start.problem, self._duals.rows[..., lane], self._duals.table[..., lane])
+        columns = columns_of_rows(self._start.problem, self._duals.rows[..., lane], self._duals.table[..., lane])
         columns |= event_columns(self._duals.events[..., lane])
         columns["time"] = np.zeros_like(columns["time"])
         as_they_are: Any = SimpleNamespace(**columns)
@@ -468,7 +468,7 @@ class _Reader:
         run, problem = self._run, self._start.problem
         if self._seeds[direction].parts[_tree_constants(self._start)] is not None:  # the energies are of another arm
             return [None] * len(outputs)
-        of_loop, _ = columns_of_rows(problem, self._duals.rows[..., 0], self._duals.table[..., 0])
+        of_loop = columns_of_rows(problem, self._duals.rows[..., 0], self._duals.table[..., 0])
 
         def beside(change: float) -> Array:
             moved = {

@@ -270,7 +270,7 @@ def test_refusals(changes, options, said):
     assert said in str(refusal.value)
 
 
-def break_for(monkeypatch, force, error, where="prepare"):
+def break_for(monkeypatch, force, error, where="problem_of"):
     """Let a function that a worker calls raise an error of the interpreter's in the run with this force."""
     whole = getattr(worker_module, where)
 
@@ -285,7 +285,7 @@ def break_for(monkeypatch, force, error, where="prepare"):
 @pytest.mark.parametrize(
     "error", [ZeroDivisionError("division\nby zero"), MemoryError(), np.linalg.LinAlgError("singular")]
 )
-@pytest.mark.parametrize("where", ["prepare", "kind_of"])
+@pytest.mark.parametrize("where", ["problem_of", "kind_of"])
 def test_an_error_that_nobody_foresaw_costs_its_row_and_no_other(monkeypatch, caplog, error, where):
     """Alone or among eight side by side: the row says type, message and where, the others are as without it."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.004})

@@ -1,8 +1,10 @@
 """Calls one after the other, of which a later one reuses what an earlier one has made."""
 
 import gc
+import pickle
 import weakref
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +12,15 @@ from budget import budget
 
 import closedloop as cl
 import robot_models
+from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.load import shipped_scenarios
 from closedloop.simulation import prepare as prepare_module
-from closedloop.simulation.cache import Cache, _kept
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.loop_calls import Calls
 from closedloop.simulation.simulate import run_loop
+
+# A soft and rough surface, a sampled law and a sensor with noise; see `closedloop.gym.task`.
+SCENARIOS = Path(cl.__file__).parent / "gym" / "scenarios"
 
 CHANGES = (
     {},
@@ -145,11 +151,96 @@ def test_other_starts_are_run_by_the_same_memory():
             fresh = pool.submit(outcome, problem.scenario.replace({"start.q": q}), "compiled").result()
         assert same(runs[-1], fresh)
         assert runs[-1].scenario == fresh.scenario
-        (calls,) = _kept.caches[-1][1].last[1].spare.values()
+        (calls,) = problem.spare.values()
         memories.add(calls.loop.address)
     assert same(runs[0], runs[2])
     assert not same(runs[0], runs[1])
     assert len(memories) == 1
+
+
+# Values of many sections, some of which are back at what they were; those of the base are the last.
+VALUES = (
+    {"law.force": 12.0}, {"law.force": 13.0}, {"model_error.payload": 0.3}, {"model_error.payload": 0.0},
+    {"tool.mass": 0.2}, {"friction.coefficient": 0.4}, {"compliance.stiffness": 2e4}, {"sensor.noise": 0.1},
+    {"sensor.noise": 0.1, "sensor.seed": 4, "start.q": [1.5, 1.1, 0.0, 1.9]}, {"law.kind": "none"}, {"time.step": 5e-4},
+    {"law.stiffness": 500.0, "stabiliser.kind": "baumgarte"}, {"surface.gap": 0.0},
+    {"encoder.velocity_noise": 1e-3}, {},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_other_values_give_the_runs_of_their_scenarios(engine):
+    """Whatever was run before, `Problem.run` with other values equals a call that finds nothing made."""
+    given = {"time.duration": 0.02, "model_error.payload": 0.5}
+    problem = cl.prepare(cl.load_scenario(SCENARIOS / "press.toml", given))
+    ran = 0
+    for changes in (*VALUES, *reversed(VALUES)):
+        with ThreadPoolExecutor(1) as pool:
+            alone = pool.submit(lambda changes=changes: cl.simulate(problem.scenario.replace(changes), engine=engine))
+        here, fresh = attempt(lambda changes=changes: problem.run(changes, engine=engine)), attempt(alone.result)
+        if isinstance(fresh, cl.Run):
+            ran += 1
+            assert same(here, fresh), changes
+            assert here.scenario == fresh.scenario
+        else:
+            assert str(here) == str(fresh)
+    assert ran >= 20
+
+
+def test_threads_start_one_problem_elsewhere():
+    """Each thread has a robot of its own for it, and the runs are those of one thread."""
+    problem = cl.prepare(scenario_with({"reference.kind": "hold"}))
+    starts = [problem.q + 1e-3 * k for k in range(12)]
+    for engine in ENGINES:
+        alone = [problem.run(q=q, engine=engine) for q in starts]
+        with ThreadPoolExecutor(4) as pool:
+            together = list(pool.map(lambda q, engine=engine: problem.run(q=q, engine=engine), starts))
+        assert all(map(same, alone, together))
+        assert len({run.q.tobytes() for run in alone}) == len(starts)
+
+
+def test_what_is_made_of_sections_follows_them():
+    """It is made anew where a section that was read is another, or another argument, and nowhere else."""
+    cache, made = Cache(), []
+    scenario = scenario_with({})
+    stronger, longer = scenario.replace({"law.force": 12.0}), scenario.replace({"time.duration": 0.03})
+
+    def make(given):
+        made.append(given.law.force if given.has_surface else 0.0)
+        return made[-1]
+
+    for each, other in ((scenario, 1), (longer, 1), (stronger, 1), (stronger, 2), (stronger, 2), (scenario, 2)):
+        assert cache.follow("force", each, make, other) == each.law.force
+    assert made == [10.0, 12.0, 12.0, 10.0]
+
+
+@pytest.mark.parametrize("name", ["wam4", "planar2", "delta", "peg_gantry", "panda", "box"])
+def test_the_tip_alone_is_that_of_all_terms(name):
+    """A start asks for r and Jᵣ without H and C: they are the same to the bit."""
+    robot = Robot(robot_models.load(name)) if name != "box" else cl.prepare(cl.load_scenario("cube_toss")).robot
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        q, v = rng.uniform(-1.0, 1.0, robot.n), rng.normal(size=robot.n)
+        terms, (position, jacobian) = robot.terms(q, v), robot.known_tip(robot.pinocchios(q))
+        assert np.array_equal(position, terms.position)
+        assert np.array_equal(jacobian, terms.jacobian)
+        assert np.array_equal(position, robot.position(q))
+
+
+def test_columns_are_made_once_and_stay():
+    """A column is made when it is first asked for, and cannot be written to; a copy of the run has all of them."""
+    run = cl.simulate(scenario_with({"law.force_integral": 1.0}))
+    assert run.columns["q"] is run.q is run["q"]
+    with pytest.raises(ValueError, match="read-only"):
+        run.q[:] = 0.0
+    with pytest.raises(KeyError):
+        run.columns["no_such"]
+    assert "no_such" not in run.columns
+    assert "law_force_error" in run.columns
+    again = pickle.loads(pickle.dumps(run))
+    assert same(run, again)
+    assert list(again.columns) == list(run.columns)
+    assert (run.columns | {"q": 0})["q"] == 0
 
 
 def test_what_a_run_leaves_in_the_memory_would_show(monkeypatch):
@@ -173,12 +264,17 @@ def test_what_is_kept_for_another_start_holds_no_problem():
     assert [each() is None for each in seen] == [*[True] * (len(seen) - 2), False, True]  # but for the last one
 
 
-def outcome(scenario, engine):
-    """Return the run of a scenario, or why there is none."""
+def attempt(call):
+    """Return what a call returns, or why it fails."""
     try:
-        return cl.simulate(scenario, engine=engine)
+        return call()
     except cl.ClosedLoopError as error:
         return error
+
+
+def outcome(scenario, engine):
+    """Return the run of a scenario, or why there is none."""
+    return attempt(lambda: cl.simulate(scenario, engine=engine))
 
 
 def test_a_robot_file_that_has_changed_is_read_again(tmp_path):

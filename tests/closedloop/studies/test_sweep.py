@@ -329,12 +329,12 @@ def test_a_run_that_fails_is_counted_and_not_run_again(capsys, tmp_path, monkeyp
     """An error that nobody foresaw costs its row; exit status 3, now and when asked again; --debug shows where."""
     from closedloop.simulation.batch import worker as worker_module
 
-    whole = worker_module.prepare
+    whole = worker_module.problem_of
 
     def broken(scenario, *rest):
         return 1 / 0 if scenario.law.force == 5.0 else whole(scenario, *rest)
 
-    monkeypatch.setattr(worker_module, "prepare", broken)
+    monkeypatch.setattr(worker_module, "problem_of", broken)
     out = tmp_path / "t.parquet"
     arguments = ("wam_slide", "--time.duration", "0.01", "--over", "law.force=5,6,7", "--out", out)
     status, said, err = sweep(capsys, *arguments)

@@ -27,7 +27,8 @@ def load_run(path: str | Path) -> Run:
     """Read a run that `save_run` wrote.
 
     A user's class that its scenario picks is not imported: the run can be looked at, and repeated once the class is
-    named, as ``load_scenario`` and ``--reference.kind my_module:MyPath`` do. Until then its summary is that in the file.
+    named, as ``load_scenario`` and ``--reference.kind my_module:MyPath`` do. Until then the summary is that
+    of the file.
 
     Raises
     ------

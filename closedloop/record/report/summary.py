@@ -260,7 +260,7 @@ def _tool(run: Record) -> dict[str, float | None] | None:
 
 
 def run_gains_fault(run: Record) -> str:
-    """Return what is wrong with the gains for this step; of a law of one's own, or of a class that is not there, nothing is known."""
+    """Return what is wrong with the gains for this step; nothing is known of a law or a class of one's own."""
     if run.law != "scenario" or lacks_members(run.scenario):
         return ""
     return gains_fault(run.scenario, robot_of(run.scenario, run.model))

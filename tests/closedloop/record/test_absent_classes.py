@@ -14,7 +14,11 @@ from closedloop.command.saved import plot, show
 SHIPPED = {
     "law": ("control.laws.hybrid", "HybridLaw", {"kp": 900.0, "kd": 60.0}),
     "compensation": ("control.compensation.observer", "ObserverCompensation", {}),
-    "reference": ("control.reference.paths.line", "Line", {"direction": [1.0, 0.0, 0.0], "speed": 0.01, "start": 0.0, "stop": 0.04}),
+    "reference": (
+        "control.reference.paths.line",
+        "Line",
+        {"direction": [1, 0, 0], "speed": 0.01, "start": 0.0, "stop": 1.0},
+    ),
     "friction": ("mechanics.friction.laws.coulomb", "SurfaceCoulomb", {"coefficient": 0.2}),
     "joint_friction": ("mechanics.friction.laws.coulomb", "JointCoulomb", {"kinetic": 0.1}),
     "surface": ("mechanics.surface.kinds.sphere", "Sphere", {"radius": 0.3}),

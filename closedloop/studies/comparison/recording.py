@@ -33,9 +33,13 @@ if TYPE_CHECKING:
 
 # What the column of the tip's speed is called.
 SPEED = ("speed", "tip_speed", "tcp_speed")
-# What the columns of a force are called: one that is along the surface's normal, or three along the base's axes.
+# What the columns of a force are called: three along the base's axes, the first two of them in files of
+# `closedloop export`, or one along the surface's normal.
+FORCES = (
+    ("tip_force {}", "xyz"), ("tip_wrench.force.{}", "xyz"), ("force_{}", "xyz"), ("f{}", "xyz"), ("f_{}", "xyz"),
+    ("force.{}", "xyz"), ("wrench.force.{}", "xyz"),
+)  # fmt: skip
 FORCE = ("contact_force", "normal_force", "force", "f", "fn", "f_n")
-FORCES = (("force_{}", "xyz"), ("f{}", "xyz"), ("f_{}", "xyz"), ("force.{}", "xyz"), ("wrench.force.{}", "xyz"))
 FEWEST = 50
 
 
@@ -158,7 +162,7 @@ def _speed(table: dict[str, Array], asked: str | None, path: Path) -> Array | No
 
 def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:
     """Return the columns of the force, N, (N,) or (N, 3), or None if there are none."""
-    usual = [[name] for name in FORCE] + [[form.format(axis) for axis in axes] for form, axes in FORCES]
+    usual = [[form.format(axis) for axis in axes] for form, axes in FORCES] + [[name] for name in FORCE]
     named = [name.strip() for name in asked.split(",")] if asked else []
     for names in [named] if asked else usual:
         found = columns_named(table, names, "force", path) if len(names) in (1, 3) else None

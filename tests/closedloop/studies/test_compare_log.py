@@ -10,7 +10,7 @@ import pytest
 import closedloop as cl
 from closedloop.command.compare import main
 from closedloop.studies.comparison.explain import Hypothesis, alike_rows, explain
-from closedloop.studies.comparison.recording import Recording, of_run
+from closedloop.studies.comparison.recording import Recording, of_run, read_recording
 from closedloop.studies.identify.log import LogError
 
 
@@ -131,6 +131,13 @@ def test_the_command_reads_files_and_writes_results(run, tmp_path, capsys):
     assert max(told["q"]["rms"]) < 1e-12
     assert json.loads((tmp_path / "comparison.json").read_text()) == told
     assert "difference" in (tmp_path / "comparison.svg").read_text()
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "mcap"])
+def test_the_force_of_an_exported_run_has_three_components(ending, run, tmp_path):
+    """No name is needed for it, so that friction can be identified from an export as from the run itself."""
+    recording = read_recording(run.save(tmp_path / f"log.{ending}"), run.model)
+    np.testing.assert_allclose(recording.force, run.tip_force, atol=1e-9)
 
 
 def test_bad_input_is_one_line(run, tmp_path, capsys):

@@ -64,6 +64,8 @@ class Recording:
         Joint velocities, rad/s (m/s): only compared with the rates of the positions, to find wrong units and orders.
     speed : (N,), optional
         Size of the tip's velocity, m/s; where a contact is identified from it, it may have the sign of the direction.
+    is_run : bool
+        Whether it is a run: then its clock is that of the scenario, and no shift is looked for.
     """
 
     time: Array
@@ -73,6 +75,7 @@ class Recording:
     source: str = "the log"
     v: Array | None = None
     speed: Array | None = None
+    is_run: bool = False
 
     @property
     def positions(self) -> Array:
@@ -90,7 +93,7 @@ class Recording:
 def of_run(run: Run, source: str = "the run") -> Recording:
     """Return what a run recorded, with the force along the normal of its surface."""
     force = np.array(run.contact_force) if run.scenario.has_surface else None
-    return Recording(np.array(run.time), np.array(run.q), np.array(run.torque), force, source)
+    return Recording(np.array(run.time), np.array(run.q), np.array(run.torque), force, source, is_run=True)
 
 
 def read_recording(

@@ -177,6 +177,7 @@ def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
     assert max(map(len, out.partition("not to be used")[0].splitlines())) <= 80
     assert re.search(r"ur5 +6 +tool0 +shoulder_pan_joint", out)
     assert "'cassie' is described in SDF" in out
+    assert "shoulder_lift_joint " in closedloop("robots", "ur5")[1]  # whole, at the width of a terminal
     one = closedloop("robots", "panda")[1]
     for words in (
         "panda_joint7",

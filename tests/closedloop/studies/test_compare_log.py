@@ -133,6 +133,14 @@ def test_the_command_reads_files_and_writes_results(run, tmp_path, capsys):
     assert "difference" in (tmp_path / "comparison.svg").read_text()
 
 
+def test_two_runs_have_one_clock(run):
+    """A path that begins later is a difference, and not a shift of the log; a log of it is shifted."""
+    later = run.scenario.replace({"reference.start": 0.9})
+    log = Recording(run.time, run.q, run.torque)
+    assert cl.compare_log(run, later).shift == 0.0
+    assert abs(cl.compare_log(log, later).shift) > 0.05
+
+
 @pytest.mark.parametrize("ending", ["csv", "parquet", "mcap"])
 def test_the_force_of_an_exported_run_has_three_components(ending, run, tmp_path):
     """No name is needed for it, so that friction can be identified from an export as from the run itself."""

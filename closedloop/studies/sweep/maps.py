@@ -81,7 +81,7 @@ class Scale:
             turned: dict[str, Any] = {"rotation": 20, "ha": "right", "rotation_mode": "anchor"} if long else {}
             axis.set_ticks(range(len(self.words)), self.words, **turned)
         elif cells and not self.log:
-            axis.set_major_locator(FixedLocator(self.values, nbins=7))
+            axis.set_major_locator(FixedLocator(self.values.tolist(), nbins=7))
 
 
 def column_values(table: pa.Table, name: str) -> tuple[Array, str, str]:

@@ -75,13 +75,17 @@ class Absent(Section):
     model_config = ConfigDict(extra="allow")
     kind: str
 
+    def member_name(self) -> str:
+        """Return the name of the class, MODULE:CLASS, as of a member that is there."""
+        return self.kind
+
 
 def users_named() -> tuple[str, ...]:
     """Return the names of all users' classes that were named in this process."""
     return tuple(users)
 
 
-def is_users(member: Member | type[Member]) -> bool:
+def is_users(member: Member | type[Member] | Absent) -> bool:
     """Whether a member is a user's class."""
     return ":" in member.member_name()
 

@@ -104,8 +104,8 @@ def _print_one(model: RobotModel, console: Console) -> None:
     console.print(f"{model.name}: {model.description or 'no description'}", markup=False)
     if model.source:
         console.print(printable(f"from {model.source}"), markup=False)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("joint")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column("joint", overflow="fold")  # whole: options and columns take it
     table.add_column("kind")
     for title in ("from", "to", "home", "speed", "torque", "drive"):
         table.add_column(title, justify="right", no_wrap=True)

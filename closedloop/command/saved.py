@@ -62,7 +62,8 @@ def plot(words: list[str]) -> int:
             names = [name.strip() for name in options.columns.split(",")]
             figure, folder = columns(run, names), made_folder(folder)
             paths = [write_figure(figure, folder / f"fig_{'_'.join(names)}", formats)]
-    print(what_was_written(*paths, folder=folder))
+    also = f", each also as {' and '.join(formats[1:])}" if formats[1:] else ""
+    print(what_was_written(*paths, folder=folder) + also)
     return DONE
 
 

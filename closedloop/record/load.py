@@ -19,6 +19,7 @@ from closedloop.record.netcdf_file import read_sealed
 from closedloop.record.run import Run
 from closedloop.record.save import ADDED, ATTRIBUTES, CHECKSUM, FORMAT, FORMAT_VERSION, HALVED, MEMBERS, checksum
 from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.user_module import lacks_members
 
 
 @arguments_checked()
@@ -26,7 +27,8 @@ def load_run(path: str | Path) -> Run:
     """Read a run that `save_run` wrote.
 
     A user's class that its scenario picks is not imported: the run can be looked at, and repeated once the class is
-    named, as ``load_scenario`` and ``--reference.kind my_module:MyPath`` do.
+    named, as ``load_scenario`` and ``--reference.kind my_module:MyPath`` do. Until then the summary is that
+    of the file.
 
     Raises
     ------
@@ -61,7 +63,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     ours = {name: value for name, value in found.items() if name in ATTRIBUTES}
     if found[CHECKSUM] != checksum(ours, columns):
         raise RunFileError("is damaged, or was changed: its checksum is not that of its columns and attributes")
-    return Run(  # type: ignore[abstract]  # its columns are there by their names
+    run = Run(  # type: ignore[abstract]  # its columns are there by their names
         scenario=parse_scenario(found["scenario"], where="attribute 'scenario'", keep_absent=True),
         model=robot_models.from_text(found["robot_text"], **json.loads(found["robot"])),
         columns=columns,
@@ -75,3 +77,6 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         added=from_text(found[ADDED]) if ADDED in found else {},
         halved=json.loads(found[HALVED]) if HALVED in found else None,
     )
+    if lacks_members(run.scenario):
+        vars(run)["_summary"] = json.loads(found["summary"])
+    return run

@@ -152,7 +152,9 @@ def check_transmission(scenario: Scenario, robot: Robot, q: Array) -> None:
     if growth(swing, name, h) <= GROWING:
         return
     share = _largest_share(swing, name, h, 0)
-    fastest = float(np.sqrt(np.max(np.linalg.eigvals(swing.stiffness).real)))
+    squares, shapes = np.linalg.eig(swing.stiffness)
+    fastest = int(np.argmax(squares.real))
+    rate, joint = np.sqrt(squares[fastest].real), robot.model.joint_names[int(np.argmax(np.abs(shapes[:, fastest])))]
     cure = f"the step may be at most {_down(share * h)} s" if share > 1e-6 else "at any step"
     undamped = swing._replace(damping=np.zeros_like(swing.damping))
     if growth(undamped, name, h) <= GROWING:
@@ -162,8 +164,8 @@ def check_transmission(scenario: Scenario, robot: Robot, q: Array) -> None:
             f"{rate:.4g} 1/s: {cure}; or take less damping or another integrator"
         )
     raise ScenarioError(
-        f"transmission.stiffness: {name} is unstable with time.step = {h:g} s on joints that swing at {fastest:.4g} "
-        f"rad/s against their motors: {cure}; or take softer joints, more damping or another integrator"
+        f"transmission.stiffness: {name} is unstable with time.step = {h:g} s on joints that swing at {rate:.4g} rad/s "
+        f"against their motors, {joint} most: {cure}; or take softer joints, more damping or another integrator"
     )
 
 

@@ -285,6 +285,9 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
 def _known_sections(section: str, data: dict[str, Any]) -> str:
     """Return which section is meant by an unknown one, with the key that it was given if that is one key."""
     known = list(Scenario.model_fields)
+    outer, _, inner = section.partition(".")
+    if inner and outer in known:
+        return f"a key within a section is {outer} = {{{inner} = ...}}; a dot is for overrides, the second argument"
     near = section_meant(section, known)
     if near is None:
         other = elsewhere(section)

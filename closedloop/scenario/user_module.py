@@ -192,6 +192,11 @@ def member_digests(scenario: Scenario) -> dict[str, str]:
     return found
 
 
+def lacks_members(scenario: Scenario) -> bool:
+    """Whether a scenario, read from a run file, names a user's class that has not been named in this process."""
+    return any(_class_of(scenario, key, name) is None for key, name in members_of_users(scenario).items())
+
+
 def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
     """Return the class of a member that a scenario has, None if it is absent."""
     if key not in families():  # of a table of a list

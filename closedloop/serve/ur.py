@@ -255,7 +255,8 @@ class Ur(Interface):
         """Return the fields that are not zero."""
         state = self.session.state
         q, v, torque = state.measured_position, state.measured_velocity, state.torque
-        axes, origin, J = self._robot.tip_frame(q)
+        T, J = self._robot.tip_frame(q)
+        axes, origin = T[:3, :3], T[:3, 3]
         pose = np.concatenate((origin, Rotation.from_matrix(axes).as_rotvec()))
         normal = state.normal
         force = state.f * normal + state.friction_force

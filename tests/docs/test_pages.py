@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 
 import pytest
 from forks import command, load_for_forks, program
@@ -74,6 +75,23 @@ def test_the_readme_is_a_door():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 90
     assert len(re.findall(r"^    \S.*", text, re.MULTILINE)) == 2
+
+
+@pytest.mark.parametrize("repository", [None, "https://example.org/closedloop"])
+def test_a_package_index_shows_the_readme(repository):
+    """In the metadata no link leads to a file beside the README; with an address each leads into the repository."""
+    from hatchling.metadata.core import ProjectMetadata
+    from hatchling.plugin.manager import PluginManager
+
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    config["project"]["urls"] = {} if repository is None else {"Repository": repository}
+    shown = ProjectMetadata(str(ROOT), PluginManager(), config).core.readme
+    links = re.findall(r"\]\(([^)]*)\)", shown)
+    beside = re.findall(r"\]\(([^)]*)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert all(link.startswith("https://") for link in links)
+    inside = [re.sub(rf"^{repository}/(raw|blob)/HEAD/", "", link) for link in links]
+    assert inside == (beside if repository else [link for link in beside if link.startswith("https://")])
+    assert ("![" in shown) == (repository is not None)
 
 
 def test_links_lead_somewhere(generated):

@@ -228,6 +228,8 @@ def test_steps_for_another_program_are_measured(monkeypatch, capsys):
     assert title == "panda_slide: median of 2 laps of 30 steps, in turns"
     assert [row.split(" a second")[0].rstrip("0123456789 ").strip() for row in rows] == [
         "Simulator.step",
+        "binary, empty",
         "binary socket",
     ]
     assert main_served([*words, "0"]) == 2
+    assert main_served([*words, "30", "--core", "100000"]) == 2

@@ -285,14 +285,13 @@ class Robot:
         jacobian = pin.computeFrameJacobian(self._pin, self._data, self.pinocchios(q), self._frame, _ALIGNED)
         return np.array(jacobian).reshape(6, self.n)
 
-    def tip_frame(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return the tip's frame at q (n,): axes, columns (3, 3), origin r (3,), m, and its Jacobian (6, n), base axes.
+    def tip_frame(self, q: Array) -> tuple[Array, Array]:
+        """Return the pose of the tip's frame in the base at q (n,), homogeneous (4, 4), and its Jacobian (6, n).
 
         The Jacobian is that of `frame_jacobian`; nothing is checked.
         """
         jacobian = self.frame_jacobian(q)
-        place = pin.updateFramePlacement(self._pin, self._data, self._frame)
-        return np.array(place.rotation), np.array(place.translation), jacobian
+        return pin.updateFramePlacement(self._pin, self._data, self._frame).homogeneous, jacobian
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Return H q̈ + C (n,), N m (N), at one state, each (n,); nothing is checked."""

@@ -36,6 +36,7 @@ from closedloop.record.report.verdict import (
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import Sliding, gains_fault
 from closedloop.scenario.modes import Pressed, unresolved, unresolved_feedback, where_it_slides, where_they_press
+from closedloop.scenario.user_module import lacks_members
 
 
 def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, dict[str, Any]]:
@@ -259,8 +260,8 @@ def _tool(run: Record) -> dict[str, float | None] | None:
 
 
 def run_gains_fault(run: Record) -> str:
-    """Return what is wrong with the gains for this step; of a law of one's own nothing is known."""
-    if run.law != "scenario":
+    """Return what is wrong with the gains for this step; nothing is known of a law or a class of one's own."""
+    if run.law != "scenario" or lacks_members(run.scenario):
         return ""
     return gains_fault(run.scenario, robot_of(run.scenario, run.model))
 

@@ -66,8 +66,8 @@ class Arm:
         self.robot = Robot(model, self._tip)
         self.urdf = describe(self.robot, self._flange)
         axes, origin = (part[0] for part in self.robot.frame_poses(self._flange, np.zeros((1, JOINTS))))
-        tip_axes, tip, _ = self.robot.tip_frame(np.zeros(JOINTS))
-        self.F_T_NE = transform(axes.T @ tip_axes, axes.T @ (tip - origin))
+        T = self.robot.tip_frame(np.zeros(JOINTS))[0]
+        self.F_T_NE = transform(axes.T @ T[:3, :3], axes.T @ (T[:3, 3] - origin))
         self.set_frames(np.eye(4), np.eye(4))
         self.load: tuple[float, Array, Array] = (0.0, np.zeros(3), np.zeros(9))
 
@@ -98,9 +98,8 @@ class Arm:
 
     def end_effector(self, q: Array) -> tuple[Array, Array]:
         """Return the pose of EE in O (4, 4) and its Jacobian (6, 7), velocity above angular velocity, base axes."""
-        axes, origin, J = self.robot.tip_frame(q)
-        T = transform(axes, origin)
-        return (T, J) if self._at_tip else (T @ self.NE_T_EE, moved(J, axes @ self.NE_T_EE[:3, 3]))
+        T, J = self.robot.tip_frame(q)
+        return (T, J) if self._at_tip else (T @ self.NE_T_EE, moved(J, T[:3, :3] @ self.NE_T_EE[:3, 3]))
 
     def gravity(self, q: Array) -> Array:
         """Return the torque that holds the arm and its load against gravity (7,), N m."""

@@ -68,7 +68,7 @@ COMMUNICATION, TORQUE_DISCONTINUITY, TORQUE_RANGE = 25, 32, 34
 _COMMAND = struct.Struct("<Q7d7d16d6d2d??7d?")
 
 
-# No command has such numbers, rad, m, N m and their rates.
+# No command has such a norm of its numbers, rad, m, N m and their rates.
 HUGE = 1e6
 
 
@@ -84,7 +84,7 @@ class Command(NamedTuple):
     motion_finished: bool
     torque: Array
     torque_finished: bool
-    sensible: bool  # whether all its numbers are finite and smaller than `HUGE`
+    sensible: bool  # whether its numbers are finite, and their norm is smaller than `HUGE`
 
 
 def command_of(message: bytes) -> Command | None:
@@ -92,8 +92,7 @@ def command_of(message: bytes) -> Command | None:
     if len(message) != _COMMAND.size:
         return None
     found = _COMMAND.unpack(message)
-    numbers = found[1:39] + found[41:48]
-    sensible = min(numbers) > -HUGE and max(numbers) < HUGE and math.isfinite(sum(numbers))
+    sensible = math.hypot(*found[1:39], *found[41:48]) < HUGE
     return Command(
         found[0], found[1:8], found[8:15], found[15:31], found[31:37], (found[37], found[38]) if found[39] else None,
         found[40], np.array(found[41:48]), found[48], sensible,

@@ -54,6 +54,8 @@ def bode(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     loop, margins = page.loop, page.weakest
     f = loop.grid
     L = loop.loop_transfer(f, margins.cut)
+    from matplotlib.ticker import MultipleLocator
+
     figure, (upper, lower) = panels(2, 4.6, ax)
     upper.semilogx(f, 20.0 * np.log10(np.maximum(np.abs(L), 1e-12)), color=COLOURS[0])
     upper.axhline(0.0, color="0.5", linewidth=0.8, label="|L| = 1")
@@ -67,6 +69,7 @@ def bode(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     lower.axhline(-180.0, color="0.5", linewidth=0.8, label="−180°")
     low, high = lower.get_ylim()
     lower.set_ylim(min(low, -190.0), max(high, -170.0))
+    lower.yaxis.set_major_locator(MultipleLocator(90.0 * math.ceil(np.ptp(lower.get_ylim()) / 540.0)))
     lower.set(ylabel="phase [°]", xlabel="frequency [Hz]")
     where = (
         (margins.gain_at, "gain margin", COLOURS[1], "--", f"{margins.decibels:.3g} dB"),

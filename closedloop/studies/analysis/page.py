@@ -89,15 +89,17 @@ class Page:
         mode = {0: "free", 1: "pressed", 2: "stuck"}[loop.mode]
         at = f"{kind} surface, tip {mode}" if loop.mode else f"tip {mode}"
         found.append(f"t = {loop.time:g} s, {at}; {len(loop.states)} states, every {loop.dt:g} s")
-        found += ["", f"{'cut at':22}{'gain':>10}{'phase':>10}{'delay':>12}{'modulus':>10}{'max |S|':>10}"]
+        wide = max(22, *map(len, self.margins))
+        found += ["", f"{'cut at':{wide}}{'gain':>10}{'phase':>10}{'delay':>12}{'modulus':>10}{'max |S|':>10}"]
         for name, one in self.margins.items():
             if not one.closed:
-                found.append(f"{name:22}{'nothing is fed back':>20}")
+                found.append(f"{name:{wide}}{'nothing is fed back':>20}")
                 continue
             gain = "any" if math.isinf(one.decibels) else f"{one.decibels:.1f} dB"
             phase = "any" if math.isinf(one.phase) else f"{one.phase:.0f}°"
             delay = "any" if math.isinf(one.delay) else f"{1e3 * one.delay:.3g} ms"
-            found.append(f"{name:22}{gain:>10}{phase:>10}{delay:>12}{one.modulus:>10.3f}{one.peak_sensitivity:>10.2f}")
+            size = f"{one.modulus:>10.3f}{one.peak_sensitivity:>10.2f}"
+            found.append(f"{name:{wide}}{gain:>10}{phase:>10}{delay:>12}{size}")
         shown = [pole for pole in loop.poles() if pole.s.imag >= 0.0 and not pole.at_rest][:SHOWN_POLES]
         if shown:
             found += ["", f"{'pole, 1/s':28}{'Hz':>9}{'damping':>9}  belongs to"]

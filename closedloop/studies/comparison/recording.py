@@ -33,9 +33,13 @@ if TYPE_CHECKING:
 
 # What the column of the tip's speed is called.
 SPEED = ("speed", "tip_speed", "tcp_speed")
-# What the columns of a force are called: one that is along the surface's normal, or three along the base's axes.
+# What the columns of a force are called: three along the base's axes, the first two of them in files of
+# `closedloop export`, or one along the surface's normal.
+FORCES = (
+    ("tip_force {}", "xyz"), ("tip_wrench.force.{}", "xyz"), ("force_{}", "xyz"), ("f{}", "xyz"), ("f_{}", "xyz"),
+    ("force.{}", "xyz"), ("wrench.force.{}", "xyz"),
+)  # fmt: skip
 FORCE = ("contact_force", "normal_force", "force", "f", "fn", "f_n")
-FORCES = (("force_{}", "xyz"), ("f{}", "xyz"), ("f_{}", "xyz"), ("force.{}", "xyz"), ("wrench.force.{}", "xyz"))
 FEWEST = 50
 
 
@@ -60,6 +64,8 @@ class Recording:
         Joint velocities, rad/s (m/s): only compared with the rates of the positions, to find wrong units and orders.
     speed : (N,), optional
         Size of the tip's velocity, m/s; where a contact is identified from it, it may have the sign of the direction.
+    is_run : bool
+        Whether it is a run: then its clock is that of the scenario, and no shift is looked for.
     """
 
     time: Array
@@ -69,6 +75,7 @@ class Recording:
     source: str = "the log"
     v: Array | None = None
     speed: Array | None = None
+    is_run: bool = False
 
     @property
     def positions(self) -> Array:
@@ -86,7 +93,7 @@ class Recording:
 def of_run(run: Run, source: str = "the run") -> Recording:
     """Return what a run recorded, with the force along the normal of its surface."""
     force = np.array(run.contact_force) if run.scenario.has_surface else None
-    return Recording(np.array(run.time), np.array(run.q), np.array(run.torque), force, source)
+    return Recording(np.array(run.time), np.array(run.q), np.array(run.torque), force, source, is_run=True)
 
 
 def read_recording(
@@ -158,7 +165,7 @@ def _speed(table: dict[str, Array], asked: str | None, path: Path) -> Array | No
 
 def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:
     """Return the columns of the force, N, (N,) or (N, 3), or None if there are none."""
-    usual = [[name] for name in FORCE] + [[form.format(axis) for axis in axes] for form, axes in FORCES]
+    usual = [[form.format(axis) for axis in axes] for form, axes in FORCES] + [[name] for name in FORCE]
     named = [name.strip() for name in asked.split(",")] if asked else []
     for names in [named] if asked else usual:
         found = columns_named(table, names, "force", path) if len(names) in (1, 3) else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,7 +46,9 @@ STILL = 1e-4
 
 
 def shift_of(clock: Array, recording: Recording, run: Run) -> tuple[float, str]:
-    """Return the shift at which log and run differ least, and what told it."""
+    """Return the shift at which log and run differ least, and what told it; that of two runs is 0."""
+    if recording.is_run:
+        return 0.0, "the clock of both runs"
     pairs = [("q", recording.q, run.q)] if recording.q is not None else []
     if recording.force is not None and run.scenario.has_surface:
         size = recording.force if recording.force.ndim == 1 else np.linalg.norm(recording.force, axis=1)
@@ -133,7 +136,8 @@ class LogComparison:
     shift : float
         The instant t of the run is t + `shift` of the log, counted from the log's first row, s.
     shift_from : str
-        From which quantity the shift was found: "q", "force", "speed", or "" where nothing moves and the shift is 0.
+        From which quantity the shift was found: "q", "force", "speed", "the clock of both runs", or "" where
+        nothing moves and the shift is 0.
     overlap : float
         Length of time that both cover, s.
     differences : dict of str to Difference
@@ -194,7 +198,7 @@ class LogComparison:
         from closedloop.figures.style import MANY, legend_beside_title, panels, styled
 
         with styled():
-            figure, on = panels(2 * len(self.differences), 2.6 * len(self.differences) + 0.6, ax)
+            figure, on = panels(2 * len(self.differences), 3.4 * len(self.differences) + 0.6, ax)
             on[0].set_title("Log: wide and pale; run: narrow")
             for at, each in enumerate(self.differences.values()):
                 over, below = on[2 * at], on[2 * at + 1]
@@ -203,8 +207,8 @@ class LogComparison:
                     over.plot(each.time, each.logged[:, k], color=colour, alpha=0.45, linewidth=2.4)
                     over.plot(each.time, each.simulated[:, k], color=colour, linewidth=1.0, label=label)
                     below.plot(each.time, (each.logged - each.simulated)[:, k], color=colour)
-                over.set_ylabel(f"{each.name}, {each.unit}")
-                below.set_ylabel(f"difference, {each.unit}")
+                over.set_ylabel("\n".join([*wrap(each.name, 16), f"[{each.unit}]"]))
+                below.set_ylabel(f"difference\n[{each.unit}]")
                 legend_beside_title(over)
             on[-1].set_xlabel("time of the run, s")
         return figure

@@ -13,9 +13,11 @@ from scipy import stats
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ModelError
+from closedloop.record.run import Run
 from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.log import Log, checked
 from closedloop.studies.identify.motion import Motion, joined, motion, usual_cutoff
+from closedloop.studies.identify.read import log_of_run
 from closedloop.studies.identify.regressor import (
     BOUNDED,
     FRICTION,
@@ -205,7 +207,7 @@ class Identification:
 
 @arguments_checked()
 def identify(
-    log: Log | Sequence[Log],
+    log: Log | Run | Sequence[Log | Run],
     robot: RobotModel | str | PathLike[str],
     *,
     friction: Sequence[str] = FRICTION,
@@ -224,8 +226,9 @@ def identify(
 
     Parameters
     ----------
-    log : Log, or several
-        Time, positions and torques, see `closedloop.studies.identify.log.Log` and `read_log`.
+    log : Log or Run, or several
+        Time, positions and torques, see `closedloop.studies.identify.log.Log` and `read_log`. The force on the tip of a
+        run is added to its torques.
     robot : RobotModel, or what `robot_models.load` takes
         Its kinematics are used; the inertias in its file are not.
     friction : of "viscous", "dry", "offset", "load"
@@ -268,7 +271,8 @@ def identify(
 
     model = robot if isinstance(robot, RobotModel) else robot_models.load(robot)
     _check(model, method, held_out, confidence, slow)
-    logs = [checked(one, model) for one in ([log] if isinstance(log, Log) else log)]
+    several = [log] if isinstance(log, Log | Run) else log
+    logs = [checked(log_of_run(one) if isinstance(one, Run) else one, model) for one in several]
     if not logs:
         raise ModelError("log = []: there is no log, give one or more")
     cutoff = max(usual_cutoff(one) for one in logs) if cutoff is None else cutoff

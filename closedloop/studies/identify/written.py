@@ -152,7 +152,7 @@ def report(found: Identification) -> list[str]:
     ]
     for j, name in enumerate(names):
         lines.append(
-            f"  {name:24}{100 * found.relative_error[j]:7.1f} %{100 * found.held_out[j]:10.1f} %"
+            f"  {name:24}{_percent(found.relative_error[j]):>9}{_percent(found.held_out[j]):>12}"
             f"{found.above_noise[j]:12.3g}{found.whiteness[j]:10.2g}{100 * found.used[:, j].mean():6.0f} %"
         )
     lines += [
@@ -242,6 +242,11 @@ def robot_files(found: Identification, parameters: Array, source: str) -> tuple[
     return ET.tostring(root, encoding="unicode") + "\n", tomli_w.dumps(sidecar)
 
 
+def _percent(share: float) -> str:
+    """Return a share in words, "-" where no row counts."""
+    return f"{100 * share:.1f} %" if np.isfinite(share) else "-"
+
+
 def torque_figure(found: Identification) -> Figure:
     """Draw the torque of each joint, measured and predicted, and what is left."""
     from closedloop.figures.style import COLOURS, new_figure
@@ -249,13 +254,14 @@ def torque_figure(found: Identification) -> Figure:
     n = found.robot.n
     figure = new_figure(1.5 * n + 0.6)
     axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
-    unsure = np.where(found.used, np.nan, 1.0)
+    sure, unsure = np.where(found.used, 1.0, np.nan), np.where(found.used, np.nan, 1.0)
     for j, name in enumerate(found.robot.joint_names):
         axes[j].plot(found.time, found.measured[:, j], color="0.3", label="measured")
-        axes[j].plot(found.time, found.predicted[:, j], color=COLOURS[1], lw=0.9, label="predicted")
-        axes[j].plot(found.time, found.solution.residual[:, j], color=COLOURS[0], lw=0.8, label="residual")
+        axes[j].plot(found.time, sure[:, j] * found.predicted[:, j], color=COLOURS[1], lw=0.9, label="predicted")
+        axes[j].plot(found.time, sure[:, j] * found.solution.residual[:, j], color=COLOURS[0], lw=0.8, label="residual")
         axes[j].plot(found.time, unsure[:, j] * found.measured[:, j], color="0.75", lw=2.5, label="not counted")
-        axes[j].set(ylabel="torque, N m", title=f"{name}: {100 * found.held_out[j]:.1f} % RMS error where held out")
+        error = f"{_percent(found.held_out[j])} RMS error where held out" if found.used[:, j].any() else "not counted"
+        axes[j].set(ylabel="torque, N m", title=f"{name}: {error}")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncol=4, fontsize="small")
     axes[-1].set_xlabel("time, s")
     return figure

@@ -68,8 +68,10 @@ class Scale:
             )
         return np.exp(edges) if self.log else edges
 
-    def dress(self, axes: Axes, which: str) -> None:
-        """Give the axis its scale, ticks and label."""
+    def dress(self, axes: Axes, which: str, cells: bool = False) -> None:
+        """Give the axis its scale, ticks and label; ticks stand at values that cells are about."""
+        from matplotlib.ticker import FixedLocator
+
         axis = axes.xaxis if which == "x" else axes.yaxis
         getattr(axes, f"set_{which}label")(self.label)
         if self.log:
@@ -78,6 +80,8 @@ class Scale:
             long = which == "x" and sum(map(len, self.words)) > 24
             turned: dict[str, Any] = {"rotation": 20, "ha": "right", "rotation_mode": "anchor"} if long else {}
             axis.set_ticks(range(len(self.words)), self.words, **turned)
+        elif cells and not self.log:
+            axis.set_major_locator(FixedLocator(self.values.tolist(), nbins=7))
 
 
 def column_values(table: pa.Table, name: str) -> tuple[Array, str, str]:
@@ -367,8 +371,8 @@ def _map(figure: Figure, axes: Axes, table: pa.Table, x: str, y: str, name: str)
             across.at[~failed], up.at[~failed], c=found, s=size, norm=norm, cmap="cividis", linewidth=0
         )
     axes.grid(visible=False)
-    across.dress(axes, "x")
-    up.dress(axes, "y")
+    across.dress(axes, "x", cells <= values.size)
+    up.dress(axes, "y", cells <= values.size)
     bar = figure.colorbar(image, ax=axes)
     bar.set_label(unit)
     axes.set_title(title, fontsize="small", loc="left")

@@ -55,7 +55,7 @@ GOOD = {
             "dark": False, "show": False, "ghosts": ()},
     "Log": {"time": TIME, "q": ROWS, "torque": ROWS, "joint_names": (), "v": None, "source": "the log"},
     "Recording": {"time": TIME, "q": ROWS, "torque": None, "v": None, "force": None, "speed": None,
-                  "source": "the log"},
+                  "source": "the log", "is_run": False},
     "Plane": {"normal": np.array([0.0, 0.0, 1.0]), "offset": 0.0},
     "Robot": {"model": robot_models.load("planar2"), "tip": None, "moved": ()},
     "Run": {"scenario": SCENARIO, "model": RUN.model, "columns": RUN.columns},

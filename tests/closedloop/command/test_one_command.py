@@ -128,6 +128,8 @@ def test_a_saved_run_is_drawn_for_a_journal(closedloop, saved, tmp_path):
     asked = ("--columns", "f,e", "--format", "pdf", "--width", "3.5", "--font", "8", "--out", "paper")
     assert closedloop("plot", saved, *asked) == (0, "wrote paper/: fig_f_e.pdf\n", "")
     assert [path.name for path in (tmp_path / "paper").iterdir()] == ["fig_f_e.pdf"]
+    both = ["--columns", "f,e", "--out", "both", "--format", "pdf,png"]
+    assert closedloop("plot", saved, *both) == (0, "wrote both/: fig_f_e.pdf, each also as .png\n", "")
     box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+)", (tmp_path / "paper" / "fig_f_e.pdf").read_bytes())
     assert float(box[1]) == 3.5 * 72
     for wrong, said in (
@@ -177,6 +179,7 @@ def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
     assert max(map(len, out.partition("not to be used")[0].splitlines())) <= 80
     assert re.search(r"ur5 +6 +tool0 +shoulder_pan_joint", out)
     assert "'cassie' is described in SDF" in out
+    assert "shoulder_lift_joint " in closedloop("robots", "ur5")[1]  # whole, at the width of a terminal
     one = closedloop("robots", "panda")[1]
     for words in (
         "panda_joint7",

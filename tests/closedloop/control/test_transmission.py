@@ -282,6 +282,10 @@ REFUSED = {
         {"transmission.stiffness": 1e3, "transmission.damping": 1e7},
         "transmission.damping: semi_implicit_euler is unstable with time.step = 0.001 s on joints whose damping",
     ),
+    "a light link": (
+        {"transmission.stiffness": [10.0, 10.0, 10.0, 1e6], "transmission.motor_inertia": 0.5},
+        "against their motors, J4 most",
+    ),
     "euler": ({"transmission.stiffness": 1e3, "time.integrator": "explicit_euler"}, "explicit_euler is unstable"),
 }
 

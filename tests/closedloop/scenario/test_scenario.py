@@ -120,6 +120,12 @@ def test_overrides_stay_the_callers_own():
     assert mine == {"J3": 0.0}
 
 
+def test_a_dotted_key_in_a_dictionary_is_explained():
+    """There a section is a dictionary; dots are for overrides."""
+    with pytest.raises(cl.ScenarioError, match=r"robot = \{model = \.\.\.\}; a dot is for overrides"):
+        cl.load_scenario({"robot.model": "planar2"})
+
+
 def test_another_kind_drops_the_keys_of_the_old():
     """Overriding a kind drops what the new kind does not know, and nothing else, in any order of the overrides."""
     assert cl.load_scenario("wam_slide", {"stabiliser.kind": "none"}).stabiliser.model_dump() == {"kind": "none"}

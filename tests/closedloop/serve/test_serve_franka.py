@@ -101,7 +101,8 @@ def test_the_state_and_the_model_are_the_arm():
     )
     robot = cl.prepare(cl.load_scenario("fr3_press")).robot
     q = run.q[-1]
-    axes, origin, J = robot.tip_frame(q)
+    T, J = robot.tip_frame(q)
+    axes, origin = T[:3, :3], T[:3, 3]
     rest = np.zeros(7)
     np.testing.assert_allclose(said["q"], q, atol=1e-6)
     pose = wire.pose_of(said["pose"])

@@ -131,7 +131,7 @@ def test_the_raw_wrench_is_that_at_the_flange(scenario):
     assert size == 4 + 28 * 8
     pressed, raw, q, load = (np.array(part) for part in (found[:6], found[6:12], found[12:18], found[18:]))
     assert load == pytest.approx([2.0, *tool["tool.centre"], *tool["tool.offset"], 0.0, 0.0, 0.0])
-    down = robot.tip_frame(q)[0].T  # the tool is fixed to the tip's frame, and has its axes
+    down = robot.tip_frame(q)[0][:3, :3].T  # the tool is fixed to the tip's frame, and has its axes
     force, weight = down @ pressed[:3], down @ [0.0, 0.0, -2.0 * 9.81]
     moment = np.cross(tool["tool.offset"], force) + np.cross(tool["tool.centre"], weight)
     assert pressed[2] == pytest.approx(10.0, abs=1e-6)

@@ -42,6 +42,8 @@ def test_first_line_is_a_sentence(command_line):
     first = said.out.splitlines()[0]
     assert first == "stable; the law reads no force; at torque[J3] 14.9 dB and 78° from instability"
     assert "nothing is fed back" in said.out
+    table = [line for line in said.out.splitlines() if line.startswith(("cut at", "torque["))]
+    assert len({len(line) for line in table}) == 1
     assert "arm 100 %" in said.out
 
 

@@ -10,7 +10,7 @@ import pytest
 import closedloop as cl
 from closedloop.command.compare import main
 from closedloop.studies.comparison.explain import Hypothesis, alike_rows, explain
-from closedloop.studies.comparison.recording import Recording, of_run
+from closedloop.studies.comparison.recording import Recording, of_run, read_recording
 from closedloop.studies.identify.log import LogError
 
 
@@ -131,6 +131,21 @@ def test_the_command_reads_files_and_writes_results(run, tmp_path, capsys):
     assert max(told["q"]["rms"]) < 1e-12
     assert json.loads((tmp_path / "comparison.json").read_text()) == told
     assert "difference" in (tmp_path / "comparison.svg").read_text()
+
+
+def test_two_runs_have_one_clock(run):
+    """A path that begins later is a difference, and not a shift of the log; a log of it is shifted."""
+    later = run.scenario.replace({"reference.start": 0.9})
+    log = Recording(run.time, run.q, run.torque)
+    assert cl.compare_log(run, later).shift == 0.0
+    assert abs(cl.compare_log(log, later).shift) > 0.05
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "mcap"])
+def test_the_force_of_an_exported_run_has_three_components(ending, run, tmp_path):
+    """No name is needed for it, so that friction can be identified from an export as from the run itself."""
+    recording = read_recording(run.save(tmp_path / f"log.{ending}"), run.model)
+    np.testing.assert_allclose(recording.force, run.tip_force, atol=1e-9)
 
 
 def test_bad_input_is_one_line(run, tmp_path, capsys):

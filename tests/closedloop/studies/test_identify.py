@@ -12,7 +12,7 @@ import closedloop as cl
 import robot_models
 from closedloop.studies.identify.fit import fit
 from closedloop.studies.identify.log import LogError
-from closedloop.studies.identify.written import friction_section, report
+from closedloop.studies.identify.written import friction_section, report, torque_figure
 
 NOISE = (2e-5, 0.3)  # rad, N m
 
@@ -133,6 +133,9 @@ def test_a_joint_that_creeps_tells_nothing_of_itself_and_leaves_the_others(metho
     for name in ("viscous_J1", "dry_J1", "offset_J1", "viscous_J3", "dry_J3", "offset_J3", "drive_inertia_J3"):
         assert f"{name[-2:]} rests in this log, or moves too little" in found[name].why
     assert not found.used[:, [0, 2]].any()
+    assert "nan" not in "\n".join(report(found)).lower()
+    titles = [axes.get_title() for axes in torque_figure(found).axes]
+    assert [title.endswith("not counted") for title in titles] == [True, False, True, False]
     for joint in ("J2", "J4"):
         for kind, true in (("viscous", 1.5), ("dry", 1.0), ("offset", 0.0)):
             entry = found[f"{kind}_{joint}"]

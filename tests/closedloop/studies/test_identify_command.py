@@ -139,6 +139,9 @@ def test_a_run_of_the_simulator_is_a_log():
     true = np.array([pin.rnea(model, data, run.q[k], run.v[k], run.acceleration[k]) for k in rows])
     assert np.abs(run.contact_force).max() > 1.0
     np.testing.assert_allclose(log.torque[list(rows)], true, atol=1e-8)
+    moved = cl.simulate(cl.load_scenario("planar2_slide", {"time.duration": 3.0}))
+    found, same = (cl.identify(each, moved.model).summary() for each in (moved, log_of_run(moved)))
+    np.testing.assert_equal(found, same)
 
 
 def test_bodies_that_can_be_keep_the_torque(log):

@@ -279,6 +279,16 @@ def test_a_run_of_a_robot_tells_its_own_contact():
     assert abs(found["delay"].value) < 5e-5
 
 
+def test_a_label_is_no_longer_than_its_panel():
+    """Of a run that slides, with torques: three parts."""
+    changes = {"friction.kind": "coulomb", "friction.coefficient": 0.2, "time.duration": 2.0}
+    figure = cl.identify_contact(cl.simulate(cl.load_scenario("soft_table", changes), progress=False)).figure()
+    figure.draw_without_rendering()
+    assert any("beside that" in axes.get_ylabel() for axes in figure.axes)
+    for axes in figure.axes:
+        assert axes.yaxis.label.get_window_extent().height < axes.get_window_extent().height
+
+
 def test_a_constant_force_tells_no_gain(tmp_path):
     """A force without noise that never changes is one level, and its figure has no curves."""
     time = np.arange(1000) * STEP

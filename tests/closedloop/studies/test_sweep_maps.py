@@ -32,6 +32,7 @@ def test_a_grid_is_a_map_with_every_run_in_its_cell(table):
     assert (panel.get_xscale(), panel.get_yscale()) == ("linear", "log")
     assert panel.get_title(loc="left") == "highest contact force"
     assert bar.get_ylabel() == "N"
+    assert panel.get_xticks().tolist() == [5.0, 10.0, 15.0]
     (mesh,) = panel.collections
     cells = np.ma.filled(mesh.get_array().reshape(5, 3), np.nan)
     np.testing.assert_array_equal(cells, table["peak_contact_force"].to_numpy().reshape(3, 5).T)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -116,7 +117,7 @@ class ContactIdentification:
                 panel.plot(part.time, part.measured, ".", ms=3, color="0.4", label="measured")
                 panel.plot(part.time, part.predicted, ".", ms=2, color=COLOURS[1], label="predicted")
                 panel.plot(part.time, part.measured - part.predicted, ".", ms=2, color=COLOURS[0], label="residual")
-                panel.set_ylabel(part.what, fontsize="small")
+                panel.set_ylabel("\n".join(wrap(part.what, 24)), fontsize="small")
             if drawn:
                 legend_beside_title(on[0])
             on[-1].set_xlabel("time, s")

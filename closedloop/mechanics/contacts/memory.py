@@ -18,6 +18,7 @@ from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, integers_at, vector_at
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.mechanics.contacts.joint_space import JointSpace
 from closedloop.mechanics.loops.memory import LoopMemory
 
 N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
@@ -25,6 +26,8 @@ N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
 # Kinds of a contact in a problem: without force; that slides in a known direction, F = f (1, −μ d) with f >= 0; inside
 # Coulomb's cone; and of those that also pull one with F = f (1, −c), and one with |F_t| <= μ|f|.
 OFF, RAY, CONE, LINE, DOUBLE = range(5)
+# A contact whose gap is less may be about to close, m.
+HOVERING = 1e-9
 # How a law of friction sticks: not, there being none; with u = 0 as a constraint; and see `FrictionLaw.sticks`.
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 
@@ -117,6 +120,8 @@ class TimeStep(Block, sizes=("k",)):
     within: float  # the same of the substep under way
     force: Annotated[Array, 3 * K]  # N
     friction_cut: float  # what is taken from each μ in it, a share; 0 again once modes are found
+    reach: float  # m, within which contacts are near
+    limit: Annotated[Array, K]  # of dry friction of joints, N m (N)
     struck: float  # when the last tangential impact was, s
     in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written
@@ -262,6 +267,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     problem: Problem
     event: ContactEvent
     step: TimeStep
+    stepping: JointSpace
     path: Path
     scratch: ContactScratch
 
@@ -332,5 +338,6 @@ def make_contact_memory(
     links.rows = 0 if rows is None else rows.address
     contacts.moves.end[:] = n
     contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf
+    contacts.step.reach = HOVERING
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

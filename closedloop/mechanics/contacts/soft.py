@@ -115,22 +115,28 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
     """
     if links.compliances == 0:
         return
-    m, where = 3 * links.k, integers_at(links.compliances, 2 * links.k)
+    m = 3 * links.k
     for i in range(links.k):
         if c.soft[i] == 0.0:
             continue
-        n, f = 3 * i, 0.0
-        if c.past_edge[i] == 0.0 and (c.mode[i] != FREE or soft_gap(c, i) <= 0.0):
-            query = vector_at(where[2 * i + 1], QUERY)
-            query[0], query[1] = -soft_gap(c, i), -c.u[n]
-            f = soft_force(links, i, query)
-            f = f if c.friction.pulls[i] != 0.0 else max(f, 0.0)
+        n, f = 3 * i, known_force(links, c, i)
         own = max(c.W[n, n], c.W[n + 1, n + 1], c.W[n + 2, n + 2])
         for j in range(m):
             c.a[j] += c.W[j, n] * f
             c.W[j, n], c.W[n, j] = 0.0, 0.0
         c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
         let_creep(links, c, i, own)
+
+
+@kernel
+def known_force(links: ContactLinks, c: Contacts, i: int) -> float:
+    """Return f of soft contact i by its gap and rate, N, zero while it is open."""
+    if c.past_edge[i] != 0.0 or (c.mode[i] == FREE and soft_gap(c, i) > 0.0):
+        return 0.0
+    query = vector_at(integers_at(links.compliances, 2 * links.k)[2 * i + 1], QUERY)
+    query[0], query[1] = -soft_gap(c, i), -c.u[3 * i]
+    f = soft_force(links, i, query)
+    return float(f if c.friction.pulls[i] != 0.0 else max(f, 0.0))
 
 
 @kernel

@@ -25,8 +25,8 @@ from closedloop.mechanics.contacts.friction import (
     law_at,
     plain_friction,
 )
-from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
-from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING
+from closedloop.mechanics.contacts.memory import HOVERING, ContactMemory, Contacts, make_contact_memory
+from closedloop.mechanics.contacts.modes import CLOSED_GAP
 from closedloop.mechanics.contacts.rolling import (
     EDGE,
     SHAPE,

@@ -1,0 +1,156 @@
+"""Time stepping: one problem of impulses for each step, and no events within it.
+
+With G and the velocities u of a step's beginning, and the smooth forces held,
+
+    u⁺ = u + h X L⁻¹(Q − C) + W P,     P ∈ K,     w + μ|u⁺_t| n ∈ K*,     Pᵀ(w + μ|u⁺_t| n) = 0,
+
+    w = u⁺ + g/h n        of a contact with the gap g >= 0, which may close and does not sink in,
+    w = u⁺ + g/T n        of one that is g < 0 deep, T the stabiliser's time constant,
+    w = u⁺ + e u⁻ n       of one that strikes within the step and rebounds
+
+and then q⁺ = q + h q̇⁺ (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput. Methods
+Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996). It is of
+first order, and costs the same however many contacts close, open, stick or slip. The forces of a step are P/h: an impact
+is a large force of one step. Resistances and the dry friction of joints are in the same problem; soft contacts press
+with the force of the step's beginning.
+"""
+
+from __future__ import annotations
+
+import math
+
+from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
+from closedloop.jit.kernel import kernel
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.closure.solve import OK, PAINLEVE
+from closedloop.mechanics.contacts.friction import take_kinetic
+from closedloop.mechanics.contacts.joint_space import (
+    BILATERAL,
+    FIRST,
+    GIVEN,
+    IN_CONE,
+    MOST,
+    OWNED,
+    JointSpace,
+    solve_in_joint_space,
+)
+from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.resistance import is_resistance
+from closedloop.mechanics.contacts.soft import known_force
+
+# Friction below this share of its limit is inside the cone: the contact sticks.
+INSIDE = 1.0 - 1e-6
+# Contacts that may close within a step: those nearer than so many times what the fastest of them would go in it.
+AHEAD = 2.0
+
+
+@kernel
+def look_ahead(c: Contacts, k: int, h: float) -> None:
+    """Write the gap within which contacts take part in a step of h, s, by their velocities at the last step."""
+    fastest = 0.0
+    for i in range(3 * k):
+        if abs(c.u[i]) < math.inf:
+            fastest = max(fastest, abs(c.u[i]))
+    c.step.reach = HOVERING + AHEAD * h * fastest
+
+
+@kernel
+def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
+    """Write F = P/h of a step of h, s, and the modes that it means; return OK, or PAINLEVE if none were found.
+
+    Parameters
+    ----------
+    load : (n,) array
+        L⁻¹(Q − C), less what loops bind.
+    push : float
+        1/T, 1/s.
+    """
+    s, n = c.stepping, links.n
+    take_kinetic(links, c)
+    a = write_problem(links, c, load, h, push, rest_speed)
+    found = a == 0 or solve_in_joint_space(s, a, n, MOST, False)
+    for associated in (False, True):
+        for r in range(0 if found else 3 * a):
+            s.P[r] = 0.0
+        found = found or solve_in_joint_space(s, a, n, FIRST, associated)
+    if not found:
+        return PAINLEVE
+    for i in range(links.k):
+        if c.friction.pulls[i] == 0.0:
+            c.mode[i] = FREE
+        for r in range(3 * i, 3 * i + 3):
+            c.F[r] = c.rigid[r] = 0.0
+    for i in range(a):
+        number = int(s.number[i])
+        for r in range(3):
+            c.F[3 * number + r] = c.rigid[3 * number + r] = s.P[3 * i + r] / h
+        pressed = abs(s.P[3 * i]) if s.kind[i] != OWNED else s.P[3 * int(s.given[i])]
+        if pressed > 0.0:
+            held = math.hypot(s.P[3 * i + 1], s.P[3 * i + 2]) < INSIDE * s.mu[i] * pressed
+            c.mode[number] = STUCK if held else PRESSED
+    for r in range(3 * links.k):
+        c.step.force[r] = c.F[r]
+    return OK
+
+
+@kernel
+def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
+    """Write the contacts that take part, packed; return their number."""
+    s, a = c.stepping, 0
+    for i in range(links.k):
+        s.place[i] = -1.0
+        if c.near[i] == 0.0 or not takes_part(links, c, i, h, s, a):
+            continue
+        s.number[a], s.mu[a] = i, c.mu[i]
+        first, end = joints_of(c, i)
+        s.first[a], s.end[a], s.mobility[a] = first, end, 0.0
+        for r in range(3):
+            from_row, to_row, square, growth = row_of(c.X, 3 * i + r), row_of(s.X, 3 * a + r), 0.0, 0.0
+            for j in range(first, end):
+                x = from_row[j]
+                to_row[j] = x
+                square += x * x
+                growth += x * load[j]
+            s.mobility[a] = max(s.mobility[a], square)
+            s.q[3 * a + r] = c.u[3 * i + r] + h * growth
+            s.P[3 * a + r] = h * c.step.force[3 * i + r]
+        if not s.mobility[a] > 0.0:
+            continue
+        if s.kind[a] <= BILATERAL:
+            s.q[3 * a] += allowed(links, c, i, s.q[3 * a], h, push, rest_speed)
+        s.place[i] = a
+        a += 1
+    return a
+
+
+@kernel
+def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace, a: int) -> bool:
+    """Write the kind of contact i as number a of the problem, and its normal impulse, if that is given."""
+    s.kind[a], s.given[a] = IN_CONE, 0.0
+    if i >= links.joints:
+        s.kind[a], s.given[a] = GIVEN, h * c.step.limit[i]
+        return bool(s.given[a] > 0.0)
+    if is_resistance(c, i):
+        s.kind[a], s.given[a] = OWNED, s.place[int(c.friction.resistance.owner[i])]
+        return bool(s.given[a] >= 0.0)
+    if c.friction.pulls[i] != 0.0:
+        s.kind[a] = BILATERAL
+    elif c.inside[i] < 0.0 or c.past_edge[i] != 0.0:  # beside its surface, until it has come up to its level
+        c.past_edge[i] = 1.0 if c.located[3 * i] < 0.0 else 0.0
+        return False
+    if c.soft[i] != 0.0:
+        s.kind[a], s.given[a] = GIVEN, h * known_force(links, c, i)
+        return bool(s.given[a] != 0.0)
+    return True
+
+
+@kernel
+def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, push: float, rest_speed: float) -> float:
+    """Return what is added to the velocity of contact i along its normal, m/s, for the w of the problem."""
+    gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
+    if c.friction.pulls[i] != 0.0:
+        return float(gap * push)
+    if c.restitution[i] > 0.0 and -c.restitution[i] * u > slowest and gap + h * coming <= 0.0:
+        return float(c.restitution[i] * u)
+    return float(gap / h if gap >= 0.0 else gap * push)

@@ -105,9 +105,11 @@ def contacts_in_step(address: int, what: int) -> int:
             c.margin = min(c.margin, open_margin(c, i))
         w.contacts.margin = c.margin
     elif what == SAVE:
-        save_contacts(links, c)
+        if state.settings.time_stepping == 0:
+            save_contacts(links, c)
         c.step.begun = 1.0 * links.stepped
-        w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
+        if state.settings.time_stepping == 0:
+            w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])
     elif what == PLACE:
@@ -300,7 +302,7 @@ def step_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants,
             c.F[i] = c.rigid[i] = c.step.force[i]
         return OK
     locate_joints(links, c, w, constants, state)
-    status = begin_step(links, c, w.y, constants.h, math.sqrt(constants.s_p), constants.rest_speed)
+    status = begin_step(links, c, w.y, constants.h, constants.rest_speed)
     for i in range(links.joints, links.k):
         add_along(constants, i - links.joints, c.F[3 * i + 1], w.joint_friction.torque)
         c.u[3 * i + 1] = 0.0

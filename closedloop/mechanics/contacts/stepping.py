@@ -5,7 +5,7 @@ With G and the velocities u of a step's beginning, and the smooth forces held,
     u⁺ = u + h X L⁻¹(Q − C) + W P,     P ∈ K,     w + μ|u⁺_t| n ∈ K*,     Pᵀ(w + μ|u⁺_t| n) = 0,
 
     w = u⁺ + g/h n        of a contact with the gap g >= 0, which may close and does not sink in,
-    w = u⁺ + g/T n        of one that is g < 0 deep, T the stabiliser's time constant,
+    w = u⁺ + g/(10 h) n   of one that is g < 0 deep,
     w = u⁺ + e u⁻ n       of one that strikes within the step and rebounds
 
 and then q⁺ = q + h q̇⁺ (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput. Methods
@@ -41,6 +41,8 @@ from closedloop.mechanics.contacts.soft import known_force
 
 # Friction below this share of its limit is inside the cone: the contact sticks.
 INSIDE = 1.0 - 1e-6
+# What a step puts back of the depth of a contact below its surface.
+PUT_BACK = 0.1
 # Contacts that may close within a step: those nearer than so many times what the fastest of them would go in it.
 AHEAD = 2.0
 
@@ -56,19 +58,17 @@ def look_ahead(c: Contacts, k: int, h: float) -> None:
 
 
 @kernel
-def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
+def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> int:
     """Write F = P/h of a step of h, s, and the modes that it means; return OK, or PAINLEVE if none were found.
 
     Parameters
     ----------
     load : (n,) array
         L⁻¹(Q − C), less what loops bind.
-    push : float
-        1/T, 1/s.
     """
     s, n = c.stepping, links.n
     take_kinetic(links, c)
-    a = write_problem(links, c, load, h, push, rest_speed)
+    a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
     s.debug[2] += 1.0
     s.debug[7] = max(s.debug[7], a)
     found = a == 0 or solve_in_joint_space(s, a, n, MOST, False)
@@ -141,8 +141,7 @@ def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace
         return bool(s.given[a] >= 0.0)
     if c.friction.pulls[i] != 0.0:
         s.kind[a] = BILATERAL
-    elif c.inside[i] < 0.0 or c.past_edge[i] != 0.0:  # beside its surface, until it has come up to its level
-        c.past_edge[i] = 1.0 if c.located[3 * i] < 0.0 else 0.0
+    elif not belongs_here(c, i):
         return False
     if c.soft[i] != 0.0:
         s.kind[a], s.given[a] = GIVEN, h * known_force(links, c, i)
@@ -151,11 +150,24 @@ def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace
 
 
 @kernel
+def belongs_here(c: Contacts, i: int) -> bool:
+    """Whether contact i is at its own surface: nearer to it than to its edge when it came, and not beyond that since.
+
+    What comes from beside, or edges that begin to cross, may be deep below it at once; then another contact is nearer.
+    """
+    if c.inside[i] < 0.0:
+        c.gaps.cleared[i] = 0.0
+    elif c.located[3 * i] >= -c.inside[i]:
+        c.gaps.cleared[i] = 1.0
+    return bool(c.gaps.cleared[i] != 0.0)
+
+
+@kernel
 def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, push: float, rest_speed: float) -> float:
     """Return what is added to the velocity of contact i along its normal, m/s, for the w of the problem."""
     gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
     if c.friction.pulls[i] != 0.0:
-        return float(gap * push)
+        return float(gap * push / h)
     if c.restitution[i] > 0.0 and -c.restitution[i] * u > slowest and gap + h * coming <= 0.0:
         return float(c.restitution[i] * u)
-    return float(gap / h if gap >= 0.0 else gap * push)
+    return float(gap / h if gap >= 0.0 else gap * push / h)

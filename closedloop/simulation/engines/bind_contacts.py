@@ -75,8 +75,8 @@ from robot_models.tendon import STOPS
 ON_EDGE = 1e-6
 # A quarter turn about z.
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-# As many contacts as a scenario may have.
-MOST = 256
+# As many contacts as a scenario may have; in time stepping, which holds no matrix of all of them.
+MOST, MOST_STEPPED = 256, 4096
 
 
 class ContactPlaces(NamedTuple):
@@ -120,11 +120,12 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     stops = np.flatnonzero(np.isfinite(limits).any(axis=0))
     held = robot.n + len(tendons) if joint_friction_of(scenario, robot.model).sticks == "rigid" else 0
     turns = resistances_of(sections)
+    stepped = scenario.time.integrator == "time_stepping"
     names, k = names_of(sections), points + len(stops) + len(turns) + held
     laws = laws_of(scenario, names)
     asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
     past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
-    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns)
+    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns, not stepped)
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
     contacts.restitution[points : points + len(stops)] = scenario.robot.stop_restitution
     contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]
@@ -361,8 +362,10 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
     """
     sections = scenario.contact or ()
     names = names_of(sections)
-    if len(sections) > MOST:
-        raise ScenarioError(f"contact: there are {len(sections)} of them; at most {MOST}")
+    stepped = scenario.time.integrator == "time_stepping"
+    if len(sections) > (MOST_STEPPED if stepped else MOST):
+        more = "" if stepped else f", or {MOST_STEPPED} with time.integrator = 'time_stepping'"
+        raise ScenarioError(f"contact: there are {len(sections)} of them; at most {MOST}{more}")
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ScenarioError(f"contact: two are called {twice!r}: name each")

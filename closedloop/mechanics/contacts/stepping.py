@@ -72,13 +72,15 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
     s.debug[2] += 1.0
     s.debug[7] = max(s.debug[7], a)
     found = a == 0 or solve_in_joint_space(s, a, n, MOST, False)
-    for attempt in range(0 if found else 3):
+    for attempt in range(3):
+        if found:
+            break
         s.debug[3 + attempt] += 1.0
         if attempt == 1:  # contacts that are inside each other may not all part at once
             write_problem(links, c, load, h, 0.0, rest_speed)
         for r in range(3 * a):
             s.P[r] = 0.0
-        found = found or solve_in_joint_space(s, a, n, FIRST, attempt == 2)
+        found = solve_in_joint_space(s, a, n, FIRST, attempt == 2)
     if not found:
         return PAINLEVE
     for i in range(links.k):

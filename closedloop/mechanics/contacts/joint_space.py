@@ -62,7 +62,8 @@ class JointSpace(Block, sizes=("n", "k")):
     place: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of the largest q
     asked: float  # the largest q, m/s
-    debug: Annotated[Array, Count.of(8)]
+    rounds: float  # of the last problem, and steps of Newton's method in them
+    steps: float
 
 
 @kernel
@@ -279,10 +280,11 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, associated
     `associated`: without μ|u_t| n, the normality rule of Anitescu's scheme, for which there always is a solution.
     """
     stiffness, most, before = first, 0.0, math.inf
+    s.rounds = s.steps = 0.0
     for i in range(a):
         most = max(most, s.mobility[i])
     for _ in range(ROUNDS):
-        s.debug[0] += 1.0
+        s.rounds += 1.0
         s.residual = residual_of(s, a, n, associated)
         if s.residual <= FOUND or 0.5 * before < s.residual <= SLOW:
             return True
@@ -294,7 +296,7 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, associated
         for _ in range(NEWTON_STEPS):
             if square <= left * left:
                 break
-            s.debug[1] += 1.0
+            s.steps += 1.0
             newton_step_of_joints(s, a, n, stiffness)
             share, last = 1.0, square
             for _ in range(HALVINGS):

@@ -10,9 +10,9 @@ With G and the velocities u of a step's beginning, and the smooth forces held,
 
 and then q⁺ = q + h q̇⁺ (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996). It is of
-first order, and costs the same however many contacts close, open, stick or slip. The forces of a step are P/h: an impact
-is a large force of one step. Resistances and the dry friction of joints are in the same problem; soft contacts press
-with the force of the step's beginning.
+first order, and costs the same however many contacts close, open, stick or slip. The forces of a step are P/h: an
+impact is a large force of one step. Resistances and the dry friction of joints are in the same problem; soft contacts
+press with the force of the step's beginning.
 """
 
 from __future__ import annotations
@@ -69,13 +69,10 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
     s, n = c.stepping, links.n
     take_kinetic(links, c)
     a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
-    s.debug[2] += 1.0
-    s.debug[7] = max(s.debug[7], a)
     found = a == 0 or solve_in_joint_space(s, a, n, MOST, False)
     for attempt in range(3):
         if found:
             break
-        s.debug[3 + attempt] += 1.0
         if attempt == 1:  # contacts that are inside each other may not all part at once
             write_problem(links, c, load, h, 0.0, rest_speed)
         for r in range(3 * a):

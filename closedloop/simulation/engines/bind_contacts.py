@@ -44,6 +44,7 @@ from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
@@ -76,7 +77,7 @@ ON_EDGE = 1e-6
 # A quarter turn about z.
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 # As many contacts as a scenario may have; in time stepping, which holds no matrix of all of them.
-MOST, MOST_STEPPED = 256, 4096
+MOST, MOST_STEPPED = 256, 16384
 
 
 class ContactPlaces(NamedTuple):
@@ -96,6 +97,12 @@ class ContactPlaces(NamedTuple):
     def starts_closed(self) -> bool:
         """Whether a contact of a link is closed at the start."""
         return any(gap <= HOVERING and inside >= 0.0 for gap, inside in self.start)
+
+
+def is_stepped(scenario: Scenario) -> bool:
+    """Whether each step is one problem of impulses, see `closedloop.mechanics.contacts.stepping`."""
+    integrator = INTEGRATORS.get(scenario.time.integrator)
+    return integrator is not None and integrator.time_stepping
 
 
 def entries_of_contacts(scenario: Scenario) -> list[Any]:
@@ -120,12 +127,13 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     stops = np.flatnonzero(np.isfinite(limits).any(axis=0))
     held = robot.n + len(tendons) if joint_friction_of(scenario, robot.model).sticks == "rigid" else 0
     turns = resistances_of(sections)
-    stepped = scenario.time.integrator == "time_stepping"
     names, k = names_of(sections), points + len(stops) + len(turns) + held
     laws = laws_of(scenario, names)
     asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
     past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
-    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns, not stepped)
+    links, contacts = memory = make_contact_memory(
+        robot.n, k, rows, len(stops), held, past, turns, not is_stepped(scenario)
+    )
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
     contacts.restitution[points : points + len(stops)] = scenario.robot.stop_restitution
     contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]
@@ -362,10 +370,10 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
     """
     sections = scenario.contact or ()
     names = names_of(sections)
-    stepped = scenario.time.integrator == "time_stepping"
-    if len(sections) > (MOST_STEPPED if stepped else MOST):
-        more = "" if stepped else f", or {MOST_STEPPED} with time.integrator = 'time_stepping'"
-        raise ScenarioError(f"contact: there are {len(sections)} of them; at most {MOST}{more}")
+    most = MOST_STEPPED if is_stepped(scenario) else MOST
+    if len(sections) > most:
+        more = "" if most > MOST else f", or {MOST_STEPPED} with time.integrator = 'time_stepping'"
+        raise ScenarioError(f"contact: there are {len(sections)} of them; at most {most}{more}")
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ScenarioError(f"contact: two are called {twice!r}: name each")

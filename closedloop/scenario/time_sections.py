@@ -64,7 +64,8 @@ class TimeSection(Section):
     integrator: IntegratorName = Field(
         "auto",
         description="semi_implicit_euler is the paper's, dop853 chooses its own steps, time_stepping is for many "
-        "contacts: one problem of impulses a step, no events; auto: rk4 where surface.contact is unilateral, since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with "
+        "contacts: one problem of impulses a step, no events; auto: rk4 where surface.contact is unilateral, "
+        "since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with "
         "a friction with states, such as lugre, and where contact is bilateral",
     )
     tolerance: Tolerance | None = Field(

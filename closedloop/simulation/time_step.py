@@ -18,6 +18,7 @@ from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.placed import Touching
 from closedloop.mechanics.surface.surface import largest_mobility
 from closedloop.record.columns.derived import recorded_states
@@ -84,6 +85,11 @@ def check_time_stepping(scenario: Scenario) -> None:
         raise ScenarioError(
             f"stabiliser.kind = {scenario.stabiliser.kind!r}: {name!r} keeps contacts on their surfaces itself; leave "
             "[stabiliser] out, or use 'semi_implicit_euler' or 'rk4'"
+        )
+    if scenario.surface.contact != "unilateral" and not isinstance(scenario.compliance, Rigid):
+        raise ScenarioError(
+            f"compliance: {name!r} solves for a soft surface that the tip may leave; set surface.contact = "
+            "'unilateral', or use 'semi_implicit_euler' or 'rk4'"
         )
     laws = {"friction": scenario.friction} | {
         f"contact {each!r}: friction_law": section.friction_law

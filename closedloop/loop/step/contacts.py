@@ -93,7 +93,7 @@ def contacts_in_step(address: int, what: int) -> int:
     status = OK
     if what == FORCE:
         if state.settings.time_stepping != 0 and state.begins != 0:
-            look_ahead(c, links.k, constants.h)
+            look_ahead(c, links.k, constants.h, state.row == 0)
         status = locate_contacts(links, c, w, constants, state)
         if status == OK:
             status = contact_forces(links, c, w, constants, state)

@@ -23,9 +23,9 @@ from closedloop.jit.kernel import kernel
 
 N, K = Count.of("n"), Count.of("k")
 
-# Kinds of a contact: in Coulomb's cone; one that also pulls, of a bilateral closure; with a given normal impulse; and
-# with that of another contact, its owner.
-IN_CONE, BILATERAL, GIVEN, OWNED = range(4)
+# Kinds of a contact: in Coulomb's cone; one that also pulls, of a bilateral closure; with a normal impulse that is a
+# function of its speed, P = given − falls u >= 0; and with that of another contact, its owner.
+IN_CONE, BILATERAL, SOFT, OWNED = range(4)
 # ρ in the inverse of a contact's mobility: in the first round, what it grows by in each, and in the last ones.
 FIRST, GROWTH, MOST = 10.0, 4.0, 1e3
 # Rounds at most, steps of Newton's method in each, and halvings of a step.
@@ -41,7 +41,8 @@ class JointSpace(Block, sizes=("n", "k")):
 
     kind: Annotated[Array, K]
     mu: Annotated[Array, K]
-    given: Annotated[Array, K]  # normal impulse, N s, or the number of the owner
+    given: Annotated[Array, K]  # normal impulse at no speed, N s, or the number of the owner
+    falls: Annotated[Array, K]  # and what it is less by with the speed, kg
     first: Annotated[Array, K]  # of the joints that a contact moves
     end: Annotated[Array, K]
     X: Annotated[Array, 3 * K, N]
@@ -59,9 +60,9 @@ class JointSpace(Block, sizes=("n", "k")):
     matrix: Annotated[Array, N, N]
     row: Annotated[Array, 3, N]
     number: Annotated[Array, K]  # of each among all contacts
-    place: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
-    residual: float  # as a share of the largest q
-    asked: float  # the largest q, m/s
+    packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
+    residual: float  # as a share of `asked`
+    asked: float  # the largest velocity that smooth forces would make, m/s
     rounds: float  # of the last problem, and steps of Newton's method in them
     steps: float
 
@@ -136,19 +137,19 @@ def respond(s: JointSpace, i: int, rho: float, associated: bool, P: Array) -> No
     for a in range(3):
         for b in range(3):
             slope[a, b] = 0.0
+    if s.kind[i] == OWNED:
+        P[at] = 0.0
+        into_disc(x1, x2, mu * max(P[3 * int(s.given[i])], 0.0), P[at : at + 3], slope, along)
+        return
     if s.kind[i] == BILATERAL:
-        P[at] = s.P[at] - rho * u0
-        slope[0, 0] = 1.0
-        into_disc(x1, x2, mu * abs(P[at]), P[at : at + 3], slope, along)
-        sense = math.copysign(mu, P[at])
-        slope[1, 0], slope[2, 0] = sense * along[0], sense * along[1]
-        along[0] = along[1] = 0.0
+        P[at], slope[0, 0] = s.P[at] - rho * u0, 1.0
     else:
-        P[at] = s.given[i] if s.kind[i] == GIVEN else 0.0
-        level = s.given[i] if s.kind[i] == GIVEN else P[3 * int(s.given[i])]
-        into_disc(x1, x2, mu * max(level, 0.0), P[at : at + 3], slope, along)
-        if s.kind[i] == GIVEN:
-            along[0] = along[1] = 0.0
+        P[at] = max(s.given[i] - s.falls[i] * u0, 0.0)
+        slope[0, 0] = s.falls[i] / rho if P[at] > 0.0 else 0.0
+    into_disc(x1, x2, mu * abs(P[at]), P[at : at + 3], slope, along)
+    sense = math.copysign(mu, P[at]) * slope[0, 0]
+    slope[1, 0], slope[2, 0] = sense * along[0], sense * along[1]
+    along[0] = along[1] = 0.0
 
 
 @kernel
@@ -253,7 +254,7 @@ def eliminate(M: Array, x: Array, n: int) -> None:
 
 @kernel
 def residual_of(s: JointSpace, a: int, n: int, associated: bool) -> float:
-    """Write y = Xᵀ P and u of it; return by how much P is off its nearest at ρ = 1, as a share of the largest q."""
+    """Write y = Xᵀ P and u of it; return by how much P is off its nearest at ρ = 1, as a share of `asked`."""
     for j in range(n):
         s.y[j] = 0.0
     for i in range(a):
@@ -261,16 +262,15 @@ def residual_of(s: JointSpace, a: int, n: int, associated: bool) -> float:
             p = s.P[r]
             for j in range(int(s.first[i]), int(s.end[i]) if p != 0.0 else 0):
                 s.y[j] += s.X[r, j] * p
-    worst, most = 0.0, 0.0
+    worst = 0.0
     for i in range(a):
         write_speed(s, i, s.y)
         respond(s, i, 1.0 / s.mobility[i], associated, s.trial)
         for r in range(3 * i, 3 * i + 3):
-            worst, most = max(worst, abs(s.trial[r] - s.P[r]) * s.mobility[i]), max(most, abs(s.q[r]))
+            worst = max(worst, abs(s.trial[r] - s.P[r]) * s.mobility[i])
             if not abs(s.trial[r]) < math.inf:
                 return math.inf
-    s.asked = most
-    return worst / most if most > 0.0 else 0.0
+    return worst / s.asked if s.asked > 0.0 else worst
 
 
 @kernel

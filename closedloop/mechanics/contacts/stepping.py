@@ -11,8 +11,8 @@ With G and the velocities u of a step's beginning, and the smooth forces held,
 and then q⁺ = q + h q̇⁺ (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996). It is of
 first order, and costs the same however many contacts close, open, stick or slip. The forces of a step are P/h: an
-impact is a large force of one step. Resistances and the dry friction of joints are in the same problem; soft contacts
-press with the force of the step's beginning.
+impact is a large force of one step. Resistances and the dry friction of joints are in the same problem; a soft contact
+presses with the force at the step's end, of the tangent of its law, so that no stiffness is too large for the step.
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.joint_space import (
     BILATERAL,
     FIRST,
-    GIVEN,
     IN_CONE,
     MOST,
     OWNED,
+    SOFT,
     JointSpace,
     solve_in_joint_space,
 )
 from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
-from closedloop.mechanics.contacts.soft import known_force
+from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
 # Friction below this share of its limit is inside the cone: the contact sticks.
 INSIDE = 1.0 - 1e-6
+# By which speed, m/s, the slope of a soft contact's force is found.
+FASTER = 1e-6
 # What a step puts back of the depth of a contact below its surface.
 PUT_BACK = 0.1
 # Contacts that may close within a step: those nearer than so many times what the fastest of them would go in it.
@@ -48,13 +49,15 @@ AHEAD = 2.0
 
 
 @kernel
-def look_ahead(c: Contacts, k: int, h: float) -> None:
-    """Write the gap within which contacts take part in a step of h, s, by their velocities at the last step."""
+def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
+    """Write the gap within which contacts take part in a step of h, s, by the velocities of the step before.
+
+    In the first step there are none yet, and all take part.
+    """
     fastest = 0.0
     for i in range(3 * k):
-        if abs(c.u[i]) < math.inf:
-            fastest = max(fastest, abs(c.u[i]))
-    c.step.reach = HOVERING + AHEAD * h * fastest
+        fastest = max(fastest, abs(c.u[i]))
+    c.step.reach = math.inf if first else HOVERING + AHEAD * h * fastest
 
 
 @kernel
@@ -67,7 +70,6 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         L⁻¹(Q − C), less what loops bind.
     """
     s, n = c.stepping, links.n
-    take_kinetic(links, c)
     a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
     found = a == 0 or solve_in_joint_space(s, a, n, MOST, False)
     for attempt in range(3):
@@ -102,8 +104,9 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
 def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
     """Write the contacts that take part, packed; return their number."""
     s, a = c.stepping, 0
+    s.asked = 0.0
     for i in range(links.k):
-        s.place[i] = -1.0
+        s.packed_at[i] = -1.0
         if c.near[i] == 0.0 or not takes_part(links, c, i, h, s, a):
             continue
         s.number[a], s.mu[a] = i, c.mu[i]
@@ -118,12 +121,15 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
                 growth += x * load[j]
             s.mobility[a] = max(s.mobility[a], square)
             s.q[3 * a + r] = c.u[3 * i + r] + h * growth
+            s.asked = max(s.asked, abs(s.q[3 * a + r]), h * abs(growth))
             s.P[3 * a + r] = h * c.step.force[3 * i + r]
         if not s.mobility[a] > 0.0:
             continue
+        if c.soft[i] != 0.0 and not write_softness(links, c, i, s, a, h):
+            continue
         if s.kind[a] <= BILATERAL:
             s.q[3 * a] += allowed(links, c, i, s.q[3 * a], h, push, rest_speed)
-        s.place[i] = a
+        s.packed_at[i] = a
         a += 1
     return a
 
@@ -131,20 +137,30 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
 @kernel
 def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace, a: int) -> bool:
     """Write the kind of contact i as number a of the problem, and its normal impulse, if that is given."""
-    s.kind[a], s.given[a] = IN_CONE, 0.0
+    s.kind[a], s.given[a], s.falls[a] = SOFT if c.soft[i] != 0.0 else IN_CONE, 0.0, 0.0
     if i >= links.joints:
-        s.kind[a], s.given[a] = GIVEN, h * c.step.limit[i]
+        s.kind[a], s.given[a] = SOFT, h * c.step.limit[i]
         return bool(s.given[a] > 0.0)
     if is_resistance(c, i):
-        s.kind[a], s.given[a] = OWNED, s.place[int(c.friction.resistance.owner[i])]
+        s.kind[a], s.given[a] = OWNED, s.packed_at[int(c.friction.resistance.owner[i])]
         return bool(s.given[a] >= 0.0)
-    if c.friction.pulls[i] != 0.0:
+    if c.friction.pulls[i] != 0.0 and c.soft[i] == 0.0:
         s.kind[a] = BILATERAL
-    elif not belongs_here(c, i):
+    return bool(c.friction.pulls[i] != 0.0 or belongs_here(c, i))
+
+
+@kernel
+def write_softness(links: ContactLinks, c: Contacts, i: int, s: JointSpace, a: int, h: float) -> bool:
+    """Write the normal impulse of soft contact i at the end of the step by its speed there; whether there is any.
+
+    It is that of the tangent of its law f(depth, rate) where it would be without a force.
+    """
+    u, gap = s.q[3 * a], soft_gap(c, i)
+    f = force_at(links, i, -gap - h * u, -u)
+    if not f > 0.0:
         return False
-    if c.soft[i] != 0.0:
-        s.kind[a], s.given[a] = GIVEN, h * known_force(links, c, i)
-        return bool(s.given[a] != 0.0)
+    s.falls[a] = h * max(f - force_at(links, i, -gap - h * (u + FASTER), -u - FASTER), 0.0) / FASTER
+    s.given[a] = h * f + s.falls[a] * u
     return True
 
 

@@ -131,9 +131,8 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     laws = laws_of(scenario, names)
     asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
     past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
-    links, contacts = memory = make_contact_memory(
-        robot.n, k, rows, len(stops), held, past, turns, not is_stepped(scenario)
-    )
+    dense = not is_stepped(scenario)
+    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns, dense)
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
     contacts.restitution[points : points + len(stops)] = scenario.robot.stop_restitution
     contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]

@@ -90,12 +90,12 @@ def into_cone_with_slope(x0: float, x1: float, x2: float, mu: float, P: Array, s
     for a in range(3):
         for b in range(3):
             slope[a, b] = 0.0
+    P[0] = P[1] = P[2] = 0.0
+    if mu * size <= -x0:
+        return
     if size <= mu * x0:
         P[0], P[1], P[2] = x0, x1, x2
         slope[0, 0] = slope[1, 1] = slope[2, 2] = 1.0
-        return
-    P[0] = P[1] = P[2] = 0.0
-    if mu * size <= -x0:
         return
     share = 1.0 / (1.0 + mu * mu)
     f = share * (x0 + mu * size)

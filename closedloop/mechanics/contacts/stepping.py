@@ -6,7 +6,7 @@ With G and the velocities u of a step's beginning, and the smooth forces held,
 
     w = u⁺ + g/h n        of a contact with the gap g >= 0, which may close and does not sink in,
     w = u⁺ + g/(10 h) n   of one that is g < 0 deep,
-    w = u⁺ + e u⁻ n       of one that strikes within the step and rebounds
+    w = u⁺ - u' n         of one that strikes within the step and rebounds, u'² = e² u² but for what gravity does
 
 and then q⁺ = q + h q̇⁺ (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996). It is of
@@ -179,10 +179,16 @@ def belongs_here(c: Contacts, i: int) -> bool:
 
 @kernel
 def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, push: float, rest_speed: float) -> float:
-    """Return what is added to the velocity of contact i along its normal, m/s, for the w of the problem."""
+    """Return what is added to the velocity of contact i along its normal, m/s, for the w of the problem.
+
+    A rebound begins at the gap g and ends at g + h u⁺: u⁺ has the energy e² of what would have been at the surface.
+    """
     gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
     if c.friction.pulls[i] != 0.0:
         return float(gap * push / h)
-    if c.restitution[i] > 0.0 and -c.restitution[i] * u > slowest and gap + h * coming <= 0.0:
-        return float(c.restitution[i] * u)
+    g = max(u - coming, 0.0) / h  # what accelerates it towards the surface, m/s²
+    left = c.restitution[i] ** 2 * (u * u + 2.0 * g * gap) - 2.0 * g * gap
+    rebound = math.sqrt(g * g * h * h + left) - g * h if left > 0.0 else 0.0
+    if rebound > slowest and u < 0.0 and gap + h * coming <= 0.0:
+        return float(-rebound)
     return float(gap / h if gap >= 0.0 else gap * push / h)

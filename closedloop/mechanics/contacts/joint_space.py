@@ -63,6 +63,7 @@ class JointSpace(Block, sizes=("n", "k")):
     packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of `asked`
     asked: float  # the largest velocity that smooth forces would make, m/s
+    gained: float  # and the largest that they would add, in the last step in which a contact took part
     rounds: float  # of the last problem, and steps of Newton's method in them
     steps: float
 

@@ -54,7 +54,7 @@ def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
 
     In the first step there are none yet, and all take part.
     """
-    fastest = 0.0
+    fastest = c.stepping.gained
     for i in range(3 * k):
         fastest = max(fastest, abs(c.u[i]))
     c.step.reach = math.inf if first else HOVERING + AHEAD * h * fastest
@@ -103,7 +103,7 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
 @kernel
 def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
     """Write the contacts that take part, packed; return their number."""
-    s, a = c.stepping, 0
+    s, a, gained = c.stepping, 0, 0.0
     s.asked = 0.0
     for i in range(links.k):
         s.packed_at[i] = -1.0
@@ -121,7 +121,7 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
                 growth += x * load[j]
             s.mobility[a] = max(s.mobility[a], square)
             s.q[3 * a + r] = c.u[3 * i + r] + h * growth
-            s.asked = max(s.asked, abs(s.q[3 * a + r]), h * abs(growth))
+            s.asked, gained = max(s.asked, abs(s.q[3 * a + r])), max(gained, h * abs(growth))
             s.P[3 * a + r] = h * c.step.force[3 * i + r]
         if not s.mobility[a] > 0.0:
             continue
@@ -131,6 +131,7 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
             s.q[3 * a] += allowed(links, c, i, s.q[3 * a], h, push, rest_speed)
         s.packed_at[i] = a
         a += 1
+    s.asked, s.gained = max(s.asked, gained), gained if a > 0 else s.gained
     return a
 
 

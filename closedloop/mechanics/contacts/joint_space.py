@@ -62,8 +62,8 @@ class JointSpace(Block, sizes=("n", "k")):
     number: Annotated[Array, K]  # of each among all contacts
     packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of `asked`
-    asked: float  # the largest velocity that smooth forces would make, m/s
-    gained: float  # and the largest that they would add, in the last step in which a contact took part
+    asked: float  # the largest velocity along normals without impulses, or that smooth forces add, m/s
+    gained: float  # the latter, in the last step in which a contact took part
     rounds: float  # of the last problem, and steps of Newton's method in them
     steps: float
 

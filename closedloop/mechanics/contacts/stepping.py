@@ -121,10 +121,11 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
                 growth += x * load[j]
             s.mobility[a] = max(s.mobility[a], square)
             s.q[3 * a + r] = c.u[3 * i + r] + h * growth
-            s.asked, gained = max(s.asked, abs(s.q[3 * a + r])), max(gained, h * abs(growth))
+            gained = max(gained, h * abs(growth))
             s.P[3 * a + r] = h * c.step.force[3 * i + r]
         if not s.mobility[a] > 0.0:
             continue
+        s.asked = max(s.asked, abs(s.q[3 * a]))
         if c.soft[i] != 0.0 and not write_softness(links, c, i, s, a, h):
             continue
         if s.kind[a] <= BILATERAL:

@@ -284,11 +284,6 @@ class Here:
             )
         if problem.robot.moved:
             raise ScenarioError("linearise: the motion of a [[mocap]] is not part of the linear loop: leave it out")
-        if problem.integrator.time_stepping:
-            raise ScenarioError(
-                f"linearise: time.integrator = {problem.scenario.time.integrator!r} finds impulses, not the forces of "
-                "a mode; use 'semi_implicit_euler' or 'rk4'"
-            )
         constants.s_v = constants.s_p = 0.0
         self.contacts = ClosedContacts(problem, loop) if self.instant.contacts else None
         touches = self.free or self.contacts is not None

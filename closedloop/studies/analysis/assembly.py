@@ -360,15 +360,20 @@ def linearise(
 
 
 def instant_of(scenario: Scenario, problem: Problem, at: float, model: RobotModel | None = None) -> Instant:
-    """Return the state of a scenario's run at an instant; where the integrator chooses steps or impulses, by rk4."""
+    """Return the state of a scenario's run at an instant; with an integrator that chooses its steps, by rk4."""
     row = row_at(problem, at)
     return run_to(of_fixed_steps(problem, model), row)
 
 
 def of_fixed_steps(problem: Problem, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
-    """Return a problem that is stepped row by row, with forces of modes: where the integrator has none, that by rk4."""
+    """Return a problem that is stepped row by row: with an integrator that chooses its steps, the same one by rk4."""
     scenario = problem.scenario
-    if scenario.time.integrator not in ADAPTIVE and not problem.integrator.time_stepping:
+    if problem.integrator.time_stepping:
+        raise ScenarioError(
+            f"linearise: time.integrator = {scenario.time.integrator!r} finds impulses, not the forces of a mode; use "
+            "'semi_implicit_euler' or 'rk4'"
+        )
+    if scenario.time.integrator not in ADAPTIVE:
         return problem
     fixed = Variants(scenario, ("time.integrator", "time.tolerance")).scenario(("rk4", None))
     return prepare(fixed, model, cache)

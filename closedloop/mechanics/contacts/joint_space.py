@@ -51,6 +51,8 @@ class JointSpace(Block, sizes=("n", "k")):
     u: Annotated[Array, 3 * K]  # m/s, with them
     mobility: Annotated[Array, K]  # the largest of each contact, 1/kg
     trial: Annotated[Array, 3 * K]
+    best: Annotated[Array, 3 * K]  # what has the least residual, where none is found
+    best_residual: float
     slope: Annotated[Array, K, 3, 3]  # ∂Π
     along: Annotated[Array, K, 2]  # μ u_t/|u_t|; of an owned one ∂P_t/∂P_n of its owner
     y: Annotated[Array, N]
@@ -62,7 +64,7 @@ class JointSpace(Block, sizes=("n", "k")):
     number: Annotated[Array, K]  # of each among all contacts
     packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of `asked`
-    asked: float  # the largest velocity along normals without impulses, or that smooth forces add, m/s
+    asked: float  # the largest velocity without impulses, or that smooth forces add, m/s
     gained: float  # the latter, in the last step in which a contact took part
     rounds: float  # of the last problem, and steps of Newton's method in them
     steps: float
@@ -122,7 +124,7 @@ def write_speed(s: JointSpace, i: int, y: Array) -> None:
 
 
 @kernel
-def respond(s: JointSpace, i: int, rho: float, associated: bool, P: Array) -> None:
+def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
     """Write Π of contact i in P (3 a,), of its u and the impulse at the round's beginning, and its slope."""
     at, mu, slope, along = 3 * i, s.mu[i], s.slope[i], s.along[i]
     u0, u1, u2 = s.u[at], s.u[at + 1], s.u[at + 2]
@@ -130,7 +132,7 @@ def respond(s: JointSpace, i: int, rho: float, associated: bool, P: Array) -> No
     if s.kind[i] == IN_CONE:
         size = math.hypot(u1, u2)
         along[0] = along[1] = 0.0
-        if size > 0.0 and not associated:
+        if size > 0.0:
             along[0], along[1] = mu * u1 / size, mu * u2 / size
             u0 += mu * size
         into_cone_with_slope(s.P[at] - rho * u0, x1, x2, mu, P[at : at + 3], slope)
@@ -154,13 +156,13 @@ def respond(s: JointSpace, i: int, rho: float, associated: bool, P: Array) -> No
 
 
 @kernel
-def write_off(s: JointSpace, a: int, n: int, stiffness: float, associated: bool, y: Array) -> float:
+def write_off(s: JointSpace, a: int, n: int, stiffness: float, y: Array) -> float:
     """Write y − Xᵀ Π at y, Π in `trial` and its slopes; return the square of what is off."""
     for j in range(n):
         s.off[j] = y[j]
     for i in range(a):
         write_speed(s, i, y)
-        respond(s, i, stiffness / s.mobility[i], associated, s.trial)
+        respond(s, i, stiffness / s.mobility[i], s.trial)
         p0, p1, p2 = s.trial[3 * i], s.trial[3 * i + 1], s.trial[3 * i + 2]
         if p0 == 0.0 and p1 == 0.0 and p2 == 0.0:
             continue
@@ -254,7 +256,7 @@ def eliminate(M: Array, x: Array, n: int) -> None:
 
 
 @kernel
-def residual_of(s: JointSpace, a: int, n: int, associated: bool) -> float:
+def residual_of(s: JointSpace, a: int, n: int) -> float:
     """Write y = Xᵀ P and u of it; return by how much P is off its nearest at ρ = 1, as a share of `asked`."""
     for j in range(n):
         s.y[j] = 0.0
@@ -266,7 +268,7 @@ def residual_of(s: JointSpace, a: int, n: int, associated: bool) -> float:
     worst = 0.0
     for i in range(a):
         write_speed(s, i, s.y)
-        respond(s, i, 1.0 / s.mobility[i], associated, s.trial)
+        respond(s, i, 1.0 / s.mobility[i], s.trial)
         for r in range(3 * i, 3 * i + 3):
             worst = max(worst, abs(s.trial[r] - s.P[r]) * s.mobility[i])
             if not abs(s.trial[r]) < math.inf:
@@ -275,10 +277,10 @@ def residual_of(s: JointSpace, a: int, n: int, associated: bool) -> float:
 
 
 @kernel
-def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, associated: bool) -> bool:
+def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
     """Write P and u of the a contacts, from P, with the first ρ; return whether they are found.
 
-    `associated`: without μ|u_t| n, the normality rule of Anitescu's scheme, for which there always is a solution.
+    If they are not `best` is what has had the least residual in all calls since `best_residual` was set.
     """
     stiffness, most, before = first, 0.0, math.inf
     s.rounds = s.steps = 0.0
@@ -286,14 +288,14 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, associated
         most = max(most, s.mobility[i])
     for _ in range(ROUNDS):
         s.rounds += 1.0
-        s.residual = residual_of(s, a, n, associated)
+        s.residual = residual_of(s, a, n)
         if s.residual <= FOUND or 0.5 * before < s.residual <= SLOW:
             return True
         before = s.residual
         if not s.residual < math.inf:
             return False
         left = LEFT * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
-        square = write_off(s, a, n, stiffness, associated, s.y)
+        square = write_off(s, a, n, stiffness, s.y)
         for _ in range(NEWTON_STEPS):
             if square <= left * left:
                 break
@@ -303,17 +305,21 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, associated
             for _ in range(HALVINGS):
                 for j in range(n):
                     s.y_trial[j] = s.y[j] + share * s.step[j]
-                square = write_off(s, a, n, stiffness, associated, s.y_trial)
+                square = write_off(s, a, n, stiffness, s.y_trial)
                 if square < (1.0 - 0.2 * share) * last:
                     break
                 share *= 0.5
             if not square < last:
-                write_off(s, a, n, stiffness, associated, s.y)
+                write_off(s, a, n, stiffness, s.y)
                 break
             for j in range(n):
                 s.y[j] = s.y_trial[j]
         for r in range(3 * a):
             s.P[r] = s.trial[r]
         stiffness = min(GROWTH * stiffness, MOST)
-    s.residual = residual_of(s, a, n, associated)
+    s.residual = residual_of(s, a, n)
+    if s.residual < s.best_residual:
+        s.best_residual = s.residual
+        for r in range(3 * a):
+            s.best[r] = s.P[r]
     return bool(s.residual <= NEAR)

@@ -40,6 +40,8 @@ from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
 # Friction below this share of its limit is inside the cone: the contact sticks.
 INSIDE = 1.0 - 1e-6
+# The largest residual, a share of the velocities, with which impulses are taken that are not found.
+CLOSEST = 0.01
 # By which speed, m/s, the slope of a soft contact's force is found.
 FASTER = 1e-6
 # What a step puts back of the depth of a contact below its surface.
@@ -71,17 +73,18 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
     """
     s, n = c.stepping, links.n
     a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
-    found = a == 0 or solve_in_joint_space(s, a, n, MOST, False)
-    for attempt in range(3):
-        if found:
-            break
-        if attempt == 1:  # contacts that are inside each other may not all part at once
-            write_problem(links, c, load, h, 0.0, rest_speed)
-        for r in range(3 * a):
-            s.P[r] = 0.0
-        found = solve_in_joint_space(s, a, n, FIRST, attempt == 2)
-    if not found:
+    s.best_residual = CLOSEST
+    found = a == 0 or solve_in_joint_space(s, a, n, MOST)
+    for push in (PUT_BACK, 0.0):  # contacts that are inside each other may not all part at once
+        if not found:
+            write_problem(links, c, load, h, push, rest_speed)
+            for r in range(3 * a):
+                s.P[r] = 0.0
+            found = solve_in_joint_space(s, a, n, FIRST)
+    if not (found or s.best_residual < CLOSEST):
         return PAINLEVE
+    for r in range(0 if found else 3 * a):
+        s.P[r] = s.best[r]
     for i in range(links.k):
         if c.friction.pulls[i] == 0.0:
             c.mode[i] = FREE
@@ -121,11 +124,10 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
                 growth += x * load[j]
             s.mobility[a] = max(s.mobility[a], square)
             s.q[3 * a + r] = c.u[3 * i + r] + h * growth
-            gained = max(gained, h * abs(growth))
+            s.asked, gained = max(s.asked, abs(s.q[3 * a + r])), max(gained, h * abs(growth))
             s.P[3 * a + r] = h * c.step.force[3 * i + r]
         if not s.mobility[a] > 0.0:
             continue
-        s.asked = max(s.asked, abs(s.q[3 * a]))
         if c.soft[i] != 0.0 and not write_softness(links, c, i, s, a, h):
             continue
         if s.kind[a] <= BILATERAL:

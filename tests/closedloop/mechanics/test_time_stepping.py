@@ -18,7 +18,7 @@ VISCOUS = {"friction.kind": "coulomb_viscous", "friction.coefficient": 0.3, "fri
 def solve_at(address):
     """Solve the problem in joint space of a memory of contacts, of which all take part."""
     links, c = contacts_at(address)
-    return 1 if solve_in_joint_space(c.stepping, links.k, links.n, FIRST, False) else 0
+    return 1 if solve_in_joint_space(c.stepping, links.k, links.n, FIRST) else 0
 
 
 def test_impulses_keep_cones_and_complementarity():
@@ -52,7 +52,7 @@ def test_a_box_on_an_incline(mu, angle):
     gain = max(G * (np.sin(angle) - mu * np.cos(angle)), 0.0)
     speed = np.linalg.norm(run.v[:, :3], axis=1)
     assert speed[-1] == pytest.approx(gain * run.time[-1], rel=1e-9, abs=1e-9)
-    assert np.sum(run.link_forces[-1]) == pytest.approx(G * np.cos(angle), rel=1e-7)
+    assert np.sum(run.link_forces[-1]) == pytest.approx(G * np.cos(angle), rel=1e-5)
 
 
 def test_a_ball_that_slips_rolls_at_five_sevenths():

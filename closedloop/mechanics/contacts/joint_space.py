@@ -41,6 +41,7 @@ class JointSpace(Block, sizes=("n", "k")):
 
     kind: Annotated[Array, K]
     mu: Annotated[Array, K]
+    associated: float  # 1: without μ|u_t| n, for which there always is a solution (Anitescu's scheme)
     given: Annotated[Array, K]  # normal impulse at no speed, N s, or the number of the owner
     falls: Annotated[Array, K]  # and what it is less by with the speed, kg
     first: Annotated[Array, K]  # of the joints that a contact moves
@@ -51,8 +52,6 @@ class JointSpace(Block, sizes=("n", "k")):
     u: Annotated[Array, 3 * K]  # m/s, with them
     mobility: Annotated[Array, K]  # the largest of each contact, 1/kg
     trial: Annotated[Array, 3 * K]
-    best: Annotated[Array, 3 * K]  # what has the least residual, where none is found
-    best_residual: float
     slope: Annotated[Array, K, 3, 3]  # ∂Π
     along: Annotated[Array, K, 2]  # μ u_t/|u_t|; of an owned one ∂P_t/∂P_n of its owner
     y: Annotated[Array, N]
@@ -64,8 +63,9 @@ class JointSpace(Block, sizes=("n", "k")):
     number: Annotated[Array, K]  # of each among all contacts
     packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of `asked`
-    asked: float  # the largest velocity without impulses, or that smooth forces add, m/s
-    gained: float  # the latter, in the last step in which a contact took part
+    asked: float  # m/s, the larger of the next two
+    fastest: float  # the largest velocity of a contact in the last step
+    gained: float  # what smooth forces add to one at most, in the last step in which a contact took part
     rounds: float  # of the last problem, and steps of Newton's method in them
     steps: float
 
@@ -132,7 +132,7 @@ def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
     if s.kind[i] == IN_CONE:
         size = math.hypot(u1, u2)
         along[0] = along[1] = 0.0
-        if size > 0.0:
+        if size > 0.0 and s.associated == 0.0:
             along[0], along[1] = mu * u1 / size, mu * u2 / size
             u0 += mu * size
         into_cone_with_slope(s.P[at] - rho * u0, x1, x2, mu, P[at : at + 3], slope)
@@ -278,10 +278,7 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 
 @kernel
 def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
-    """Write P and u of the a contacts, from P, with the first ρ; return whether they are found.
-
-    If they are not `best` is what has had the least residual in all calls since `best_residual` was set.
-    """
+    """Write P and u of the a contacts, from P, with the first ρ; return whether they are found."""
     stiffness, most, before = first, 0.0, math.inf
     s.rounds = s.steps = 0.0
     for i in range(a):
@@ -318,8 +315,4 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
             s.P[r] = s.trial[r]
         stiffness = min(GROWTH * stiffness, MOST)
     s.residual = residual_of(s, a, n)
-    if s.residual < s.best_residual:
-        s.best_residual = s.residual
-        for r in range(3 * a):
-            s.best[r] = s.P[r]
     return bool(s.residual <= NEAR)

@@ -40,8 +40,6 @@ from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
 # Friction below this share of its limit is inside the cone: the contact sticks.
 INSIDE = 1.0 - 1e-6
-# The largest residual, a share of the velocities, with which impulses are taken that are not found.
-CLOSEST = 0.01
 # By which speed, m/s, the slope of a soft contact's force is found.
 FASTER = 1e-6
 # What a step puts back of the depth of a contact below its surface.
@@ -56,10 +54,11 @@ def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
 
     In the first step there are none yet, and all take part.
     """
-    fastest = c.stepping.gained
+    fastest = 0.0
     for i in range(3 * k):
         fastest = max(fastest, abs(c.u[i]))
-    c.step.reach = math.inf if first else HOVERING + AHEAD * h * fastest
+    c.stepping.fastest = fastest
+    c.step.reach = math.inf if first else HOVERING + AHEAD * h * (fastest + c.stepping.gained)
 
 
 @kernel
@@ -73,18 +72,17 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
     """
     s, n = c.stepping, links.n
     a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
-    s.best_residual = CLOSEST
+    s.associated = 0.0
     found = a == 0 or solve_in_joint_space(s, a, n, MOST)
-    for push in (PUT_BACK, 0.0):  # contacts that are inside each other may not all part at once
-        if not found:
-            write_problem(links, c, load, h, push, rest_speed)
+    for attempt in range(3):
+        if not found:  # contacts that are inside each other may not all part at once
+            s.associated = 1.0 if attempt == 2 else 0.0
+            write_problem(links, c, load, h, PUT_BACK if attempt == 0 else 0.0, rest_speed)
             for r in range(3 * a):
                 s.P[r] = 0.0
             found = solve_in_joint_space(s, a, n, FIRST)
-    if not (found or s.best_residual < CLOSEST):
+    if not found:
         return PAINLEVE
-    for r in range(0 if found else 3 * a):
-        s.P[r] = s.best[r]
     for i in range(links.k):
         if c.friction.pulls[i] == 0.0:
             c.mode[i] = FREE
@@ -107,7 +105,6 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
 def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
     """Write the contacts that take part, packed; return their number."""
     s, a, gained = c.stepping, 0, 0.0
-    s.asked = 0.0
     for i in range(links.k):
         s.packed_at[i] = -1.0
         if c.near[i] == 0.0 or not takes_part(links, c, i, h, s, a):
@@ -124,7 +121,7 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
                 growth += x * load[j]
             s.mobility[a] = max(s.mobility[a], square)
             s.q[3 * a + r] = c.u[3 * i + r] + h * growth
-            s.asked, gained = max(s.asked, abs(s.q[3 * a + r])), max(gained, h * abs(growth))
+            gained = max(gained, h * abs(growth))
             s.P[3 * a + r] = h * c.step.force[3 * i + r]
         if not s.mobility[a] > 0.0:
             continue
@@ -134,7 +131,8 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
             s.q[3 * a] += allowed(links, c, i, s.q[3 * a], h, push, rest_speed)
         s.packed_at[i] = a
         a += 1
-    s.asked, s.gained = max(s.asked, gained), gained if a > 0 else s.gained
+    s.gained = gained if a > 0 else s.gained
+    s.asked = max(s.fastest, s.gained)
     return a
 
 

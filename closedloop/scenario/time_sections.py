@@ -63,8 +63,9 @@ class TimeSection(Section):
     step: Annotated[Positive, STEP] = Field(0.001, description="step h, s; with dop853 only the time between rows")
     integrator: IntegratorName = Field(
         "auto",
-        description="semi_implicit_euler is the paper's, dop853 chooses its own steps; auto: rk4 where surface.contact "
-        "is unilateral, since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with "
+        description="semi_implicit_euler is the paper's, dop853 chooses its own steps, time_stepping is for many "
+        "contacts: one problem of impulses a step, no events; auto: rk4 where surface.contact is unilateral, "
+        "since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with "
         "a friction with states, such as lugre, and where contact is bilateral",
     )
     tolerance: Tolerance | None = Field(

@@ -14,12 +14,16 @@ from closedloop.mechanics.closure.baumgarte import baumgarte_gains, is_stable, l
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.mechanics.contacts.soft import is_soft
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
+from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
+from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.placed import Touching
 from closedloop.mechanics.surface.surface import largest_mobility
 from closedloop.record.columns.derived import StatesOf, recorded_states
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.tables import names_of
 from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.simulation.engines.scenario_numbers import arm_columns
 
@@ -43,6 +47,8 @@ def integrator_of(scenario: Scenario, joint_friction: JointFriction) -> tuple[ty
                 f"time.tolerance = {section.tolerance:g}: acts with integrator = {' or '.join(map(repr, ADAPTIVE))} "
                 f"only; the error of {name!r} is set by time.step; leave it out"
             )
+        if INTEGRATORS[name].time_stepping:
+            check_time_stepping(scenario)
         return INTEGRATORS[name], None
     if scenario.reads_encoders:
         what = "encoder" if encoder_kind(scenario.encoder) != NO_ENCODER else "transmission.measured = 'motor'"
@@ -65,6 +71,36 @@ def integrator_of(scenario: Scenario, joint_friction: JointFriction) -> tuple[ty
     rough = scenario.friction.kind != "none" or any(coulomb_of(each) > 0.0 or has_other_law(each) for each in soft)
     usual = TOLERANCE_WITH_FRICTION if rough else TOLERANCE
     return ADAPTIVE[name], usual if section.tolerance is None else section.tolerance
+
+
+def check_time_stepping(scenario: Scenario) -> None:
+    """Refuse what is no part of the problem of impulses, see `closedloop.mechanics.contacts.stepping`."""
+    name = scenario.time.integrator
+    if not scenario.contact:
+        raise ScenarioError(
+            f"time.integrator = {name!r}: is for contacts of links and bodies, and the scenario has no [[contact]]; "
+            "use 'semi_implicit_euler' or 'rk4'"
+        )
+    if not isinstance(scenario.stabiliser, BaumgarteGains):
+        raise ScenarioError(
+            f"stabiliser.kind = {scenario.stabiliser.kind!r}: {name!r} keeps contacts on their surfaces itself; leave "
+            "[stabiliser] out, or use 'semi_implicit_euler' or 'rk4'"
+        )
+    if scenario.surface.contact != "unilateral" and not isinstance(scenario.compliance, Rigid):
+        raise ScenarioError(
+            f"compliance: {name!r} solves for a soft surface that the tip may leave; set surface.contact = "
+            "'unilateral', or use 'semi_implicit_euler' or 'rk4'"
+        )
+    laws = {"friction": scenario.friction} | {
+        f"contact {each!r}: friction_law": section.friction_law
+        for each, section in zip(names_of(scenario.contact), scenario.contact, strict=True)
+    }
+    for key, law in laws.items():
+        if law is not None and not isinstance(law, SurfaceCoulomb | NoFriction):
+            raise ScenarioError(
+                f"{key}.kind = {law.kind!r}: {name!r} solves for Coulomb's friction alone; must be 'coulomb' or "
+                "'none', or use 'semi_implicit_euler' or 'rk4'"
+            )
 
 
 def check_stiffness(scenario: Scenario, robot: Robot, q: Array, now: Touching) -> None:

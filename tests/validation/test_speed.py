@@ -19,6 +19,7 @@ from validation.speed.contestants import Contestant, converged, final, our_engin
 from validation.speed.feet import BOXES, STANDS, on_feet
 from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
 from validation.speed.measure import Timing, race, ratio
+from validation.speed.scenes import WALL, bodies_of, of_scene
 from validation.speed.served import main as main_served
 from validation.speed.targets import growth, targets
 
@@ -71,6 +72,17 @@ def test_every_row_moves_the_bodies(name):
         assert np.max(np.abs(contestant.lap()[1] - contestant.wanted)) <= contestant.tolerance, contestant
     height = everyone[0].wanted[2]
     assert height == pytest.approx(0.05 if name != "cube_toss" else 0.0524, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["stack_3", "bin_4"])
+def test_every_row_moves_the_scene(name):
+    """Boxes come to rest inside the bin in both, none below the floor."""
+    for contestant in of_scene(name, True):
+        q = contestant.lap()[1]
+        count = len(bodies_of(name)[0])
+        places = (q if contestant.name == "compiled" else q.reshape(count, 7)[:, :3].ravel()).reshape(count, -1)[:, :3]
+        assert np.all(places[:, 2] > 0.025)
+        assert np.max(np.abs(places[:, :2])) < WALL
 
 
 def test_mujoco_races_with_its_own_solver_settings():

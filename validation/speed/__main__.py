@@ -18,6 +18,7 @@ from validation.speed.bodies import BODIES
 from validation.speed.contestants import Contestant
 from validation.speed.feet import BOXES
 from validation.speed.loops import MECHANISMS
+from validation.speed.scenes import SCENES
 
 INSTALL = 'not installed: pip install "closedloop[peers]"'
 # Drake takes so much longer that a tenth of the steps is enough.
@@ -33,7 +34,7 @@ def main(words: list[str]) -> int:
     for name in ("repeats", "steps", "runs"):
         if getattr(options, name) is not None and getattr(options, name) < 1:
             raise InputError(f"--{name} {getattr(options, name)}: must be at least 1")
-    known = (*ARMS, *MECHANISMS, *BOXES, *BODIES)
+    known = (*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES)
     unknown = [arm for arm in options.arms if arm not in known]
     if unknown:
         raise InputError(f"--arms {unknown[0]}: must be of {', '.join(known)}")
@@ -70,9 +71,9 @@ def _parser() -> Parser:
     parser.add_argument(
         "--arms",
         nargs="+",
-        default=[*ARMS, *MECHANISMS, *BOXES, *BODIES],
+        default=[*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES],
         metavar="ARM",
-        help=f"of {', '.join((*ARMS, *MECHANISMS, *BOXES, *BODIES))}",
+        help=f"of {', '.join((*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES))}",
     )
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
     parser.add_argument("--json", metavar="FILE", help="write every value")
@@ -81,7 +82,7 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import batch, bodies, contestants, derivatives, feet, inertia, loops, repeated
+    from validation.speed import batch, bodies, contestants, derivatives, feet, inertia, loops, repeated, scenes
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
@@ -96,6 +97,9 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             continue
         if arm in BODIES:
             everyone += bodies.of_bodies(arm, there["mujoco"])
+            continue
+        if arm in SCENES:
+            everyone += scenes.of_scene(arm, there["mujoco"])
             continue
         problem = slide(arm, steps)
         racing = [contestants.our_engine(arm, problem, "compiled")]

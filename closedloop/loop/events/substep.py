@@ -66,7 +66,7 @@ from closedloop.mechanics.friction.answers import ADVANCE_STATES
 def save_state(w: Work, constants: Constants, state: State) -> None:
     """Save the state and its derivative at the beginning of a substep of length w.length."""
     n, extra = w.q.shape[0], w.z.shape[0]
-    if state.contacts.entry != 0:
+    if state.contacts.entry != 0 and state.settings.time_stepping == 0:
         divide_step(w, constants, state)
     for j in range(n):
         w.start.state[j] = w.q[j]

@@ -21,7 +21,7 @@ from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_of, joints_rub
 from closedloop.mechanics.contacts.mobility import own_mobilities, write_mobility
-from closedloop.mechanics.contacts.modes import HOVERING, near, touches
+from closedloop.mechanics.contacts.modes import near, touches
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
 from closedloop.mechanics.contacts.rolling import (
@@ -50,7 +50,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
 
     Returns OK, or NO_NORMAL where a surface has none.
     """
-    n, k = links.n, links.k
+    n = links.n
     if locate_points(links, c, w, constants, state) != OK:
         return NO_NORMAL
     locate_stops(links, c, w, constants)
@@ -70,10 +70,8 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         if takes_part or c.near[i] != 0.0:
             write_mobility_rows(c, i, takes_part, w, state)
         c.near[i] = 1.0 if takes_part else 0.0
-    own_mobilities(c, k)
-    # Soft contacts and resistances change W beside its diagonal.
-    if links.compliances != 0 or links.joints > links.points + links.stops:
-        write_mobility(c, k)
+    if state.settings.time_stepping == 0:
+        write_mobilities(links, c)
     for i in range(links.joints):
         for j in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
             off = c.located[j]
@@ -85,9 +83,19 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
             c.b[j] = baumgarte_acceleration(constants.s_v, constants.s_p, c.u[j], off)
     take_states(links, c, w.z)
     write_delayed(c, w.time, constants.h, state.row - 1)
-    write_soft_forces(links, c)
-    tie_resistances(links, c)
+    if state.settings.time_stepping == 0:
+        write_soft_forces(links, c)
+        tie_resistances(links, c)
     return int(OK)
+
+
+@kernel
+def write_mobilities(links: ContactLinks, c: Contacts) -> None:
+    """Write W, beside its diagonal where that is changed."""
+    own_mobilities(c, links.k)
+    # Soft contacts and resistances change W beside its diagonal.
+    if links.compliances != 0 or links.joints > links.points + links.stops:
+        write_mobility(c, links.k)
 
 
 @kernel
@@ -110,7 +118,7 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     for r in range(joints.m):
         i = r + 3
         c.located[i], c.u[i] = rows.error[r], rows.rate[r]
-        foot = links.shapes != 0 and r % 3 == 0 and c.mode[i // 3] == FREE
+        foot = links.shapes != 0 and r % 3 == 0 and c.mode[i // 3] == FREE and state.settings.time_stepping == 0
         if foot and is_idle(shapes_at(links.shapes), c, i // 3, resolution(constants, state)):
             c.located[i] = APART
         if rows.error[r - r % 3] > rows.clear[r - r % 3]:
@@ -142,7 +150,7 @@ def clear_gap(links: ContactLinks, c: Contacts, i: int) -> float:
     """Return the gap above which contact i, of a point with a plane, is open: its rows are then not needed, only it."""
     if c.mode[i] != FREE or c.friction.pulls[i] != 0.0 or asked(links, i):
         return math.inf
-    return math.inf if links.shapes != 0 and wanders(links, i) else HOVERING
+    return math.inf if links.shapes != 0 and wanders(links, i) else c.step.reach
 
 
 @kernel
@@ -315,7 +323,6 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     first, n = links.joints, links.n
     if not joints_rub(links):
         return
-    write_mobility(c, links.k)
     joint_limits(w, constants, state)
     for i in range(first, links.k):
         joint, at = i - first, 3 * i
@@ -334,6 +341,11 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
         for m in range(n):
             c.a[at + 1] += c.X[at + 1, m] * c.load[m]
             c.size[at + 1] += abs(c.X[at + 1, m] * c.load[m])
+    if state.settings.time_stepping != 0:
+        for i in range(first, links.k):
+            c.u[3 * i + 1], c.step.limit[i] = rate_along(constants, i - first, w.v), w.joint_friction.limit[i - first]
+        return
+    write_mobility(c, links.k)
     for i in range(first, links.k):
         t = 3 * i + 1
         for r in range(3 * links.k):

@@ -24,6 +24,7 @@ from closedloop.loop.step.contact_rows import (
 )
 from closedloop.loop.step.locate import set_anchor
 from closedloop.loop.step.memory import Constants, State, Work, loop_at
+from closedloop.loop.step.tendons import add_along
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
 from closedloop.mechanics.contacts.closed import solve_closed
@@ -47,6 +48,7 @@ from closedloop.mechanics.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STA
 from closedloop.mechanics.contacts.memory import (
     CONE,
     DOUBLE,
+    HOVERING,
     LINE,
     OFF,
     RAY,
@@ -57,10 +59,11 @@ from closedloop.mechanics.contacts.memory import (
     joints_of,
     joints_rub,
 )
-from closedloop.mechanics.contacts.modes import HOVERING, RESTING, decide, open_margin, touches
+from closedloop.mechanics.contacts.modes import RESTING, decide, open_margin, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.rolling import longest_roll, rest_on_feet, rim_margin, rolls, shapes_at
 from closedloop.mechanics.contacts.soft import let_friction_rise, soft_margin
+from closedloop.mechanics.contacts.stepping import begin_step, look_ahead
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import BREAKING_AWAY, stop_slips, turn_and_solve
 from closedloop.mechanics.impact import energy_lost
@@ -89,6 +92,8 @@ def contacts_in_step(address: int, what: int) -> int:
     state, constants, w = loop_at(links.loop)
     status = OK
     if what == FORCE:
+        if state.settings.time_stepping != 0 and state.begins != 0:
+            look_ahead(c, links.k, constants.h, state.row == 0)
         status = locate_contacts(links, c, w, constants, state)
         if status == OK:
             status = contact_forces(links, c, w, constants, state)
@@ -100,9 +105,11 @@ def contacts_in_step(address: int, what: int) -> int:
             c.margin = min(c.margin, open_margin(c, i))
         w.contacts.margin = c.margin
     elif what == SAVE:
-        save_contacts(links, c)
+        if state.settings.time_stepping == 0:
+            save_contacts(links, c)
         c.step.begun = 1.0 * links.stepped
-        w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
+        if state.settings.time_stepping == 0:
+            w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])
     elif what == PLACE:
@@ -206,7 +213,9 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
     n, k, status = links.n, links.k, OK
     if state.begins != 0:
         c.step.span = constants.h if links.shapes == 0 else min(constants.h, longest_roll(links, c))
-    if links.undecided != 0:
+    if state.settings.time_stepping != 0:
+        status, c.margin = step_forces(links, c, w, constants, state), math.inf
+    elif links.undecided != 0:
         for i in range(3 * k):
             c.F[i], c.rigid[i] = 0.0, 0.0
         c.margin = -1.0
@@ -283,6 +292,22 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             growth += c.G[i, j] * w.qdd[j]
         w.contacts.power_rate += c.F[i] * growth
     return status
+
+
+@kernel
+def step_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> int:
+    """Write the forces of the step that begins, and what dry friction of joints then is; or again those under way."""
+    if state.begins == 0:
+        for i in range(3 * links.k):
+            c.F[i] = c.rigid[i] = c.step.force[i]
+        return OK
+    locate_joints(links, c, w, constants, state)
+    status = begin_step(links, c, w.y, constants.h, constants.rest_speed)
+    for i in range(links.joints, links.k):
+        add_along(constants, i - links.joints, c.F[3 * i + 1], w.joint_friction.torque)
+        c.u[3 * i + 1] = 0.0
+    state.mode = int(c.mode[0])
+    return int(status)
 
 
 # An error below this is rounding, m: e = n·r − d is a sum of a few products of the order of a metre; or a rate, m/s.

@@ -266,6 +266,7 @@ class Settings(Block):
     unilateral: int
     impact_law: int
     semi_implicit: int
+    time_stepping: int  # 1 if each step is one problem of impulses, see `closedloop.mechanics.contacts.stepping`
     nodes_per_step: int  # rows of the reference's table to a step
     model_error: int  # 1 if the controller is wrong about the arm
     encoder: int  # see `closedloop.control.encoder.encoder_kind`

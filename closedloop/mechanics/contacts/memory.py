@@ -18,13 +18,18 @@ from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, integers_at, vector_at
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.mechanics.contacts.joint_space import JointSpace
 from closedloop.mechanics.loops.memory import LoopMemory
 
 N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
+# The contacts of which W is held: all, or none where each step is solved in joint space.
+D = Count.of("dense")
 
 # Kinds of a contact in a problem: without force; that slides in a known direction, F = f (1, −μ d) with f >= 0; inside
 # Coulomb's cone; and of those that also pull one with F = f (1, −c), and one with |F_t| <= μ|f|.
 OFF, RAY, CONE, LINE, DOUBLE = range(5)
+# A contact whose gap is less may be about to close, m.
+HOVERING = 1e-9
 # How a law of friction sticks: not, there being none; with u = 0 as a constraint; and see `FrictionLaw.sticks`.
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 
@@ -44,6 +49,7 @@ class ContactLinks(Block):
     compliances: int  # address of the same of the compliance of each, 0 of a rigid one; 0: all are rigid
     shapes: int  # address of the memory of their shapes, see `closedloop.mechanics.contacts.rolling`; 0: all are points
     frictions: int  # and of the law of friction of each, 0 of Coulomb's μ; 0: all have that
+    dense: int  # of how many W is held, k or 0
     past: int  # speeds of slip that are kept of each, see `closedloop.mechanics.contacts.friction.delayed_speed`
     moved: int  # 1 if a projection found something to move
     raised: int  # 1 once a user's member has raised something
@@ -117,6 +123,8 @@ class TimeStep(Block, sizes=("k",)):
     within: float  # the same of the substep under way
     force: Annotated[Array, 3 * K]  # N
     friction_cut: float  # what is taken from each μ in it, a share; 0 again once modes are found
+    reach: float  # m, within which contacts are near
+    limit: Annotated[Array, K]  # of dry friction of joints, N m (N)
     struck: float  # when the last tangential impact was, s
     in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written
@@ -137,7 +145,7 @@ class Path(Block, sizes=("k",)):
     gap_rate: Annotated[Array, 3 * K]
 
 
-class Packed(Block, sizes=("k",)):
+class Packed(Block, sizes=("k", "dense")):
     """What `closedloop.mechanics.contacts.mobility` has overwritten, and which contacts it has put in front."""
 
     contact: Annotated[Array, K]
@@ -145,7 +153,7 @@ class Packed(Block, sizes=("k",)):
     form: Annotated[Array, K]
     along: Annotated[Array, K, 2]
     q: Annotated[Array, 3 * K]
-    W: Annotated[Array, 3 * K, 3 * K]
+    W: Annotated[Array, 3 * D, 3 * D]
 
 
 class Sticking(Block, sizes=("n", "k")):
@@ -159,18 +167,18 @@ class Sticking(Block, sizes=("n", "k")):
     rows_left: Annotated[Array, 2, 3 * K]
 
 
-class ContactScratch(Block, sizes=("n", "k")):
+class ContactScratch(Block, sizes=("n", "k", "dense")):
     """What one kernel uses, and nothing outlives."""
 
     start: Annotated[Array, 3 * K]
-    system: Annotated[Array, 3 * K + N, 3 * K + N + 2]
+    system: Annotated[Array, 3 * D + N, 3 * D + N + 2]
     column_order: Annotated[Array, 3 * K + N]
     solution: Annotated[Array, 2, 3 * K + N]
     unknown: Annotated[Array, 3 * K]
-    unknowns: Annotated[Array, 3 * K, 3 * K]
+    unknowns: Annotated[Array, 3 * D, 3 * D]
     basis: Annotated[Array, 3 * K, N]
     Y: Annotated[Array, 3 * K, N]
-    columns: Annotated[Array, 3 * K, 3 * K]
+    columns: Annotated[Array, 3 * D, 3 * D]
     multiples: Annotated[Array, 3 * K]
     mu: Annotated[Array, K]
     turned: Annotated[Array, K]  # 1 of a contact whose friction is turned
@@ -222,7 +230,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     resistance: Resistance
 
 
-class Contacts(Block, sizes=("n", "k", "past")):
+class Contacts(Block, sizes=("n", "k", "past", "dense")):
     """What k contacts are, and what they are at a state of n joints; rows n, t1, t2 of each contact."""
 
     mu: Annotated[Array, K]  # of the cone in the present problem: `friction.limit`, or in an impact `friction.kinetic`
@@ -250,7 +258,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     b: Annotated[Array, 3 * K]  # what the stabiliser asks for, m/s²
     G: Annotated[Array, 3 * K, N]
     X: Annotated[Array, 3 * K, N]  # L⁻¹ Gᵀ, less what loops bind
-    W: Annotated[Array, 3 * K, 3 * K]  # X Xᵀ: the mobility, 1/kg; see `closedloop.mechanics.contacts.mobility`
+    W: Annotated[Array, 3 * D, 3 * D]  # X Xᵀ: the mobility, 1/kg; see `closedloop.mechanics.contacts.mobility`
     F: Annotated[Array, 3 * K]  # force, N, or impulse, N s
     rigid: Annotated[Array, 3 * K]  # the force without the stabiliser's part, N
     load: Annotated[Array, N]  # L⁻¹(Q − C), of the tree
@@ -262,6 +270,7 @@ class Contacts(Block, sizes=("n", "k", "past")):
     problem: Problem
     event: ContactEvent
     step: TimeStep
+    stepping: JointSpace
     path: Path
     scratch: ContactScratch
 
@@ -273,7 +282,7 @@ CONTACT_LINKS = ContactLinks.count()
 def contacts_at(address: int) -> tuple[ContactLinks, Contacts]:
     """Return the memory of the contacts, by the address of its `ContactLinks`."""
     links = ContactLinks(integers_at(address, CONTACT_LINKS))
-    return links, Contacts(vector_at(links.numbers, links.total), links.n, links.k, links.past)
+    return links, Contacts(vector_at(links.numbers, links.total), links.n, links.k, links.past, links.dense)
 
 
 @kernel_inlined
@@ -308,20 +317,22 @@ def make_contact_memory(
     joints: int = 0,
     past: int = 0,
     resistances: tuple[tuple[int, float, bool], ...] = (),
+    dense: bool = True,
 ) -> ContactMemory:
     """Return the memory of k contacts of a tree of n joints: points, `rows` of all but the first, stops, and joints.
 
     Of each the speeds of slip at `past` rows are kept. `resistances` has the contact, the arm, m, and whether it is to
-    pivoting, of those that stand before the joints.
+    pivoting, of those that stand before the joints. `dense`: whether W is held, which `stepping` does without.
     """
     links = ContactLinks(np.zeros(CONTACT_LINKS, dtype=np.int64))
-    contacts = Contacts(np.zeros(Contacts.count(n, k, past)), n, k, past)
+    contacts = Contacts(np.zeros(Contacts.count(n, k, past, k * dense)), n, k, past, k * dense)
     links.address, links.numbers, links.total = (
         address_of(links.memory),
         address_of(contacts.memory),
         contacts.memory.size,
     )
     links.n, links.k, links.stops, links.joints, links.past = n, k, stops, k - joints, past
+    links.dense = k * dense
     links.points = links.joints - stops - len(resistances)
     turns = contacts.friction.resistance
     turns.owner[:], turns.rolling[:], turns.pivoting[:] = -1.0, -1.0, -1.0
@@ -332,5 +343,6 @@ def make_contact_memory(
     links.rows = 0 if rows is None else rows.address
     contacts.moves.end[:] = n
     contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf
+    contacts.step.reach = HOVERING
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

@@ -15,14 +15,24 @@ from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import solve_contacts
 from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
 from closedloop.mechanics.contacts.given_modes import NEGLIGIBLE, energy_gained, stop
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import (
+    CONE,
+    DOUBLE,
+    HOVERING,
+    LINE,
+    OFF,
+    RAY,
+    SPRING_STICK,
+    ContactLinks,
+    Contacts,
+)
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.soft import soft_gap, write_shared
 
 # Within the first gap a contact touches, m; after it has parted, until it has been clear by the second. At the start
 # the second counts: a posture is given in few digits.
-TOUCHING, CLOSED_GAP, HOVERING = 1e-12, 1e-13, 1e-9
+TOUCHING, CLOSED_GAP = 1e-12, 1e-13
 # Until it has been clear a contact touches again when it is the first length below where it has parted, m, or at the
 # depth of the second, or, where it has parted deeper than that, the third below: else it would sink each time.
 SINKING, SUNK, DEEPER = 8e-10, 9.8e-10, 1e-11
@@ -65,7 +75,7 @@ def open_margin(c: Contacts, i: int) -> float:
 @kernel
 def near(c: Contacts, i: int) -> bool:
     """Whether a contact is closed, or so near that it may close."""
-    return bool(c.mode[i] != FREE or c.located[3 * i] <= HOVERING)
+    return bool(c.mode[i] != FREE or c.located[3 * i] <= c.step.reach)
 
 
 @kernel

@@ -46,8 +46,8 @@ from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
-from closedloop.mechanics.contacts.modes import CAME, HOVERING
+from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts
+from closedloop.mechanics.contacts.modes import CAME
 from closedloop.mechanics.contacts.sections import THIN, ContactSection
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import ALONG, turn_direction

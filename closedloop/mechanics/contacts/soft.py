@@ -115,15 +115,13 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
     """
     if links.compliances == 0:
         return
-    m, where = 3 * links.k, integers_at(links.compliances, 2 * links.k)
+    m = 3 * links.k
     for i in range(links.k):
         if c.soft[i] == 0.0:
             continue
         n, f = 3 * i, 0.0
         if c.past_edge[i] == 0.0 and (c.mode[i] != FREE or soft_gap(c, i) <= 0.0):
-            query = vector_at(where[2 * i + 1], QUERY)
-            query[0], query[1] = -soft_gap(c, i), -c.u[n]
-            f = soft_force(links, i, query)
+            f = force_at(links, i, -soft_gap(c, i), -c.u[n])
             f = f if c.friction.pulls[i] != 0.0 else max(f, 0.0)
         own = max(c.W[n, n], c.W[n + 1, n + 1], c.W[n + 2, n + 2])
         for j in range(m):
@@ -153,6 +151,14 @@ def soft_force(links: ContactLinks, i: int, query: Array) -> float:
     if call_at(where[2 * i], where[2 * i + 1], 0) == RAISED:
         links.raised, query[2] = 1, 0.0
     return float(query[2])
+
+
+@kernel
+def force_at(links: ContactLinks, i: int, depth: float, rate: float) -> float:
+    """Return what the compliance of contact i gives at this depth, m, and rate, m/s, N."""
+    query = vector_at(integers_at(links.compliances, 2 * links.k)[2 * i + 1], QUERY)
+    query[0], query[1] = depth, rate
+    return float(soft_force(links, i, query))
 
 
 @kernel

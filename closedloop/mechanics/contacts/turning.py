@@ -37,9 +37,9 @@ from closedloop.mechanics.contacts.complementarity import (
 )
 from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, LINE, OFF, RAY, Contacts
 from closedloop.mechanics.contacts.mobility import pack, unpack, write_mobility
-from closedloop.mechanics.contacts.modes import HOVERING, PARTING
+from closedloop.mechanics.contacts.modes import PARTING
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
 

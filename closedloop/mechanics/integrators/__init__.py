@@ -43,6 +43,8 @@ class Scheme(Member):
         those states then are of order 2 at most.
     semi_implicit : bool
         Whether the position advances with the new velocity; such a scheme has one stage.
+    time_stepping : bool
+        Whether contacts are one problem of impulses in each step, without events.
     source : str
         Where the scheme is published.
     nodes : tuple of float
@@ -59,6 +61,7 @@ class Scheme(Member):
     b: ClassVar[tuple[float, ...]]
     first: ClassVar[tuple[tuple[float, ...], ...]] = ()
     semi_implicit: ClassVar[bool] = False
+    time_stepping: ClassVar[bool] = False
     source: ClassVar[str]
     nodes: ClassVar[tuple[float, ...]]
     stages: ClassVar[int]

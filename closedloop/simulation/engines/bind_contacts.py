@@ -25,8 +25,8 @@ from closedloop.mechanics.contacts.friction import (
     law_at,
     plain_friction,
 )
-from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
-from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING
+from closedloop.mechanics.contacts.memory import HOVERING, ContactMemory, Contacts, make_contact_memory
+from closedloop.mechanics.contacts.modes import CLOSED_GAP
 from closedloop.mechanics.contacts.rolling import (
     EDGE,
     SHAPE,
@@ -44,6 +44,7 @@ from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
@@ -75,8 +76,8 @@ from robot_models.tendon import STOPS
 ON_EDGE = 1e-6
 # A quarter turn about z.
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-# As many contacts as a scenario may have.
-MOST = 256
+# As many contacts as a scenario may have; in time stepping, which holds no matrix of all of them.
+MOST, MOST_STEPPED = 256, 16384
 
 
 class ContactPlaces(NamedTuple):
@@ -96,6 +97,12 @@ class ContactPlaces(NamedTuple):
     def starts_closed(self) -> bool:
         """Whether a contact of a link is closed at the start."""
         return any(gap <= HOVERING and inside >= 0.0 for gap, inside in self.start)
+
+
+def is_stepped(scenario: Scenario) -> bool:
+    """Whether each step is one problem of impulses, see `closedloop.mechanics.contacts.stepping`."""
+    integrator = INTEGRATORS.get(scenario.time.integrator)
+    return integrator is not None and integrator.time_stepping
 
 
 def entries_of_contacts(scenario: Scenario) -> list[Any]:
@@ -124,7 +131,8 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     laws = laws_of(scenario, names)
     asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
     past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
-    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns)
+    dense = not is_stepped(scenario)
+    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns, dense)
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
     contacts.restitution[points : points + len(stops)] = scenario.robot.stop_restitution
     contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]
@@ -361,8 +369,10 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
     """
     sections = scenario.contact or ()
     names = names_of(sections)
-    if len(sections) > MOST:
-        raise ScenarioError(f"contact: there are {len(sections)} of them; at most {MOST}")
+    most = MOST_STEPPED if is_stepped(scenario) else MOST
+    if len(sections) > most:
+        more = "" if most > MOST else f", or {MOST_STEPPED} with time.integrator = 'time_stepping'"
+        raise ScenarioError(f"contact: there are {len(sections)} of them; at most {most}{more}")
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ScenarioError(f"contact: two are called {twice!r}: name each")

@@ -184,8 +184,9 @@ class Problem(ScenarioNumbers):
             contacts = kept["contacts"]
             rest_states(self.scenario, self.placed, self.v, contacts, loop.w.z)
             held = stops_at_start(contacts, loop.constants, self.q, self.v)
-            state.coupled = int(self.placed.starts_closed or held)
-            contacts.links.undecided = contacts.links.fresh = state.coupled
+            stepped = self.integrator.time_stepping
+            state.coupled = int(stepped or self.placed.starts_closed or held)
+            contacts.links.undecided = contacts.links.fresh = int(state.coupled and not stepped)
         if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:
             read_encoders(loop, self.table)
 

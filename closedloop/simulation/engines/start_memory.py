@@ -168,6 +168,7 @@ def write_settings(problem: ScenarioNumbers, state: State) -> None:
     to = state.settings
     to.steps, to.hold, to.nodes_per_step = problem.steps, problem.hold, problem.nodes
     to.general, to.project, to.semi_implicit = problem.general, problem.project, problem.integrator.semi_implicit
+    to.time_stepping = problem.integrator.time_stepping
     to.unilateral = problem.scenario.surface.contact == "unilateral"
     to.impact_law = RATIOS[problem.restitution.ratio_of]
     state.friction.sticking, state.joint_friction.sticking = (

@@ -368,6 +368,11 @@ def instant_of(scenario: Scenario, problem: Problem, at: float, model: RobotMode
 def of_fixed_steps(problem: Problem, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
     """Return a problem that is stepped row by row: with an integrator that chooses its steps, the same one by rk4."""
     scenario = problem.scenario
+    if problem.integrator.time_stepping:
+        raise ScenarioError(
+            f"linearise: time.integrator = {scenario.time.integrator!r} finds impulses, not the forces of a mode; use "
+            "'semi_implicit_euler' or 'rk4'"
+        )
     if scenario.time.integrator not in ADAPTIVE:
         return problem
     fixed = Variants(scenario, ("time.integrator", "time.tolerance")).scenario(("rk4", None))

@@ -317,6 +317,8 @@ def _exact(
     start, cache = prepared(prepare(keys.scenario, model)), Cache()
     if start.problem.robot.moved:
         raise NotDualError("the memory of a [[mocap]] is of plain numbers")
+    if start.problem.integrator.time_stepping:
+        raise NotDualError("the impulses of time stepping are found in rounds that end by their values")
     seeds = {d: seeds_of(keys, d, start, model, cache) for d in keys.directions}
     known = {d: each for d, each in seeds.items() if each is not None}
     if not known:

@@ -176,7 +176,8 @@ def test_stabiliser_force_is_the_part_that_it_adds():
 
 # --- which T goes with a step --------------------------------------------------------------------------------------
 
-SCHEMES = sorted(INTEGRATORS)
+# Time stepping has no closure of the tip that is stabilised.
+SCHEMES = sorted(name for name, scheme in INTEGRATORS.items() if not scheme.time_stepping)
 
 
 @settings(deadline=None, max_examples=60)

@@ -373,7 +373,12 @@ def test_a_refusal_lists_what_ships(changes, mine):
 
 def test_shipped_members_are_found():
     """Each shipped scheme is there by its name, and of one family."""
-    assert [name for name in INTEGRATORS if ":" not in name] == ["explicit_euler", "rk4", "semi_implicit_euler"]
+    assert [name for name in INTEGRATORS if ":" not in name] == [
+        "explicit_euler",
+        "rk4",
+        "semi_implicit_euler",
+        "time_stepping",
+    ]
     assert list(ADAPTIVE) == ["dop853"]
     assert PATHS["line"] is Line
     assert Line.member_name() == "line"

@@ -338,7 +338,7 @@ def test_law_that_switches_back_and_forth_stalls_with_a_reason():
         ({"time.tolerance": 1e-15}, "time.tolerance = 1e-15: must be from 1e-14 to 0.001"),
         ({"time.tolerance": 0.1}, "time.tolerance = 0.1: must be from 1e-14 to 0.001"),
         ({"time.tolerance": "fine"}, "time.tolerance = 'fine': must be a number"),
-        ({"time.integrator": "dop835"}, "'rk4', 'semi_implicit_euler' or 'dop853'"),
+        ({"time.integrator": "dop835"}, "'semi_implicit_euler', 'time_stepping' or 'dop853'"),
         (
             {"time.tolerance": 1e-9, "time.integrator": "rk4"},
             "time.tolerance = 1e-09: acts with integrator = 'dop853' only; the error of 'rk4' is set by time.step",

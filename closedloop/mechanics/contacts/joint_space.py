@@ -1,0 +1,318 @@
+"""Contact impulses in joint space: as many unknowns as the tree has joints, however many contacts there are.
+
+With X = L⁻¹Gᵀ of the contacts that take part and u = q + X y, y = Xᵀ P, the problem is that of
+`closedloop.mechanics.contacts.complementarity`. A round of the proximal point method (R. T. Rockafellar, SIAM J.
+Control Optim. 14, 1976) from P° solves
+
+    P = the nearest in K to P° − ρ (u + μ|u_t| n),     y = Xᵀ P
+
+for y by Newton's method: the augmented Lagrangian of P. Alart and A. Curnier (Comput. Methods Appl. Mech. Eng. 92,
+1991). Its matrix 1 + ρ Xᵀ ∂Π J is that of the joints and never singular. As ρ grows from round to round few are needed.
+Of forces that are not unique it takes, from P° = 0, nearly the shortest.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from closedloop.base.arrays import Array
+from closedloop.jit.blocks import Block, Count
+from closedloop.jit.calls import row_of
+from closedloop.jit.kernel import kernel
+
+N, K = Count.of("n"), Count.of("k")
+
+# Kinds of a contact: in Coulomb's cone; one that also pulls, of a bilateral closure; with a normal impulse that is a
+# function of its speed, P = given − falls u >= 0; and with that of another contact, its owner.
+IN_CONE, BILATERAL, SOFT, OWNED = range(4)
+# ρ in the inverse of a contact's mobility: in the first round, what it grows by in each, and in the last ones.
+FIRST, GROWTH, MOST = 10.0, 4.0, 1e3
+# Rounds at most, steps of Newton's method in each, and halvings of a step.
+ROUNDS, NEWTON_STEPS, HALVINGS = 40, 30, 12
+# The residual, as a share of the largest velocity that is asked for, at which impulses are found; rounding leaves MOST
+# times its own share. What a round may leave of its equations, as a share of the residual before it.
+# Where rows hardly differ it falls slowly: then the second is enough, and after all rounds the third.
+FOUND, SLOW, NEAR, LEFT = 1e-9, 1e-6, 1e-4, 0.1
+
+
+class JointSpace(Block, sizes=("n", "k")):
+    """The problem, of the contacts that take part alone, and what its solution uses."""
+
+    kind: Annotated[Array, K]
+    mu: Annotated[Array, K]
+    associated: float  # 1: without μ|u_t| n, for which there always is a solution (Anitescu's scheme)
+    given: Annotated[Array, K]  # normal impulse at no speed, N s, or the number of the owner
+    falls: Annotated[Array, K]  # and what it is less by with the speed, kg
+    first: Annotated[Array, K]  # of the joints that a contact moves
+    end: Annotated[Array, K]
+    X: Annotated[Array, 3 * K, N]
+    q: Annotated[Array, 3 * K]  # m/s
+    P: Annotated[Array, 3 * K]  # in: where to start; out: impulses, N s
+    u: Annotated[Array, 3 * K]  # m/s, with them
+    mobility: Annotated[Array, K]  # the largest of each contact, 1/kg
+    trial: Annotated[Array, 3 * K]
+    slope: Annotated[Array, K, 3, 3]  # ∂Π
+    along: Annotated[Array, K, 2]  # μ u_t/|u_t|; of an owned one ∂P_t/∂P_n of its owner
+    y: Annotated[Array, N]
+    y_trial: Annotated[Array, N]
+    off: Annotated[Array, N]  # y − Xᵀ Π
+    step: Annotated[Array, N]
+    matrix: Annotated[Array, N, N]
+    row: Annotated[Array, 3, N]
+    number: Annotated[Array, K]  # of each among all contacts
+    packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
+    residual: float  # as a share of `asked`
+    asked: float  # m/s, the larger of the next two
+    fastest: float  # the largest velocity of a contact in the last step
+    gained: float  # what smooth forces add to one at most, in the last step in which a contact took part
+    rounds: float  # of the last problem, and steps of Newton's method in them
+    steps: float
+
+
+@kernel
+def into_disc(x1: float, x2: float, radius: float, P: Array, slope: Array, along: Array) -> None:
+    """Write the nearest to (x1, x2) within a disc in P[1:], its slope, and that by the radius in `along`."""
+    size = math.hypot(x1, x2)
+    along[0], along[1] = 0.0, 0.0
+    if size <= radius:
+        P[1], P[2] = x1, x2
+        slope[1, 1], slope[2, 2], slope[1, 2], slope[2, 1] = 1.0, 1.0, 0.0, 0.0
+        return
+    e1, e2, share = x1 / size, x2 / size, radius / size
+    P[1], P[2] = radius * e1, radius * e2
+    along[0], along[1] = e1, e2
+    slope[1, 1], slope[2, 2] = share * e2 * e2, share * e1 * e1
+    slope[1, 2] = slope[2, 1] = -share * e1 * e2
+
+
+@kernel
+def into_cone_with_slope(x0: float, x1: float, x2: float, mu: float, P: Array, slope: Array) -> None:
+    """Write the nearest point of Coulomb's cone to x in P (3,), and its slope (3, 3)."""
+    size = math.hypot(x1, x2)
+    for a in range(3):
+        for b in range(3):
+            slope[a, b] = 0.0
+    P[0] = P[1] = P[2] = 0.0
+    if mu * size <= -x0:
+        return
+    if size <= mu * x0:
+        P[0], P[1], P[2] = x0, x1, x2
+        slope[0, 0] = slope[1, 1] = slope[2, 2] = 1.0
+        return
+    share = 1.0 / (1.0 + mu * mu)
+    f = share * (x0 + mu * size)
+    P[0], slope[0, 0] = f, share
+    if mu == 0.0:
+        return
+    e1, e2, radial, across = x1 / size, x2 / size, share * mu * mu, mu * f / size
+    P[1], P[2] = mu * f * e1, mu * f * e2
+    slope[0, 1] = slope[1, 0] = share * mu * e1
+    slope[0, 2] = slope[2, 0] = share * mu * e2
+    slope[1, 1], slope[2, 2] = radial * e1 * e1 + across * e2 * e2, radial * e2 * e2 + across * e1 * e1
+    slope[1, 2] = slope[2, 1] = (radial - across) * e1 * e2
+
+
+@kernel
+def write_speed(s: JointSpace, i: int, y: Array) -> None:
+    """Write u = q + X y of contact i."""
+    x0, x1, x2 = row_of(s.X, 3 * i), row_of(s.X, 3 * i + 1), row_of(s.X, 3 * i + 2)
+    u0, u1, u2 = s.q[3 * i], s.q[3 * i + 1], s.q[3 * i + 2]
+    for j in range(int(s.first[i]), int(s.end[i])):
+        u0, u1, u2 = u0 + x0[j] * y[j], u1 + x1[j] * y[j], u2 + x2[j] * y[j]
+    s.u[3 * i], s.u[3 * i + 1], s.u[3 * i + 2] = u0, u1, u2
+
+
+@kernel
+def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
+    """Write Π of contact i in P (3 a,), of its u and the impulse at the round's beginning, and its slope."""
+    at, mu, slope, along = 3 * i, s.mu[i], s.slope[i], s.along[i]
+    u0, u1, u2 = s.u[at], s.u[at + 1], s.u[at + 2]
+    x1, x2 = s.P[at + 1] - rho * u1, s.P[at + 2] - rho * u2
+    if s.kind[i] == IN_CONE:
+        size = math.hypot(u1, u2)
+        along[0] = along[1] = 0.0
+        if size > 0.0 and s.associated == 0.0:
+            along[0], along[1] = mu * u1 / size, mu * u2 / size
+            u0 += mu * size
+        into_cone_with_slope(s.P[at] - rho * u0, x1, x2, mu, P[at : at + 3], slope)
+        return
+    for a in range(3):
+        for b in range(3):
+            slope[a, b] = 0.0
+    if s.kind[i] == OWNED:
+        P[at] = 0.0
+        into_disc(x1, x2, mu * max(P[3 * int(s.given[i])], 0.0), P[at : at + 3], slope, along)
+        return
+    if s.kind[i] == BILATERAL:
+        P[at], slope[0, 0] = s.P[at] - rho * u0, 1.0
+    else:
+        P[at] = max(s.given[i] - s.falls[i] * u0, 0.0)
+        slope[0, 0] = s.falls[i] / rho if P[at] > 0.0 else 0.0
+    into_disc(x1, x2, mu * abs(P[at]), P[at : at + 3], slope, along)
+    sense = math.copysign(mu, P[at]) * slope[0, 0]
+    slope[1, 0], slope[2, 0] = sense * along[0], sense * along[1]
+    along[0] = along[1] = 0.0
+
+
+@kernel
+def write_off(s: JointSpace, a: int, n: int, stiffness: float, y: Array) -> float:
+    """Write y − Xᵀ Π at y, Π in `trial` and its slopes; return the square of what is off."""
+    for j in range(n):
+        s.off[j] = y[j]
+    for i in range(a):
+        write_speed(s, i, y)
+        respond(s, i, stiffness / s.mobility[i], s.trial)
+        p0, p1, p2 = s.trial[3 * i], s.trial[3 * i + 1], s.trial[3 * i + 2]
+        if p0 == 0.0 and p1 == 0.0 and p2 == 0.0:
+            continue
+        x0, x1, x2 = row_of(s.X, 3 * i), row_of(s.X, 3 * i + 1), row_of(s.X, 3 * i + 2)
+        for j in range(int(s.first[i]), int(s.end[i])):
+            s.off[j] -= x0[j] * p0 + x1[j] * p1 + x2[j] * p2
+    square = 0.0
+    for j in range(n):
+        square += s.off[j] * s.off[j]
+    return square
+
+
+@kernel
+def add_rows(s: JointSpace, i: int, owner: int, rho: float) -> None:
+    """Add ρ Xᵀ ∂Π J of contact i to the matrix, or, of an owned one, what its owner's normal impulse changes too."""
+    M, J, slope, along = s.matrix, s.row, s.slope[i], s.along[i]
+    first, end = int(s.first[owner]), int(s.end[owner])
+    x0, x1, x2 = row_of(s.X, 3 * owner), row_of(s.X, 3 * owner + 1), row_of(s.X, 3 * owner + 2)
+    e1, e2 = s.along[owner][0], s.along[owner][1]
+    if s.kind[owner] != IN_CONE:
+        e1 = e2 = 0.0
+    of = s.slope[owner]
+    for b in range(3):
+        for j in range(first, end):
+            J[b, j] = 0.0
+    for b in range(3):
+        if owner == i:
+            c0, c1, c2 = rho * slope[b, 0], rho * slope[b, 1], rho * slope[b, 2]
+        else:  # the slope of the owner's normal impulse, times that of the owned one by it
+            share = s.mu[i] * along[b - 1] * rho if b > 0 else 0.0
+            c0, c1, c2 = share * of[0, 0], share * of[0, 1], share * of[0, 2]
+        if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
+            continue
+        c1, c2, row = c1 + c0 * e1, c2 + c0 * e2, row_of(J, b)
+        for j in range(first, end):
+            row[j] = c0 * x0[j] + c1 * x1[j] + c2 * x2[j]
+    for j in range(int(s.first[i]), int(s.end[i])):
+        z0, z1, z2 = s.X[3 * i, j], s.X[3 * i + 1, j], s.X[3 * i + 2, j]
+        if z0 == 0.0 and z1 == 0.0 and z2 == 0.0:
+            continue
+        to, j0, j1, j2 = row_of(M, j), row_of(J, 0), row_of(J, 1), row_of(J, 2)
+        for m in range(first, end):
+            to[m] += z0 * j0[m] + z1 * j1[m] + z2 * j2[m]
+
+
+@kernel
+def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> None:
+    """Write the step of Newton's method, of the slopes that are written, in `step`."""
+    M, x = s.matrix, s.step
+    for j in range(n):
+        x[j] = -s.off[j]
+        for m in range(n):
+            M[j, m] = 0.0
+        M[j, j] = 1.0
+    for i in range(a):
+        add_rows(s, i, i, stiffness / s.mobility[i])
+        if s.kind[i] == OWNED:
+            owner = int(s.given[i])
+            add_rows(s, i, owner, stiffness / s.mobility[owner])
+    eliminate(M, x, n)
+
+
+@kernel
+def eliminate(M: Array, x: Array, n: int) -> None:
+    """Solve M x = b, with b in x (n,), by Gauss's elimination with partial pivots; M (n, n) is overwritten."""
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(M[i, k]) > abs(M[pivot, k]):
+                pivot = i
+        top = row_of(M, k)
+        if pivot != k:
+            other = row_of(M, pivot)
+            for j in range(k, n):
+                top[j], other[j] = other[j], top[j]
+            x[k], x[pivot] = x[pivot], x[k]
+        inverse = 1.0 / top[k] if top[k] != 0.0 else 0.0
+        for i in range(k + 1, n):
+            row = row_of(M, i)
+            share = row[k] * inverse
+            if share == 0.0:
+                continue
+            for j in range(k + 1, n):
+                row[j] -= share * top[j]
+            x[i] -= share * x[k]
+    for i in range(n - 1, -1, -1):
+        row, left = row_of(M, i), x[i]
+        for j in range(i + 1, n):
+            left -= row[j] * x[j]
+        x[i] = left / row[i] if row[i] != 0.0 else 0.0
+
+
+@kernel
+def residual_of(s: JointSpace, a: int, n: int) -> float:
+    """Write y = Xᵀ P and u of it; return by how much P is off its nearest at ρ = 1, as a share of `asked`."""
+    for j in range(n):
+        s.y[j] = 0.0
+    for i in range(a):
+        for r in range(3 * i, 3 * i + 3):
+            p = s.P[r]
+            for j in range(int(s.first[i]), int(s.end[i]) if p != 0.0 else 0):
+                s.y[j] += s.X[r, j] * p
+    worst = 0.0
+    for i in range(a):
+        write_speed(s, i, s.y)
+        respond(s, i, 1.0 / s.mobility[i], s.trial)
+        for r in range(3 * i, 3 * i + 3):
+            worst = max(worst, abs(s.trial[r] - s.P[r]) * s.mobility[i])
+            if not abs(s.trial[r]) < math.inf:
+                return math.inf
+    return worst / s.asked if s.asked > 0.0 else worst
+
+
+@kernel
+def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
+    """Write P and u of the a contacts, from P, with the first ρ; return whether they are found."""
+    stiffness, most, before = first, 0.0, math.inf
+    s.rounds = s.steps = 0.0
+    for i in range(a):
+        most = max(most, s.mobility[i])
+    for _ in range(ROUNDS):
+        s.rounds += 1.0
+        s.residual = residual_of(s, a, n)
+        if s.residual <= FOUND or 0.5 * before < s.residual <= SLOW:
+            return True
+        before = s.residual
+        if not s.residual < math.inf:
+            return False
+        left = LEFT * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
+        square = write_off(s, a, n, stiffness, s.y)
+        for _ in range(NEWTON_STEPS):
+            if square <= left * left:
+                break
+            s.steps += 1.0
+            newton_step_of_joints(s, a, n, stiffness)
+            share, last = 1.0, square
+            for _ in range(HALVINGS):
+                for j in range(n):
+                    s.y_trial[j] = s.y[j] + share * s.step[j]
+                square = write_off(s, a, n, stiffness, s.y_trial)
+                if square < (1.0 - 0.2 * share) * last:
+                    break
+                share *= 0.5
+            if not square < last:
+                write_off(s, a, n, stiffness, s.y)
+                break
+            for j in range(n):
+                s.y[j] = s.y_trial[j]
+        for r in range(3 * a):
+            s.P[r] = s.trial[r]
+        stiffness = min(GROWTH * stiffness, MOST)
+    s.residual = residual_of(s, a, n)
+    return bool(s.residual <= NEAR)

@@ -1,0 +1,196 @@
+"""Time stepping: one problem of impulses for each step, and no events within it.
+
+With G and the velocities u of a step's beginning, and the smooth forces held,
+
+    u⁺ = u + h X L⁻¹(Q − C) + W P,     P ∈ K,     w + μ|u⁺_t| n ∈ K*,     Pᵀ(w + μ|u⁺_t| n) = 0,
+
+    w = u⁺ + g/h n        of a contact with the gap g >= 0, which may close and does not sink in,
+    w = u⁺ + g/(10 h) n   of one that is g < 0 deep,
+    w = u⁺ - u' n         of one that strikes within the step and rebounds, u'² = e² u² but for what gravity does
+
+and then q⁺ = q + h q̇⁺ (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput. Methods
+Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996). It is of
+first order, and costs the same however many contacts close, open, stick or slip. The forces of a step are P/h: an
+impact is a large force of one step. Resistances and the dry friction of joints are in the same problem; a soft contact
+presses with the force at the step's end, of the tangent of its law, so that no stiffness is too large for the step.
+"""
+
+from __future__ import annotations
+
+import math
+
+from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
+from closedloop.jit.kernel import kernel
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.closure.solve import OK, PAINLEVE
+from closedloop.mechanics.contacts.joint_space import (
+    BILATERAL,
+    FIRST,
+    IN_CONE,
+    MOST,
+    OWNED,
+    SOFT,
+    JointSpace,
+    solve_in_joint_space,
+)
+from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.resistance import is_resistance
+from closedloop.mechanics.contacts.soft import force_at, soft_gap
+
+# Friction below this share of its limit is inside the cone: the contact sticks.
+INSIDE = 1.0 - 1e-6
+# By which speed, m/s, the slope of a soft contact's force is found.
+FASTER = 1e-6
+# What a step puts back of the depth of a contact below its surface.
+PUT_BACK = 0.1
+# Contacts that may close within a step: those nearer than so many times what the fastest of them would go in it.
+AHEAD = 2.0
+
+
+@kernel
+def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
+    """Write the gap within which contacts take part in a step of h, s, by the velocities of the step before.
+
+    In the first step there are none yet, and all take part.
+    """
+    fastest = 0.0
+    for i in range(3 * k):
+        fastest = max(fastest, abs(c.u[i]))
+    c.stepping.fastest = fastest
+    c.step.reach = math.inf if first else HOVERING + AHEAD * h * (fastest + c.stepping.gained)
+
+
+@kernel
+def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> int:
+    """Write F = P/h of a step of h, s, and the modes that it means; return OK, or PAINLEVE if none were found.
+
+    Parameters
+    ----------
+    load : (n,) array
+        L⁻¹(Q − C), less what loops bind.
+    """
+    s, n = c.stepping, links.n
+    a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
+    s.associated = 0.0
+    found = a == 0 or solve_in_joint_space(s, a, n, MOST)
+    for attempt in range(3):
+        if not found:  # contacts that are inside each other may not all part at once
+            s.associated = 1.0 if attempt == 2 else 0.0
+            write_problem(links, c, load, h, PUT_BACK if attempt == 0 else 0.0, rest_speed)
+            for r in range(3 * a):
+                s.P[r] = 0.0
+            found = solve_in_joint_space(s, a, n, FIRST)
+    if not found:
+        return PAINLEVE
+    for i in range(links.k):
+        if c.friction.pulls[i] == 0.0:
+            c.mode[i] = FREE
+        for r in range(3 * i, 3 * i + 3):
+            c.F[r] = c.rigid[r] = 0.0
+    for i in range(a):
+        number = int(s.number[i])
+        for r in range(3):
+            c.F[3 * number + r] = c.rigid[3 * number + r] = s.P[3 * i + r] / h
+        pressed = abs(s.P[3 * i]) if s.kind[i] != OWNED else s.P[3 * int(s.given[i])]
+        if pressed > 0.0:
+            held = math.hypot(s.P[3 * i + 1], s.P[3 * i + 2]) < INSIDE * s.mu[i] * pressed
+            c.mode[number] = STUCK if held else PRESSED
+    for r in range(3 * links.k):
+        c.step.force[r] = c.F[r]
+    return OK
+
+
+@kernel
+def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
+    """Write the contacts that take part, packed; return their number."""
+    s, a, gained = c.stepping, 0, 0.0
+    for i in range(links.k):
+        s.packed_at[i] = -1.0
+        if c.near[i] == 0.0 or not takes_part(links, c, i, h, s, a):
+            continue
+        s.number[a], s.mu[a] = i, c.mu[i]
+        first, end = joints_of(c, i)
+        s.first[a], s.end[a], s.mobility[a] = first, end, 0.0
+        for r in range(3):
+            from_row, to_row, square, growth = row_of(c.X, 3 * i + r), row_of(s.X, 3 * a + r), 0.0, 0.0
+            for j in range(first, end):
+                x = from_row[j]
+                to_row[j] = x
+                square += x * x
+                growth += x * load[j]
+            s.mobility[a] = max(s.mobility[a], square)
+            s.q[3 * a + r] = c.u[3 * i + r] + h * growth
+            gained = max(gained, h * abs(growth))
+            s.P[3 * a + r] = h * c.step.force[3 * i + r]
+        if not s.mobility[a] > 0.0:
+            continue
+        if c.soft[i] != 0.0 and not write_softness(links, c, i, s, a, h):
+            continue
+        if s.kind[a] <= BILATERAL:
+            s.q[3 * a] += allowed(links, c, i, s.q[3 * a], h, push, rest_speed)
+        s.packed_at[i] = a
+        a += 1
+    s.gained = gained if a > 0 else s.gained
+    s.asked = max(s.fastest, s.gained)
+    return a
+
+
+@kernel
+def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace, a: int) -> bool:
+    """Write the kind of contact i as number a of the problem, and its normal impulse, if that is given."""
+    s.kind[a], s.given[a], s.falls[a] = SOFT if c.soft[i] != 0.0 else IN_CONE, 0.0, 0.0
+    if i >= links.joints:
+        s.kind[a], s.given[a] = SOFT, h * c.step.limit[i]
+        return bool(s.given[a] > 0.0)
+    if is_resistance(c, i):
+        s.kind[a], s.given[a] = OWNED, s.packed_at[int(c.friction.resistance.owner[i])]
+        return bool(s.given[a] >= 0.0)
+    if c.friction.pulls[i] != 0.0 and c.soft[i] == 0.0:
+        s.kind[a] = BILATERAL
+    return bool(c.friction.pulls[i] != 0.0 or belongs_here(c, i))
+
+
+@kernel
+def write_softness(links: ContactLinks, c: Contacts, i: int, s: JointSpace, a: int, h: float) -> bool:
+    """Write the normal impulse of soft contact i at the end of the step by its speed there; whether there is any.
+
+    It is that of the tangent of its law f(depth, rate) where it would be without a force.
+    """
+    u, gap = s.q[3 * a], soft_gap(c, i)
+    f = force_at(links, i, -gap - h * u, -u)
+    if not f > 0.0:
+        return False
+    s.falls[a] = h * max(f - force_at(links, i, -gap - h * (u + FASTER), -u - FASTER), 0.0) / FASTER
+    s.given[a] = h * f + s.falls[a] * u
+    return True
+
+
+@kernel
+def belongs_here(c: Contacts, i: int) -> bool:
+    """Whether contact i is at its own surface: nearer to it than to its edge when it came, and not beyond that since.
+
+    What comes from beside, or edges that begin to cross, may be deep below it at once; then another contact is nearer.
+    """
+    if c.inside[i] < 0.0:
+        c.gaps.cleared[i] = 0.0
+    elif c.located[3 * i] >= -c.inside[i]:
+        c.gaps.cleared[i] = 1.0
+    return bool(c.gaps.cleared[i] != 0.0)
+
+
+@kernel
+def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, push: float, rest_speed: float) -> float:
+    """Return what is added to the velocity of contact i along its normal, m/s, for the w of the problem.
+
+    A rebound begins at the gap g and ends at g + h u⁺: u⁺ has the energy e² of what would have been at the surface.
+    """
+    gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
+    if c.friction.pulls[i] != 0.0:
+        return float(gap * push / h)
+    g = max(u - coming, 0.0) / h  # what accelerates it towards the surface, m/s²
+    left = c.restitution[i] ** 2 * (u * u + 2.0 * g * gap) - 2.0 * g * gap
+    rebound = math.sqrt(g * g * h * h + left) - g * h if left > 0.0 else 0.0
+    if rebound > slowest and u < 0.0 and gap + h * coming <= 0.0:
+        return float(-rebound)
+    return float(gap / h if gap >= 0.0 else gap * push / h)

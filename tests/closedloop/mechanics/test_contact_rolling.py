@@ -242,7 +242,7 @@ def test_a_can_tips_over_the_edge_of_its_end_and_not_over_its_feet(about, share)
 
 @pytest.mark.parametrize(("spin", "speed"), [(0.0, 0.0), (400.0, 0.0), (0.0, 50.0)])
 def test_a_step_of_a_fast_car_costs_what_that_of_one_that_stands_does(tmp_path, monkeypatch, spin, speed):
-    """Rk4 needs four evaluations a step and one more for the row, however fast axisymmetric wheels slip or it slides."""
+    """Rk4 needs four evaluations a step and one more for the row, however fast wheels slip or the car slides."""
     inertia, evaluations = 'mass="0.5" diaginertia="0.0013 0.0025 0.0013"', [0]
     (tmp_path / "car.xml").write_text(
         '<mujoco model="car"><worldbody><body name="car" pos="0 0 0.1"><freejoint name="car"/>'

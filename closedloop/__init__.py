@@ -42,6 +42,10 @@ from closedloop.command.current_folder import leave_out_current_folder, runs_a_c
 
 leave_out_current_folder(__file__)  # before anything else is imported
 if runs_a_command():
+    import os
+
+    # The matrices are those of one arm. Two threads would wait for each other where another process has a core.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import _signal  # type: ignore[import-not-found]  # what `signal` is made of, there without a file to read
 
     if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,9 @@ import numpy as np
 import robot_models
 from closedloop.base.arrays import Array
 from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
+from closedloop.mechanics.loops.assemble import START_OPEN, assembled, closed_start, errors_at
+from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.loops.drives import torque_of_drives
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import contact_frame
@@ -50,7 +54,7 @@ FREQUENCY = 15.0  # of a joint with its gains, rad/s; lowered where the step can
 MOST_DAMPING = 0.2  # of a joint's velocity in a step, which a step gets right by a tenth
 
 # What is looked at, in this order; a posture that fails late is nearly right.
-LIMITS, INERTIA, MOBILITY, DEXTERITY, EFFORT, PATH, RUN = range(7)
+LIMITS, INERTIA, MOBILITY, DEXTERITY, EFFORT, LOOPS, PATH, RUN = range(8)
 Faults = dict[int, str]  # what is wrong with the first posture that failed there
 
 
@@ -92,6 +96,12 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
             f"{robot.model.name} with the tip {robot.tip}: no joint with a drive moves it; another frame may work, "
             "see --tip"
         )
+    if left := _left_open(robot):
+        raise ScenarioError(
+            f"{robot.model.name}: its loops stay open by {left:.3g} m (rad) near the posture of its file; check where "
+            "the loop joints are on their links"
+        )
+    closed = cache(lambda q, normal: _closed(robot, np.array(q), normal))
     faults: Faults = {}
     runs = 0
     postures: list[Posture] = []
@@ -106,7 +116,14 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
         found.sort(key=lambda posture: -posture.score)
         for scenario in itertools.islice(_scenarios(robot, name, pressing, found, faults), MOST_RUNS - runs):
             runs += 1
-            stage, fault = _fault(scenario, robot)
+            stage, fault = 0, ""
+            if robot.model.loops:
+                borne = closed(scenario.start.q, scenario.surface.normal)
+                stage, fault = (
+                    (LOOPS, borne) if isinstance(borne, str) else (EFFORT, _effort(robot, *borne, pressing)[1])
+                )
+            if not fault:
+                stage, fault = _fault(scenario, robot)
             if not fault:
                 return scenario
             faults.setdefault(stage, fault.partition(";")[0])
@@ -114,6 +131,28 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
         f"{robot.model.name} with the tip {robot.tip}: no start was found from which it presses on a surface; "
         f"at the best posture found: {faults[max(faults)]}; another frame may work, see --tip"
     )
+
+
+def _left_open(robot: Robot) -> float:
+    """Return by how much the loops of a robot stay open near its home, m (rad): zero if they close."""
+    if not robot.model.loops:
+        return 0.0
+    memory = loop_memory(robot)
+    posture = assembled(robot, memory, np.array(robot.model.loop_home))
+    left = float(np.max(np.abs(errors_at(robot, memory, posture, np.zeros(robot.n))[0])))
+    return left if left > START_OPEN else 0.0
+
+
+def _closed(robot: Robot, q: Array, normal: tuple[float, float, float]) -> tuple[Array, Array] | str:
+    """Return what the drives of a mechanism bear where it is closed near q, as in `Posture`, or why it is not."""
+    still = np.zeros(robot.n)
+    try:
+        posture, _ = closed_start(robot, robot.rotation_vectors(q), still, assemble=True)
+    except ScenarioError as error:
+        return str(error).partition(";")[0]
+    terms = robot.terms(posture, still)
+    bias, along = np.array(terms.bias), contact_frame(normal)[0] @ terms.jacobian
+    return torque_of_drives(robot, posture, bias)[0], torque_of_drives(robot, posture, along)[0]
 
 
 def held(name: str) -> RobotModel:
@@ -231,20 +270,32 @@ def _free_motions(robot: Robot, q: Array) -> Array:
 
 
 def _pressing(robot: Robot, posture: Posture, force: float, faults: Faults) -> Posture | None:
-    """Return a posture with its score if the joints can press with a force, N; note why if not."""
+    """Return a posture with its score if the joints can press with a force, N; note why if not.
+
+    Of a mechanism with loops that is asked where they are closed.
+    """
+    if robot.model.loops:
+        return posture
+    effort, fault = _effort(robot, posture.weight, posture.along, force)
+    if not fault:
+        return posture._replace(score=posture.score * (1.0 - effort))
+    faults.setdefault(EFFORT, fault)
+    return None
+
+
+def _effort(robot: Robot, weight: Array, along: Array, force: float) -> tuple[float, str]:
+    """Return the largest share of a joint's limit that pressing takes, and whether that is too much, in words."""
     model = robot.model
-    torque = np.abs(posture.weight - posture.along * force)
+    torque = np.abs(weight - along * force)
     weakest = int(np.argmax(torque / model.effort_limit))
     effort = float(torque[weakest] / model.effort_limit[weakest])
     if effort <= MOST_EFFORT:
-        return posture._replace(score=posture.score * (1.0 - effort))
-    what = f"to press with {force:g} N: that" if posture.along[weakest] else "for what it carries at rest, which"
-    faults.setdefault(
-        EFFORT,
+        return effort, ""
+    what = f"to press with {force:g} N: that" if along[weakest] else "for what it carries at rest, which"
+    return effort, (
         f"joint {model.joint_names[weakest]} is too weak {what} takes {effort:.0%} of its effort limit, and at most "
-        f"{MOST_EFFORT:.0%} are used",
+        f"{MOST_EFFORT:.0%} are used"
     )
-    return None
 
 
 def _directions(reached: Array, frame: Array) -> Iterator[tuple[float, ...]]:

@@ -3,6 +3,7 @@
 contact.floor left.friction     of the one with that name
 contact.0.friction              of the first
 contact.*.friction              of all
+mocap.hand.motion.speed         of the [[mocap]] of that frame
 
 A table whose key `at` is a list of points is a table for each of them, "floor 1", "floor 2" ... of one with the name
 "floor", which is still the name of all of them. So is one whose `at` is a face of a link that presses with its area,
@@ -166,8 +167,12 @@ def names_of_members(table: type[Section]) -> dict[str, OneOf]:
 
 
 def names_in(section: str, tables: Sequence[Any]) -> tuple[str, ...]:
-    """Return the names of tables, as they are in a file or read: "contact 2" of the second that has none."""
-    given = (table.get("name") if isinstance(table, dict) else getattr(table, "name", "") for table in tables)
+    """Return the names of tables, as they are in a file or read: "contact 2" of the second that has none.
+
+    A [[mocap]] is called after its frame.
+    """
+    key = "frame" if section == "mocap" else "name"
+    given = (table.get(key) if isinstance(table, dict) else getattr(table, key, "") for table in tables)
     return tuple(name if isinstance(name, str) and name else f"{section} {i}" for i, name in enumerate(given, 1))
 
 

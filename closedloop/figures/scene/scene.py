@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from closedloop.figures.link_contacts import Drawn, contacts_drawn
 from closedloop.figures.scene.ground import Ground, world_mesh
 from closedloop.figures.scene.solids import Ghost, Joined, Shape, reactions_in, robot_in, robot_shapes
 from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.loops.moved import MovedFrame
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.record import Event
 from closedloop.record.columns.touching import Touching, contacts_of, external_wrenches
@@ -88,8 +89,12 @@ class Scene:
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
-        """The robot's shapes, each in the frame of a joint."""
-        return robot_shapes(self.run.model, self.tip)
+        """The robot's shapes, each in the frame of a joint, or of a [[mocap]]."""
+        shapes, first = robot_shapes(self.run.model, self.tip), mechanism_of(self.model).njoints
+        moved = {name: (first + k, each) for k, each in enumerate(self.robot.moved) for name in each.names}
+        if not moved:
+            return shapes
+        return tuple(_in_frame(s, *moved[s.frame]) if s.frame in moved else s for s in shapes)
 
     @cached_property
     def ground(self) -> Ground:
@@ -123,8 +128,13 @@ class Scene:
         return place
 
     def joint_places(self, row: int) -> tuple[Array, Array]:
-        """Return the axes (n + 1, 3, 3) and origins (n + 1, 3), m, of the base and of each joint's frame in a row."""
-        return joint_frames(self.model, self.run.q[row])
+        """Return axes (k, 3, 3) and origins (k, 3), m, of the base, the joints' frames and each [[mocap]] in a row."""
+        axes, origins = joint_frames(self.model, self.run.q[row])
+        for frame in self.robot.moved:
+            (turn,), (shift,) = frame.displacements(self.run.time[row : row + 1])
+            axes = np.concatenate([axes, (turn @ frame.axes)[None]])
+            origins = np.concatenate([origins, (turn @ frame.origin + shift)[None]])
+        return axes, origins
 
     def tip_place(self, row: int) -> Array:
         """Return the tip (3,), m, base frame, from the joints' frames as they are drawn, not from the record."""
@@ -275,6 +285,12 @@ class Scene:
     def metres_per_newton(self) -> float:
         """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
         return round_down(LONGEST * self.size / self.usual_force) if self.usual_force > 0.0 else 0.01
+
+
+def _in_frame(shape: Shape, number: int, frame: MovedFrame) -> Shape:
+    """Return a shape in the base frame as one in a frame that moves, which has that number among the places."""
+    vertices = (shape.vertices - frame.origin) @ frame.axes
+    return replace(shape, joint=number, vertices=vertices.astype(np.float32))
 
 
 def scene_of(run: Run, ghosts: Sequence[Ghost] = ()) -> Scene:

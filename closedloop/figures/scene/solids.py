@@ -52,10 +52,11 @@ GREY, ROD, MARK = (0.62, 0.65, 0.68), (0.30, 0.45, 0.60), (0.62, 0.48, 0.80)
 class Shape:
     """Triangles fixed in the frame of a joint."""
 
-    joint: int  # 0 for what stands still; k for what moves with the k-th joint, counted from 1
+    joint: int  # 0 for what stands still; k for what moves with the k-th joint, counted from 1, or frame behind these
     vertices: NDArray[np.float32]  # (V, 3): m, in the joint's frame
     faces: NDArray[np.int32]  # (F, 3): numbers of vertices, counter-clockwise seen from outside
     colour: tuple[float, float, float]  # red, green, blue, 0 to 1
+    frame: str = ""  # the link's, where it is one
 
 
 @lru_cache(maxsize=8)
@@ -83,7 +84,7 @@ def _visuals(model: RobotModel, mechanism: Any) -> list[Shape]:
             origin = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=float)
             place = frame.placement.homogeneous @ origin
             for mesh, colour in _meshes(visual, named, source_folder(model.source)):
-                shapes.append(_shape(int(frame.parentJoint), mesh, place, colour or GREY))
+                shapes.append(_shape(int(frame.parentJoint), mesh, place, colour or GREY, link.name))
     return shapes
 
 
@@ -109,13 +110,15 @@ def _geoms(model: RobotModel, mechanism: Any) -> list[Shape]:
                 mesh.apply_scale(geom.size if geom.kind == "ellipsoid" else a)
             frame = mechanism.frames[mechanism.getFrameId(link)]
             place = frame.placement.homogeneous @ geom.place
-            shapes.append(_shape(int(frame.parentJoint), mesh, place, geom.colour or GREY))
+            shapes.append(_shape(int(frame.parentJoint), mesh, place, geom.colour or GREY, link))
     return shapes
 
 
-def _shape(joint: int, mesh: trimesh.Trimesh, place: Array, colour: tuple[float, float, float]) -> Shape:
+def _shape(
+    joint: int, mesh: trimesh.Trimesh, place: Array, colour: tuple[float, float, float], frame: str = ""
+) -> Shape:
     vertices = np.asarray(mesh.vertices) @ place[:3, :3].T + place[:3, 3]
-    return Shape(joint, vertices.astype(np.float32), np.asarray(mesh.faces, dtype=np.int32), colour)
+    return Shape(joint, vertices.astype(np.float32), np.asarray(mesh.faces, dtype=np.int32), colour, frame)
 
 
 def _meshes(visual: Any, named: dict[str, Any], folder: Path | None) -> list[tuple[trimesh.Trimesh, Any]]:

@@ -45,8 +45,8 @@ RESTING = 1e-11
 RAPID, MAX_RAPID = 1e-12, 20
 MAX_IN_STEP = 2000
 OUTPACED = 100
-# In runs with contacts of links a step is divided where a joint is faster than the first, rad/s (m/s), and would turn
-# by more than the second in it, rad (m): a body on three revolute joints turns them fast where two of their axes are
+# In runs with contacts of links a step is divided where a joint turns faster than the first, rad/s, and would turn by
+# more than the second in it, rad: a body on three revolute joints turns them fast where two of their axes are
 # nearly parallel, and rk4 is to leave its energy to 1e-9. While a contact of a link is closed the gap is to stay within
 # 1e-9 m too, of an error that grows with the fourth power of the turn: a quarter of both. Near such a pose a speed
 # changes by a multiple of itself in a step: a fast joint's by no more than the last, a share.

@@ -209,7 +209,9 @@ def proceed(
     if todo == PROJECT:
         todo = project(H, w, constants, state)
     if todo == BEGIN_SUBSTEP:
-        save_state(w, constants, state)
+        state.status = save_state(w, constants, state)
+        if state.status != OK:
+            return FAILED
         todo = ADVANCE
     elif todo == RETRY_SUBSTEP:
         restore_state(w, state)

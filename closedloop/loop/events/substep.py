@@ -52,22 +52,26 @@ from closedloop.loop.events.phases import (
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
 from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, closed_depth, force_over_load, slips_turn
 from closedloop.loop.step.energy_supplied import save_power
+from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.joint_friction import advance_joint_friction
 from closedloop.loop.step.memory import SMOOTH, Constants, State, Work, ask_contacts
 from closedloop.loop.step.singular import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
-from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
+from closedloop.mechanics.closure.solve import CHATTER, CROWDED, DIVERGED, OK, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
 from closedloop.mechanics.friction.answers import ADVANCE_STATES
+from closedloop.mechanics.loops.memory import loops_at, tree_at
+from closedloop.mechanics.robot.tree.layout import REVOLUTE, SLIDES
 
 
 @kernel_inlined
-def save_state(w: Work, constants: Constants, state: State) -> None:
-    """Save the state and its derivative at the beginning of a substep of length w.length."""
+def save_state(w: Work, constants: Constants, state: State) -> int:
+    """Save the state and its derivative at the beginning of a substep of length w.length; return OK or DIVERGED."""
     n, extra = w.q.shape[0], w.z.shape[0]
-    if state.contacts.entry != 0 and state.settings.time_stepping == 0:
-        divide_step(w, constants, state)
+    divides = state.contacts.entry != 0 and state.settings.time_stepping == 0
+    if divides and not divide_step(w, constants, state):
+        return DIVERGED
     for j in range(n):
         w.start.state[j] = w.q[j]
         w.start.state[n + j] = w.v[j]
@@ -90,6 +94,7 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
         ask_contacts(state, SAVE)
     w.start.value = event_function(w, constants, state)
     save_power(w, state)
+    return OK
 
 
 @kernel_inlined
@@ -103,28 +108,40 @@ def save_slip(w: Work, constants: Constants, state: State) -> None:
 
 
 @kernel
-def divide_step(w: Work, constants: Constants, state: State) -> None:
-    """Shorten a substep in which fast joints would turn, or change their speed, by too much, or slips end; note it."""
+def divide_step(w: Work, constants: Constants, state: State) -> bool:
+    """Shorten a substep in which joints would turn, or change how fast they turn, by too much, or slips end; note it.
+
+    Joints that slide do not count: nothing turns with them. Returns false where the motion diverges: a joint would be
+    beyond SPEED_LIMIT before the step ends, and its substep is shorter than that of a joint at this limit.
+    """
     fastest, change, left = 0.0, 0.0, w.length
     fast, most = (
         (FAST, LARGEST_TURN) if state.coupled == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
     )
     links, c = contacts_at(state.contacts.at)
+    tree = tree_at(loops_at(links.rows)[0])
     wheels = links.shapes != 0 and not some_stand(links, c)  # nothing turns with a wheel, unless its feet stand
     for j in range(w.q.shape[0]):
-        if not wheels or shapes_at(links.shapes).spins[j] == 0.0:
+        turns = tree.links[REVOLUTE * tree.n + j] != SLIDES
+        if turns and not (wheels and shapes_at(links.shapes).spins[j] != 0.0):
             fastest, change = max(fastest, abs(w.v[j])), max(change, abs(w.qdd[j]))
     state.divided = 1 if left < state.row * constants.h - w.time - INSTANT else 0
     if state.settings.adaptive != 0:
-        return
+        return True
     parts = fastest * left / most if fastest > fast else 1.0
-    if fastest + change * left > FAST:
+    reached = fastest + change * left
+    if reached > FAST:
         parts = max(parts, change * left / (LARGEST_CHANGE * max(fastest, FAST)))
     if parts > 1.0:
         w.length = left / np.ceil(parts)
         state.divided = 1
     if state.coupled != 0 and c.step.span < w.length:
         w.length, state.divided = c.step.span, 1
+    if not (reached > SPEED_LIMIT and left * SPEED_LIMIT < parts * most):
+        return True
+    for j in range(w.q.shape[0]):
+        w.v[j] += left * w.qdd[j]  # the error names the fastest
+    return False
 
 
 @kernel_inlined

@@ -25,7 +25,7 @@ from closedloop.jit.calls import row_of
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.loops.bind import loop_memory
-from closedloop.mechanics.loops.factor import factor
+from closedloop.mechanics.loops.factor import DEPENDENT, factor
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.loops.solve import combine_rows, dot, free_motion, meet_rows, orthonormal_rows, take_off
@@ -49,7 +49,11 @@ def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> int:
     for i in range(count):
         Z = row_of(rows.drive_basis, i)
         free_motion(links, rows, i, Z)
+        whole = dot(Z, Z, n)
         lose_undriven(rows.undriven, links.undriven, Z)
+        if not dot(Z, Z, n) > DEPENDENT * DEPENDENT * whole:  # no drive takes part in it: what is left is rounding
+            for j in range(n):
+                Z[j] = 0.0
     rank = orthonormal_rows(rows.drive_basis, count, rows.drive_order, rows.drive_coefficients, rows.drive_lengths)
     if rank < count:
         lose_power_of_undriven(links, rows, torque, rank)

@@ -36,6 +36,7 @@ from closedloop.jit.cache_folder import why_not_kept
 from closedloop.jit.dual import NotCompiledError, NotDualError
 from closedloop.jit.kernel import jit_disabled, needs_compiling
 from closedloop.loop.events.table import KINDS, STICK, TANGENTIAL_IMPACT, TIME_STEP, event_columns
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.mechanics.robot.tree import energies_of_rows
 from closedloop.record.columns.record import POSITIONS
@@ -265,6 +266,31 @@ def not_unique(run: Run) -> NotUnique | None:
                 return NotUnique(event.time, f"{event.kind} of {names_of(sections)[event.contact - 1]}")
             seen.add(modes)
     return None
+
+
+def grazes(run: Run) -> list[str]:
+    """Return in words where a step does not tell whether an open contact of a link touches between two rows.
+
+    With the gap's second derivative a, a parabola through three rows has its least value up to a h²/8 below the rows. A
+    contact that is nearer than that may touch and part again, or not, and the run has no event. A tip's least gap is
+    located in the run itself, and an integrator that chooses its steps finds all of them.
+    """
+    if not run.scenario.contact or len(run) < 3 or run.scenario.time.integrator in ADAPTIVE:
+        return []
+    before, at, after = run.link_gaps[:-2], run.link_gaps[1:-1], run.link_gaps[2:]
+    bend, slope = before - 2.0 * at + after, 0.5 * (after - before)
+    turns = (bend > 0.0) & (np.abs(slope) <= 0.5 * bend)
+    least = at - 0.5 * slope * slope / np.where(turns, bend, 1.0)
+    free = run.link_modes == FREE
+    found = turns & (least <= 0.125 * bend) & free[:-2] & free[1:-1] & free[2:]
+    names = names_of(run.scenario.contact)
+    happened = [(event.contact - 1, event.time) for event in run.events]
+    return [
+        f"not smooth at {run.time[k + 1]:.6g} s: between two rows the gap of {names[i]} is {least[k, i]:.2g} m, and "
+        "the step does not tell whether it touches; a grazing contact has no derivative"
+        for k, i in np.argwhere(found)
+        if not any(which == i and run.time[k] <= t <= run.time[k + 2] for which, t in happened)
+    ]
 
 
 DUALS, PREPARED, OF_COLUMNS = "dual numbers", "differences of the preparation", "differences of the columns"

@@ -24,7 +24,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.studies.gradient.differences import Along, Part, Sample, along, sample, simulated
-from closedloop.studies.gradient.exact import exact
+from closedloop.studies.gradient.exact import exact, grazes
 from closedloop.studies.gradient.quantities import SHARE, Direction, Keys, Output, indexed, output, values_of
 from robot_models import RobotModel
 
@@ -179,7 +179,7 @@ def differentiated(
                 found = found | along(varied, rest, base, partial(values_of, some), model, report, workers)
                 made.append(_gathered(varied, run, some, base.values, {d: found[d] for d in directions}))
     joined = _joined(made, [each.name for each in outputs])
-    return replace(joined, problems=(*by_duals.problems, *joined.problems))
+    return replace(joined, problems=(*grazes(run), *by_duals.problems, *joined.problems))
 
 
 def _sampled(run: Run, outputs: Sequence[Output]) -> Sample:

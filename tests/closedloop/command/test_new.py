@@ -1,5 +1,6 @@
 """``closedloop new``: a scenario that runs as it is, for many arms; nothing is replaced."""
 
+import dataclasses
 import errno
 import os
 import re
@@ -10,7 +11,7 @@ import pytest
 import closedloop as cl
 import robot_models
 from closedloop.__main__ import main
-from closedloop.base.errors import SimulationError
+from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.command.first_slide import SPEEDS, _with_gains, first_slide
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.modes import unresolved_feedback
@@ -41,6 +42,28 @@ def test_a_joint_that_does_not_move_the_tip_is_not_too_weak_to_press(new, tmp_pa
     status, _, err = new("mine", "--robot", "cart.xml", "--tip", "end")
     assert status == 2
     assert "joint wheel is too weak for what it carries at rest, which takes 196% of its effort limit" in err
+
+
+def test_what_no_drive_turns_bears_nothing():
+    """A five-bar whose elbows are free has a load at its cranks alone, and one whose cranks are weak cannot press."""
+    five_bar = robot_models.load("five_bar")
+
+    def slide(*limits):
+        model = dataclasses.replace(five_bar, effort_limit=np.array(limits))
+        return first_slide(Robot(model), "five_bar")
+
+    assert slide(60.0, 1e-6, 60.0, 1e-6).law.force == 10.0
+    with pytest.raises(ScenarioError, match=r"joint J[12] is too weak to press with 10 N"):
+        slide(0.3, 60.0, 0.3, 60.0)
+
+
+def test_loops_that_no_posture_closes_are_named_at_once():
+    """No start is sought for a four-bar whose last pin is two metres off."""
+    four_bar = robot_models.load("four_bar")
+    (pin,) = four_bar.loops
+    apart = dataclasses.replace(pin, points=((2.0, 0.0, 0.0), pin.points[1]))
+    with pytest.raises(ScenarioError, match=r"four_bar: its loops stay open by [\d.]+ m \(rad\) near the posture of"):
+        first_slide(Robot(dataclasses.replace(four_bar, loops=(apart,))), "four_bar")
 
 
 @pytest.mark.parametrize("robot", ["planar2", *(pytest.param(arm, marks=pytest.mark.slow) for arm in ARMS)])

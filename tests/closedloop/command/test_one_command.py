@@ -1,6 +1,7 @@
 """``closedloop COMMAND``: the table of commands, and those that look at what is there."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -301,3 +302,12 @@ def test_completion_knows_commands_options_and_keys(closedloop):
     for shell in ("zsh", "fish"):
         assert "closedloop" in closedloop("completion", shell)[1]
     assert closedloop("completion", "tcsh")[2].startswith("closedloop: command line: argument shell: invalid choice")
+
+
+@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_a_command_computes_in_one_thread_unless_it_is_told(given, threads):
+    """A small matrix takes two threads of OpenBLAS seconds where another process has a core."""
+    code = "import os, sys; sys.argv = ['closedloop']; import closedloop; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"} | given
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout == f"{threads}\n"

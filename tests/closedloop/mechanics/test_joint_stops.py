@@ -58,6 +58,20 @@ def test_mass_bounces():
     assert np.ptp(run.energy_supplied - run.kinetic_energy - run.potential_energy) < 1e-9
 
 
+@pytest.mark.parametrize("torque", [1e12, 1e20])
+def test_an_acceleration_that_no_substep_resolves_ends_the_run(torque):
+    """One that turns round at each evaluation leaves the speed low, and a step could be divided without end."""
+    evaluations = itertools.count()
+
+    def to_and_fro(x):
+        k = next(evaluations)
+        assert k < 1000
+        return torque * (-1.0) ** k + 0.0 * x.q
+
+    with pytest.raises(cl.DivergenceError, match=r"stopped at t = 0 s: the motion diverges: joint \w+ is beyond"):
+        cl.simulate(free("planar2", **{"time.integrator": "rk4"}), law=to_and_fro)
+
+
 @pytest.mark.parametrize("stops", [False, True])
 def test_what_is_asked_of_a_joint_without_a_drive_does_not_act(stops):
     """With stops, which may be rows of loops, and without: H q̈ + C = (τ₁, 0), and the report says so."""

@@ -139,3 +139,17 @@ def test_drives_give_the_power_of_all_torques(memory):
         least = np.linalg.pinv(alone[:, :drives]) @ (alone[:, drives:] @ passed)
         np.testing.assert_allclose(torque[:drives], asked[:drives] + least, rtol=1e-8, atol=1e-9)
         np.testing.assert_allclose(motions @ torque, motions @ np.concatenate([asked[:drives], passed]), atol=1e-8)
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-30, -5e-42])
+def test_a_drive_in_a_motion_by_rounding_takes_no_part_in_it(memory, rounding):
+    """What moves by 1e-30 rad where a passive joint moves by 1 rad does not bear what is asked of that joint."""
+    links, rows = memory
+    rows.scale[:], rows.G[:] = 1.0, 0.0
+    rows.G[0, [0, 2]], rows.G[1] = (1.0, rounding), (0.0, 1.0, 0.4, -0.3)
+    interpreted(factor)(links, rows, rows.drift, M)
+    rows.undriven[: N - 1] = np.eye(N)[1:]
+    links.undriven = N - 1
+    torque = np.array([0.7, 1.0, -2.0, 0.5])
+    assert interpreted(through_drives)(links, rows, torque) == 2
+    np.testing.assert_allclose(torque, [0.7, 0.0, 0.0, 0.0], atol=1e-15)

@@ -7,6 +7,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.figures.scene.scene import scene_of
 from closedloop.mechanics.surface.motion import MOTIONS
 from closedloop.record.report.summary import energy_balance
 
@@ -89,6 +90,32 @@ def test_a_body_that_follows_poses_needs_what_newton_and_euler_say(tmp_path):
         about = inertia @ rate(spin, t) + np.cross(spin(t), inertia @ spin(t))
         wrench = [*(turn.T @ force), *(turn.T @ (about + np.cross(turn @ COM, force)))]
         np.testing.assert_allclose(run.loops.reactions[row], wrench, atol=2e-5)  # of the differences
+
+
+def test_what_is_fixed_to_a_frame_is_drawn_where_the_frame_is(tmp_path):
+    """A box of the mocap body and an equal one of the hand that is welded to it lie in each other at each row."""
+    box = '<geom type="box" size=".05 .02 .1"/>'
+    text = (
+        BODY.format("0.02 1").replace('<geom size=".05"/>', box).replace('pos=".5 0 1"/>', f'pos=".5 0 1">{box}</body>')
+    )
+    scene = scene_of(simulated(moved(tmp_path, text, TURNTABLE, "hand", {"time.duration": 0.2})))
+    assert len(scene.shapes) == 2
+    for row in (0, 70, len(scene.run) - 1):
+        axes, origins = scene.joint_places(row)
+        one, other = (s.vertices @ axes[s.joint].T + origins[s.joint] for s in scene.shapes)
+        np.testing.assert_allclose(one, other, atol=1e-7)
+    turned = 3.0 * 0.2
+    np.testing.assert_allclose(one.mean(axis=0), [0.5 * np.cos(turned), 0.5 * np.sin(turned), 1.0], atol=1e-7)
+
+
+def test_a_frame_is_overridden_by_its_name(tmp_path):
+    """As a contact or a body is; a name that is none is refused with those that there are."""
+    given = {"mocap.target.motion.speed": 5.0}
+    scenario = moved(tmp_path, BODY.format("0.02 1"), TURNTABLE, "hand", given)
+    assert scenario.mocap[0].motion.speed == 5.0
+    assert scenario.replace({"mocap.target.motion.speed": -1.0}).mocap[0].motion.speed == -1.0
+    with pytest.raises(cl.ScenarioError, match=r"there is no mocap 'targets'; there are 'target' \(0\)"):
+        scenario.replace({"mocap.targets.motion.speed": 1.0})
 
 
 def test_an_arm_on_a_base_that_moves_is_one_on_a_base_at_rest_with_its_acceleration_as_gravity(tmp_path):

@@ -89,6 +89,26 @@ def test_a_graze_is_named():
         assert np.isnan(above) if share == 0.0 else above == pytest.approx(missed, rel=1e-6)
 
 
+@pytest.mark.parametrize(("share", "named"), [(-1e-3, 0), (0.0, 1), (1e-7, 1), (1e-3, 0)])
+def test_a_graze_that_a_step_does_not_resolve_is_named(share, named):
+    """A ball that is thrown up to a ceiling touches it for less than a step, or not: its run has no event there."""
+    gap, radius = 0.1, 0.05
+    up = float((1.0 + share) * np.sqrt(2.0 * 9.81 * gap))
+    ball = {"name": "ball", "shape": "ball", "radius": radius, "mass": 1.0, "velocity": [0, 0, up]}
+    ceiling = {
+        "name": "ceiling",
+        "link": "ball",
+        "radius": radius,
+        "normal": [0, 0, -1],
+        "through": [0, 0, gap + radius],
+    }
+    times = {"duration": 0.2, "step": 0.001, "integrator": "rk4"}
+    scenario = {"robot": {"model": "none"}, "body": [ball], "contact": [ceiling], "time": times}
+    found = cl.gradient(cl.Scenario.model_validate(scenario), ["body.ball.velocity"], ["q@end"])
+    assert len(found.problems) == named
+    assert all("gap of ceiling is" in each and "at 0.143 s" in each for each in found.problems)
+
+
 def test_an_event_that_no_longer_happens_is_named_though_another_run_has_it_past_a_row(monkeypatch):
     """Of the runs on one side one has the event between other rows, and the next has none: there are no differences."""
 

@@ -147,10 +147,15 @@ def resolution(constants: Constants, state: State) -> float:
 
 @kernel
 def clear_gap(links: ContactLinks, c: Contacts, i: int) -> float:
-    """Return the gap above which contact i, of a point with a plane, is open: its rows are then not needed, only it."""
+    """Return the gap above which contact i, of a point with a plane, is open: its rows are then not needed, only it.
+
+    Of edges none are needed until some may cross, see `closedloop.mechanics.contacts.edges.write_edge_rows`.
+    """
     if c.mode[i] != FREE or c.friction.pulls[i] != 0.0 or asked(links, i):
         return math.inf
-    return math.inf if links.shapes != 0 and wanders(links, i) else c.step.reach
+    if links.shapes != 0 and has_edge(shapes_at(links.shapes), i):
+        return -math.inf
+    return math.inf if links.shapes != 0 and rolls(shapes_at(links.shapes), i) else c.step.reach
 
 
 @kernel

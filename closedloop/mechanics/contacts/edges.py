@@ -21,13 +21,14 @@ import math
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.jit.calls import row_of
+from closedloop.jit.calls import integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.rolling import EDGE, EDGE_2, OF_EDGE_2, Shapes, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
+from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
+from closedloop.mechanics.loops.rows import carry_direction, locate_point
 
 # Numbers of edge 1: e1, L1, its two sides, ρ1, ρ2, whether the last crossing is meant, how many edges 2 there are, and
 # the contact of the same edge with the other crossing, 0 if there is none; and how deep edges may cross, m: deeper they
@@ -43,8 +44,10 @@ LEVER = 0.1
 # How far beyond its ends an edge still crosses, m: where boxes lie flush on each other edges cross at their ends, and
 # rounding would end the contact again and again.
 PAST_END = 1e-8
-# The gap of edges none of which crosses, m.
-APART = 1.0
+# In `chosen`: no other edge is near.
+NONE = -1.0
+# The gap of edges none of which crosses, m; and how many edges a box has, four along each of its axes in turn.
+APART, COUNT_OF_BOX = 1.0, 12
 
 
 @kernel
@@ -127,6 +130,31 @@ def turned(axes: Array, v: Array, out: Array) -> None:
 
 
 @kernel
+def may_cross(joints: LoopLinks, rows: LoopRows, shapes: Shapes, i: int) -> bool:
+    """Whether the edge of contact i reaches, along each axis of the box that has the others, within DEEP of the box.
+
+    What crosses an edge of the box no higher than that above it does. The middle of the edge is located.
+    """
+    edge, k, e, u = row_of(shapes.edge, i), 3 * i - 3, shapes.wander, shapes.carried
+    if edge[COUNT] < COUNT_OF_BOX:
+        return True
+    tree, work = tree_at(joints), vector_at(joints.scratch, joints.scratch_size)
+    sides, x, e1 = integers_at(joints.bound, 3 * joints.m), rows.error[k : k + 3], shapes.turning
+    carry_direction(tree, work, sides[joints.m + k], edge[E1 : E1 + 3], e)
+    for r in range(3):
+        carry_direction(tree, work, sides[2 * joints.m + k], row_of(rows.along_b, k + r), u)
+        e1[r] = u[0] * e[0] + u[1] * e[1] + u[2] * e[2]
+    beside = edge[DEEP] + edge[ROUND1] + edge[ROUND2]
+    for axis in range(3):
+        b = EDGE_2 + OF_EDGE_2 * 4 * axis
+        a0, a1, a2 = edge[b + E2], edge[b + E2 + 1], edge[b + E2 + 2]
+        reach = edge[b + L2] + edge[L1] * abs(dot(e1, a0, a1, a2)) + beside
+        if abs(dot(x, a0, a1, a2)) > reach:
+            return False
+    return True
+
+
+@kernel
 def choose_crossing(shapes: Shapes, i: int, x: Array, free: bool, taken: int) -> None:
     """Write `frame`, `crossing`, `chosen` of contact i, x (3,) m the middle of its edge; a closed one keeps its edge.
 
@@ -158,18 +186,23 @@ def choose_crossing(shapes: Shapes, i: int, x: Array, free: bool, taken: int) ->
 def write_edge_rows(joints: LoopLinks, rows: LoopRows, shapes: Shapes, c: Contacts, i: int) -> None:
     """Write the rows of contact i, of edges; those of the middle of its edge, along x, y, z, are located already."""
     k, at, N, edge = 3 * i - 3, shapes.crossing, shapes.frame[i], row_of(shapes.edge, i)
+    partner = int(edge[PARTNER])
+    if c.mode[i] == FREE:
+        same = 0 < partner < i and c.mode[partner] == FREE  # the same edge has just been looked at
+        if (shapes.chosen[partner] == NONE) if same else not may_cross(joints, rows, shapes, i):
+            shapes.chosen[i] = NONE
+            leave_apart(joints, c, i)
+            return
+        shapes.chosen[i] = 0.0
+        locate_point(joints, rows, k, 3)
     turn_against(joints, rows, k, shapes)
     x, v, a = rows.error[k : k + 3], rows.rate[k : k + 3], rows.drift[k : k + 3]
-    partner = int(edge[PARTNER])
     taken = int(shapes.chosen[partner]) if partner > 0 and c.mode[partner] != FREE else -1
     choose_crossing(shapes, i, x, c.mode[i] == FREE, taken)
     n = 3 * i
     c.inside[i], c.located[n], c.located[n + 1], c.located[n + 2] = at[1], at[0], 0.0, 0.0
     if at[3] < PARALLEL or at[0] > 0.5 * APART:
-        for b in range(3):
-            c.u[n + b], c.drift[n + b] = 0.0, 0.0
-            for j in range(joints.n):
-                c.G[n + b, j] = 0.0
+        leave_apart(joints, c, i)
         return
     e1, w, r, reach = shapes.wander, shapes.spin, shapes.spin_rate, row_of(shapes.reach, i)
     b2 = EDGE_2 + OF_EDGE_2 * int(shapes.chosen[i]) + E2
@@ -215,6 +248,16 @@ def write_edge_rows(joints: LoopLinks, rows: LoopRows, shapes: Shapes, c: Contac
     c.drift[n] += f0 * u0 + f1 * u1 + f2 * u2
     m0, m1, m2 = f1 * y2 - f2 * y1, f2 * y0 - f0 * y2, f0 * y1 - f1 * y0  # ṫ2
     c.drift[n + 2] += m0 * u0 + m1 * u1 + m2 * u2
+
+
+@kernel
+def leave_apart(joints: LoopLinks, c: Contacts, i: int) -> None:
+    """Write contact i as one of edges that do not cross."""
+    c.inside[i] = -1.0
+    for r in range(3 * i, 3 * i + 3):
+        c.located[r], c.u[r], c.drift[r] = APART if r == 3 * i else 0.0, 0.0, 0.0
+        for j in range(joints.n if c.near[i] != 0.0 else 0):
+            c.G[r, j] = 0.0
 
 
 def edges_of(section: ContactSection, rotation: Array) -> Array:

@@ -44,6 +44,14 @@ def place_rows(links: LoopLinks, rows: LoopRows) -> None:
 
 
 @kernel
+def locate_point(links: LoopLinks, rows: LoopRows, k: int, count: int) -> None:
+    """Do `locate_rows` for rows k, k + 1, ... of one point, which were clear, at the state of the last call of it."""
+    tree, work = tree_at(links), vector_at(links.scratch, links.scratch_size)
+    sides = integers_at(links.bound, 4 * links.m)
+    _positions(tree, work, rows, k, count, (sides[links.m + k], sides[2 * links.m + k]), True)
+
+
+@kernel
 def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
     """Write the rows G and their error, and if asked for their drift and rate."""
     tree, work = tree_at(links), vector_at(links.scratch, links.scratch_size)
@@ -231,6 +239,15 @@ def _move_point(tree: Tree, work: Array, link: int, point: Array, out: Array, mo
 def turn_direction(tree: Tree, work: Array, link: int, along: Array, out: Array) -> None:
     """Write a direction that is fixed to a link, with its first and second derivative; see `ALONG`."""
     _turn(tree, work, link, along, out, ALONG, True)
+
+
+@kernel
+def carry_direction(tree: Tree, work: Array, link: int, along: Array, out: Array) -> None:
+    """Write a direction that is fixed to a link, base axes, in the first three of `out`."""
+    if link == BASE:
+        out[0], out[1], out[2] = along[0], along[1], along[2]
+        return
+    _carry(tree, work, link, along, out, 0, False)
 
 
 @kernel

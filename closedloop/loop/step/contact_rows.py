@@ -35,7 +35,7 @@ from closedloop.mechanics.contacts.rolling import (
     shapes_at,
 )
 from closedloop.mechanics.contacts.soft import write_soft_forces
-from closedloop.mechanics.loops.memory import loops_at, tree_at
+from closedloop.mechanics.loops.memory import LoopRows, loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.mechanics.loops.solve import leave_free
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at, edge_distance
@@ -114,29 +114,36 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
                 shapes.rim.stands[i] = 0.0
             seats = links.undecided != 0 and touches(links, c, i)
             roll_on_plane(joints, rows, shapes, i, resolution(constants, state) * (1.0 if seats else 0.0))
-    G, given = c.G, rows.G
-    for r in range(joints.m):
-        i = r + 3
-        c.located[i], c.u[i] = rows.error[r], rows.rate[r]
-        foot = links.shapes != 0 and r % 3 == 0 and c.mode[i // 3] == FREE and state.settings.time_stepping == 0
-        if foot and is_idle(shapes_at(links.shapes), c, i // 3, resolution(constants, state)):
-            c.located[i] = APART
-        if rows.error[r - r % 3] > rows.clear[r - r % 3]:
-            continue
-        c.drift[i] = rows.drift[r]
-        to, of = row_of(G, i), row_of(given, r)
-        first, end = joints_of(c, i // 3)
-        for j in range(first, end):
-            to[j] = of[j]
-    for i in range(1, links.points if links.shapes != 0 else 0):
-        if has_edge(shapes_at(links.shapes), i):
+    for i in range(1, links.points):
+        if links.shapes != 0 and has_edge(shapes_at(links.shapes), i):
             write_edge_rows(joints, rows, shapes_at(links.shapes), c, i)
+        else:
+            take_rows(links, c, rows, i)
+            foot = links.shapes != 0 and c.mode[i] == FREE and state.settings.time_stepping == 0
+            if foot and is_idle(shapes_at(links.shapes), c, i, resolution(constants, state)):
+                c.located[3 * i] = APART
     for i in range(1, links.points if links.surfaces != 0 else 0):
         if not turn_to_surface(links, c, i, w.time, constants.h, state):
             return int(NO_NORMAL)
     if links.joints > links.points + links.stops:
         write_resistances(joints, rows, shapes_at(links.shapes), links, c)
     return int(OK)
+
+
+@kernel
+def take_rows(links: ContactLinks, c: Contacts, rows: LoopRows, i: int) -> None:
+    """Take gap, place and velocity of contact i from its rows, and if these are written, what they are."""
+    r, n = 3 * i - 3, 3 * i
+    clear = rows.error[r] > rows.clear[r]
+    for a in range(3):
+        c.located[n + a], c.u[n + a] = rows.error[r + a], rows.rate[r + a]
+        if clear:
+            continue
+        c.drift[n + a] = rows.drift[r + a]
+        to, of = row_of(c.G, n + a), row_of(rows.G, r + a)
+        first, end = joints_of(c, i)
+        for j in range(first, end):
+            to[j] = of[j]
 
 
 @kernel

@@ -41,7 +41,7 @@ class JointSpace(Block, sizes=("n", "k")):
 
     kind: Annotated[Array, K]
     mu: Annotated[Array, K]
-    associated: float  # 1: without μ|u_t| n, for which there always is a solution (Anitescu's scheme)
+    associated: float  # 1: without μ|u_t| n, the least of a convex function (M. Anitescu, Math. Program. 105, 2006)
     given: Annotated[Array, K]  # normal impulse at no speed, N s, or the number of the owner
     falls: Annotated[Array, K]  # and what it is less by with the speed, kg
     first: Annotated[Array, K]  # of the joints that a contact moves
@@ -256,15 +256,21 @@ def eliminate(M: Array, x: Array, n: int) -> None:
 
 
 @kernel
+def add_impulse(s: JointSpace, i: int) -> None:
+    """Add Xᵀ P of contact i to y."""
+    for r in range(3 * i, 3 * i + 3):
+        p = s.P[r]
+        for j in range(int(s.first[i]), int(s.end[i]) if p != 0.0 else 0):
+            s.y[j] += s.X[r, j] * p
+
+
+@kernel
 def residual_of(s: JointSpace, a: int, n: int) -> float:
     """Write y = Xᵀ P and u of it; return by how much P is off its nearest at ρ = 1, as a share of `asked`."""
     for j in range(n):
         s.y[j] = 0.0
     for i in range(a):
-        for r in range(3 * i, 3 * i + 3):
-            p = s.P[r]
-            for j in range(int(s.first[i]), int(s.end[i]) if p != 0.0 else 0):
-                s.y[j] += s.X[r, j] * p
+        add_impulse(s, i)
     worst = 0.0
     for i in range(a):
         write_speed(s, i, s.y)
@@ -279,10 +285,8 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 @kernel
 def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
     """Write P and u of the a contacts, from P, with the first ρ; return whether they are found."""
-    stiffness, most, before = first, 0.0, math.inf
+    stiffness, before = first, math.inf
     s.rounds = s.steps = 0.0
-    for i in range(a):
-        most = max(most, s.mobility[i])
     for _ in range(ROUNDS):
         s.rounds += 1.0
         s.residual = residual_of(s, a, n)
@@ -291,28 +295,52 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
         before = s.residual
         if not s.residual < math.inf:
             return False
-        left = LEFT * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
-        square = write_off(s, a, n, stiffness, s.y)
-        for _ in range(NEWTON_STEPS):
-            if square <= left * left:
-                break
-            s.steps += 1.0
-            newton_step_of_joints(s, a, n, stiffness)
-            share, last = 1.0, square
-            for _ in range(HALVINGS):
-                for j in range(n):
-                    s.y_trial[j] = s.y[j] + share * s.step[j]
-                square = write_off(s, a, n, stiffness, s.y_trial)
-                if square < (1.0 - 0.2 * share) * last:
-                    break
-                share *= 0.5
-            if not square < last:
-                write_off(s, a, n, stiffness, s.y)
-                break
-            for j in range(n):
-                s.y[j] = s.y_trial[j]
-        for r in range(3 * a):
-            s.P[r] = s.trial[r]
+        do_round(s, a, n, stiffness)
         stiffness = min(GROWTH * stiffness, MOST)
     s.residual = residual_of(s, a, n)
     return bool(s.residual <= NEAR)
+
+
+@kernel
+def solve_softly(s: JointSpace, a: int, n: int) -> bool:
+    """Write P and u of contacts that give way a little, by 1/ρ, without μ|u_t| n; return whether they are numbers.
+
+    This is one round from P = 0, which has one solution, whatever the rows.
+    """
+    s.associated = 1.0
+    for r in range(3 * a):
+        s.P[r] = 0.0
+    s.residual = FOUND  # the round is to leave as little
+    do_round(s, a, n, MOST)
+    s.residual = residual_of(s, a, n)
+    return bool(s.residual < math.inf)
+
+
+@kernel
+def do_round(s: JointSpace, a: int, n: int, stiffness: float) -> None:
+    """Do a round of the proximal point method: write the P that is nearest, from P, and y and u of it."""
+    most = 0.0
+    for i in range(a):
+        most = max(most, s.mobility[i])
+    left = LEFT * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
+    square = write_off(s, a, n, stiffness, s.y)
+    for _ in range(NEWTON_STEPS):
+        if square <= left * left:
+            break
+        s.steps += 1.0
+        newton_step_of_joints(s, a, n, stiffness)
+        share, last = 1.0, square
+        for _ in range(HALVINGS):
+            for j in range(n):
+                s.y_trial[j] = s.y[j] + share * s.step[j]
+            square = write_off(s, a, n, stiffness, s.y_trial)
+            if square < (1.0 - 0.2 * share) * last:
+                break
+            share *= 0.5
+        if not square < last:
+            write_off(s, a, n, stiffness, s.y)
+            break
+        for j in range(n):
+            s.y[j] = s.y_trial[j]
+    for r in range(3 * a):
+        s.P[r] = s.trial[r]

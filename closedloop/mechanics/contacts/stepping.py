@@ -33,6 +33,7 @@ from closedloop.mechanics.contacts.joint_space import (
     SOFT,
     JointSpace,
     solve_in_joint_space,
+    solve_softly,
 )
 from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
@@ -81,6 +82,7 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
             for r in range(3 * a):
                 s.P[r] = 0.0
             found = solve_in_joint_space(s, a, n, FIRST)
+    found = found or solve_softly(s, a, n)
     if not found:
         return PAINLEVE
     for i in range(links.k):

@@ -303,7 +303,7 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
 
 @kernel
 def solve_softly(s: JointSpace, a: int, n: int) -> bool:
-    """Write P and u of contacts that give way a little, by 1/ρ, without μ|u_t| n; return whether they are numbers.
+    """Write P and u of contacts that are compliant, by 1/ρ, without μ|u_t| n; return whether they are numbers.
 
     This is one round from P = 0, which has one solution, whatever the rows.
     """

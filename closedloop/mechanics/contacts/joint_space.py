@@ -63,9 +63,8 @@ class JointSpace(Block, sizes=("n", "k")):
     number: Annotated[Array, K]  # of each among all contacts
     packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of `asked`
-    asked: float  # m/s, the larger of the next two
-    fastest: float  # the largest velocity of a contact in the last step
-    gained: float  # what smooth forces add to one at most, in the last step in which a contact took part
+    asked: float  # the largest velocity at the step's beginning, or the next, m/s
+    gained: float  # the largest that smooth forces add, in the last step in which a contact took part, m/s
     rounds: float  # of the last problem, and steps of Newton's method in them
     steps: float
 

@@ -36,6 +36,7 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_softly,
 )
 from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
@@ -58,7 +59,6 @@ def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
     fastest = 0.0
     for i in range(3 * k):
         fastest = max(fastest, abs(c.u[i]))
-    c.stepping.fastest = fastest
     c.step.reach = math.inf if first else HOVERING + AHEAD * h * (fastest + c.stepping.gained)
 
 
@@ -66,10 +66,36 @@ def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
 def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> int:
     """Write F = P/h of a step of h, s, and the modes that it means; return OK, or PAINLEVE if none were found.
 
+    See `find_step` for the parameters.
+    """
+    if not find_step(links, c, load, h, rest_speed):
+        return PAINLEVE
+    s = c.stepping
+    for i in range(links.k):
+        if c.friction.pulls[i] == 0.0:
+            c.mode[i] = FREE
+        for r in range(3 * i, 3 * i + 3):
+            c.F[r] = c.rigid[r] = c.step.force[r]
+        at = int(s.packed_at[i])
+        pressed = 0.0
+        if at >= 0:
+            pressed = abs(s.P[3 * at]) if s.kind[at] != OWNED else s.P[3 * int(s.given[at])]
+        if pressed > 0.0:
+            held = math.hypot(s.P[3 * at + 1], s.P[3 * at + 2]) < INSIDE * s.mu[at] * pressed
+            c.mode[i] = STUCK if held else PRESSED
+    return OK
+
+
+@kernel
+def find_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> bool:
+    """Write `step.force`, P/h of a step of h, s; return whether impulses were found.
+
     Parameters
     ----------
     load : (n,) array
         L⁻¹(Q − C), less what loops bind.
+    rest_speed : float
+        Below which contacts without one of their own do not rebound, m/s.
     """
     s, n = c.stepping, links.n
     a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
@@ -83,30 +109,19 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
                 s.P[r] = 0.0
             found = solve_in_joint_space(s, a, n, FIRST)
     found = found or solve_softly(s, a, n)
-    if not found:
-        return PAINLEVE
-    for i in range(links.k):
-        if c.friction.pulls[i] == 0.0:
-            c.mode[i] = FREE
-        for r in range(3 * i, 3 * i + 3):
-            c.F[r] = c.rigid[r] = 0.0
-    for i in range(a):
-        number = int(s.number[i])
-        for r in range(3):
-            c.F[3 * number + r] = c.rigid[3 * number + r] = s.P[3 * i + r] / h
-        pressed = abs(s.P[3 * i]) if s.kind[i] != OWNED else s.P[3 * int(s.given[i])]
-        if pressed > 0.0:
-            held = math.hypot(s.P[3 * i + 1], s.P[3 * i + 2]) < INSIDE * s.mu[i] * pressed
-            c.mode[number] = STUCK if held else PRESSED
     for r in range(3 * links.k):
-        c.step.force[r] = c.F[r]
-    return OK
+        c.step.force[r] = 0.0
+    for i in range(a if found else 0):
+        for r in range(3):
+            c.step.force[3 * int(s.number[i]) + r] = s.P[3 * i + r] / h
+    return found
 
 
 @kernel
 def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
     """Write the contacts that take part, packed; return their number."""
     s, a, gained = c.stepping, 0, 0.0
+    s.asked = 0.0
     for i in range(links.k):
         s.packed_at[i] = -1.0
         if c.near[i] == 0.0 or not takes_part(links, c, i, h, s, a):
@@ -123,7 +138,7 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
                 growth += x * load[j]
             s.mobility[a] = max(s.mobility[a], square)
             s.q[3 * a + r] = c.u[3 * i + r] + h * growth
-            gained = max(gained, h * abs(growth))
+            s.asked, gained = max(s.asked, abs(c.u[3 * i + r])), max(gained, h * abs(growth))
             s.P[3 * a + r] = h * c.step.force[3 * i + r]
         if not s.mobility[a] > 0.0:
             continue
@@ -134,7 +149,7 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
         s.packed_at[i] = a
         a += 1
     s.gained = gained if a > 0 else s.gained
-    s.asked = max(s.fastest, s.gained)
+    s.asked = max(s.asked, s.gained)
     return a
 
 
@@ -150,6 +165,8 @@ def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace
         return bool(s.given[a] >= 0.0)
     if c.friction.pulls[i] != 0.0 and c.soft[i] == 0.0:
         s.kind[a] = BILATERAL
+    if links.dense != 0:  # a step of its own, among modes: what is closed takes part
+        return bool(c.friction.pulls[i] != 0.0 or touches(links, c, i))
     return bool(c.friction.pulls[i] != 0.0 or belongs_here(c, i))
 
 
@@ -187,6 +204,8 @@ def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, p
 
     A rebound begins at the gap g and ends at g + h u⁺: u⁺ has the energy e² of what would have been at the surface.
     """
+    if links.dense != 0:
+        return 0.0
     gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
     if c.friction.pulls[i] != 0.0:
         return float(gap * push / h)

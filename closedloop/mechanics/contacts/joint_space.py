@@ -301,6 +301,19 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
 
 
 @kernel
+def is_wedged(s: JointSpace, a: int) -> bool:
+    """Whether impulses are larger than those of compliant contacts could be, see `solve_softly`.
+
+    Those of contacts that are wedged have no bound, and are in balance only where the bodies are.
+    """
+    largest = 0.0
+    for i in range(a):
+        for r in range(3 * i, 3 * i + 3 if s.kind[i] != SOFT else 0):
+            largest = max(largest, abs(s.P[r]) * s.mobility[i])
+    return bool(largest > MOST * s.asked)
+
+
+@kernel
 def solve_softly(s: JointSpace, a: int, n: int) -> bool:
     """Write P and u of contacts that are compliant, by 1/ρ, without μ|u_t| n; return whether they are numbers.
 

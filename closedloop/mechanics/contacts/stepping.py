@@ -32,6 +32,7 @@ from closedloop.mechanics.contacts.joint_space import (
     OWNED,
     SOFT,
     JointSpace,
+    is_wedged,
     solve_in_joint_space,
     solve_softly,
 )
@@ -108,6 +109,7 @@ def find_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spee
             for r in range(3 * a):
                 s.P[r] = 0.0
             found = solve_in_joint_space(s, a, n, FIRST)
+    found = found and not is_wedged(s, a)
     found = found or solve_softly(s, a, n)
     for r in range(3 * links.k):
         c.step.force[r] = 0.0

@@ -37,7 +37,6 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_softly,
 )
 from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
-from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
@@ -167,8 +166,6 @@ def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace
         return bool(s.given[a] >= 0.0)
     if c.friction.pulls[i] != 0.0 and c.soft[i] == 0.0:
         s.kind[a] = BILATERAL
-    if links.dense != 0:  # a step of its own, among modes: what is closed takes part
-        return bool(c.friction.pulls[i] != 0.0 or touches(links, c, i))
     return bool(c.friction.pulls[i] != 0.0 or belongs_here(c, i))
 
 
@@ -206,8 +203,6 @@ def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, p
 
     A rebound begins at the gap g and ends at g + h u⁺: u⁺ has the energy e² of what would have been at the surface.
     """
-    if links.dense != 0:
-        return 0.0
     gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
     if c.friction.pulls[i] != 0.0:
         return float(gap * push / h)

@@ -20,8 +20,6 @@ tangential impact is tried first. The forces are P/h until the step has ended; t
 
 from __future__ import annotations
 
-import math
-
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
@@ -30,16 +28,18 @@ from closedloop.mechanics.contacts.complementarity import (
     SOFTNESS,
     largest_mobility,
     polish,
+    size_of_q,
     solve_contacts,
     solve_from_here,
+    sweep_long,
 )
+from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained, write_after
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import pack, unpack, write_mobility
 from closedloop.mechanics.contacts.modes import happened_to, touches, write_before
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
-from closedloop.mechanics.contacts.stepping import find_step
 
 # Speeds at which contacts come together in the problems near it, of the largest speed.
 COMING = (0.1, 0.01)
@@ -99,8 +99,13 @@ def from_impact(c: Contacts, k: int, coming: float) -> bool:
     return bool(found and change > LEAST_CHANGE * fastest)
 
 
-# Length of the step, s.
-SPAN = 2e-5
+# Length of the step, s; the residual, of the largest, that impulses may have which long sweeps have found.
+SPAN, NEAR = 2e-5, 1e-6
+# Impulses of contacts that are wedged have no bound, and are in balance only where the bodies are: so many times what
+# is asked for, they move bodies that turn within the step by a part in a thousand.
+MOST_IMPULSE = 1e3
+# Shares of friction that are tried where even so no impulses are found.
+LESS_FRICTION = (0.5, 0.25, 0.0)
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 TIME_STEP = 10.0
 
@@ -122,21 +127,23 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
     if c.step.in_vain == 0.0 and stop_at_once(links, c):
         c.step.at_once, c.step.struck = 1.0, time
         return OK
-    for r in range(3 * k):
-        c.before[r], c.step.force[r] = c.u[r], 0.0
-    if not find_step(links, c, c.load, SPAN, math.inf):
+    for i in range(3 * k):
+        c.F[i], c.problem.q[i], c.before[i] = 0.0, c.before[i] + SPAN * c.a[i], c.u[i]
+    if not find_with_less_friction(c, k):
         return PAINLEVE
     links.stepped, c.step.end = 1, time + SPAN
     told = False
     for i in range(k):
         at = 3 * i
+        for j in range(at, at + 3):
+            c.step.force[j] = c.F[j] / SPAN
         c.event.happened[i], c.friction.start_slip[i] = 0.0, 0.0
         if c.friction.pulls[i] != 0.0:
             continue
         if is_resistance(c, i):
             c.mode[i] = mode_of_resistance(c, i)
             continue
-        mode = PRESSED if c.step.force[at] > 0.0 else FREE  # what sticks after the step is found then
+        mode = PRESSED if c.F[at] > 0.0 else FREE  # what sticks after the step is found then
         c.event.happened[i] = happened_to(c, i, mode)
         if mode == FREE and c.problem.form[i] != OFF:
             c.gaps.cleared[i], c.gaps.floor[i] = 0.0, min(c.located[at], 0.0)
@@ -161,3 +168,53 @@ def write_forms(links: ContactLinks, c: Contacts) -> None:
             c.problem.form[i] = form_of_resistance(c, i, CONE)
         elif touches(links, c, i):
             c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
+
+
+@kernel
+def find_with_less_friction(c: Contacts, k: int) -> bool:
+    """Do `find_impulses`, if need be with all μ lessened by one factor, and return whether there is a solution.
+
+    Without friction there is one: the problem is convex. A step that follows on another begins with the factor of that.
+    """
+    for i in range(k):
+        c.scratch.mu[i] = c.mu[i]
+    cut = c.step.friction_cut
+    found = find_with_share(c, k, 1.0 - cut)
+    for share in LESS_FRICTION:
+        if not found and share < 1.0 - cut:
+            found = find_with_share(c, k, share)
+            c.step.friction_cut = 1.0 - share
+    for i in range(k):
+        c.mu[i] = c.scratch.mu[i]
+    return found
+
+
+@kernel
+def find_with_share(c: Contacts, k: int, share: float) -> bool:
+    """Do `find_impulses` with so much of each μ in `scratch`."""
+    for i in range(k):
+        c.mu[i] = share * c.scratch.mu[i]
+        if c.problem.form[i] in (CONE, RAY):
+            c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
+        elif c.problem.form[i] != OFF:
+            c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
+    for i in range(3 * k):
+        c.F[i] = 0.0
+    return find_impulses(c, k)
+
+
+@kernel
+def find_impulses(c: Contacts, k: int) -> bool:
+    """Write the impulses F; return whether they were found."""
+    found = solve_contacts(c, k)
+    if not (found and bounded(c, k)):
+        sweep_long(c, k)
+        largest, asked = largest_mobility(c, k), size_of_q(c, k)
+        found = largest * c.problem.residual <= NEAR * max(asked, largest * force_size(c.F, 3 * k))
+    return bool(found and bounded(c, k))
+
+
+@kernel
+def bounded(c: Contacts, k: int) -> bool:
+    """Whether the impulses are not those of contacts that are wedged."""
+    return bool(largest_mobility(c, k) * force_size(c.F, 3 * k) <= MOST_IMPULSE * size_of_q(c, k))

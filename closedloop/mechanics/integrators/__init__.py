@@ -133,6 +133,12 @@ INTEGRATORS = Family(Integrator)
 ADAPTIVE = Family(AdaptiveIntegrator)
 
 
+def steps_impulses(name: str) -> bool:
+    """Return whether a value of `time.integrator` is a scheme with one problem of impulses for each step."""
+    scheme = scheme_of(name)
+    return scheme is not None and scheme.time_stepping
+
+
 def scheme_of(name: str) -> type[Scheme] | None:
     """Return the scheme that a scenario names; None if it is a user's that was not named in this process."""
     return INTEGRATORS.get(name) or ADAPTIVE.get(name)

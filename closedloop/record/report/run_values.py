@@ -20,7 +20,7 @@ from closedloop.loop.step.record_row import RECORDED
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.mechanics.contacts.soft import is_soft
-from closedloop.mechanics.integrators import scheme_of
+from closedloop.mechanics.integrators import steps_impulses
 from closedloop.record.columns.record import POSITIONS, Record
 from closedloop.record.columns.touching import contact_torques
 from closedloop.record.report.alternation import SPAN, alternation
@@ -62,7 +62,7 @@ def contact_faults(run: Record) -> ContactFaults | None:
     soft = np.array([is_soft(section) for section in sections])
     outside = np.maximum(np.where(others, 0.0, np.hypot(friction[..., 0], friction[..., 1]) - mu * f), -f)
     gaps = run.link_gaps
-    if scheme_of(run.scenario.time.integrator).time_stepping:  # whose forces go with the gaps at the step's end
+    if steps_impulses(run.scenario.time.integrator):  # whose forces go with the gaps at the step's end
         f, gaps = f[:-1], gaps[1:]
     missed = np.max(np.abs(f * gaps * ~soft), axis=0, initial=0.0)
     return ContactFaults(names_of(sections), np.max(np.maximum(outside, 0.0), axis=0), missed)

@@ -44,7 +44,7 @@ from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
-from closedloop.mechanics.integrators import INTEGRATORS
+from closedloop.mechanics.integrators import steps_impulses
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
@@ -99,12 +99,6 @@ class ContactPlaces(NamedTuple):
         return any(gap <= HOVERING and inside >= 0.0 for gap, inside in self.start)
 
 
-def is_stepped(scenario: Scenario) -> bool:
-    """Whether each step is one problem of impulses, see `closedloop.mechanics.contacts.stepping`."""
-    integrator = INTEGRATORS.get(scenario.time.integrator)
-    return integrator is not None and integrator.time_stepping
-
-
 def entries_of_contacts(scenario: Scenario) -> list[Any]:
     """Return what the contacts of the links call by address."""
     sections = scenario.contact or ()
@@ -131,7 +125,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     laws = laws_of(scenario, names)
     asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
     past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
-    dense = not is_stepped(scenario)
+    dense = not steps_impulses(scenario.time.integrator)
     links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns, dense)
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
     contacts.restitution[points : points + len(stops)] = scenario.robot.stop_restitution
@@ -369,7 +363,7 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
     """
     sections = scenario.contact or ()
     names = names_of(sections)
-    most = MOST_STEPPED if is_stepped(scenario) else MOST
+    most = MOST_STEPPED if steps_impulses(scenario.time.integrator) else MOST
     if len(sections) > most:
         more = "" if most > MOST else f", or {MOST_STEPPED} with time.integrator = 'time_stepping'"
         raise ScenarioError(f"contact: there are {len(sections)} of them; at most {most}{more}")

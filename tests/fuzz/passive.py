@@ -19,7 +19,7 @@ import numpy as np
 import closedloop as cl
 
 SHAPES = ("can", "coin", "box", "ball")
-INTEGRATORS = ("rk4", "semi_implicit_euler", "explicit_euler", "dop853")
+INTEGRATORS = ("rk4", "semi_implicit_euler", "explicit_euler", "dop853", "time_stepping")
 # The share of the energy by which it grows at most.
 RISE = 1e-3
 

@@ -58,4 +58,4 @@ def tie_resistances(links: ContactLinks, c: Contacts) -> None:
         c.W[n, n], c.W[n, 3 * owner] = own, -own
         c.a[n], c.b[n] = 0.0, 0.0
         if c.soft[owner] != 0.0:
-            let_creep(links, c, s, own)
+            let_creep(c, s, own)

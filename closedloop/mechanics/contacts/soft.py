@@ -38,7 +38,7 @@ from closedloop.jit.parameters import pack, parameter_block
 from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts, joints_rub
+from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.shortest import solve_any_rank
 from closedloop.mechanics.contacts.surfaces import Called
@@ -50,8 +50,8 @@ QUERY = 3
 # N/m by which a gap becomes a force, for the event function alone: its sign decides.
 AS_FORCE = 1e6
 # The share of its mobility that is added along the surface: contacts of one body then share their friction in one way.
-# Where joints have dry friction contacts stick, and slip against each other as a body rocks on them: there it is more.
-CREEP, CREEP_BESIDE_DRY = 1e-8, 1e-5
+# Where it moves joints with dry friction it sticks, and slips as a body rocks on it and others: there it is more.
+CREEP, CREEP_OF_DRY = 1e-8, 1e-5
 
 
 @cache
@@ -128,14 +128,14 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
             c.a[j] += c.W[j, n] * f
             c.W[j, n], c.W[n, j] = 0.0, 0.0
         c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
-        let_creep(links, c, i, own)
+        let_creep(c, i, own)
 
 
 @kernel
-def let_creep(links: ContactLinks, c: Contacts, i: int, own: float) -> None:
+def let_creep(c: Contacts, i: int, own: float) -> None:
     """Add to the mobility of contact i along its surface a share of `own`, 1/kg."""
     for j in range(3 * i + 1, 3 * i + 3):
-        c.W[j, j] += (CREEP_BESIDE_DRY if joints_rub(links) else CREEP) * own
+        c.W[j, j] += (CREEP_OF_DRY if c.moves.dry[i] != 0.0 else CREEP) * own
 
 
 @kernel
@@ -199,9 +199,9 @@ def write_shared(links: ContactLinks, c: Contacts) -> None:
 
     With f known, friction that points to where the slips are at the end of a step is determined, but for how feet of
     one body share it. Such contacts have no mode of sticking: their slips end by themselves, in a step or a few.
-    Joints with dry friction stop at an instant, and what moves them with it: beside them contacts stick as others do.
+    Joints with dry friction stop at an instant, and what moves them with it: contacts of theirs stick as others do.
     """
-    closed, k, dry = 0, links.k, joints_rub(links)
+    closed, k = 0, links.k
     for i in range(k):
         closed += 1 if c.problem.form[i] != OFF else 0
     for i in range(k):
@@ -210,7 +210,7 @@ def write_shared(links: ContactLinks, c: Contacts) -> None:
         ends = ends and c.friction.sticks[i] != SPRING_STICK
         level = math.hypot(c.problem.along[i, 0], c.problem.along[i, 1])
         c.friction.shared[i] = 0.0
-        if closed > 1 and ends and not dry and c.problem.form[i] != OFF:
+        if closed > 1 and ends and c.moves.dry[i] == 0.0 and c.problem.form[i] != OFF:
             c.friction.shared[i] = level if c.problem.form[i] in (RAY, LINE) else c.mu[i]
 
 

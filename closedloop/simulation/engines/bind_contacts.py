@@ -201,16 +201,23 @@ def write_joints(
     turns: tuple[tuple[int, float, bool], ...],
     held: int,
 ) -> None:
-    """Write which joints each contact moves: all, where loops, stops or dry friction of joints couple them."""
-    if robot.model.loops or len(stops) > 0 or held > 0:
+    """Write which joints each contact moves: all, where loops, stops or dry friction of joints couple them.
+
+    And whether some of those of its own groups have dry friction: a free body has no joints that could.
+    """
+    if robot.model.loops:
         return
     ends, rows = robot.tree.ends, len(bound.scale)
     first = np.searchsorted(ends, np.arange(robot.n), side="right")  # of the joints of its group
     for i, links in enumerate(bound.sides.reshape(4, rows)[1:3, ::3].T, 1):
         moved = [link for link in links if link >= 0]
-        contacts.moves.first[i], contacts.moves.end[i] = first[moved].min(), ends[moved].max()
+        begin, end = first[moved].min(), ends[moved].max()
+        contacts.moves.dry[i] = held > 0 and not np.all(robot.model.of_bodies[begin:end])
+        if held == 0 and len(stops) == 0:
+            contacts.moves.first[i], contacts.moves.end[i] = begin, end
     for i, (owner, _, _) in enumerate(turns, 1 + rows // 3):
-        contacts.moves.first[i], contacts.moves.end[i] = contacts.moves.first[owner], contacts.moves.end[owner]
+        for each in (contacts.moves.first, contacts.moves.end, contacts.moves.dry):
+            each[i] = each[owner]
 
 
 def resistances_of(sections: tuple[ContactSection, ...]) -> tuple[tuple[int, float, bool], ...]:

@@ -4,6 +4,7 @@
 
 Of each heap it says if its run stopped, if its energy grew by more than a share of what is lost, how deep something
 sank, as a share of the smallest body's size, and what still moves at the end though it does not roll.
+Cylinders touch the floor alone.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ def draw(seed: int, duration: float = 2.0) -> dict[str, Any]:
         body["position"] = [*rng.uniform(-0.04, 0.04, 2).tolist(), height + reach + 0.01]
         height += 2.0 * reach + 0.01
         contacts.append(common | {"link": body["name"]})
-        contacts += [common | {"link": body["name"], "against": b["name"], "onto": "collision"} for b in bodies]
+        for other in bodies if kind != "cylinder" else []:
+            if other["shape"] != "cylinder":
+                contacts.append(common | {"link": body["name"], "against": other["name"], "onto": "collision"})
         bodies.append(body)
     step = float(rng.choice([5e-4, 1e-3, 2e-3, 5e-3]))
     times = {"duration": round(duration / step) * step, "step": step, "integrator": "time_stepping"}
@@ -72,7 +75,7 @@ def examine(scenario: dict[str, Any]) -> tuple[Any, dict[str, float]]:
     deep = float(np.max(np.where(run.link_forces > 0.0, -run.link_gaps, 0.0), initial=0.0)) / size
     for j, radius in enumerate(low):
         if radius < np.inf:
-            deep = max(deep, float(np.max(radius - run.q[:, 6 * j + 2])) / size)
+            deep = max(deep, float(np.max(radius - run.q[:, 7 * j + 2])) / size)
     v = run.v[-1].reshape(-1, 6)
     moving = [
         float(np.max(np.abs(each))) for each, body in zip(v, scenario["body"], strict=True) if body["shape"] == "box"

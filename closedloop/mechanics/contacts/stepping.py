@@ -125,7 +125,10 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
     s.asked = 0.0
     for i in range(links.k):
         s.packed_at[i] = -1.0
-        if c.near[i] == 0.0 or not takes_part(links, c, i, h, s, a):
+        if c.near[i] == 0.0:
+            c.gaps.cleared[i] = 0.0  # when it comes near again `belongs_here` says whether from above
+            continue
+        if not takes_part(links, c, i, h, s, a):
             continue
         s.number[a], s.mu[a] = i, c.mu[i]
         first, end = joints_of(c, i)

@@ -27,6 +27,11 @@ AT_LIMIT = 1e-5
 RANK = 1e-12
 
 
+def _is_kept(array: Vector) -> bool:
+    """Whether nobody can write to an array of floats: that of another model, which is then the same object."""
+    return array.dtype == np.float64 and array.base is None and not array.flags.writeable
+
+
 @dataclass(frozen=True, eq=False)
 class RobotModel:
     """A tree of links on a base, moved by n velocities.
@@ -87,7 +92,7 @@ class RobotModel:
     def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if isinstance(value, np.ndarray):
+            if isinstance(value, np.ndarray) and not _is_kept(value):
                 value = np.array(value, dtype=np.float64)
                 value.setflags(write=False)
                 object.__setattr__(self, entry.name, value)

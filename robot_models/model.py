@@ -1,7 +1,7 @@
 """The robot as data: everything that is needed to build it again, and nothing that must be looked up."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal

@@ -71,8 +71,9 @@ class Variants:
         """Whether a key, given a number or a list, says something about its own section and about no other."""
         section, _, name = key.partition(".")
         held = self._held.get(section)
-        whole = section in ("robot", "time") or not isinstance(held, Section) or isinstance(held, Absent)
-        return not whole and name in type(held).model_fields and key not in families()
+        if section in ("robot", "time") or not isinstance(held, Section) or isinstance(held, Absent):
+            return False
+        return name in type(held).model_fields and key not in families()
 
     def look(self, points: Sequence[Sequence[Any]]) -> Scenario:
         """Return the first of these scenarios that can be read; see `LOOKED_AT`.

@@ -337,8 +337,8 @@ class Settled(NamedTuple):
 def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Settled:
     """Check what does not depend on where a run starts, and return it as numbers."""
     digests = cache.follow("digests", scenario, member_digests)
-    model = cache.follow("model", scenario, load_model) if model is None else model
-    robot: Robot = cache.follow("robot", scenario, lambda s: _robot(s, model, cache), model)
+    bare: RobotModel = cache.follow("model", scenario, load_model) if model is None else model
+    robot: Robot = cache.follow("robot", scenario, lambda s: _robot(s, bare, cache), bare)
     model, n = robot.model, robot.n
 
     arm = model.without_tools  # whose masses nothing below depends on

@@ -100,7 +100,7 @@ def _fixed(joints: tuple[tuple[Any, ...], ...]) -> _Fixed:
     kinds = np.array([kind for each, _, _ in joints for kind, _ in each], dtype=np.int64)
     axes = np.array([axis for each, _, _ in joints for _, axis in each])
     n, lasts = len(kinds), np.cumsum([len(each) for each, _, _ in joints]) - 1
-    parents, placed = np.arange(n) - 1, np.tile(np.eye(4), (n, 1, 1))
+    parents, placed = np.arange(-1, n - 1, dtype=np.int64), np.tile(np.eye(4), (n, 1, 1))
     for last, (each, parent, place) in zip(lasts, joints, strict=True):
         first = last - len(each) + 1
         parents[first], placed[first] = parent, np.frombuffer(place).reshape(4, 4, order="F")
@@ -182,7 +182,7 @@ def _joint(model: RobotModel, pin: Any, number: int, i: int) -> tuple[int, tuple
     )
 
 
-def _link_axes(i: int, axes: Array, parents: Array, rotations: list[Array]) -> Array:
+def _link_axes(i: int, axes: Array, parents: IntArray, rotations: list[Array]) -> Array:
     """Return the axes of link i as the columns of a matrix in the joint's own frame."""
     z = axes[i]
     x = np.zeros(3)
@@ -201,7 +201,9 @@ def _cross(a: Array, b: Array) -> Array:
     return a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]]
 
 
-def _move_to_base(places: Array, masses: Array, parents: Array, kinds: Array, carrier: int, offset: Array) -> Array:
+def _move_to_base(
+    places: Array, masses: Array, parents: IntArray, kinds: IntArray, carrier: int, offset: Array
+) -> Array:
     """Move inertia towards the base, in place, and return the mass (n,) that each joint then carries."""
     n = len(places)
     carried = np.zeros(n + 1)

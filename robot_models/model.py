@@ -1,7 +1,7 @@
 """The robot as data: everything that is needed to build it again, and nothing that must be looked up."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,6 +25,11 @@ Vector = NDArray[np.float64]
 AT_LIMIT = 1e-5
 #: Drives that pull the same joints are independent above this share of their largest singular value: above rounding.
 RANK = 1e-12
+
+
+def _is_kept(array: Vector) -> bool:
+    """Whether nobody can write to an array of floats: that of another model, which is then the same object."""
+    return array.dtype == np.float64 and array.base is None and not array.flags.writeable
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +92,7 @@ class RobotModel:
     def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if isinstance(value, np.ndarray):
+            if isinstance(value, np.ndarray) and not _is_kept(value):
                 value = np.array(value, dtype=np.float64)
                 value.setflags(write=False)
                 object.__setattr__(self, entry.name, value)
@@ -146,12 +151,13 @@ class RobotModel:
                 found.append(j - 3)
         return tuple(found)
 
-    @property
+    @cached_property
     def of_bodies(self) -> NDArray[np.bool_]:
         """(n,) whether each velocity is of a free joint, which holds its body nowhere."""
         found = np.zeros(self.n, dtype=bool)
         for j in self.bodies:
             found[j : j + 6] = True
+        found.setflags(write=False)
         return found
 
     def pinocchio_model(self) -> "pin.Model":
@@ -176,10 +182,12 @@ class RobotModel:
             give_back(model, self.loops)
         return model
 
-    @property
+    @cached_property
     def driven(self) -> NDArray[np.bool_]:
         """(n,) whether each joint has a drive; a free joint or a ball joint has none."""
-        return np.array([self.drives is None or name in self.drives for name in self.joint_names]) & ~self.free
+        found = np.array([self.drives is None or name in self.drives for name in self.joint_names]) & ~self.free
+        found.setflags(write=False)
+        return found
 
     @cached_property
     def pulls(self) -> tuple[Mapping[str, float], ...]:
@@ -210,12 +218,13 @@ class RobotModel:
         found.setflags(write=False)
         return found
 
-    @property
+    @cached_property
     def free(self) -> NDArray[np.bool_]:
         """(n,) whether each velocity is of a free joint or a ball joint."""
         found = np.zeros(self.n, dtype=bool)
         for j in (*self.balls, *self.bodies):
             found[j : j + 3] = True
+        found.setflags(write=False)
         return found
 
     @property
@@ -242,9 +251,9 @@ class RobotModel:
 
     def changed(self, **changes: Any) -> "RobotModel":
         """Return the robot with other tools, gravity or springs in its joints; what its text says is known already."""
-        text, other = self._built, replace(self, **changes)
-        known = {name: value for name, value in vars(self).items() if name not in vars(other)}
-        vars(other).update(known | {"_built": text})
+        other = object.__new__(type(self))
+        vars(other).update({**vars(self), "_built": self._built, **changes})
+        other.__post_init__()
         return other
 
     @property

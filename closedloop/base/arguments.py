@@ -81,13 +81,16 @@ def arguments_checked(**words: str) -> Callable[[F], F]:
 
     def made(function: F) -> F:
         @cache
-        def known() -> tuple[inspect.Signature, dict[str, Any]]:
-            return inspect.signature(function), _hints(function, function.__globals__)
+        def known() -> tuple[inspect.Signature, list[str], dict[str, Any], dict[str, set[type]]]:
+            signature, hints = inspect.signature(function), _hints(function, function.__globals__)
+            return signature, list(signature.parameters), hints, {name: _exact(hint) for name, hint in hints.items()}
 
         @wraps(function)
         def called(*args: Any, **named: Any) -> Any:
-            signature, hints = known()
-            _compare(signature.bind(*args, **named).arguments, hints, words)
+            signature, names, hints, exact = known()
+            given = {**dict(zip(names, args, strict=False)), **named}
+            if any(type(value) not in exact.get(name, ()) for name, value in given.items()):
+                _compare(signature.bind(*args, **named).arguments, hints, words)
             return function(*args, **named)
 
         return cast(F, called)
@@ -128,6 +131,13 @@ def _compare(values: Mapping[str, Any], hints: Mapping[str, Any], words: Mapping
     for name, value in values.items():
         if name in hints and not fits(value, hints[name]):
             raise ScenarioError(f"{name} = {shown(value)}: must be {words.get(name) or in_words(hints[name])}")
+
+
+def _exact(hint: Any) -> set[type]:
+    """Return classes of which every instance is what an annotation says, without a look at it: a float may be NaN."""
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return set().union(*map(_exact, typing.get_args(hint)))
+    return {hint} if isinstance(hint, type) and hint is not float else set()
 
 
 def fits(value: Any, hint: Any) -> bool:

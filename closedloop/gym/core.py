@@ -135,7 +135,7 @@ class Core:
                 self._worlds[world] = values, problem
         else:
             values, problem = self._worlds[world]
-        self.ensemble.begin(i, problem)
+        self.ensemble.begin(i, problem, own=world is None and POSTURE in values)
         self.parameters[i] = values
         self._drawn[i] = [values[key] for key in self.drawn_keys]
         now, n = self.now, problem.robot.n
@@ -151,13 +151,14 @@ class Core:
         keys = tuple(values)
         if keys not in self._variants:
             self._variants[keys] = Variants(self.scenario, keys)
-        problem = problem_of(self._variants[keys].scenario(tuple(values.values())), None, self._cache)
+        scenario, elsewhere = self._variants[keys].scenario(tuple(values.values())), POSTURE in values
+        problem = problem_of(scenario, None, self._cache, kept=not elsewhere)
         if problem.steps != self.instants * self.steps or problem.row_width != self.now_width:
             raise ScenarioError(
                 "options: the arm, time.step and time.duration of an environment cannot be changed: make another"
             )
         # The cache's table is overwritten for the next scenario of the same path.
-        return problem if self.task.worlds is None else replace(problem, table=problem.table.copy())
+        return problem if self.task.worlds is None or elsewhere else replace(problem, table=problem.table.copy())
 
     @property
     def now_width(self) -> int:

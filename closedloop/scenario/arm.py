@@ -15,7 +15,6 @@ from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombVisco
 from closedloop.mechanics.loops.moved import MovedFrame
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import unit
-from closedloop.scenario.robot_sections import ToolSection
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel, Tool
 from robot_models.bodies import FreeBody, with_bodies
@@ -105,7 +104,7 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
     unit(tool.axis, "tool.axis")
     if tool.mass == 0.0 and (any(tool.centre) or any(tool.inertia)):
         raise ScenarioError("tool.mass = 0: a tool with a centre of mass or a tensor has a mass; give it, in kg")
-    if tip is not None and tool != ToolSection(axis=tool.axis, radius=tool.radius):
+    if tip is not None and any((*tool.offset, tool.mass, *tool.centre, *tool.inertia)):
         model.require_frame(tip)
         tools.append(Tool(tip, tool.offset, tool.mass, tool.centre, tool.inertia))
         tools[0].tensor()

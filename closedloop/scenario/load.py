@@ -142,7 +142,7 @@ def load_scenario(name: str | Path | Mapping[str, Any], overrides: Mapping[str, 
         of each fault, one line each.
     """
     if isinstance(name, Mapping):
-        return _whole_scenario(_plain(dict(name)), "scenario", overrides or {}, Path(), keep_absent=False)
+        return _whole_scenario(plain(dict(name)), "scenario", overrides or {}, Path(), keep_absent=False)
     text, stem, where, folder = scenario_text(name)
     return parse_scenario(text, stem, where, overrides, folder=folder)
 
@@ -191,7 +191,7 @@ def scenario_of(
         for section in list(data):
             each_point(section, data)
         for key in sorted(_standing(overrides), key=_turn):
-            _override(data, key, _plain(overrides[key]))
+            _override(data, key, plain(overrides[key]))
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
         raise ScenarioError(f"{where}: a value is nested too deeply") from None
@@ -199,12 +199,12 @@ def scenario_of(
         raise ScenarioError(*(f"{where}: {fault}" for fault in explain(error, data))) from None
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return a copy of a value; numbers and arrays of numpy, also inside, as Python's, which are what a file has."""
     if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
+        return {key: plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
+        return [plain(each) for each in value]
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else deepcopy(value)
 
 

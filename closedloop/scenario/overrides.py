@@ -16,13 +16,17 @@ import numpy as np
 from pydantic import ValidationError
 
 from closedloop.base.errors import ScenarioError
-from closedloop.scenario.load import scenario_of
-from closedloop.scenario.scenario import Scenario
+from closedloop.base.families import Absent
+from closedloop.base.sections import Section
+from closedloop.scenario.load import plain, scenario_of
+from closedloop.scenario.scenario import Scenario, families
 from closedloop.scenario.tables import table_type
 from closedloop.scenario.time_sections import StartSection
 
 # Where a run starts.
 START = {"start.q", "start.v"}
+# Values that a key of a section may have which name no kind.
+NUMBERS = (int, float, list, tuple, np.ndarray, np.generic)
 # As many scenarios are looked at, spread over all, before a batch is begun of which none could be read.
 LOOKED_AT = 100
 
@@ -43,16 +47,33 @@ class Variants:
         self._data = scenario.model_dump(mode="python", exclude_none=True)
         self._held = {section: getattr(scenario, section) for section in self._data}
         self._touched = {key.partition(".")[0] for key in self.keys} & set(self._data)
+        self._alone = all(map(self._is_alone, self.keys))
 
     def scenario(self, values: Sequence[Any]) -> Scenario:
         """Return the scenario in which each key has its value."""
         changes = dict(zip(self.keys, values, strict=True))
+        if self._alone and all(isinstance(value, NUMBERS) for value in values):
+            with suppress(ValidationError, RecursionError):  # said below
+                said: dict[str, dict[str, Any]] = {}
+                for key, value in changes.items():
+                    section, _, name = key.partition(".")
+                    said.setdefault(section, dict(self._data[section]))[name] = plain(value)
+                new = {section: type(self._held[section]).model_validate(data) for section, data in said.items()}
+                return self.base.model_copy(update=new)
         touched = {section: deepcopy(self._data[section]) for section in self._touched}
         try:  # the sections that no key is of are taken as they are: that they are valid is known
             return scenario_of(self._held | touched, self.base.name, changes)
         except ScenarioError:  # said from all that was given
             touched = {section: deepcopy(self._data[section]) for section in self._touched}
             return scenario_of(self._data | touched, self.base.name, changes)
+
+    def _is_alone(self, key: str) -> bool:
+        """Whether a key, given a number or a list, says something about its own section and about no other."""
+        section, _, name = key.partition(".")
+        held = self._held.get(section)
+        if section in ("robot", "time") or not isinstance(held, Section) or isinstance(held, Absent):
+            return False
+        return name in type(held).model_fields and key not in families()
 
     def look(self, points: Sequence[Sequence[Any]]) -> Scenario:
         """Return the first of these scenarios that can be read; see `LOOKED_AT`.

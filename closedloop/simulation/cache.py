@@ -23,6 +23,7 @@ from robot_models import RobotModel
 
 T = TypeVar("T")
 
+SECTIONS = dict(Scenario.model_fields)  # looking up that attribute takes longer than reading a section
 # Bytes of one thread's cache: the reference tables of two dozen runs of 8001 rows.
 LIMIT = 32_000_000
 # As many sections are kept with their texts.
@@ -54,7 +55,7 @@ class Watched:
         self.read: dict[str, Any] = {}
 
     def __getattr__(self, name: str) -> Any:
-        if name in Scenario.model_fields:
+        if name in SECTIONS:
             part = self.read[name] = getattr(self._scenario, name)
             return part
         return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
@@ -126,7 +127,7 @@ class Cache:
 
     def texts(self, scenario: Scenario, of: Sequence[str] = (), but: str = "") -> tuple[Hashable, ...]:
         """Return the same of these sections of a scenario, or of all but one, with what else it has."""
-        parts = [getattr(scenario, name) for name in of or Scenario.model_fields if name != but]
+        parts = [getattr(scenario, name) for name in of or SECTIONS if name != but]
         return tuple(
             self.text(part) if isinstance(part, Section)
             else tuple(map(self.text, part)) if isinstance(part, tuple) else part

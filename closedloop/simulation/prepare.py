@@ -274,8 +274,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     return problem
 
 
-def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Problem:
-    """Do as `prepare`, with arguments of the right types."""
+def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept: bool = True) -> Problem:
+    """Do as `prepare`, with arguments of the right types; what depends on the start is not `kept`, if so told."""
     if cache.last is not None and cache.last[0] is scenario:
         return cache.last[1]
     given, cache.last = scenario, None
@@ -283,8 +283,8 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Pr
         ("settled", *cache.texts(scenario, but="start")), lambda: _settled(scenario, model, cache),
         lambda found: SETTLED_BYTES,
     )  # fmt: skip
-    problem = _problem(scenario, settled, cache)
-    cache.last = given, problem
+    problem = _problem(scenario, settled, cache if kept else NoCache())
+    cache.last = (given, problem) if kept else None
     return problem
 
 
@@ -337,7 +337,8 @@ class Settled(NamedTuple):
 def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Settled:
     """Check what does not depend on where a run starts, and return it as numbers."""
     digests = cache.follow("digests", scenario, member_digests)
-    robot: Robot = cache.follow("robot", scenario, lambda s: _robot(s, model, cache), model)
+    bare: RobotModel = cache.follow("model", scenario, load_model) if model is None else model
+    robot: Robot = cache.follow("robot", scenario, lambda s: _robot(s, bare, cache), bare)
     model, n = robot.model, robot.n
 
     arm = model.without_tools  # whose masses nothing below depends on
@@ -516,12 +517,9 @@ def _check_compensation(scenario: Scenario, compensation: Compensation) -> None:
     check_sampling(law, compensation, scenario.sensor, law.sample_period or scenario.time.step)
 
 
-def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
-
-    def make() -> Robot:
-        return robot_of(scenario, load_model(scenario) if model is None else model)
-
-    return cache.get(("robot", robot_key(scenario, cache)), make, lambda robot: ROBOT_BYTES)
+def _robot(scenario: Scenario, model: RobotModel, cache: Cache) -> Robot:
+    key = "robot", robot_key(scenario, cache)
+    return cache.get(key, lambda: robot_of(scenario, model), lambda robot: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:

@@ -138,10 +138,13 @@ def _largest_stable_ratio(integrator: type[Integrator], damping_ratio: float, ro
         ratios = np.geomspace(low, high, CLOSER)
 
 
+_RATIOS = np.geomspace(1e-5, 1e3, 801)
+
+
 def _ratios(damping_ratio: float) -> Array:
     """Return the ratios h/T that are looked at, upwards."""
     # The faster of two overdamped modes has rate 2ζ/T, so limits fall with 1/ζ.
-    return np.geomspace(1e-5, 1e3, 801) / max(1.0, damping_ratio)
+    return _RATIOS / max(1.0, damping_ratio)
 
 
 def is_stable(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> bool:

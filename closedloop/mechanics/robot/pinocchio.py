@@ -119,9 +119,9 @@ class Robot:
     def _reach(self) -> float:
         """Return the attribute `reach`."""
         chain = [int(joint) for joint in self._pin.supports[self._pin.frames[self._frame].parentJoint]][1:]
-        links = sum(float(np.linalg.norm(self._pin.jointPlacements[joint].translation)) for joint in chain)
+        along = [self._pin.jointPlacements[joint].translation for joint in chain]
         sliding = sum(self.model.joint_types[self._pin.joints[joint].idx_v] == "prismatic" for joint in chain)
-        return float(links + np.linalg.norm(self.tip_offset) + sliding)
+        return sum(math.sqrt(x @ x) for x in (*along, self.tip_offset)) + sliding
 
     @property
     def tree(self) -> Tree:

@@ -42,7 +42,6 @@ class _One:
     def __init__(
         self, problem: Problem, steps: int, held: bool, own: IntArray, tree: Tree, into: Loop | None = None
     ) -> None:
-        problem = replace(problem, table=problem.table.copy())  # that of a cache may be another's next
         self.problem, self.loop = problem, problem.loop(into=into)
         problem.connect(self.loop)
         self.answers = Answers(problem, self.loop)
@@ -164,8 +163,10 @@ class Ensemble:
         self.rows: Array = np.zeros((count, 0))
         self.wanted: Array = np.zeros((count, 0))
 
-    def begin(self, i: int, problem: Problem) -> None:
+    def begin(self, i: int, problem: Problem, own: bool = False) -> None:
         """Let simulation `i` be this problem's, before its first row; `start` records that.
+
+        Its table, to which actions write, is `own`, or else copied: that of a cache may be another's next.
 
         Raises
         ------
@@ -182,6 +183,7 @@ class Ensemble:
                 f"{problem.scenario.name}: its record has {problem.row_width} numbers a row, that of the others "
                 f"{self.rows.shape[1]}: simulations that are stepped side by side must be of the same arm and contacts"
             )
+        problem = problem if own else replace(problem, table=problem.table.copy())
         before = self._ones[i]
         self._ones[i] = one = _One(
             problem, self.steps, self._held, self._members[i], self._tree(problem), before.loop if before else None

@@ -12,6 +12,7 @@ from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.robot.tree import layout, tree_of, tree_potential_energy, tree_turning, work_size
 from closedloop.mechanics.robot.tree.kinematics import sines
+from closedloop.mechanics.robot.tree.model import _fixed
 from robot_models.planar2 import closed_form
 
 # name and tip; solo12 has four legs, ur5 and panda come from example-robot-data
@@ -199,3 +200,21 @@ def test_refuses_what_it_does_not_cover():
         tree_of(Puck(), "universe")
     with pytest.raises(ModelError, match=r"no frame 'tipp'.*did you mean 'tip'"):
         tree_of(model, "tipp")
+
+
+def test_a_load_changes_the_inertia_alone():
+    """Trees of a robot with other loads have the numbers of one whose axes were found for it alone."""
+    model = robot_models.load("wam4")
+
+    def with_load(mass):
+        return tree_of(model.changed(tools=(robot_models.Tool("tip", mass=mass),)), "tip")
+
+    first, bare = with_load(0.3), tree_of(model, "tip")
+    _fixed.cache_clear()
+    again = with_load(0.3)
+    for before, after in zip(first, again, strict=True):
+        np.testing.assert_array_equal(before, after)
+    moved = np.flatnonzero(first.constants != bare.constants)
+    assert moved.size
+    angles = {layout.ANGLE, layout.COS_TWIST, layout.SIN_TWIST, layout.T0, layout.T1, layout.T2}
+    assert not angles & {int(i - layout.HEAD) // layout.LANES * layout.LANES % layout.CONSTANTS for i in moved}

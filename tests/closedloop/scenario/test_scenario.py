@@ -13,6 +13,7 @@ from closedloop.base.sections import ANGLE, PLACE
 from closedloop.loop.step.record_row import Row
 from closedloop.scenario.describe import all_keys, describe_section, explain_key, keys, sections
 from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.overrides import Variants
 from closedloop.simulation.time_step import MOST_NUMBERS
 from robot_models.shipped import path_of
 
@@ -430,3 +431,22 @@ def test_what_is_no_scenario_is_refused_in_one_line(wrong, said):
     with pytest.raises(cl.ScenarioError) as caught:
         wrong()
     assert str(caught.value).startswith(said)
+
+
+def test_numbers_are_read_in_their_sections_as_in_the_whole():
+    """A number of a section makes the scenario, or the message, that it makes where all sections are read again."""
+    scenario, short = cl.load_scenario("wam_slide"), 0
+    for section, part in scenario:
+        for key in getattr(type(part), "model_fields", ()):
+            for value in (np.float64(0.5), -1, [0.1] * 4):
+                own, whole = (Variants(scenario, (f"{section}.{key}",)) for _ in range(2))
+                short, whole._alone = short + own._alone, False
+                assert _read(own, value) == _read(whole, value)
+    assert short
+
+
+def _read(variants, value):
+    try:
+        return variants.scenario((value,)).to_toml()
+    except cl.ScenarioError as error:
+        return str(error)

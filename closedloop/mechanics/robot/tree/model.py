@@ -12,12 +12,12 @@ unchanged.
 
 from __future__ import annotations
 
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, IntArray
 from closedloop.base.errors import ModelError
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.layout import CONSTANTS, HEAD, LANES, SCRATCHES, Tree
@@ -46,61 +46,85 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
     """
     pin: Any = model.pinocchio_model()
     frame = pin.frames[pin.getFrameId(model.require_frame(tip))]
-    n = pin.nv
-    kinds, axes, parents = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(n, dtype=np.int64)
-    placed: list[Any] = []  # where each stands in what carries it
-    for joint in range(1, pin.njoints):
-        for i in range(pin.idx_vs[joint], pin.idx_vs[joint] + pin.nvs[joint]):
-            kinds[i], axes[i] = _joint(model, pin, joint, i)
-            first = i == pin.idx_vs[joint]
-            parents[i] = last_velocity(pin, int(pin.parents[joint])) if first else i - 1
-            placed.append(pin.jointPlacements[joint] if first else None)
-    rotations = [np.eye(3) if place is None else np.array(place.rotation) for place in placed]
-    bases = [_link_axes(i, axes, parents, rotations) for i in range(n)]
-    for i in np.flatnonzero(kinds == at.BALL).tolist():
-        bases[i], bases[i + 1] = _ONWARD, _ONWARD @ _ONWARD
-    # Each joint in its parent's frame at q = 0, and each link's mass; entry −1 is the base.
-    places = np.zeros((n, 4, 4))
-    masses = np.zeros((n + 1, 4, 4))
-    for i in range(n):
-        place = placed[i]
-        if place is None:  # the axes of a ball joint are where its first one is
-            continue
-        # The axes of a ball joint's link are those of the joint, but for an angle about the third
-        own = np.eye(3) if kinds[i] == at.BALL else bases[i]
-        place = _transform(rotations[i] @ own, np.array(place.translation))
-        turn = bases[parents[i]].T if parents[i] >= 0 else np.eye(3)
-        places[i] = _transform(turn, np.zeros(3)) @ place
-    for joint in range(1, pin.njoints):
-        i = last_velocity(pin, joint)
-        back = _transform(bases[i].T, np.zeros(3))
-        masses[i] = back @ _second_moments(pin.inertias[joint]) @ back.T
+    fixed = _fixed(tuple(_placed(model, pin, joint) for joint in range(1, pin.njoints)))
+    kinds, parents = fixed.kinds, fixed.parents
+    n, places, masses = len(parents), fixed.places.copy(), np.zeros((len(parents) + 1, 4, 4))  # entry −1 is the base
+    masses[fixed.lasts] = fixed.backs @ _second_moments(list(pin.inertias)[1:]) @ fixed.backs.transpose(0, 2, 1)
     carrier = last_velocity(pin, frame.parentJoint)
     offset = np.array(frame.placement.translation)
     if carrier >= 0:
-        offset = bases[carrier].T @ offset
+        offset = fixed.bases[carrier].T @ offset
     carried = _move_to_base(places, masses, parents, kinds, carrier, offset)
-    run, support = _chains(parents, carrier)
-    ends = group_ends(parents)
-    block, lane = np.divmod(np.arange(n), LANES)
-    links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, kinds, support, run, ends])
-    blocks = int(block[-1]) + 1
-    constants = np.concatenate([np.zeros(HEAD + blocks * CONSTANTS), model.springs.ravel()])
+    links = fixed.links.copy()
+    links[at.SUPPORT] = _support(parents, carrier)
+    constants = np.concatenate([fixed.constants, model.springs.ravel()])
     constants[at.GRAVITY : at.GRAVITY + 3] = pin.gravity.linear
     constants[at.TIP : at.TIP + 3] = offset
     constants[at.RESTING : at.RESTING + 3] = masses[-1, :3, 3]
-    for i in range(n):
-        aligned = bool(parents[i] == i - 1)
-        if kinds[i] < at.BALL:
-            rows = _rows(places[i], masses[i], parents[i], aligned)
-        else:
-            rows = _ball_rows(i, kinds, places, masses, bases)
-        rows |= {at.KIND: float(kinds[i] != at.SLIDES), at.CARRIED: carried[i], at.ARMATURE: pin.armature[i]}
-        for row, value in rows.items():
-            constants[links[at.CONSTANT, i] + row] = value
+    begins = links[at.CONSTANT]
+    constants[begins[:, None] + (at.T0, at.T1, at.T2)] = places[:, :3, 3]
+    constants[begins[:, None] + _INERTIA] = masses[:-1, _ROW, _COLUMN] * _SHARE
+    constants[begins + at.CARRIED], constants[begins + at.ARMATURE] = carried, pin.armature
+    for i in np.flatnonzero(kinds == at.BALL).tolist():  # its first entry has what the last has no row for
+        constants[begins[i] + at.HY], constants[begins[i] + at.HALF_YY] = masses[i + 2, 2, 3], masses[i + 2, 2, 2] / 2
     serial = int(np.all(parents == np.arange(n) - 1))
     balls = int(np.count_nonzero(kinds == at.BALL))
-    return Tree(n, blocks, 1, int(carrier), serial, links.astype(np.int64).ravel(), constants, balls)
+    return Tree(n, fixed.blocks, 1, int(carrier), serial, links.ravel(), constants, balls)
+
+
+class _Fixed(NamedTuple):
+    """What of a tree depends neither on its masses nor on its tip."""
+
+    # (n,), see `Tree.links`
+    kinds: IntArray
+    parents: IntArray
+    lasts: IntArray  # (j,) the last velocity of each joint, whose link has the mass
+    bases: list[Array]  # the axes of each link as the columns of a matrix in the joint's own frame
+    backs: Array  # (j, 4, 4) from a joint's frame to the axes of its link
+    places: Array  # (n, 4, 4) each joint in its parent's frame at q = 0
+    blocks: int
+    links: IntArray  # (LINK_ROWS, n)
+    constants: Array  # but for the springs
+
+
+def _placed(model: RobotModel, pin: Any, joint: int) -> tuple[Any, ...]:
+    """Return what each velocity of a joint is and its axis, what carries the joint, and its place there, as bytes."""
+    first = pin.idx_vs[joint]
+    each = tuple(_joint(model, pin, joint, i) for i in range(first, first + pin.nvs[joint]))
+    return each, last_velocity(pin, int(pin.parents[joint])), pin.jointPlacements[joint].homogeneous.tobytes("F")
+
+
+@lru_cache(maxsize=8)
+def _fixed(joints: tuple[tuple[Any, ...], ...]) -> _Fixed:
+    """Return what depends on the joints alone, each as `_placed` returns it."""
+    kinds = np.array([kind for each, _, _ in joints for kind, _ in each], dtype=np.int64)
+    axes = np.array([axis for each, _, _ in joints for _, axis in each])
+    n, lasts = len(kinds), np.cumsum([len(each) for each, _, _ in joints]) - 1
+    parents, placed = np.arange(-1, n - 1, dtype=np.int64), np.tile(np.eye(4), (n, 1, 1))
+    for last, (each, parent, place) in zip(lasts, joints, strict=True):
+        first = last - len(each) + 1
+        parents[first], placed[first] = parent, np.frombuffer(place).reshape(4, 4, order="F")
+    rotations = [np.asfortranarray(place[:3, :3]) for place in placed]
+    bases = [_link_axes(i, axes, parents, rotations) for i in range(n)]
+    for i in np.flatnonzero(kinds == at.BALL).tolist():
+        bases[i], bases[i + 1] = _ONWARD, _ONWARD @ _ONWARD
+    places, (block, lane) = np.zeros((n, 4, 4)), np.divmod(np.arange(n), LANES)
+    begins = HEAD + block * CONSTANTS + lane
+    run, ends = _chains(parents), group_ends(parents)
+    links = np.stack([parents, begins, block * SCRATCHES + lane, kinds, 0 * run, run, ends]).astype(np.int64)
+    blocks = int(block[-1]) + 1
+    constants = np.zeros(HEAD + blocks * CONSTANTS)
+    for i in range(n):
+        if kinds[i] != at.BALL_AXIS:  # those of a ball joint are where its first one is
+            # The axes of a ball joint's link are those of the joint, but for an angle about the third
+            own = np.eye(3) if kinds[i] == at.BALL else bases[i]
+            turn = bases[parents[i]].T if parents[i] >= 0 else np.eye(3)
+            place = _transform(rotations[i] @ own, placed[i, :3, 3])
+            places[i] = _transform(turn, np.zeros(3)) @ place
+        rows = _rows(i, kinds, places[i], parents[i], bases) | {at.KIND: float(kinds[i] != at.SLIDES)}
+        constants[begins[i] + np.array(list(rows))] = list(rows.values())
+    backs = np.array([_transform(bases[last].T, np.zeros(3)) for last in lasts])
+    return _Fixed(kinds, parents, lasts, bases, backs, places, blocks, links, constants)
 
 
 def last_velocity(pin: Any, joint: int) -> int:
@@ -108,21 +132,23 @@ def last_velocity(pin: Any, joint: int) -> int:
     return int(pin.idx_vs[joint] + pin.nvs[joint] - 1) if joint > 0 else -1
 
 
-def _chains(parents: NDArray[Any], carrier: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return the first joint of the unbranched chain of each (n,), and which joints are between base and tip (n,)."""
-    n = len(parents)
-    run = np.arange(n)
-    for i in range(1, n):
+def _chains(parents: IntArray) -> IntArray:
+    """Return the first joint of the unbranched chain of each (n,)."""
+    run = np.arange(len(parents))
+    for i in range(1, len(parents)):
         run[i] = run[i - 1] if parents[i] == i - 1 else i
-    support = np.zeros(n, dtype=bool)
-    joint = carrier
-    while joint >= 0:
-        support[joint] = True
-        joint = parents[joint]
-    return run, support
+    return run
 
 
-def group_ends(parents: NDArray[Any]) -> NDArray[np.int64]:
+def _support(parents: IntArray, carrier: int) -> IntArray:
+    """Return which joints are between base and tip (n,), 1 or 0."""
+    support = np.zeros(len(parents), dtype=np.int64)
+    while carrier >= 0:
+        support[carrier], carrier = 1, parents[carrier]
+    return support
+
+
+def group_ends(parents: IntArray) -> IntArray:
     """Return for each joint (n,) one more than the last joint of its group.
 
     No joint of a group moves what a joint of another moves: H is block-diagonal, a block for each group. The joints of
@@ -139,24 +165,24 @@ def group_ends(parents: NDArray[Any]) -> NDArray[np.int64]:
     return ends
 
 
-def _joint(model: RobotModel, pin: Any, number: int, i: int) -> tuple[int, Array]:
+def _joint(model: RobotModel, pin: Any, number: int, i: int) -> tuple[int, tuple[float, ...]]:
     """Return what velocity i of a joint is, and its axis, a unit vector in the joint's frame."""
     joint = pin.joints[number]
     kind = joint.shortname().removeprefix("JointModel")
     if kind == "Spherical":
-        return (at.BALL if i == joint.idx_v else at.BALL_AXIS), np.eye(3)[i - joint.idx_v]
+        return (at.BALL if i == joint.idx_v else at.BALL_AXIS), (_AXES["X"], _AXES["Y"], _AXES["Z"])[i - joint.idx_v]
     if kind in ("RevoluteUnaligned", "PrismaticUnaligned"):
         axis = np.array(joint.extract().axis, dtype=np.float64)
-        return (at.TURNS if kind == "RevoluteUnaligned" else at.SLIDES), axis / np.linalg.norm(axis)
+        return (at.TURNS if kind == "RevoluteUnaligned" else at.SLIDES), tuple((axis / np.linalg.norm(axis)).tolist())
     if len(kind) == 2 and kind[0] in "RP" and kind[1] in _AXES:
-        return (at.TURNS if kind[0] == "R" else at.SLIDES), np.array(_AXES[kind[1]])
+        return (at.TURNS if kind[0] == "R" else at.SLIDES), _AXES[kind[1]]
     raise ModelError(
         f"{model.name}: joint {pin.names[number]!r} is of Pinocchio's kind {kind}: "
         "only revolute, continuous, prismatic, ball and free joints are simulated"
     )
 
 
-def _link_axes(i: int, axes: Array, parents: Array, rotations: list[Array]) -> Array:
+def _link_axes(i: int, axes: Array, parents: IntArray, rotations: list[Array]) -> Array:
     """Return the axes of link i as the columns of a matrix in the joint's own frame."""
     z = axes[i]
     x = np.zeros(3)
@@ -175,7 +201,9 @@ def _cross(a: Array, b: Array) -> Array:
     return a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]]
 
 
-def _move_to_base(places: Array, masses: Array, parents: Array, kinds: Array, carrier: int, offset: Array) -> Array:
+def _move_to_base(
+    places: Array, masses: Array, parents: IntArray, kinds: IntArray, carrier: int, offset: Array
+) -> Array:
     """Move inertia towards the base, in place, and return the mass (n,) that each joint then carries."""
     n = len(places)
     carried = np.zeros(n + 1)
@@ -203,41 +231,28 @@ def _move_to_base(places: Array, masses: Array, parents: Array, kinds: Array, ca
     return carried[:-1]
 
 
-def _rows(place: Array, mass: Array, parent: int, aligned: bool) -> dict[int, float]:
-    """Return the constants of one joint by row."""
-    names = (at.R00, at.R01, at.R02, at.R10, at.R11, at.R12, at.R20, at.R21, at.R22)
+def _rows(i: int, kinds: IntArray, place: Array, parent: int, bases: list[Array]) -> dict[int, float]:
+    """Return those constants of a joint by row that turn its axes; see `layout.BALL`."""
     R = place[:3, :3]
-    rows = dict(zip((at.T0, at.T1, at.T2), place[:3, 3], strict=True))
-    if parent < 0:
-        rows |= dict(zip(names, R.ravel(), strict=True))
-    else:
-        # R = R_z(turn) R_x(twist) R_z(angle); the parent's x was chosen such that an aligned joint has no turn
-        turn = 0.0 if aligned or np.hypot(R[0, 2], R[1, 2]) < 1e-14 else np.arctan2(R[0, 2], -R[1, 2])
-        c, s = np.cos(turn), np.sin(turn)
-        R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
-        sine, cosine = -R[1, 2], R[2, 2]
-        length = np.hypot(sine, cosine)
-        rows |= {at.COS_TURN: c, at.SIN_TURN: s, at.COS_TWIST: cosine / length, at.SIN_TWIST: sine / length}
-        rows[at.ANGLE] = np.arctan2(-R[0, 1], R[0, 0])
-    return rows | _inertia_rows(mass)
-
-
-def _inertia_rows(mass: Array) -> dict[int, float]:
-    """Return the constants of a link's inertia by row."""
-    rows = {at.HALF_XX: mass[0, 0] / 2, at.XY: mass[0, 1], at.XZ: mass[0, 2], at.HALF_YY: mass[1, 1] / 2}
-    return rows | {at.YZ: mass[1, 2], at.HX: mass[0, 3], at.HY: mass[1, 3], at.MASS: mass[3, 3]}
-
-
-def _ball_rows(i: int, kinds: Array, places: Array, masses: Array, bases: list[Array]) -> dict[int, float]:
-    """Return the constants of one of the three entries of a ball joint by row; see `layout.BALL`."""
-    if kinds[i] == at.BALL:
-        place, mass = places[i], masses[i + 2]
+    if kinds[i] == at.BALL or (kinds[i] < at.BALL and parent < 0):
         names = (at.R00, at.R01, at.R02, at.R10, at.R11, at.R12, at.R20, at.R21, at.R22)
-        rows = dict(zip(names, place[:3, :3].ravel(), strict=True))
-        rows |= dict(zip((at.T0, at.T1, at.T2), place[:3, 3], strict=True))
-        return rows | {at.HY: mass[2, 3], at.HALF_YY: mass[2, 2] / 2}
-    angle = np.arctan2(bases[i][1, 0], bases[i][0, 0]) if kinds[i - 1] == at.BALL_AXIS else 0.0
-    return _inertia_rows(masses[i]) | {at.ANGLE: angle}
+        return dict(zip(names, R.ravel(), strict=True))
+    if kinds[i] == at.BALL_AXIS:
+        return {at.ANGLE: np.arctan2(bases[i][1, 0], bases[i][0, 0]) if kinds[i - 1] == at.BALL_AXIS else 0.0}
+    # R = R_z(turn) R_x(twist) R_z(angle); the parent's x was chosen such that an aligned joint has no turn
+    turn = 0.0 if parent == i - 1 or np.hypot(R[0, 2], R[1, 2]) < 1e-14 else np.arctan2(R[0, 2], -R[1, 2])
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
+    sine, cosine = -R[1, 2], R[2, 2]
+    length = np.hypot(sine, cosine)
+    rows = {at.COS_TURN: c, at.SIN_TURN: s, at.COS_TWIST: cosine / length, at.SIN_TWIST: sine / length}
+    return rows | {at.ANGLE: np.arctan2(-R[0, 1], R[0, 0])}
+
+
+# The constants of a link's inertia: their rows, which entries of its moments they are, and what share of them.
+_INERTIA = np.array([at.HALF_XX, at.XY, at.XZ, at.HALF_YY, at.YZ, at.HX, at.HY, at.MASS])
+_ROW, _COLUMN = np.array([[0, 0, 0, 1, 1, 0, 1, 3], [0, 1, 2, 1, 2, 3, 3, 3]])
+_SHARE = np.array([0.5, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0])
 
 
 def _transform(R: Array, p: Array) -> Array:
@@ -246,11 +261,13 @@ def _transform(R: Array, p: Array) -> Array:
     return T
 
 
-def _second_moments(inertia: Any) -> Array:
-    """Return ∫ [s; 1][s; 1]ᵀ dm (4, 4) of a Pinocchio inertia, with s from the frame's origin."""
-    mass, centre, tensor = inertia.mass, np.array(inertia.lever), np.array(inertia.inertia)
-    moments = np.zeros((4, 4))
-    moments[:3, :3] = np.trace(tensor) / 2 * np.eye(3) - tensor + mass * np.outer(centre, centre)
-    moments[:3, 3] = moments[3, :3] = mass * centre
-    moments[3, 3] = mass
+def _second_moments(inertias: list[Any]) -> Array:
+    """Return ∫ [s; 1][s; 1]ᵀ dm (j, 4, 4) of Pinocchio's inertias, with s from the frames' origins."""
+    mass = np.array([each.mass for each in inertias])[:, None]
+    centre, tensor = np.array([each.lever for each in inertias]), np.array([each.inertia for each in inertias])
+    half = tensor.trace(axis1=1, axis2=2)[:, None, None] / 2
+    moments = np.empty((len(inertias), 4, 4))
+    moments[:, :3, :3] = half * np.eye(3) - tensor + mass[:, :, None] * (centre[:, :, None] * centre[:, None])
+    moments[:, :3, 3] = moments[:, 3, :3] = mass * centre
+    moments[:, 3, 3:] = mass
     return moments

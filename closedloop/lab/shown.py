@@ -12,7 +12,7 @@ from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, new_token
 from closedloop.lab.share import page
 
 # How long a page may take to be sent what is left at the end, s.
-PATIENCE = 2.0
+PATIENCE = 10.0
 
 
 class Shown:

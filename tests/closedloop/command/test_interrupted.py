@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -189,16 +190,17 @@ def test_ctrl_c_at_any_moment(integrator, law, duration, times, alarm):
     whole = cl.simulate(asked, law=law)
     seconds, rng, left = whole.wall_seconds, np.random.default_rng(5), []
     for _ in range(20 * times):
-        try:
-            alarm(rng.uniform(0.0, 1.0) * seconds + 0.001)
-            # The first run may have compiled, and may have shared the processor: how long one takes is learnt.
-            seconds = cl.simulate(asked, law=law).wall_seconds
-        except cl.InterruptedRunError as error:
-            left.append(error.run)
-        except KeyboardInterrupt:
-            pass  # before the first step: nothing is lost
-        finally:
-            alarm(0.0)
+        # It may strike before the first step, where nothing is lost, or once the run has ended.
+        with suppress(KeyboardInterrupt):
+            try:
+                alarm(rng.uniform(0.0, 1.0) * seconds + 0.001)
+                # The first run may have compiled, and may have shared the processor: how long one takes is learnt.
+                seconds = cl.simulate(asked, law=law).wall_seconds
+            except cl.InterruptedRunError as error:
+                left.append(error.run)
+            finally:
+                alarm(0.0)
+        alarm(0.0)
         if len(left) == times:
             break
     assert left

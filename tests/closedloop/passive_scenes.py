@@ -1,4 +1,4 @@
-"""Free bodies over a floor, an incline or between walls, with nothing that drives them."""
+"""Free bodies over a floor or an incline, with nothing that drives them."""
 
 import numpy as np
 
@@ -30,31 +30,14 @@ def thrown():
     return box(position=(0.0, 0.0, 0.2)) | more
 
 
-def heap(count):
-    """Return boxes one above the other, turned at random, that fall."""
-    rng, bodies = np.random.default_rng(0), []
-    for i in range(count):
-        turn = rng.normal(size=4)
-        place = [*rng.uniform(-0.06, 0.06, size=2), 0.12 + 0.13 * i]
-        more = {"name": f"b{i}", "quaternion": (turn / np.linalg.norm(turn)).tolist()}
-        bodies.append(box((0.06, 0.08, 0.1), place) | more)
-    return bodies
-
-
 def run(
-    bodies, friction, angle=0.0, duration=1.0, step=1e-3, integrator="time_stepping", restitution=0.0, walls=None,
-    pairs=False, compliance=None,
-):  # fmt: skip
-    """Return the run of bodies on a plane that falls along x by `angle`, rad, between four walls, and on each other."""
-    planes = [([float(np.sin(angle)), 0.0, float(np.cos(angle))], [0.0, 0.0, 0.0])]
-    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)) if walls else ():
-        planes.append(([x, y, 0], [-walls * x, -walls * y, 0.0]))
+    bodies, friction, angle=0.0, duration=1.0, step=1e-3, integrator="time_stepping", restitution=0.0, compliance=None
+):
+    """Return the run of bodies on a plane that falls along x by `angle`, rad."""
     usual = {"at": "collision", "friction": friction, "restitution": restitution}
     usual |= {"compliance": compliance} if compliance else {}
-    contact = [usual | {"link": b["name"], "normal": n, "through": p} for b in bodies for n, p in planes]
-    for i, body in enumerate(bodies if pairs else []):
-        for other in bodies[:i]:
-            contact.append(usual | {"link": body["name"], "against": other["name"], "onto": "collision"})
+    usual |= {"normal": [float(np.sin(angle)), 0.0, float(np.cos(angle))]}
+    contact = [usual | {"link": body["name"]} for body in bodies]
     scenario = {
         "robot": {"model": "none"}, "body": bodies, "contact": contact,
         "surface": {"kind": "none", "contact": "unilateral"},

@@ -15,8 +15,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-
-import closedloop as cl
+from passive import simulated
 
 # The share of the lost energy by which it grows at most; of a body's size it sinks at most; m/s at rest.
 RISE, SUNK, REST = 1e-3, 1e-2, 1e-3
@@ -62,12 +61,7 @@ def smallest(body: dict[str, Any]) -> float:
 
 def examine(scenario: dict[str, Any]) -> tuple[Any, dict[str, float]]:
     """Return the run of a scenario, and what is wrong with it, by name, and how much."""
-    wrong = {}
-    try:
-        run = cl.simulate(cl.Scenario.model_validate(scenario), progress=False)
-    except cl.SimulationError as error:
-        run, wrong["stopped"] = error.run, 1.0
-    energy = run.kinetic_energy + run.potential_energy
+    run, energy, wrong = simulated(scenario)
     share = float(np.max(energy - np.minimum.accumulate(energy)) / max(energy[0] - energy.min(), 1e-9))
     low = [np.inf if body["shape"] != "ball" else body["radius"] for body in scenario["body"]]
     size = min(smallest(body) for body in scenario["body"])

@@ -63,14 +63,19 @@ def draw(seed: int, shapes: tuple[str, ...] = SHAPES, integrators: tuple[str, ..
     return {"robot": {"model": "none"}, "body": [body], "contact": [contact], "stabiliser": stabiliser, "time": times}
 
 
-def examine(scenario: dict[str, Any]) -> tuple[Any, dict[str, float]]:
-    """Return the run of a scenario, and what is wrong with it, by name, and how much."""
+def simulated(scenario: dict[str, Any]) -> tuple[Any, np.ndarray, dict[str, float]]:
+    """Return the run of a scenario, or what there is of one that stopped, its energy (N,), J, and whether it did."""
     wrong = {}
     try:
         run = cl.simulate(cl.Scenario.model_validate(scenario), progress=False)
     except cl.SimulationError as error:
         run, wrong["stopped"] = error.run, 1.0
-    energy = run.kinetic_energy + run.potential_energy
+    return run, run.kinetic_energy + run.potential_energy, wrong
+
+
+def examine(scenario: dict[str, Any]) -> tuple[Any, dict[str, float]]:
+    """Return the run of a scenario, and what is wrong with it, by name, and how much."""
+    run, energy, wrong = simulated(scenario)
     soft = "compliance" in scenario["contact"][0]
     lowest = energy[0] if soft else np.minimum.accumulate(energy)
     rise = float(np.max(energy - lowest))

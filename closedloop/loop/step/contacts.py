@@ -105,10 +105,9 @@ def contacts_in_step(address: int, what: int) -> int:
             c.margin = min(c.margin, open_margin(c, i))
         w.contacts.margin = c.margin
     elif what == SAVE:
-        if state.settings.time_stepping == 0:
-            save_contacts(links, c)
         c.step.begun = 1.0 * links.stepped
         if state.settings.time_stepping == 0:
+            save_contacts(links, c)
             w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])

@@ -65,8 +65,6 @@ class JointSpace(Block, sizes=("n", "k")):
     residual: float  # as a share of `asked`
     asked: float  # the largest velocity at the step's beginning, or the next, m/s
     gained: float  # the largest that smooth forces add, in the last step in which a contact took part, m/s
-    rounds: float  # of the last problem, and steps of Newton's method in them
-    steps: float
 
 
 @kernel
@@ -285,9 +283,7 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
     """Write P and u of the a contacts, from P, with the first ρ; return whether they are found."""
     stiffness, before = first, math.inf
-    s.rounds = s.steps = 0.0
     for _ in range(ROUNDS):
-        s.rounds += 1.0
         s.residual = residual_of(s, a, n)
         if s.residual <= FOUND or 0.5 * before < s.residual <= SLOW:
             return True
@@ -339,7 +335,6 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float) -> None:
     for _ in range(NEWTON_STEPS):
         if square <= left * left:
             break
-        s.steps += 1.0
         newton_step_of_joints(s, a, n, stiffness)
         share, last = 1.0, square
         for _ in range(HALVINGS):

@@ -9,6 +9,7 @@ import closedloop as cl
 from closedloop.jit.kernel import entry_kernel
 from closedloop.mechanics.contacts.joint_space import FIRST, IN_CONE, solve_in_joint_space
 from closedloop.mechanics.contacts.memory import contacts_at, make_contact_memory
+from validation.speed.scenes import scenario_of
 
 G = 9.81
 VISCOUS = {"friction.kind": "coulomb_viscous", "friction.coefficient": 0.3, "friction.viscous": 1.0}
@@ -77,7 +78,7 @@ def test_errors_are_of_first_order():
 
 def test_dropped_bodies_come_to_rest_without_gaining_energy():
     """Boxes dropped into a corner of walls lose energy in every step, come to rest, and do not sink in."""
-    run = scenes.run(scenes.heap(4), 0.5, duration=1.5, walls=0.15, pairs=True)
+    run = cl.simulate(scenario_of("bin_4"), engine="compiled", progress=False)
     energy = run.kinetic_energy + run.potential_energy
     assert np.max(np.diff(energy)) < 1e-7 * energy[0]
     assert run.kinetic_energy[-1] < 1e-15

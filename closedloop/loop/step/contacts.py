@@ -28,7 +28,6 @@ from closedloop.loop.step.tendons import add_along
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
 from closedloop.mechanics.contacts.closed import solve_closed
-from closedloop.mechanics.contacts.complementarity import WEDGED
 from closedloop.mechanics.contacts.friction import (
     STILL,
     advance_states,
@@ -66,6 +65,7 @@ from closedloop.mechanics.contacts.soft import let_friction_rise, soft_margin
 from closedloop.mechanics.contacts.stepping import begin_step, look_ahead
 from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import BREAKING_AWAY, stop_slips, turn_and_solve
+from closedloop.mechanics.contacts.unknown_modes import WEDGED
 from closedloop.mechanics.impact import energy_lost
 
 # What the contacts are asked for.
@@ -139,7 +139,7 @@ def contacts_in_step(address: int, what: int) -> int:
             locate_joints(links, c, w, constants, state)
             status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)
         if status == OK:
-            c.step.friction_cut = c.step.in_vain = 0.0
+            c.step.in_vain = 0.0
             if links.shapes != 0:
                 rest_on_feet(links, c)
         elif status == PAINLEVE and links.fresh == 0:
@@ -244,21 +244,21 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
         points = fixed and links.shapes == 0
         if status == OK:
             h = c.step.span if state.begins != 0 else c.step.within
-            status = turn_and_solve(c, k, h if fixed else BREAKING_AWAY, begins and fixed, points)
+            status = turn_and_solve(links, c, h if fixed else BREAKING_AWAY, begins and fixed, points)
         keep_in_cones(c, k)
         rest = 2.0 * STICK_SPEED if state.settings.adaptive != 0 else 0.0
         if joints_rub(links):
             rest = max(rest, STILL)  # dry friction of the joints stops a slip within a step, which then does not turn
         c.margin = margin_of(links, c, k, STICK_SPEED, rest, resolution(constants, state))
         if begins and fixed and status == OK and c.margin >= 0.0:
-            left = stop_slips(c, k, constants.h)
+            left = stop_slips(links, c, constants.h)
             if left <= (LAST * constants.h if state.settings.stages > 1 else constants.h):
                 links.stepped, c.step.end, c.margin = 1, w.time + left, left
                 for i in range(3 * k):
                     c.F[i] = c.rigid[i] = c.step.force[i]
             elif left < math.inf:
                 c.step.span = MOST_OF * left
-                status = turn_and_solve(c, k, c.step.span, begins, points)
+                status = turn_and_solve(links, c, c.step.span, begins, points)
                 keep_in_cones(c, k)
                 c.margin = margin_of(links, c, k, STICK_SPEED, rest, resolution(constants, state))
         wedges = links.stepped == 0 and force_over_load(links, c) > WEDGED

@@ -16,24 +16,18 @@ import math
 
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.complementarity import STARTS, largest_mobility, size_of_q, solve_impulses
-from closedloop.mechanics.contacts.continuation import force_size
+from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import cone_limit, take_kinetic
 from closedloop.mechanics.contacts.given_modes import MOST_IMPULSE, energy_gained, stop, write_after
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SMOOTH, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import RESTING, touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
+from closedloop.mechanics.contacts.unknown_modes import solve_contacts, solve_impulses
 
 # Contacts of shapes come together faster than this, m/s: their rows hardly differ, and impulses leave as much.
 SHAPES_RESTING = 1e-10
-# Velocities after an impact may be off by this, m/s.
-ROUNDING = 1e-14
-# The largest speed along the normal that the errors of steps give closed contacts, m/s; where rows hardly differ
-# sweeps end at such a share of the speeds before the impact.
-MOST_CONTRADICTION, NEARLY = 1e-8, 1e-8
 # The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
-# is tried in the search for the largest factor, along one path each, for they take long.
+# is tried in the search for the largest factor, for they take long.
 LEAST_SHARE, MOST_MISSING = 1e-3, 10
 # A rebound from a stop that is slower than this, rad/s (m/s), is none: the joint stays at its stop.
 SLOWEST_REBOUND = 1e-4
@@ -45,7 +39,7 @@ STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
 def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
     """Write the impulses F of the contacts that come together, zero if there are none; `after` their velocities.
 
-    Returns OK, or PAINLEVE if they were not found.
+    Returns OK.
     """
     k, coming, resting = links.k, 0, RESTING if links.shapes == 0 else SHAPES_RESTING
     c.event.energy_lost, c.event.energy_rested, c.event.restitution_share = 0.0, 0.0, 1.0
@@ -77,8 +71,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         return OK
     if not (solve_with(links, c, 1.0, rest_speed) and energy_gained(c, k) <= 0.0):
         c.event.restitution_share = lessened_restitution(links, c, rest_speed)
-        if not solve_with(links, c, c.event.restitution_share, rest_speed):
-            return PAINLEVE
+        solve_with(links, c, c.event.restitution_share, rest_speed)
     for i in range(k):
         if c.friction.pulls[i] != 0.0 or c.problem.form[i] == OFF:
             continue
@@ -140,7 +133,7 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
         return 0.0
     for _ in range(40):
         middle = 0.5 * (low + high)
-        found = solve_with(links, c, middle, rest_speed, 1)
+        found = solve_with(links, c, middle, rest_speed)
         if found and energy_gained(c, links.k) <= 0.0:
             low = middle
         else:
@@ -152,37 +145,21 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
 
 
 @kernel
-def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float, starts: int = len(STARTS)) -> bool:
-    """Solve for the impulses with restitution times `share`; `after` is then u⁺. See `solve_impulses` for `starts`."""
-    k = links.k
+def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float) -> bool:
+    """Solve for the impulses with restitution times `share`; `after` is then u⁺. Without there always are some."""
+    k, found = links.k, True
     for i in range(3 * k):
-        c.problem.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
+        c.problem.q[i] = c.before[i]
     for i in range(k):
         bounce = -share * c.restitution[i] * c.before[3 * i]
         if c.event.struck[i] != 0.0 and links.chattering == 0 and bounce >= slowest_rebound(links, c, i, rest_speed):
             c.problem.q[3 * i] -= bounce
-    largest = largest_mobility(c, k)
-    # Where all is at rest but for rounding that of the velocities is no small share of what is asked for.
-    if not (solve_impulses(c, k, starts) or c.problem.residual * largest <= max(ROUNDING, contradiction(c, k))):
-        return False
-    if share > 0.0 and largest * force_size(c.F, 3 * k) > MOST_IMPULSE * size_of_q(c, k):
-        return False
+    if share > 0.0:
+        found = solve_contacts(links, c, MOST_IMPULSE)
+    else:
+        solve_impulses(links, c)
     write_after(c, k)
-    return True
-
-
-@kernel
-def contradiction(c: Contacts, k: int) -> float:
-    """Return by how much velocities after an impact may be off, m/s: by what closed contacts move.
-
-    Where a face lies on another, or edges that cross, more contacts are closed than determine the motion along the
-    normal. The errors of steps make them part or come together, each by a little, and no impulses stop all of them.
-    """
-    most = NEARLY * size_of_q(c, k)
-    for i in range(k):
-        if c.mode[i] != FREE and c.event.struck[i] == 0.0 and c.problem.form[i] != OFF and not is_resistance(c, i):
-            most = max(most, abs(c.before[3 * i]))
-    return min(float(most), MOST_CONTRADICTION)
+    return found
 
 
 @kernel

@@ -23,9 +23,11 @@ from closedloop.jit.kernel import kernel
 
 N, K = Count.of("n"), Count.of("k")
 
-# Kinds of a contact: in Coulomb's cone; one that also pulls, of a bilateral closure; with a normal impulse that is a
-# function of its speed, P = given − falls u >= 0; and with that of another contact, its owner.
-IN_CONE, BILATERAL, SOFT, OWNED = range(4)
+# Normal impulses: one that only pushes; of a closure that holds; a function of its speed, P = given − falls u, not
+# negative where it falls; and that of another contact, its owner.
+PUSHES, HOLDS, GIVEN, OWNED = range(4)
+# Those along the surface: in Coulomb's cone; in a known direction, P_t = −along P_n; and what sticks with any force.
+IN_CONE, ALONG, STICKS = range(3)
 # ρ in the inverse of a contact's mobility: in the first round, what it grows by in each, and in the last ones.
 FIRST, GROWTH, MOST = 10.0, 4.0, 1e3
 # Rounds at most, steps of Newton's method in each, and halvings of a step.
@@ -34,13 +36,19 @@ ROUNDS, NEWTON_STEPS, HALVINGS = 40, 30, 12
 # times its own share. What a round may leave of its equations, as a share of the residual before it.
 # Where rows hardly differ it falls slowly: then the second is enough, and after all rounds the third.
 FOUND, SLOW, NEAR, LEFT = 1e-9, 1e-6, 1e-4, 0.1
+# Rounds that give what is found its derivatives.
+DERIVATIVES = 4
+# Steps from the associated problem, which is convex, to that of Coulomb's friction.
+STEPS = 20
 
 
 class JointSpace(Block, sizes=("n", "k")):
     """The problem, of the contacts that take part alone, and what its solution uses."""
 
-    kind: Annotated[Array, K]
+    normal: Annotated[Array, K]  # PUSHES, HOLDS, GIVEN or OWNED
+    tangent: Annotated[Array, K]  # IN_CONE, ALONG or STICKS
     mu: Annotated[Array, K]
+    ahead: Annotated[Array, K, 2]  # `along` of one that slides in a known direction
     associated: float  # 1: without μ|u_t| n, the least of a convex function (M. Anitescu, Math. Program. 105, 2006)
     given: Annotated[Array, K]  # normal impulse at no speed, N s, or the number of the owner
     falls: Annotated[Array, K]  # and what it is less by with the speed, kg
@@ -53,7 +61,7 @@ class JointSpace(Block, sizes=("n", "k")):
     mobility: Annotated[Array, K]  # the largest of each contact, 1/kg
     trial: Annotated[Array, 3 * K]
     slope: Annotated[Array, K, 3, 3]  # ∂Π
-    along: Annotated[Array, K, 2]  # μ u_t/|u_t|; of an owned one ∂P_t/∂P_n of its owner
+    along: Annotated[Array, K, 2]  # ∂(μ|u_t|)/∂u_t; of an owned one ∂P_t/∂P_n of its owner
     y: Annotated[Array, N]
     y_trial: Annotated[Array, N]
     off: Annotated[Array, N]  # y − Xᵀ Π
@@ -68,19 +76,18 @@ class JointSpace(Block, sizes=("n", "k")):
 
 
 @kernel
-def into_disc(x1: float, x2: float, radius: float, P: Array, slope: Array, along: Array) -> None:
-    """Write the nearest to (x1, x2) within a disc in P[1:], its slope, and that by the radius in `along`."""
+def into_disc(x1: float, x2: float, radius: float, P: Array, slope: Array) -> float:
+    """Write the nearest to (x1, x2) within a disc in P[1:], and its slope; return 1 if it is on the edge, else 0."""
     size = math.hypot(x1, x2)
-    along[0], along[1] = 0.0, 0.0
     if size <= radius:
         P[1], P[2] = x1, x2
         slope[1, 1], slope[2, 2], slope[1, 2], slope[2, 1] = 1.0, 1.0, 0.0, 0.0
-        return
+        return 0.0
     e1, e2, share = x1 / size, x2 / size, radius / size
     P[1], P[2] = radius * e1, radius * e2
-    along[0], along[1] = e1, e2
     slope[1, 1], slope[2, 2] = share * e2 * e2, share * e1 * e1
     slope[1, 2] = slope[2, 1] = -share * e1 * e2
+    return 1.0
 
 
 @kernel
@@ -123,33 +130,44 @@ def write_speed(s: JointSpace, i: int, y: Array) -> None:
 @kernel
 def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
     """Write Π of contact i in P (3 a,), of its u and the impulse at the round's beginning, and its slope."""
-    at, mu, slope, along = 3 * i, s.mu[i], s.slope[i], s.along[i]
+    at, mu, slope, along, normal = 3 * i, s.mu[i], s.slope[i], s.along[i], s.normal[i]
     u0, u1, u2 = s.u[at], s.u[at + 1], s.u[at + 2]
-    x1, x2 = s.P[at + 1] - rho * u1, s.P[at + 2] - rho * u2
-    if s.kind[i] == IN_CONE:
-        size = math.hypot(u1, u2)
-        along[0] = along[1] = 0.0
-        if size > 0.0 and s.associated == 0.0:
-            along[0], along[1] = mu * u1 / size, mu * u2 / size
-            u0 += mu * size
-        into_cone_with_slope(s.P[at] - rho * u0, x1, x2, mu, P[at : at + 3], slope)
+    x0, x1, x2 = s.P[at] - rho * u0, s.P[at + 1] - rho * u1, s.P[at + 2] - rho * u2
+    along[0] = along[1] = 0.0
+    if normal == PUSHES and s.tangent[i] == IN_CONE:
+        size, share = math.hypot(u1, u2), (1.0 - s.associated) * mu
+        if size > 0.0:
+            along[0], along[1] = share * u1 / size, share * u2 / size
+        into_cone_with_slope(x0 - rho * share * size, x1, x2, mu, P[at : at + 3], slope)
         return
     for a in range(3):
         for b in range(3):
             slope[a, b] = 0.0
-    if s.kind[i] == OWNED:
-        P[at] = 0.0
-        into_disc(x1, x2, mu * max(P[3 * int(s.given[i])], 0.0), P[at : at + 3], slope, along)
+    P[at], f, sense = 0.0, 0.0, 1.0
+    if normal == OWNED:
+        f = max(P[3 * int(s.given[i])], 0.0) if s.tangent[i] == IN_CONE else P[3 * int(s.given[i])]
+    elif normal == GIVEN:
+        P[at] = s.given[i] - s.falls[i] * u0
+        if s.falls[i] > 0.0:
+            P[at], slope[0, 0] = max(P[at], 0.0), s.falls[i] / rho if P[at] > 0.0 else 0.0
+    elif normal == HOLDS or x0 > 0.0:
+        P[at], slope[0, 0] = x0, 1.0
+    if normal != OWNED:
+        f, sense = P[at], slope[0, 0]
+    if s.tangent[i] == STICKS:
+        P[at + 1], P[at + 2], slope[1, 1], slope[2, 2] = x1, x2, 1.0, 1.0
         return
-    if s.kind[i] == BILATERAL:
-        P[at], slope[0, 0] = s.P[at] - rho * u0, 1.0
+    by1, by2 = -s.ahead[i, 0], -s.ahead[i, 1]
+    if s.tangent[i] == ALONG:
+        P[at + 1], P[at + 2] = by1 * f, by2 * f
     else:
-        P[at] = max(s.given[i] - s.falls[i] * u0, 0.0)
-        slope[0, 0] = s.falls[i] / rho if P[at] > 0.0 else 0.0
-    into_disc(x1, x2, mu * abs(P[at]), P[at : at + 3], slope, along)
-    sense = math.copysign(mu, P[at]) * slope[0, 0]
-    slope[1, 0], slope[2, 0] = sense * along[0], sense * along[1]
-    along[0] = along[1] = 0.0
+        share = math.copysign(mu, f) * into_disc(x1, x2, mu * abs(f), P[at : at + 3], slope)
+        size = math.hypot(x1, x2)
+        by1, by2 = (share * x1 / size, share * x2 / size) if size > 0.0 else (0.0 * size, 0.0 * size)
+    if normal == OWNED:
+        along[0], along[1] = by1, by2
+    else:
+        slope[1, 0], slope[2, 0] = sense * by1, sense * by2
 
 
 @kernel
@@ -179,7 +197,7 @@ def add_rows(s: JointSpace, i: int, owner: int, rho: float) -> None:
     first, end = int(s.first[owner]), int(s.end[owner])
     x0, x1, x2 = row_of(s.X, 3 * owner), row_of(s.X, 3 * owner + 1), row_of(s.X, 3 * owner + 2)
     e1, e2 = s.along[owner][0], s.along[owner][1]
-    if s.kind[owner] != IN_CONE:
+    if s.normal[owner] != PUSHES:
         e1 = e2 = 0.0
     of = s.slope[owner]
     for b in range(3):
@@ -189,7 +207,7 @@ def add_rows(s: JointSpace, i: int, owner: int, rho: float) -> None:
         if owner == i:
             c0, c1, c2 = rho * slope[b, 0], rho * slope[b, 1], rho * slope[b, 2]
         else:  # the slope of the owner's normal impulse, times that of the owned one by it
-            share = s.mu[i] * along[b - 1] * rho if b > 0 else 0.0
+            share = along[b - 1] * rho if b > 0 else 0.0
             c0, c1, c2 = share * of[0, 0], share * of[0, 1], share * of[0, 2]
         if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
             continue
@@ -216,7 +234,7 @@ def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> No
         M[j, j] = 1.0
     for i in range(a):
         add_rows(s, i, i, stiffness / s.mobility[i])
-        if s.kind[i] == OWNED:
+        if s.normal[i] == OWNED:
             owner = int(s.given[i])
             add_rows(s, i, owner, stiffness / s.mobility[owner])
     eliminate(M, x, n)
@@ -280,12 +298,15 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 
 
 @kernel
-def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
-    """Write P and u of the a contacts, from P, with the first ρ; return whether they are found."""
+def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: float = FOUND) -> bool:
+    """Write P and u of the a contacts, from P, with the first ρ; return whether they are found.
+
+    Rounds end at the residual `wanted`, or when they no longer lessen it.
+    """
     stiffness, before = first, math.inf
     for _ in range(ROUNDS):
         s.residual = residual_of(s, a, n)
-        if s.residual <= FOUND or 0.5 * before < s.residual <= SLOW:
+        if s.residual <= wanted or 0.5 * before < s.residual <= (SLOW if wanted == FOUND else 1e-12):
             return True
         before = s.residual
         if not s.residual < math.inf:
@@ -293,20 +314,65 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
         do_round(s, a, n, stiffness)
         stiffness = min(GROWTH * stiffness, MOST)
     s.residual = residual_of(s, a, n)
-    return bool(s.residual <= NEAR)
+    return bool(s.residual <= (NEAR if wanted == FOUND else FOUND))
 
 
 @kernel
-def is_wedged(s: JointSpace, a: int) -> bool:
-    """Whether impulses are larger than those of compliant contacts could be, see `solve_softly`.
+def find_exactly(s: JointSpace, a: int, n: int) -> bool:
+    """Write P and u of the a contacts but for rounding; return whether they are found: nearly all are.
+
+    From no impulses; and, where Newton's method does not come from there, along the solutions of problems that lie
+    between the associated one, which is convex, and that of Coulomb's friction.
+    """
+    s.associated = 0.0
+    for attempt in range(2):
+        start_at_rest(s, a, n)
+        if solve_in_joint_space(s, a, n, FIRST if attempt == 0 else 1.0, 0.0):
+            return True
+    start_at_rest(s, a, n)
+    s.associated = 1.0
+    solve_in_joint_space(s, a, n, FIRST, FOUND)
+    for i in range(STEPS):
+        s.associated = 1.0 - (i + 1.0) / STEPS
+        s.residual = residual_of(s, a, n)
+        do_round(s, a, n, MOST)
+    return solve_in_joint_space(s, a, n, MOST, 0.0)
+
+
+@kernel
+def differentiate(s: JointSpace, a: int, n: int) -> None:
+    """Give the P that is found, and u, its derivatives: each round leaves a share of what they are off."""
+    for _ in range(DERIVATIVES):
+        write_off(s, a, n, MOST, s.y)
+        newton_step_of_joints(s, a, n, MOST)
+        for j in range(n):
+            s.y[j] += s.step[j]
+        write_off(s, a, n, MOST, s.y)
+        for r in range(3 * a):
+            s.P[r] = s.trial[r]
+    residual_of(s, a, n)
+
+
+@kernel
+def start_at_rest(s: JointSpace, a: int, n: int) -> None:
+    """Write no impulses."""
+    for r in range(3 * a):
+        s.P[r] = 0.0
+    for j in range(n):
+        s.y[j] = 0.0
+
+
+@kernel
+def is_wedged(s: JointSpace, a: int, most: float = MOST) -> bool:
+    """Whether impulses are so many times those that are asked for: by default larger than `solve_softly` finds.
 
     Those of contacts that are wedged have no bound, and are in balance only where the bodies are.
     """
     largest = 0.0
     for i in range(a):
-        for r in range(3 * i, 3 * i + 3 if s.kind[i] != SOFT else 0):
+        for r in range(3 * i, 3 * i + 3 if s.normal[i] != GIVEN else 0):
             largest = max(largest, abs(s.P[r]) * s.mobility[i])
-    return bool(largest > MOST * s.asked)
+    return bool(largest > most * s.asked)
 
 
 @kernel

@@ -123,7 +123,6 @@ class TimeStep(Block, sizes=("k",)):
     span: float  # the longest that the next substep may be, and after which friction points along slow slips, s
     within: float  # the same of the substep under way
     force: Annotated[Array, 3 * K]  # N
-    friction_cut: float  # what is taken from each μ in it, a share; 0 again once modes are found
     reach: float  # m, within which contacts are near
     limit: Annotated[Array, K]  # of dry friction of joints, N m (N)
     struck: float  # when the last tangential impact was, s

@@ -12,7 +12,6 @@ import math
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.complementarity import solve_contacts
 from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
 from closedloop.mechanics.contacts.given_modes import NEGLIGIBLE, energy_gained, stop
 from closedloop.mechanics.contacts.memory import (
@@ -29,6 +28,7 @@ from closedloop.mechanics.contacts.memory import (
 from closedloop.mechanics.contacts.mobility import write_mobility
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.soft import soft_gap, write_shared
+from closedloop.mechanics.contacts.unknown_modes import solve_contacts
 
 # Within the first gap a contact touches, m; after it has parted, until it has been clear by the second. At the start
 # the second counts: a posture is given in few digits.
@@ -93,7 +93,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     for i in range(3 * k):
         for j in range(3 * k):
             c.problem.q[i] -= c.W[i, j] * c.viscous[j]
-    found = solve_contacts(c, k)
+    found = solve_contacts(links, c)
     for i in range(k):  # friction of a contact that pulls is μ |f|
         if (
             found
@@ -102,7 +102,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             and (c.problem.along[i, 0] != 0.0 or c.problem.along[i, 1] != 0.0)
         ):
             c.problem.along[i, 0], c.problem.along[i, 1] = -c.problem.along[i, 0], -c.problem.along[i, 1]
-            found = solve_contacts(c, k)
+            found = solve_contacts(links, c)
     if not found:
         return PAINLEVE
     for i in range(links.joints):

@@ -257,39 +257,46 @@ def drop_contradictions(c: Contacts, k: int) -> None:
     Feet of one body that turns accelerate towards its axis, with the square of its speed, and those at heights that
     hardly differ slip by what little it rocks. Friction that is to stop this would be as large as it can be, between
     feet that press against each other. With Z an orthonormal basis of the columns of X, each row divided by the root of
-    its contact's mobility, q is to be what forces along Z do, W Z x, as much along Z as it was.
+    its contact's mobility, q is to be what forces along Z do, X Xᵀ Z x, as much along Z as it was.
     """
-    S, unknown, scale, p, n = c.scratch.system, c.scratch.unknown, c.scratch.multiples, 0, c.X.shape[1]
+    s, S, unknown, scale, p, n = c.stepping, c.scratch.system, c.scratch.unknown, c.scratch.multiples, 0, c.X.shape[1]
     for i in range(k):
-        j = int(c.scratch.packed.contact[i])
+        j = int(s.number[i])
         if c.scratch.turned[j] != 0.0 and (c.friction.shared[j] > 0.0 or c.problem.points > 0.0):
-            own = max(c.W[3 * i, 3 * i], c.W[3 * i + 1, 3 * i + 1], c.W[3 * i + 2, 3 * i + 2])
-            for r in range(3 * i + 1, 3 * i + 3 if own > 0.0 else 0):
-                unknown[p], scale[p] = r, math.sqrt(own)
+            for r in range(3 * i + 1, 3 * i + 3):
+                unknown[p], scale[p] = r, math.sqrt(s.mobility[i])
                 for m in range(n):
-                    S[m, p] = c.X[3 * j + r - 3 * i, m] / scale[p]
+                    S[m, p] = 0.0
+                for m in range(int(s.first[i]), int(s.end[i])):
+                    S[m, p] = s.X[r, m] / scale[p]
                 p += 1
     rank = orthonormal_columns(S, n, p)
     if rank == p:
         return
-    moved, M = c.scratch.unknowns, c.scratch.columns
+    moved, M, joints = c.scratch.unknowns, c.scratch.columns, c.scratch.sum
     for m in range(rank):
         M[m, rank] = 0.0
+        for j in range(n):
+            joints[j] = 0.0
         for r in range(p):
-            moved[m, r] = 0.0
-            for s in range(p):
-                moved[m, r] += c.W[int(unknown[r]), int(unknown[s])] * S[m, s] / (scale[r] * scale[s])
-            M[m, rank] += S[m, r] * c.problem.q[int(unknown[r])] / scale[r]
-        for s in range(rank):
-            M[s, m] = 0.0
+            i = int(unknown[r]) // 3
+            M[m, rank] += S[m, r] * s.q[int(unknown[r])] / scale[r]
+            for j in range(int(s.first[i]), int(s.end[i])):
+                joints[j] += s.X[int(unknown[r]), j] * S[m, r] / scale[r]
+        for r in range(p):
+            i, moved[m, r] = int(unknown[r]) // 3, 0.0
+            for j in range(int(s.first[i]), int(s.end[i])):
+                moved[m, r] += s.X[int(unknown[r]), j] * joints[j] / scale[r]
+        for t in range(rank):
+            M[t, m] = 0.0
             for r in range(p):
-                M[s, m] += S[s, r] * moved[m, r]
+                M[t, m] += S[t, r] * moved[m, r]
     solve_any_rank(M, rank, 1, c.scratch.column_order, c.scratch.solution, 0.0)
     for r in range(p):
         left = 0.0
         for m in range(rank):
             left += moved[m, r] * c.scratch.solution[0, m]
-        c.problem.q[int(unknown[r])] = scale[r] * left
+        s.q[int(unknown[r])] = scale[r] * left
 
 
 @kernel

@@ -25,18 +25,20 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.joint_space import (
-    BILATERAL,
     FIRST,
+    GIVEN,
+    HOLDS,
     IN_CONE,
     MOST,
     OWNED,
-    SOFT,
+    PUSHES,
     JointSpace,
     is_wedged,
     solve_in_joint_space,
     solve_softly,
 )
 from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
@@ -79,7 +81,7 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         at = int(s.packed_at[i])
         pressed = 0.0
         if at >= 0:
-            pressed = abs(s.P[3 * at]) if s.kind[at] != OWNED else s.P[3 * int(s.given[at])]
+            pressed = abs(s.P[3 * at]) if s.normal[at] != OWNED else s.P[3 * int(s.given[at])]
         if pressed > 0.0:
             held = math.hypot(s.P[3 * at + 1], s.P[3 * at + 2]) < INSIDE * s.mu[at] * pressed
             c.mode[i] = STUCK if held else PRESSED
@@ -148,7 +150,7 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
             continue
         if c.soft[i] != 0.0 and not write_softness(links, c, i, s, a, h):
             continue
-        if s.kind[a] <= BILATERAL:
+        if s.normal[a] <= HOLDS:
             s.q[3 * a] += allowed(links, c, i, s.q[3 * a], h, push, rest_speed)
         s.packed_at[i] = a
         a += 1
@@ -160,15 +162,17 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
 @kernel
 def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace, a: int) -> bool:
     """Write the kind of contact i as number a of the problem, and its normal impulse, if that is given."""
-    s.kind[a], s.given[a], s.falls[a] = SOFT if c.soft[i] != 0.0 else IN_CONE, 0.0, 0.0
+    s.normal[a], s.tangent[a], s.given[a], s.falls[a] = GIVEN if c.soft[i] != 0.0 else PUSHES, IN_CONE, 0.0, 0.0
     if i >= links.joints:
-        s.kind[a], s.given[a] = SOFT, h * c.step.limit[i]
+        s.normal[a], s.given[a] = GIVEN, h * c.step.limit[i]
         return bool(s.given[a] > 0.0)
     if is_resistance(c, i):
-        s.kind[a], s.given[a] = OWNED, s.packed_at[int(c.friction.resistance.owner[i])]
+        s.normal[a], s.given[a] = OWNED, s.packed_at[int(c.friction.resistance.owner[i])]
         return bool(s.given[a] >= 0.0)
     if c.friction.pulls[i] != 0.0 and c.soft[i] == 0.0:
-        s.kind[a] = BILATERAL
+        s.normal[a] = HOLDS
+    if links.dense != 0:  # a step of its own, among modes: what is closed takes part
+        return bool(c.friction.pulls[i] != 0.0 or touches(links, c, i))
     return bool(c.friction.pulls[i] != 0.0 or belongs_here(c, i))
 
 
@@ -206,6 +210,8 @@ def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, p
 
     A rebound begins at the gap g and ends at g + h u⁺: u⁺ has the energy e² of what would have been at the surface.
     """
+    if links.dense != 0:
+        return 0.0
     gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
     if c.friction.pulls[i] != 0.0:
         return float(gap * push / h)

@@ -20,29 +20,24 @@ tangential impact is tried first. The forces are P/h until the step has ended; t
 
 from __future__ import annotations
 
+import math
+
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
-from closedloop.mechanics.contacts.complementarity import (
-    LAST_ROUNDS,
-    SOFTNESS,
-    largest_mobility,
-    polish,
-    size_of_q,
-    solve_contacts,
-    solve_from_here,
-    sweep_long,
-)
-from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import take_kinetic
-from closedloop.mechanics.contacts.given_modes import energy_gained, write_after
+from closedloop.mechanics.contacts.given_modes import energy_gained
+from closedloop.mechanics.contacts.joint_space import find_exactly, solve_in_joint_space
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
-from closedloop.mechanics.contacts.mobility import pack, unpack, write_mobility
 from closedloop.mechanics.contacts.modes import happened_to, touches, write_before
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
+from closedloop.mechanics.contacts.stepping import find_step
+from closedloop.mechanics.contacts.unknown_modes import pack_contacts, unpack_contacts
 
 # Speeds at which contacts come together in the problems near it, of the largest speed.
 COMING = (0.1, 0.01)
+# The first ρ from there, small enough to stay near.
+NEARBY = 0.1
 # What changes velocities by a smaller share of the largest is no impact.
 LEAST_CHANGE = 1e-3
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
@@ -58,7 +53,7 @@ def stop_at_once(links: ContactLinks, c: Contacts) -> bool:
     """
     k, found = links.k, False
     for coming in COMING:
-        found = found or from_impact(c, k, coming)
+        found = found or from_impact(links, c, coming)
     if not found:
         return False
     told = False
@@ -74,38 +69,28 @@ def stop_at_once(links: ContactLinks, c: Contacts) -> bool:
 
 
 @kernel
-def from_impact(c: Contacts, k: int, coming: float) -> bool:
+def from_impact(links: ContactLinks, c: Contacts, coming: float) -> bool:
     """Write F and `after` from the impulses with which contacts come together at this share of the largest speed."""
-    write_mobility(c, k)
-    fastest, softness, change = 0.0, SOFTNESS * largest_mobility(c, k), 0.0
-    for i in range(3 * k):
-        fastest = max(fastest, abs(c.before[i]) if c.problem.form[i // 3] != OFF else 0.0)
-    for i in range(3 * k):
-        c.F[i], c.step.diagonal[i] = 0.0, c.W[i, i]
-        c.problem.q[i] = c.before[i] - (coming * fastest if i % 3 == 0 else 0.0)
-        c.W[i, i] += softness
-    solve_contacts(c, k, 0)
-    for i in range(3 * k):
-        c.W[i, i], c.problem.q[i] = c.step.diagonal[i], c.before[i]
-    a = pack(c, k)
-    found = solve_from_here(c, a, 0, LAST_ROUNDS)
-    if found:
-        polish(c, a)
-    unpack(c, k, a)
-    write_after(c, k)
+    s, k, fastest, change = c.stepping, links.k, 0.0, 0.0
+    for r in range(3 * k):
+        c.problem.q[r] = c.before[r]
+        fastest = max(fastest, abs(c.before[r]) if c.problem.form[r // 3] != OFF else 0.0)
+    a = pack_contacts(links, c)
+    for i in range(a):
+        s.q[3 * i] -= coming * fastest
+    found = find_exactly(s, a, links.n)
+    for i in range(a):
+        s.q[3 * i] += coming * fastest
+    found = found and solve_in_joint_space(s, a, links.n, NEARBY, 0.0)
+    unpack_contacts(links, c, a)
     for i in range(3 * k):
         if c.problem.form[i // 3] != OFF:
             change = max(change, abs(c.problem.after[i] - c.before[i]))
     return bool(found and change > LEAST_CHANGE * fastest)
 
 
-# Length of the step, s; the residual, of the largest, that impulses may have which long sweeps have found.
-SPAN, NEAR = 2e-5, 1e-6
-# Impulses of contacts that are wedged have no bound, and are in balance only where the bodies are: so many times what
-# is asked for, they move bodies that turn within the step by a part in a thousand.
-MOST_IMPULSE = 1e3
-# Shares of friction that are tried where even so no impulses are found.
-LESS_FRICTION = (0.5, 0.25, 0.0)
+# Length of the step, s.
+SPAN = 2e-5
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 TIME_STEP = 10.0
 
@@ -127,23 +112,21 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
     if c.step.in_vain == 0.0 and stop_at_once(links, c):
         c.step.at_once, c.step.struck = 1.0, time
         return OK
-    for i in range(3 * k):
-        c.F[i], c.problem.q[i], c.before[i] = 0.0, c.before[i] + SPAN * c.a[i], c.u[i]
-    if not find_with_less_friction(c, k):
+    for r in range(3 * k):
+        c.before[r], c.step.force[r] = c.u[r], 0.0
+    if not find_step(links, c, c.load, SPAN, math.inf):
         return PAINLEVE
     links.stepped, c.step.end = 1, time + SPAN
     told = False
     for i in range(k):
         at = 3 * i
-        for j in range(at, at + 3):
-            c.step.force[j] = c.F[j] / SPAN
         c.event.happened[i], c.friction.start_slip[i] = 0.0, 0.0
         if c.friction.pulls[i] != 0.0:
             continue
         if is_resistance(c, i):
             c.mode[i] = mode_of_resistance(c, i)
             continue
-        mode = PRESSED if c.F[at] > 0.0 else FREE  # what sticks after the step is found then
+        mode = PRESSED if c.step.force[at] > 0.0 else FREE  # what sticks after the step is found then
         c.event.happened[i] = happened_to(c, i, mode)
         if mode == FREE and c.problem.form[i] != OFF:
             c.gaps.cleared[i], c.gaps.floor[i] = 0.0, min(c.located[at], 0.0)
@@ -168,53 +151,3 @@ def write_forms(links: ContactLinks, c: Contacts) -> None:
             c.problem.form[i] = form_of_resistance(c, i, CONE)
         elif touches(links, c, i):
             c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
-
-
-@kernel
-def find_with_less_friction(c: Contacts, k: int) -> bool:
-    """Do `find_impulses`, if need be with all μ lessened by one factor, and return whether there is a solution.
-
-    Without friction there is one: the problem is convex. A step that follows on another begins with the factor of that.
-    """
-    for i in range(k):
-        c.scratch.mu[i] = c.mu[i]
-    cut = c.step.friction_cut
-    found = find_with_share(c, k, 1.0 - cut)
-    for share in LESS_FRICTION:
-        if not found and share < 1.0 - cut:
-            found = find_with_share(c, k, share)
-            c.step.friction_cut = 1.0 - share
-    for i in range(k):
-        c.mu[i] = c.scratch.mu[i]
-    return found
-
-
-@kernel
-def find_with_share(c: Contacts, k: int, share: float) -> bool:
-    """Do `find_impulses` with so much of each μ in `scratch`."""
-    for i in range(k):
-        c.mu[i] = share * c.scratch.mu[i]
-        if c.problem.form[i] in (CONE, RAY):
-            c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
-        elif c.problem.form[i] != OFF:
-            c.problem.form[i] = DOUBLE if c.mu[i] > 0.0 else LINE
-    for i in range(3 * k):
-        c.F[i] = 0.0
-    return find_impulses(c, k)
-
-
-@kernel
-def find_impulses(c: Contacts, k: int) -> bool:
-    """Write the impulses F; return whether they were found."""
-    found = solve_contacts(c, k)
-    if not (found and bounded(c, k)):
-        sweep_long(c, k)
-        largest, asked = largest_mobility(c, k), size_of_q(c, k)
-        found = largest * c.problem.residual <= NEAR * max(asked, largest * force_size(c.F, 3 * k))
-    return bool(found and bounded(c, k))
-
-
-@kernel
-def bounded(c: Contacts, k: int) -> bool:
-    """Whether the impulses are not those of contacts that are wedged."""
-    return bool(largest_mobility(c, k) * force_size(c.F, 3 * k) <= MOST_IMPULSE * size_of_q(c, k))

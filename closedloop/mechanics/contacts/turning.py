@@ -15,8 +15,7 @@ the time BREAKING_AWAY, in which a slip that has just begun takes its direction.
 turns: friction is against the slip as it is. That of soft contacts rises with the slip there
 (`closedloop.mechanics.contacts.soft`).
 
-The work is bounded: so many turns, so many steps of Newton's method in all. What is not found by then is left: friction
-is then against the slip as it is.
+The work is bounded. What is not found by then is left: friction is then against the slip as it is.
 """
 
 from __future__ import annotations
@@ -28,20 +27,28 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.closed import solve_closed
-from closedloop.mechanics.contacts.complementarity import (
-    harden,
-    largest_mobility,
-    newton_step,
-    solve_from_here,
-    write_residuals,
-)
-from closedloop.mechanics.contacts.continuation import force_size
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, LINE, OFF, RAY, Contacts
-from closedloop.mechanics.contacts.mobility import pack, unpack, write_mobility
+from closedloop.mechanics.contacts.joint_space import (
+    FIRST,
+    MOST,
+    OWNED,
+    STICKS,
+    JointSpace,
+    differentiate,
+    solve_in_joint_space,
+    start_at_rest,
+)
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import PARTING
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
+from closedloop.mechanics.contacts.unknown_modes import (
+    add_motion,
+    force_size,
+    pack_contacts,
+    unpack_contacts,
+    write_motion,
+)
 
 # The time in which a slip that begins takes its direction where the integrator chooses its steps, s. What pulls a
 # rolling contact may turn faster than its slip grows: friction against the direction of the break-away alone would let
@@ -54,19 +61,12 @@ TURNS, SETTLED, STALLED = 20, 1e-11, 2
 SHORTER, SHORTEST = 0.25, 0.05
 # Forces that are so many times those with friction against the slip as it is have multiplied.
 MOST_GROWTH = 30.0
-# The coefficient of friction of contacts that stick here, whatever force that takes.
-HELD = 1e9
 # A force that is to stop a slip is inside the cone, not at its edge but for rounding, if it is no more than this share
 # of the largest.
 INSIDE = 1.0 - 1e-6
-# Rounds of the method that solves the problem, and its steps in all turns, solutions for one τ counted as steps.
-ROUNDS, MOST_STEPS = 3, 400
-# The residual, of the largest force, that a solution may have.
-NEAR = 1e-7
-
 
 @kernel
-def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, points: bool = False) -> int:
+def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, points: bool = False) -> int:
     """Turn the friction of slow slips to where they go in the step h, s, until it agrees with the forces.
 
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
@@ -78,6 +78,7 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, points: bool = F
     come back at once, again and again: friction is not turned until it has. `ends` says whether a slip ends within the
     step, `begins` is whether the step begins here.
     """
+    k = links.k
     c.problem.ends = 0.0  # what the beginning of a step decides counts in all its stages, once `save_contacts` keeps it
     for i in range(k if begins else 0):
         c.friction.next_against[i] = 0.0
@@ -86,16 +87,16 @@ def turn_and_solve(c: Contacts, k: int, h: float, begins: bool, points: bool = F
         return int(OK)
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
-    c.problem.points, c.problem.inner = (1.0, force_size(c.rigid, 3 * k)) if points else (0.0, 0.0)
-    c.problem.steps, last, stalled, longest, most = 0.0, math.inf, 0, h, MOST_GROWTH * force_size(c.rigid, 3 * k)
+    c.problem.points = 1.0 if points else 0.0
+    last, stalled, longest, most = math.inf, 0, h, MOST_GROWTH * force_size(c.rigid)
     for _ in range(TURNS):
-        change = turn_slips(c, k, h, begins)
+        change = turn_slips(links, c, h, begins)
         if change < 0.0 and begins and points and h > SHORTEST * longest:
             h *= SHORTER
             c.step.span = h
             if solve_closed(c, k) == OK:
                 continue
-        if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k) or force_size(c.rigid, 3 * k) > most:
+        if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k) or force_size(c.rigid) > most:
             break
         if begins and not points and presses_in(c, k):
             break
@@ -126,14 +127,12 @@ def some_pull(c: Contacts, k: int) -> bool:
 def presses_in(c: Contacts, k: int) -> bool:
     """Whether the forces press a contact in that has just parted, and hardly moves."""
     presses = False
+    write_motion(c, k, c.F)
     for i in range(k):
         n = 3 * i
         parted = c.mode[i] == FREE and c.near[i] != 0.0 and c.past_edge[i] == 0.0 and c.located[n] <= HOVERING
         if parted and c.soft[i] == 0.0 and c.friction.pulls[i] == 0.0 and abs(c.u[n]) <= PARTING:
-            growth = c.a[n]
-            for j in range(3 * k):
-                growth += c.W[n, j] * c.F[j]
-            presses = presses or growth < 0.0
+            presses = presses or c.a[n] + add_motion(c, n) < 0.0
     return bool(presses)
 
 
@@ -172,146 +171,115 @@ def level_of(c: Contacts, i: int) -> float:
 
 
 @kernel
-def turn_slips(c: Contacts, k: int, h: float, begins: bool) -> float:
+def turn_slips(links: ContactLinks, c: Contacts, h: float, begins: bool) -> float:
     """Write `along` of the contacts that slip slowly; return its largest change, of μ, negative if none was found."""
-    change, count = -1.0, pack_problem(c, k, h, False)
-    found = solve_within(c, count, 1.0 / h)
+    s, change, count = c.stepping, -1.0, pack_problem(links, c, h, False)
+    found = solve_within(links, c, count, 1.0 / h)
     if found and left_of_slips(c, count) < 0.0:
         c.problem.ends = 1.0
-    for i in range(count if found else 0):
-        c.scratch.best[3 * i], c.scratch.best[3 * i + 1] = trial_friction(c, i)
-    unpack_problem(c, k, count)
+    unpack_contacts(links, c, count)
     if found:
         change = 0.0
-    for j in range(count):
-        i = int(c.scratch.packed.contact[j])
-        if found and c.scratch.turned[i] != 0.0:
-            change = max(change, turn(c, i, c.scratch.best[3 * j], c.scratch.best[3 * j + 1], begins))
+    for j in range(count if found else 0):
+        i = int(s.number[j])
+        if c.scratch.turned[i] != 0.0:
+            x1, x2 = trial_friction(s, j)
+            change = max(change, turn(c, i, x1, x2, begins))
     return change
 
 
 @kernel
-def pack_problem(c: Contacts, k: int, h: float, ends: bool) -> int:
-    """Write the problem, see `set_problem`, packed, its q as `sought` too; return how many contacts it has."""
-    for i in range(k):
-        c.scratch.mu[i], c.scratch.start[3 * i + 2] = c.mu[i], c.problem.form[i]
-    set_problem(c, k, h, ends)
-    count = pack(c, k)
-    for r in range(3 * count):
-        c.scratch.sought[r] = c.problem.q[r]
-    return int(count)
-
-
-@kernel
-def unpack_problem(c: Contacts, k: int, count: int) -> None:
-    """Put back what `pack_problem` has written over, but for F."""
-    unpack(c, k, count)
-    for i in range(k):
-        c.mu[i], c.problem.form[i] = c.scratch.mu[i], int(c.scratch.start[3 * i + 2])
-
-
-@kernel
-def set_problem(c: Contacts, k: int, h: float, ends: bool) -> None:
-    """Write the forms of the problem, its coefficients of friction, and q but for the slips divided by τ.
+def pack_problem(links: ContactLinks, c: Contacts, h: float, ends: bool) -> int:
+    """Write the problem, its q but for the slips divided by τ as `sought` too; return how many contacts it has.
 
     Contacts whose slips end may part, or begin to slip: none is held.
     """
-    write_mobility(c, k)
+    s, k = c.stepping, links.k
+    write_motion(c, k, c.viscous)
     for i in range(k):
-        form = int(c.problem.form[i])
-        if slips_slowly(c, i, h):
+        c.scratch.mu[i], c.scratch.start[3 * i + 2] = c.mu[i], c.problem.form[i]
+        form, slow = int(c.problem.form[i]), slips_slowly(c, i, h)
+        c.scratch.turned[i] = 1.0 if slow else 0.0
+        for r in range(3 * i, 3 * i + 3 if form != OFF else 0):
+            c.problem.q[r] = c.a[r] - (c.b[r] if r == 3 * i or not slow else 0.0) - add_motion(c, r)
+        if slow:
             c.mu[i] = level_of(c, i)
-            c.scratch.turned[i], c.problem.form[i] = 1.0, CONE if ends and form == RAY else DOUBLE
-            continue
-        c.scratch.turned[i] = 0.0
-        if form in (CONE, DOUBLE) and not ends:
-            c.problem.form[i], c.mu[i] = DOUBLE, HELD
-        elif form == RAY and not ends:
-            c.problem.form[i] = LINE
-    for r in range(3 * k):
-        i = r // 3
-        if c.problem.form[i] == OFF:
-            continue
-        s = c.a[r] - (c.b[r] if r == 3 * i or c.scratch.turned[i] == 0.0 else 0.0)
-        for j in range(3 * k):
-            if c.viscous[j] != 0.0:
-                s -= c.W[r, j] * c.viscous[j]
-        c.problem.q[r] = s
-        c.F[r] += c.viscous[r]
-        if r > 3 * i and c.friction.shared[i] > 0.0:  # from here the feet of one body do not press against each other
-            c.F[r] *= 0.0
+            c.problem.form[i] = CONE if ends and form == RAY else DOUBLE
+        elif not ends and form != OFF:
+            c.problem.form[i] = DOUBLE if form in (CONE, DOUBLE) else LINE
+    count = pack_contacts(links, c)
+    for i in range(k):
+        c.mu[i], c.problem.form[i] = c.scratch.mu[i], int(c.scratch.start[3 * i + 2])
+    for i in range(count):
+        number = int(s.number[i])
+        if not ends and c.scratch.turned[number] == 0.0 and c.problem.form[number] in (CONE, DOUBLE):
+            s.tangent[i] = STICKS
+        for r in range(3):  # from here the feet of one body do not press against each other
+            kept = r == 0 or c.friction.shared[number] == 0.0
+            s.P[3 * i + r] = c.F[3 * number + r] + c.viscous[3 * number + r] if kept else 0.0
+            c.scratch.sought[3 * i + r] = s.q[3 * i + r]
+        if s.normal[i] == OWNED:
+            s.P[3 * i] = 0.0
+    return count
 
 
 @kernel
 def is_turned(c: Contacts, i: int) -> bool:
     """Whether packed contact i slips slowly."""
-    return bool(c.scratch.turned[int(c.scratch.packed.contact[i])] != 0.0)
+    return bool(c.scratch.turned[int(c.stepping.number[i])] != 0.0)
 
 
 @kernel
 def slip_of(c: Contacts, i: int) -> tuple[float, float]:
     """Return the slip of packed contact i, m/s: zero of one that is rounding, and has no direction."""
-    j = int(c.scratch.packed.contact[i])
+    j = int(c.stepping.number[i])
     u1, u2 = c.u[3 * j + 1], c.u[3 * j + 2]
     return (u1, u2) if c.friction.shared[j] > 0.0 or math.hypot(u1, u2) > STILL else (0.0 * u1, 0.0 * u2)
 
 
 @kernel
-def solve_within(c: Contacts, k: int, rate: float) -> bool:
-    """Solve the packed problem for τ = 1/`rate`; return whether that was possible."""
-    c.problem.steps += 1.0
-    if c.problem.steps > MOST_STEPS:
-        return False
+def solve_within(links: ContactLinks, c: Contacts, k: int, rate: float) -> bool:
+    """Solve the packed problem for τ = 1/`rate`; return whether that was possible.
+
+    Contacts of shapes wander, and forces that follow the last ones follow them: the shortest change their directions
+    from step to step, and contacts that have parted are pressed in again and again.
+    """
+    s, n = c.stepping, links.n
     for r in range(3 * k):
-        c.problem.q[r] = c.scratch.sought[r]
+        s.q[r] = c.scratch.sought[r]
     for i in range(k):
         if is_turned(c, i):
             u1, u2 = slip_of(c, i)
-            c.problem.q[3 * i + 1] += rate * u1
-            c.problem.q[3 * i + 2] += rate * u2
+            s.q[3 * i + 1] += rate * u1
+            s.q[3 * i + 2] += rate * u2
     drop_contradictions(c, k)
+    s.associated = 0.0
     if c.problem.points > 0.0:
-        # Contacts of shapes wander, and forces that follow the last ones follow them: the shortest
-        # change their directions from step to step, and contacts that have parted are pressed in again and again.
-        harden(c, k, c.problem.inner)
-    # q has the slips divided by τ: a residual that is small beside it may be large beside the forces.
-    if not solve_from_here(c, k, 0, ROUNDS, c.problem.inner) or not is_near(c, k):
+        start_at_rest(s, k, n)
+    if not solve_in_joint_space(s, k, n, FIRST if c.problem.points > 0.0 else MOST, 0.0):
         return False
-    if has_derivatives(c.F[0]):  # those of the solution follow by one step from its value
-        largest = largest_mobility(c, k)
-        write_residuals(c, k, c.F, largest)
-        newton_step(c, k, c.F, largest)
-        for r in range(3 * k):
-            c.F[r] += c.scratch.solution[0, r]
-        write_residuals(c, k, c.F, largest)
+    if has_derivatives(s.y[0]):
+        differentiate(s, k, n)
     return True
 
 
 @kernel
-def is_near(c: Contacts, k: int) -> bool:
-    """Whether the residual is small beside the forces, or those that are asked for but to end the slips."""
-    asked = force_size(c.scratch.sought, 3 * k) / largest_mobility(c, k)
-    return bool(c.problem.residual <= NEAR * max(asked, force_size(c.F, 3 * k)))
-
-
-@kernel
-def trial_friction(c: Contacts, i: int) -> tuple[float, float]:
+def trial_friction(s: JointSpace, i: int) -> tuple[float, float]:
     """Return F_t − ρ u_t of packed contact i, N: longer than μ|f|, and along its friction, while it slips."""
-    n = 3 * i
-    rho = 1.0 / (c.W[n + 1, n + 1] + c.W[n + 2, n + 2])
-    return c.F[n + 1] - rho * c.problem.after[n + 1], c.F[n + 2] - rho * c.problem.after[n + 2]
+    n, rho = 3 * i, 1.0 / s.mobility[i]
+    return s.P[n + 1] - rho * s.u[n + 1], s.P[n + 2] - rho * s.u[n + 2]
 
 
 @kernel
 def left_of_slips(c: Contacts, k: int) -> float:
     """Return by which share |F_t − ρ u_t| is above μ|f| where that is least: negative once a slip has ended."""
-    least = math.inf
+    s, least = c.stepping, math.inf
     for i in range(k):
         u1, u2 = slip_of(c, i)
-        own = c.friction.shared[int(c.scratch.packed.contact[i])] == 0.0  # the others' slips end by themselves
+        own = c.friction.shared[int(s.number[i])] == 0.0  # the others' slips end by themselves
         if own and is_turned(c, i) and math.hypot(u1, u2) > 0.0:
-            x1, x2 = trial_friction(c, i)
-            least = min(least, math.hypot(x1, x2) / (c.mu[i] * abs(c.F[3 * i]) + 1e-300) - 1.0)
+            x1, x2 = trial_friction(s, i)
+            least = min(least, math.hypot(x1, x2) / (s.mu[i] * abs(s.P[3 * i]) + 1e-300) - 1.0)
     return float(least)
 
 
@@ -351,7 +319,7 @@ SEARCHES, WIDER, ON_EDGE, BESIDE_EDGE = 30, 4.0, 1e-12, 1e-8
 
 
 @kernel
-def stop_slips(c: Contacts, k: int, h: float) -> float:
+def stop_slips(links: ContactLinks, c: Contacts, h: float) -> float:
     """Return the time after which the first of several slow slips ends, s, if in this step; else infinity.
 
     Until then constant forces, `TimeStep.force`, act as in a time step (`closedloop.mechanics.contacts.time_step`):
@@ -360,13 +328,13 @@ def stop_slips(c: Contacts, k: int, h: float) -> float:
     """
     if c.problem.ends == 0.0:
         return math.inf
+    k = links.k
     for r in range(3 * k):
         c.before[r] = c.F[r]
-    count, rate = pack_problem(c, k, h, True), 0.0 * h
-    c.problem.steps = 0.0
-    if count > 1 and solve_within(c, count, 1.0 / h):
-        rate = shorten(c, count, h)
-    unpack_problem(c, k, count)
+    count, rate = pack_problem(links, c, h, True), 0.0 * h
+    if count > 1 and solve_within(links, c, count, 1.0 / h):
+        rate = shorten(links, c, count, h)
+    unpack_contacts(links, c, count)
     for i in range(k):
         if c.problem.form[i] != OFF and not is_resistance(c, i):
             put_into_cone(c, i)
@@ -389,7 +357,7 @@ def put_into_cone(c: Contacts, i: int) -> None:
 
 
 @kernel
-def shorten(c: Contacts, k: int, h: float) -> float:
+def shorten(links: ContactLinks, c: Contacts, k: int, h: float) -> float:
     """Return 1/τ of the τ at which the first slip ends just then, s⁻¹, within the step; zero if that was not found."""
     low, at_low = 1.0 / h, left_of_slips(c, k)
     if not at_low < 0.0:
@@ -397,7 +365,7 @@ def shorten(c: Contacts, k: int, h: float) -> float:
     high, at_high = low, at_low
     for _ in range(SEARCHES):
         high *= WIDER
-        if not solve_within(c, k, high):
+        if not solve_within(links, c, k, high):
             return 0.0 * low
         at_high = left_of_slips(c, k)
         if at_high >= 0.0:
@@ -408,7 +376,7 @@ def shorten(c: Contacts, k: int, h: float) -> float:
     rate, side = high, 0
     for _ in range(SEARCHES if at_high > ON_EDGE else 0):  # the method of Illinois
         rate = (low * at_high - high * at_low) / (at_high - at_low)
-        if not solve_within(c, k, rate):
+        if not solve_within(links, c, k, rate):
             return 0.0 * low
         now = left_of_slips(c, k)
         if abs(now) <= ON_EDGE or high - low <= ON_EDGE * high:
@@ -417,11 +385,11 @@ def shorten(c: Contacts, k: int, h: float) -> float:
             low, at_low, at_high, side = rate, now, at_high * (0.5 if side < 0 else 1.0), -1
         else:
             high, at_high, at_low, side = rate, now, at_low * (0.5 if side > 0 else 1.0), 1
-    return settle(c, k, rate) if has_derivatives(rate) else rate
+    return settle(links, c, k, rate) if has_derivatives(rate) else rate
 
 
 @kernel
-def settle(c: Contacts, k: int, rate: float) -> float:
+def settle(links: ContactLinks, c: Contacts, k: int, rate: float) -> float:
     """Return the 1/τ that was found with its derivatives, s⁻¹, and solve the problem there once more.
 
     A search that ends at an end of its bracket, as where friction is on its edge at once, has found none. Its equation
@@ -429,13 +397,13 @@ def settle(c: Contacts, k: int, rate: float) -> float:
     """
     beside = (1.0 + BESIDE_EDGE) * sought(rate)
     for r in range(3 * k):
-        c.path.point[r] = c.F[r]
-    if not solve_within(c, k, along(beside)):
+        c.scratch.best[r] = c.stepping.P[r]
+    if not solve_within(links, c, k, along(beside)):
         return 0.0 * rate
     slope = slope_of(left_of_slips(c, k))
     for r in range(3 * k):
-        c.F[r] = c.path.point[r]
-    if not solve_within(c, k, beside):
+        c.stepping.P[r] = c.scratch.best[r]
+    if not solve_within(links, c, k, beside):
         return 0.0 * rate
     rate = settled(sought(rate), left_of_slips(c, k), slope)
-    return rate if solve_within(c, k, rate) else 0.0 * rate
+    return rate if solve_within(links, c, k, rate) else 0.0 * rate

@@ -12,7 +12,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.complementarity import ROUNDS, harden, solve_from_here
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, make_contact_memory
-from closedloop.mechanics.contacts.time_step import begin_time_step
+from closedloop.mechanics.contacts.time_step import SPAN, begin_time_step
 
 
 def test_contacts_that_are_open_change_nothing_of_the_others():
@@ -199,7 +199,7 @@ def enumerated(c, k):
 
 @pytest.mark.parametrize("beside", [False, True])
 def test_a_fast_open_contact_does_not_bound_the_impulses_of_a_wedged_one(beside):
-    """514 N s hold a slip of 12 mm/s still, as W is nearly singular: no time step takes them, whatever flies by."""
+    """514 N s hold a slip of 12 mm/s still, as W is nearly singular: a time step takes few, whatever flies by."""
     memory = make_contact_memory(3, 2)
     links, c = memory
     W = [[0.5105807, -0.4828146, -0.9420861], [-0.4828146, 1.0794550, -0.3059244], [-0.9420861, -0.3059244, 4.0378380]]
@@ -209,8 +209,9 @@ def test_a_fast_open_contact_does_not_bound_the_impulses_of_a_wedged_one(beside)
     c.mu[:], c.mode[0], c.located[3] = 0.7704, PRESSED, 1.0
     c.u[:3], c.u[3:] = [-8.1e-8, -8.95e-3, -7.98e-3], 50.0 * beside
     c.a[:3] = [-2.229, -11.816, -14.29]
+    c.load[:] = np.linalg.solve(c.X[:3], c.a[:3])
     c.step.struck = 0.3  # after an impact that was in vain
     assert interpreted(begin_time_step)(links, c, 0.3) == OK
-    assert 0.0 < c.step.force[0] < 1e3
+    assert 0.0 < SPAN * c.step.force[0] < 5.0
     assert not np.any(c.step.force[3:])
     assert c.mode[1] == FREE

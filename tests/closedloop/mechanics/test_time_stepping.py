@@ -7,7 +7,7 @@ from random_contacts import random_bodies
 
 import closedloop as cl
 from closedloop.jit.kernel import entry_kernel
-from closedloop.mechanics.contacts.joint_space import FIRST, IN_CONE, solve_in_joint_space
+from closedloop.mechanics.contacts.joint_space import FIRST, IN_CONE, PUSHES, solve_in_joint_space
 from closedloop.mechanics.contacts.memory import contacts_at, make_contact_memory
 from validation.speed.scenes import scenario_of
 
@@ -31,7 +31,7 @@ def test_impulses_keep_cones_and_complementarity():
         k, n = len(X) // 3, X.shape[1]
         memory = make_contact_memory(n, k)
         s, mu = memory.contacts.stepping, rng.choice([0.0, 0.2, 0.5, 1.0], size=k)
-        s.kind[:], s.mu[:], s.first[:], s.end[:], s.X[:], s.q[:] = IN_CONE, mu, 0, n, X, X @ v
+        s.normal[:], s.tangent[:], s.mu[:], s.first[:], s.end[:], s.X[:], s.q[:] = PUSHES, IN_CONE, mu, 0, n, X, X @ v
         s.mobility[:], s.asked = np.max(np.sum(X * X, axis=1).reshape(k, 3), axis=1), np.max(np.abs(X @ v))
         if not solve_at(memory.address):
             continue

@@ -3,9 +3,9 @@
 import numpy as np
 
 from closedloop.jit.kernel import entry_kernel
-from closedloop.mechanics.contacts.unknown_modes import solve_contacts
 from closedloop.mechanics.contacts.impact import apply_impulses
 from closedloop.mechanics.contacts.memory import CONE, contacts_at, make_contact_memory
+from closedloop.mechanics.contacts.unknown_modes import solve_contacts
 
 
 @entry_kernel
@@ -13,13 +13,6 @@ def solve_at(address):
     """Solve the problem in a memory of contacts."""
     links, c = contacts_at(address)
     return 1 if solve_contacts(links, c) else 0
-
-
-@entry_kernel
-def quick_at(address):
-    """Solve it by the quick method alone."""
-    links, c = contacts_at(address)
-    return 0
 
 
 @entry_kernel
@@ -56,7 +49,7 @@ def filled(rng, planar):
     k, n = len(X) // 3, X.shape[1]
     memory = make_contact_memory(n, k)
     c = memory.contacts
-    c.X[:], c.W[:], c.u[:], c.problem.q[:] = X, X @ X.T, X @ v, X @ v
+    c.X[:], c.u[:], c.problem.q[:] = X, X @ v, X @ v
     c.mu[:], c.problem.form[:], c.restitution[:] = (
         rng.choice([0.0, 0.2, 0.5, 1.0], size=k),
         CONE,
@@ -67,7 +60,7 @@ def filled(rng, planar):
 
 def faults(c, k):
     """What complementarity and cone are off, relative to the largest force and velocity."""
-    F, u = c.F.reshape(k, 3), (c.problem.q + c.W @ c.F).reshape(k, 3)
+    F, u = c.F.reshape(k, 3), (c.problem.q + c.X @ (c.X.T @ c.F)).reshape(k, 3)
     force, speed = np.max(np.abs(F)) + 1e-300, np.max(np.abs(c.problem.q)) + 1e-300
     slip = np.hypot(u[:, 1], u[:, 2])
     cone = max(np.max(np.hypot(F[:, 1], F[:, 2]) - c.mu * F[:, 0]), np.max(-F[:, 0])) / force

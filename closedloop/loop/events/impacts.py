@@ -19,7 +19,6 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import friction_of_impact
 from closedloop.mechanics.contacts.impact import own_rest_speed
 from closedloop.mechanics.contacts.memory import contacts_at
-from closedloop.mechanics.contacts.mobility import own_mobility
 from closedloop.mechanics.impact import CUT as ENERGY_CUT
 from closedloop.mechanics.impact import ImpactWork, energy_lost, impact
 
@@ -88,9 +87,8 @@ def collide(address: int) -> None:
     state, constants, w = loop_at(address)
     if state.coupled != 0:
         links, c = contacts_at(state.contacts.at)
-        own_mobility(c, state.striking, c.scratch.slope)
         mu, rest = friction_of_impact(links, c, state.striking), own_rest_speed(c, state.striking, constants.rest_speed)
-        strike_surface(c.scratch.slope, mu, rest, w, constants, state)
+        strike_surface(c.S[state.striking], mu, rest, w, constants, state)
         return
     strike_surface(w.tip.S, constants.impact_friction, constants.rest_speed, w, constants, state)
 

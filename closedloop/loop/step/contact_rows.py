@@ -20,10 +20,10 @@ from closedloop.mechanics.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.mechanics.contacts.edges import write_edge_rows
 from closedloop.mechanics.contacts.friction import take_states, write_delayed
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, joints_of, joints_rub
-from closedloop.mechanics.contacts.mobility import own_mobilities, write_mobility
+from closedloop.mechanics.contacts.mobility import own_mobilities
 from closedloop.mechanics.contacts.modes import near, touches
 from closedloop.mechanics.contacts.resistance import is_resistance
-from closedloop.mechanics.contacts.resistance_rows import tie_resistances, write_resistances
+from closedloop.mechanics.contacts.resistance_rows import write_resistances
 from closedloop.mechanics.contacts.rolling import (
     APART,
     OWN_STEP,
@@ -44,7 +44,7 @@ from closedloop.mechanics.surface.geometry import Touch
 
 @kernel
 def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> int:
-    """Write rows, mobility and free acceleration of the contacts, and what the stabiliser asks for.
+    """Write rows, own mobility and free acceleration of the contacts, and what the stabiliser asks for.
 
     Those of a contact that is open, and not about to close, are zero: it costs its gap.
 
@@ -61,7 +61,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     c.past_edge[0] = state.past_edge
     c.inside[0] = w.tip.inside if state.surface.entry != 0 else math.inf
     for j in range(n):
-        c.load[j] = w.y[j]
+        c.load[j] = c.pushed[j] = w.y[j]
     for i in range(links.joints):
         if is_resistance(c, i):
             takes_part = c.near[int(c.friction.resistance.owner[i])] != 0.0
@@ -71,7 +71,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
             write_mobility_rows(c, i, takes_part, w, state)
         c.near[i] = 1.0 if takes_part else 0.0
     if state.settings.time_stepping == 0:
-        write_mobilities(links, c)
+        own_mobilities(c, links.joints)
     for i in range(links.joints):
         for j in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
             off = c.located[j]
@@ -85,17 +85,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     write_delayed(c, w.time, constants.h, state.row - 1)
     if state.settings.time_stepping == 0:
         write_soft_forces(links, c)
-        tie_resistances(links, c)
     return int(OK)
-
-
-@kernel
-def write_mobilities(links: ContactLinks, c: Contacts) -> None:
-    """Write W, beside its diagonal where that is changed."""
-    own_mobilities(c, links.k)
-    # Soft contacts and resistances change W beside its diagonal.
-    if links.compliances != 0 or links.joints > links.points + links.stops:
-        write_mobility(c, links.k)
 
 
 @kernel
@@ -188,8 +178,8 @@ def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) 
             c.size[r] = 0.0
             if i > 0:
                 c.a[r] = c.drift[r]
-            for j in range(c.W.shape[0]):
-                c.W[r, j], c.W[j, r] = 0.0, 0.0
+            for j in range(3):
+                c.S[i, r - at, j] = 0.0
         return
     group = end if i == 0 else first
     while group < end:
@@ -330,7 +320,7 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
 
         q̇/h + q̈        so that |F_t| <= d, and F_t holds the joint at the end of a step, or is against its motion
 
-    the condition of `closedloop.loop.step.joint_friction`. Its normal row is its own, as that of a soft contact.
+    the condition of `closedloop.loop.step.joint_friction`. Its normal force is known, as that of a soft contact.
     """
     first, n = links.joints, links.n
     if not joints_rub(links):
@@ -351,27 +341,14 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             leave_free(bound, loops, row_of(c.X, at + 1))
         c.a[at + 1], c.size[at + 1] = rate_along(constants, joint, w.v) / constants.h, 0.0
         for m in range(n):
-            c.a[at + 1] += c.X[at + 1, m] * c.load[m]
+            c.a[at + 1] += c.X[at + 1, m] * c.pushed[m]
             c.size[at + 1] += abs(c.X[at + 1, m] * c.load[m])
+        c.known[i] = w.joint_friction.limit[i - first]
     if state.settings.time_stepping != 0:
         for i in range(first, links.k):
-            c.u[3 * i + 1], c.step.limit[i] = rate_along(constants, i - first, w.v), w.joint_friction.limit[i - first]
-        return
-    write_mobility(c, links.k)
-    for i in range(first, links.k):
-        t = 3 * i + 1
-        for r in range(3 * links.k):
-            s = 0.0
-            for m in range(n):
-                s += c.X[t, m] * c.X[r, m]
-            c.W[t, r], c.W[r, t] = s, s
-        own = max(c.W[t, t], 0.0)
-        c.W[t - 1, t - 1], c.a[t - 1] = own, -own * w.joint_friction.limit[i - first]
-    for i in range(first):  # whose normal force is known: it moves the joints, and its row stays its own
-        f = -c.a[3 * i] / c.W[3 * i, 3 * i] if c.soft[i] != 0.0 and c.W[3 * i, 3 * i] > 0.0 else 0.0
-        for r in range(3 * first, 3 * links.k if c.soft[i] != 0.0 else 0):
-            c.a[r] += c.W[r, 3 * i] * f
-            c.W[3 * i, r], c.W[r, 3 * i] = 0.0, 0.0
+            c.u[3 * i + 1] = rate_along(constants, i - first, w.v)
+    else:
+        own_mobilities(c, links.k)
 
 
 @kernel
@@ -383,5 +360,3 @@ def forget_joints(links: ContactLinks, c: Contacts) -> None:
             c.F[r], c.a[r] = 0.0, 0.0
             for m in range(links.n):
                 c.X[r, m] = 0.0
-            for m in range(3 * links.k):
-                c.W[r, m], c.W[m, r] = 0.0, 0.0

@@ -143,7 +143,8 @@ def contacts_in_step(address: int, what: int) -> int:
             if links.shapes != 0:
                 rest_on_feet(links, c)
         elif status == PAINLEVE and links.fresh == 0:
-            status = begin_time_step(links, c, w.time)
+            status = OK
+            begin_time_step(links, c, w.time)
         forget_joints(links, c)
         move(links, c, w)
         put_at_stops(links, c, w, constants)
@@ -180,7 +181,7 @@ def close_contacts(links: ContactLinks, c: Contacts, w: Work, rates: bool) -> No
             for j in range(at, at + (3 if held else 1)):
                 size = max(size, abs(c.before[j]))
     links.moved = 1 if size > CLOSED else 0
-    stopping_impulses(c, k)
+    stopping_impulses(links, c)
     answer(links, c, w)
 
 
@@ -200,7 +201,7 @@ def answer_torque(links: ContactLinks, c: Contacts, w: Work) -> None:
             ):  # f of a soft one follows its depth, which a torque does not change at once
                 for j in range(links.n):
                     c.before[r] += c.X[r, j] * w.scratch.column[j]
-    stopping_impulses(c, links.k)
+    stopping_impulses(links, c)
     for i in range(3 * links.k):
         for j in range(links.n):
             w.scratch.column[j] += c.X[i, j] * c.F[i]
@@ -229,7 +230,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
         kinds_of_modes(links, c)
         if state.settings.adaptive != 0:
             let_friction_rise(c, k)
-        status = solve_closed(c, k)
+        status = solve_closed(links, c)
         if (
             c.problem.form[0] == LINE
             and c.rigid[0] < 0.0
@@ -239,7 +240,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 -c.problem.along[0, 0],
                 -c.problem.along[0, 1],
             )  # of a contact that pulls friction is μ|f|
-            status = solve_modes(c, k)
+            status = solve_modes(links, c)
         begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
         points = fixed and links.shapes == 0
         if status == OK:
@@ -435,7 +436,7 @@ def force_over_load(links: ContactLinks, c: Contacts) -> float:
     for i in range(links.points + links.stops):
         for j in range(3 * i, 3 * i + 3 if c.soft[i] == 0.0 and c.mode[i] != FREE else 0):
             largest, asked = max(largest, abs(c.rigid[j])), max(asked, abs(c.a[j]))
-            most = max(most, c.W[j, j])
+            most = max(most, c.S[i, j % 3, j % 3])
         if c.mode[i] == PRESSED and c.mu[i] > 0.0:
             slides = 1.0
     return float(slides * largest * most / asked) if asked > 0.0 else 0.0

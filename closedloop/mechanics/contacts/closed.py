@@ -6,22 +6,21 @@ from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import pressed_force, stuck_force
 from closedloop.mechanics.closure.solve import OK
-from closedloop.mechanics.contacts.given_modes import solve_modes
-from closedloop.mechanics.contacts.memory import OFF, RAY, Contacts
-from closedloop.mechanics.contacts.mobility import own_mobility
+from closedloop.mechanics.contacts.given_modes import is_known, solve_modes
+from closedloop.mechanics.contacts.memory import OFF, RAY, ContactLinks, Contacts
 
 
 @kernel
-def solve_closed(c: Contacts, k: int) -> int:
+def solve_closed(links: ContactLinks, c: Contacts) -> int:
     """Write F, `rigid` and `rounding` in the present modes: of one contact by its closed form, else of all."""
     alone = -1
-    for i in range(k):
+    for i in range(links.k):
         if c.problem.form[i] != OFF:
             if alone >= 0 or c.friction.pulls[i] != 0.0:
-                return int(solve_modes(c, k))
+                return int(solve_modes(links, c))
             alone = i
-    if alone < 0 or not solve_one(c, k, alone):
-        return int(solve_modes(c, k))
+    if alone < 0 or is_known(links, c, alone) or not solve_one(c, links.k, alone):
+        return int(solve_modes(links, c))
     return int(OK)
 
 
@@ -29,8 +28,7 @@ def solve_closed(c: Contacts, k: int) -> int:
 def solve_one(c: Contacts, k: int, i: int) -> bool:
     """Do `solve_modes` for contact i, the only one closed, by the closed form of the tip, where there is one."""
     at, asked = 3 * i, 0.0
-    S, a, b, F, rigid = c.scratch.slope, c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
-    own_mobility(c, i, S)
+    S, a, b, F, rigid = c.S[i], c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
     for j in range(3 * k):
         c.F[j], c.rigid[j] = 0.0, 0.0
     if c.problem.form[i] == RAY:

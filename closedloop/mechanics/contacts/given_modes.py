@@ -1,8 +1,19 @@
 """Forces where it is known which contacts are free, slide or stick: linear equations, as long as no mode ends.
 
 A contact that sticks has the three rows u̇ = b, one that slides u̇_n = b_n with F = f (1, −μ d), one that pulls as well
-u̇_n = b_n with F_t = −c f − w. Rows that depend on others are found at run time; the forces are then not unique, and
-those of least norm are taken (`closedloop.mechanics.contacts.least_norm`).
+u̇_n = b_n with F_t = −c f − w. With these rows R of X = L⁻¹Gᵀ, what the unknowns x do to the joints, y = Cᵀ x, obeys
+
+    R y = s,     s = b − a
+
+Rows that depend on others are found at run time: y is then that of the span of R, of least squares where the rows
+contradict each other by rounding. Forces are then not unique, and those of least norm are taken, xᵀ D x with D the
+squares of what the unknowns stand for:
+
+    y = (RᵀR)⁻¹ Rᵀ s,     x = D⁻¹ C z,     CᵀD⁻¹C z = y
+
+These are equations of the joints alone, however many contacts there are. Elimination keeps to what is not zero: bodies
+on each other couple neighbours. Where the shortest are outside the cones the shortest inside are taken, if there are
+any (`closedloop.mechanics.contacts.least_norm`).
 """
 
 from __future__ import annotations
@@ -10,31 +21,42 @@ from __future__ import annotations
 import math
 
 from closedloop.base.arrays import Array
+from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.mechanics.contacts.friction import slide, write_limits
 from closedloop.mechanics.contacts.least_norm import least_norm
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
-from closedloop.mechanics.contacts.mobility import write_mobility
+from closedloop.mechanics.contacts.memory import (
+    CONE,
+    DOUBLE,
+    LINE,
+    OFF,
+    RAY,
+    SPRING_STICK,
+    ContactLinks,
+    Contacts,
+    GivenModes,
+    joints_of,
+)
+from closedloop.mechanics.contacts.mobility import added, write_motion
 from closedloop.mechanics.contacts.resistance import (
     add_turning,
-    has_resistance,
     is_resistance,
     mode_of_resistance,
-    moved_by_turning,
-)
-from closedloop.mechanics.contacts.shortest import (
-    CONTRADICTS,
-    SAME_ROW,
-    independent_rows,
-    shortest_solutions,
-    solve_any_rank,
+    resistance_of,
+    square_of_turning,
+    turns_with,
 )
 from closedloop.mechanics.contacts.soft import write_shared
-from closedloop.mechanics.contacts.sticking import all_stick, shortest_sticking
-from closedloop.mechanics.loops.solve import orthonormal_rows
+from closedloop.mechanics.loops.solve import orthonormal_basis
 
+# A pivot below this share of its diagonal is rounding: rows depend on each other; so does one of which less than the
+# second share is beyond their span. Rows that ask for more than the third beyond what the others give contradict them:
+# points of one body that stick contradict each other by the square of what a step's error leaves of their velocity.
+SAME_ROW, SAME_DIRECTION, CONTRADICTS = 1e-10, 1e-5, 1e-3
+# How often equations are solved for what is left of them; the share at which they are, and that which may be left.
+REFINEMENTS, EXACT, NEARLY_EXACT = 5, 1e-13, 1e-9
 # What is outside its cone by no more than this share of `rounding` is at its edge; by no more than so many times
 # `rounding` it is neither outside nor pulls.
 ON_EDGE, NEARLY = 1e-3, 10.0
@@ -68,78 +90,287 @@ def kinds_of_modes(links: ContactLinks, c: Contacts) -> None:
 
 
 @kernel
-def solve_modes(c: Contacts, k: int, inside: bool = True) -> int:
+def is_known(links: ContactLinks, c: Contacts, i: int) -> bool:
+    """Whether the normal force of contact i is known: of a soft surface, or what stands for the friction of a joint."""
+    return bool(c.soft[i] != 0.0 or i >= links.joints)
+
+
+@kernel
+def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
     """Write `rigid`, the force of the contacts in their modes, F with the stabiliser's part, and `rounding`.
 
-    X, W, a, size, b, viscous, kind and along are read. Forces that are not unique are those of least norm inside the
-    cones, if there are such. Where only the motion that they make is of use, `inside` is False: no cones are looked at.
+    X, a, size, b, viscous, known, form and along are read. Forces that are not unique are those of least norm inside
+    the cones, if there are such. Where only the motion that they make is of use, `inside` is False: no cones are looked
+    at.
 
-    Returns OK; SINGULAR: the rows contradict each other; PAINLEVE: the only contact slides so that a larger force
-    pulls it in.
+    Returns OK; SINGULAR: the rows contradict each other, or rounding is in the way; PAINLEVE: the only contact slides
+    so that a larger force pulls it in.
     """
-    most = 0.0
-    for i in range(3 * k):
-        c.rigid[i] = 0.0 - c.viscous[i]  # not -0.0
-        c.F[i] = c.rigid[i]
-        most = max(most, c.W[i, i])
-    p = list_unknowns(c, k, most)
+    k, g, most, asked = links.k, c.given, 0.0, 0.0
+    for i in range(k):
+        for r in range(3):
+            most = max(most, c.S[i, r, r] if c.problem.form[i] != OFF else 0.0)
+    write_known(links, c)
+    p = list_unknowns(links, c, most)
     c.problem.rounding = 0.0
     if p == 0:
         return OK
-    if p == 1 and pulled_in(c, int(c.scratch.unknown[0]) // 3):
+    if p == 1 and pulled_in(c, int(g.row[0]) // 3):
         return PAINLEVE
-    asked = shortest_sticking(c, p) if all_stick(c, k, p) else 0.0 * most - 1.0
-    found, shared = asked >= 0.0, False
+    write_motion(c, k, c.rigid)
+    for q in range(p):
+        row = int(g.row[q])
+        g.left[0, q] = -c.a[row] - added(c, row)
+        g.left[1, q] = g.left[0, q] + c.b[row]
+        asked = max(asked, c.size[row] + abs(c.b[row]))
+    write_rows(c, p)
+    found = moved_joints(c, p, asked) and spread(c, p)
+    for q in range(p if found else 0):
+        add_unknown(c, int(g.row[q]), g.x[0, q], c.rigid)
+        add_unknown(c, int(g.row[q]), g.x[1, q], c.F)
     if not found:
-        asked = write_system(c, k, p)
-        rank = independent_rows(c, p)
-        found = shared = rank < p and shortest_solutions(c, p, rank, asked)
-    if found:
-        write_forces(c, p)
-        within = not inside or (inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F))
-        if within or shared:
-            if not within:
-                share_forces(c, k, p)
-            c.problem.rounding = rounding_of(c, k, asked / most)
-            return OK
-        for i in range(3 * k):
-            c.rigid[i] = 0.0 - c.viscous[i]
-            c.F[i] = c.rigid[i]
-        asked = write_system(c, k, p)
-    for i in range(p):
-        for j in range(p):
-            c.scratch.unknowns[i, j] = c.scratch.system[i, j]
-    rank = solve_any_rank(c.scratch.system, p, 2, c.scratch.column_order, c.scratch.solution, SAME_ROW)
-    write_forces(c, p)
-    if rank < p:
-        for i in range(p):
-            left = -c.scratch.sought[i]
-            for j in range(p):
-                left += c.scratch.unknowns[i, j] * c.scratch.solution[0, j]
-            if not abs(left) <= CONTRADICTS * asked:
-                return SINGULAR
-        if inside:
-            share_forces(c, k, p)
-    c.problem.rounding = rounding_of(c, k, asked / most)
+        return SINGULAR
+    if inside and p > g.rank and not (inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F)):
+        share_forces(c, k)
+    size = asked / most
+    for r in range(3 * k):
+        size = max(size, abs(c.rigid[r]))
+    c.problem.rounding = 1e-10 * size
     return OK
 
 
 @kernel
-def rounding_of(c: Contacts, k: int, asked: float) -> float:
-    """Return the force below which there is none, of those in `rigid` and the force that is asked for, N."""
-    size = asked
-    for i in range(3 * k):
-        size = max(size, abs(c.rigid[i]))
-    return 1e-10 * size
+def write_known(links: ContactLinks, c: Contacts) -> None:
+    """Write in `rigid` and F what is known of the forces: the normal force of soft contacts, with what goes with it."""
+    for r in range(3 * links.k):
+        c.rigid[r] = 0.0 - c.viscous[r]  # not -0.0
+    for i in range(links.k):
+        if is_known(links, c, i) and c.problem.form[i] != OFF:
+            add_unknown(c, 3 * i, c.known[i], c.rigid)
+    for r in range(3 * links.k):
+        c.F[r] = c.rigid[r]
 
 
 @kernel
-def write_forces(c: Contacts, p: int) -> None:
-    """Add to `rigid` and F what the unknowns in `solution` stand for."""
-    for j in range(p):
-        row = int(c.scratch.unknown[j])
-        add_unknown(c, row, c.scratch.solution[0, j], c.rigid)
-        add_unknown(c, row, c.scratch.solution[1, j], c.F)
+def list_unknowns(links: ContactLinks, c: Contacts, most: float) -> int:
+    """Write which rows an active contact has, 3 i + 0, 1, 2, and D⁻¹; those that no joint moves are left out."""
+    p, g = 0, c.given
+    for i in range(links.k):
+        if c.problem.form[i] == OFF:
+            continue
+        first, last, stuck = 0, 3, sticks(c, i)
+        if is_resistance(c, i) or is_known(links, c, i):
+            first = 1  # its normal force is its owner's, or known
+        if not stuck:
+            last = 1
+        for j in range(first, last):
+            if c.S[i, j, j] > IMMOBILE * 1e-6 * most:
+                square = 1.0
+                if not stuck:
+                    along = row_of(c.problem.along, i)
+                    square += along[0] * along[0] + along[1] * along[1]
+                if j == 0:
+                    square += square_of_turning(c, i)
+                g.row[p], g.weight[p], g.plain[p] = 3 * i + j, 1.0 / square, 1.0 if square == 1.0 else 0.0
+                p += 1
+    return p
+
+
+@kernel
+def write_rows(c: Contacts, p: int) -> None:
+    """Write R and C of p unknowns, as they are, or along an orthonormal basis of R where this has fewer than n."""
+    g, n, slides = c.given, c.X.shape[1], False
+    for q in range(p):
+        row = int(g.row[q])
+        i = row // 3
+        first, end = joints_of(c, i)
+        g.first[q], g.end[q] = first, end
+        of, to, column = row_of(c.X, row), row_of(g.R, q), row_of(g.C, q)
+        for j in range(first, end):
+            to[j] = column[j] = of[j]
+        if g.plain[q] == 0.0:
+            slides = True
+            if not sticks(c, i):
+                add_tangents(c, column, i, i)
+            for which in range(2):
+                s = resistance_of(c, i, which)
+                if row % 3 == 0 and turns_with(c, s):
+                    add_tangents(c, column, s, i)
+    g.rank, g.slides = n, 1.0 if slides else 0.0
+    if p >= n and factor(g, g.factor, g.R, p, n, False):
+        return
+    for q in range(p):
+        for j in range(n):
+            g.basis[q, j] = g.R[q, j] if g.first[q] <= j < g.end[q] else 0.0
+    g.rank = orthonormal_basis(g.basis, p, n, SAME_DIRECTION)
+    for q in range(p):
+        project(g, row_of(g.R, q), q)
+        project(g, row_of(g.C, q), q)
+        g.first[q], g.end[q] = 0, g.rank
+
+
+@kernel
+def add_tangents(c: Contacts, column: Array, s: int, i: int) -> None:
+    """Add to the column of contact i what tangents of contact s, itself or its resistance, do with its force."""
+    first, end = joints_of(c, i)
+    c1, c2, x1, x2 = c.problem.along[s, 0], c.problem.along[s, 1], row_of(c.X, 3 * s + 1), row_of(c.X, 3 * s + 2)
+    for j in range(first, end):
+        column[j] -= c1 * x1[j] + c2 * x2[j]
+
+
+@kernel
+def project(g: GivenModes, row: Array, q: int) -> None:
+    """Replace row q of R or of C by its components along the basis."""
+    first, end = int(g.first[q]), int(g.end[q])
+    for m in range(int(g.rank)):
+        of, s = row_of(g.basis, m), 0.0
+        for j in range(first, end):
+            s += row[j] * of[j]
+        g.along[m] = s
+    for m in range(int(g.rank)):
+        row[m] = g.along[m]
+
+
+@kernel
+def factor(g: GivenModes, M: Array, A: Array, p: int, n: int, weighted: bool) -> bool:
+    """Write Cholesky's factor of AᵀA, or of AᵀD⁻¹A, and where it is not zero; return False if it is singular.
+
+    It stands below the diagonal and above it; on it are the reciprocals.
+    """
+    for i in range(n):
+        g.begins[i], g.until[i] = i, i + 1
+    for q in range(p):
+        first, end = int(g.first[q]), int(g.end[q])
+        for j in range(first, end):
+            g.begins[j], g.until[j] = min(g.begins[j], first), max(g.until[j], end)
+    for i in range(n):
+        row = row_of(M, i)
+        for j in range(int(g.begins[i]), i + 1):
+            row[j] = 0.0
+    for q in range(p):
+        x, first, end = row_of(A, q), int(g.first[q]), int(g.end[q])
+        for i in range(first, end):
+            share, to = x[i] * (g.weight[q] if weighted else 1.0), row_of(M, i)
+            for j in range(first, i + 1):
+                to[j] += share * x[j]
+    for j in range(n):  # column by column: the entries of one do not wait for each other
+        of = row_of(M, j)
+        square = whole = of[j]
+        for t in range(int(g.begins[j]), j):
+            square -= of[t] * of[t]
+        if not square > SAME_ROW * whole:
+            return False
+        of[j] = 1.0 / math.sqrt(square)
+        for i in range(j + 1, int(g.until[j])):
+            row, begin, left = row_of(M, i), int(g.begins[i]), 0.0
+            if begin <= j:
+                left = row[j]
+                for t in range(max(begin, int(g.begins[j])), j):
+                    left -= row[t] * of[t]
+                left *= of[j]
+                row[j] = left
+            of[i] = left
+    return True
+
+
+@kernel
+def solve_factored(g: GivenModes, M: Array, n: int) -> None:
+    """Overwrite both rows of `change` with M⁻¹ of them."""
+    a, b = row_of(g.change, 0), row_of(g.change, 1)
+    for i in range(n):
+        row = row_of(M, i)
+        x, y = a[i] * row[i], b[i] * row[i]
+        a[i], b[i] = x, y
+        for t in range(i + 1, int(g.until[i])):
+            a[t] -= row[t] * x
+            b[t] -= row[t] * y
+    for i in range(n - 1, -1, -1):
+        row = row_of(M, i)
+        x, y = a[i] * row[i], b[i] * row[i]
+        a[i], b[i] = x, y
+        for t in range(int(g.begins[i]), i):
+            a[t] -= row[t] * x
+            b[t] -= row[t] * y
+
+
+@kernel
+def moved_joints(c: Contacts, p: int, asked: float) -> bool:
+    """Write y of both right-hand sides, `left`, as `moved`; return whether R y agrees with them."""
+    g, n = c.given, int(c.given.rank)
+    if n < c.X.shape[1] and not factor(g, g.factor, g.R, p, n, False):
+        return False
+    size_a, size_b, worst = largest_of(g.left, 0, p), largest_of(g.left, 1, p), 0.0
+    for j in range(n):
+        g.moved[0, j], g.moved[1, j] = 0.0, 0.0
+    for _ in range(REFINEMENTS):
+        for j in range(n):
+            g.change[0, j], g.change[1, j] = 0.0, 0.0
+        for q in range(p):
+            row, a, b = row_of(g.R, q), g.left[0, q], g.left[1, q]
+            for j in range(int(g.first[q]), int(g.end[q])):
+                g.change[0, j] += a * row[j]
+                g.change[1, j] += b * row[j]
+        solve_factored(g, g.factor, n)
+        for j in range(n):
+            g.moved[0, j] += g.change[0, j]
+            g.moved[1, j] += g.change[1, j]
+        for q in range(p):
+            row, a, b = row_of(g.R, q), g.left[0, q], g.left[1, q]
+            for j in range(int(g.first[q]), int(g.end[q])):
+                a -= row[j] * g.change[0, j]
+                b -= row[j] * g.change[1, j]
+            g.left[0, q], g.left[1, q] = a, b
+        before, worst_a, worst_b = worst, largest_of(g.left, 0, p), largest_of(g.left, 1, p)
+        worst = max(worst_a, worst_b)
+        if (worst_a <= EXACT * size_a and worst_b <= EXACT * size_b) or 0.5 * before < worst <= before:
+            break  # or they contradict each other, by as much
+    return bool(worst <= CONTRADICTS * asked)
+
+
+@kernel
+def largest_of(rows: Array, side: int, p: int) -> float:
+    """Return the size of the largest of the first p numbers of a row."""
+    most = 0.0
+    for q in range(p):
+        most = max(most, abs(rows[side, q]))
+    return most
+
+
+@kernel
+def spread(c: Contacts, p: int) -> bool:
+    """Write the shortest x with Cᵀ x = y, of both rows of `moved`; return whether they are exact, but for rounding."""
+    g, n = c.given, int(c.given.rank)
+    M = g.factor
+    if g.slides != 0.0:
+        M = g.other
+        if not factor(g, M, g.C, p, n, True):
+            return False
+    size_a, size_b, worst = largest_of(g.moved, 0, n), largest_of(g.moved, 1, n), math.inf
+    for q in range(p):
+        g.x[0, q], g.x[1, q] = 0.0, 0.0
+    for j in range(n):
+        g.change[0, j], g.change[1, j] = g.moved[0, j], g.moved[1, j]
+    for _ in range(REFINEMENTS):
+        solve_factored(g, M, n)
+        for q in range(p):
+            row, a, b = row_of(g.C, q), 0.0, 0.0
+            for j in range(int(g.first[q]), int(g.end[q])):
+                a += row[j] * g.change[0, j]
+                b += row[j] * g.change[1, j]
+            g.x[0, q] += g.weight[q] * a
+            g.x[1, q] += g.weight[q] * b
+        for j in range(n):
+            g.change[0, j], g.change[1, j] = g.moved[0, j], g.moved[1, j]
+        for q in range(p):
+            row, a, b = row_of(g.C, q), g.x[0, q], g.x[1, q]
+            for j in range(int(g.first[q]), int(g.end[q])):
+                g.change[0, j] -= a * row[j]
+                g.change[1, j] -= b * row[j]
+        worst_a, worst_b = largest_of(g.change, 0, n), largest_of(g.change, 1, n)
+        worst = max(worst_a / size_a if size_a > 0.0 else worst_a, worst_b / size_b if size_b > 0.0 else worst_b)
+        if worst <= EXACT:
+            break
+    return bool(worst <= NEARLY_EXACT)
 
 
 @kernel
@@ -157,11 +388,11 @@ def inside_cones(c: Contacts, k: int, F: Array) -> bool:
 
 
 @kernel
-def share_forces(c: Contacts, k: int, p: int) -> None:
+def share_forces(c: Contacts, k: int) -> None:
     """Replace `rigid` and F, which are not unique, by the shortest that do the same; soft contacts keep theirs."""
     m = 3 * k
-    span_rows(c, k, p)
-    take_soft_out(c, k)
+    span_rows(c, k)
+    take_known_out(c, k)
     for i in range(m):
         c.scratch.trial[i] = c.F[i] - c.rigid[i]
         c.problem.after[i] = c.scratch.trial[i]
@@ -173,11 +404,11 @@ def share_forces(c: Contacts, k: int, p: int) -> None:
         least_norm(c, k, c.F, False)
         for i in range(m):
             c.F[i] += c.rigid[i] + c.viscous[i]
-    put_soft_back(c, k)
+    put_known_back(c, k)
 
 
 @kernel
-def take_soft_out(c: Contacts, k: int) -> None:
+def take_known_out(c: Contacts, k: int) -> None:
     """Keep the forces and the form of soft contacts, and let these be open."""
     for i in range(k):
         c.scratch.mu[i] = c.problem.form[i]
@@ -189,8 +420,8 @@ def take_soft_out(c: Contacts, k: int) -> None:
 
 
 @kernel
-def put_soft_back(c: Contacts, k: int) -> None:
-    """Write the forces and the form of soft contacts that `take_soft_out` has kept."""
+def put_known_back(c: Contacts, k: int) -> None:
+    """Write the forces and the form of soft contacts that `take_known_out` has kept."""
     for i in range(k):
         for r in range(3 * i, 3 * i + 3 if c.soft[i] != 0.0 else 0):
             c.rigid[r], c.F[r] = c.scratch.residuals[r], c.problem.q[r]
@@ -252,66 +483,71 @@ def share_inside(c: Contacts, i: int) -> float:
 @kernel
 def pulled_in(c: Contacts, i: int) -> bool:
     """Whether contact i, alone, slides so that a larger force does not push it out."""
-    at = 3 * i
-    own = c.W[at, at] - c.W[at, at + 1] * c.problem.along[i, 0] - c.W[at, at + 2] * c.problem.along[i, 1]
-    own += moved_by_turning(c, at, i)
-    return bool(
-        c.problem.form[i] == RAY and not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2])
-    )
+    S, row, own = c.S[i], row_of(c.X, 3 * i), 0.0
+    first, end = joints_of(c, i)
+    own = S[0, 0] - S[0, 1] * c.problem.along[i, 0] - S[0, 2] * c.problem.along[i, 1]
+    for which in range(2):
+        s = resistance_of(c, i, which)
+        for j in range(first, end if turns_with(c, s) else first):
+            turned = c.X[3 * s + 1, j] * c.problem.along[s, 0] + c.X[3 * s + 2, j] * c.problem.along[s, 1]
+            own -= row[j] * turned
+    return bool(c.problem.form[i] == RAY and not own > 1e-12 * (S[0, 0] + S[1, 1] + S[2, 2]))
 
 
 @kernel
-def span_rows(c: Contacts, k: int, p: int) -> None:
-    """Write in `Y` what of X the p equations of the unknowns see, in an orthonormal basis of their rows.
+def span_rows(c: Contacts, k: int) -> None:
+    """Write in `Y` what of X the equations see, in the basis of their rows.
 
     Forces with the same Yᵀ F give the rows the same acceleration. They move the tree alike too, unless a contact
     slides: the friction of contacts that share a normal force otherwise is another.
     """
-    n, has_friction = c.X.shape[1], False
-    for i in range(k):
-        slides = c.problem.along[i, 0] != 0.0 or c.problem.along[i, 1] != 0.0
-        has_friction = has_friction or (c.problem.form[i] != OFF and slides)
-    rank = n
-    if has_friction:
-        for r in range(p):
-            for j in range(n):
-                c.scratch.basis[r, j] = c.X[int(c.scratch.unknown[r]), j]
-        rank = orthonormal_rows(c.scratch.basis, p, c.scratch.column_order, c.scratch.unknowns, c.scratch.sought)
+    g, n = c.given, c.X.shape[1]
+    whole = g.rank == n or g.slides == 0.0
     for i in range(3 * k):
-        off = c.problem.form[i // 3] == OFF
+        first, end = joints_of(c, i // 3)
         for j in range(n):
-            c.scratch.Y[i, j] = 0.0 if has_friction or off else c.X[i, j]
-        for r in range(rank if has_friction and not off else 0):
-            for j in range(n):
-                c.scratch.Y[i, r] += c.X[i, j] * c.scratch.basis[r, j]
+            c.scratch.Y[i, j] = 0.0
+        if c.problem.form[i // 3] == OFF:
+            continue
+        for j in range(first if whole else 0, end if whole else 0):
+            c.scratch.Y[i, j] = c.X[i, j]
+        for m in range(0 if whole else int(g.rank)):
+            for j in range(first, end):
+                c.scratch.Y[i, m] += c.X[i, j] * g.basis[m, j]
 
 
 @kernel
-def stopping_impulses(c: Contacts, k: int) -> None:
+def stopping_impulses(links: ContactLinks, c: Contacts) -> None:
     """Write in F the impulses that take the velocities `before` along the rows of the kinds; none if there are none."""
-    for i in range(3 * k):
-        c.problem.q[i], c.problem.after[i] = c.viscous[i], c.a[i]
-        c.a[i], c.b[i], c.viscous[i] = c.before[i], 0.0, 0.0
-    status = solve_modes(c, k, False)
-    for i in range(3 * k):
-        c.a[i], c.viscous[i] = c.problem.after[i], c.problem.q[i]
-        c.F[i] = c.rigid[i] if status == OK else 0.0
+    k = links.k
+    for r in range(3 * k):
+        c.problem.q[r], c.problem.after[r] = c.viscous[r], c.a[r]
+        c.a[r], c.b[r], c.viscous[r] = c.before[r], 0.0, 0.0
+    for i in range(k):
+        c.scratch.mu[i], c.known[i] = c.known[i], 0.0
+    status = solve_modes(links, c, False)
+    for r in range(3 * k):
+        c.a[r], c.viscous[r] = c.problem.after[r], c.problem.q[r]
+        c.F[r] = c.rigid[r] if status == OK else 0.0
+    for i in range(k):
+        c.known[i] = c.scratch.mu[i]
 
 
 @kernel
-def stop(links: ContactLinks, c: Contacts, k: int) -> bool:
+def stop(links: ContactLinks, c: Contacts) -> bool:
     """Do `stopping_impulses` and write `after`; return False where impulses are far larger than the little they stop.
 
     Rows of shapes that hardly differ, as of edges that cross beside a corner, are then moved by opposite impulses.
     Impulses and speeds are compared as roots of energies, so that those of a row count alike in all its units.
     """
-    stopping_impulses(c, k)
+    stopping_impulses(links, c)
+    k = links.k
     write_after(c, k)
     moves, before, most = 0.0, 0.0, 0.0
     for i in range(k):
         if c.problem.form[i] != OFF:
             for r in range(3 * i, 3 * i + (3 if sticks(c, i) else 1)):
-                moves, root = max(moves, abs(c.before[r])), math.sqrt(c.W[r, r])
+                moves, root = max(moves, abs(c.before[r])), math.sqrt(c.S[i, r % 3, r % 3])
                 before = max(before, abs(c.before[r]) / root if root > 0.0 else 0.0)
                 most = max(most, abs(c.F[r]) * root)
     return bool(links.shapes == 0 or moves > NEGLIGIBLE or most <= MOST_IMPULSE * before)
@@ -320,12 +556,9 @@ def stop(links: ContactLinks, c: Contacts, k: int) -> bool:
 @kernel
 def write_after(c: Contacts, k: int) -> None:
     """Write in `after` the velocities u⁺ = u⁻ + W P that the impulses in F leave of `before`."""
-    write_mobility(c, k)
-    for i in range(3 * k):
-        s = c.before[i]
-        for j in range(3 * k):
-            s += c.W[i, j] * c.F[j]
-        c.problem.after[i] = s
+    write_motion(c, k, c.F)
+    for r in range(3 * k):
+        c.problem.after[r] = c.before[r] + added(c, r)
 
 
 @kernel
@@ -339,23 +572,6 @@ def energy_gained(c: Contacts, k: int) -> float:
 
 
 @kernel
-def list_unknowns(c: Contacts, k: int, most: float) -> int:
-    """Write which rows an active contact has: 3 i + 0, 1, 2; those that no joint moves are left out."""
-    p = 0
-    for i in range(k):
-        if c.problem.form[i] == OFF:
-            continue
-        first, last = 0, 3 if sticks(c, i) else 1
-        if is_resistance(c, i):
-            first, last = 1, last if last == 3 else 1  # its normal force is its owner's
-        for j in range(first, last):
-            if c.W[3 * i + j, 3 * i + j] > IMMOBILE * 1e-6 * most:
-                c.scratch.unknown[p] = 3 * i + j
-                p += 1
-    return p
-
-
-@kernel
 def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
     """Add what an unknown stands for to a force: a component of one that sticks, f of one that slides."""
     force[row] += value
@@ -365,34 +581,3 @@ def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
     if not sticks(c, i):
         force[row + 1] -= c.problem.along[i, 0] * value
         force[row + 2] -= c.problem.along[i, 1] * value
-
-
-@kernel
-def write_system(c: Contacts, k: int, p: int) -> float:
-    """Write the equations of the unknowns with −a and b on the right; return the size of the terms on the right."""
-    write_mobility(c, k)
-    asked, slides, viscous = 0.0, False, False
-    W, S, unknown = c.W, c.scratch.system, c.scratch.unknown
-    for q in range(p):
-        i = int(unknown[q]) // 3
-        slides = slides or not sticks(c, i) or has_resistance(c, i)
-    for j in range(3 * k):
-        viscous = viscous or c.viscous[j] != 0.0
-    for r in range(p):
-        row, s = int(unknown[r]), 0.0
-        for j in range(3 * k if viscous else 0):
-            if c.viscous[j] != 0.0:
-                s -= W[row, j] * c.viscous[j]
-        for q in range(p):
-            S[r, q] = W[row, int(unknown[q])]
-        for q in range(p if slides else 0):
-            column = int(unknown[q])
-            i = column // 3
-            if not sticks(c, i):
-                S[r, q] -= W[row, column + 1] * c.problem.along[i, 0] + W[row, column + 2] * c.problem.along[i, 1]
-            if column % 3 == 0:
-                S[r, q] += moved_by_turning(c, row, i)
-        c.scratch.sought[r] = -c.a[row] - s
-        S[r, p], S[r, p + 1] = c.scratch.sought[r], c.scratch.sought[r] + c.b[row]
-        asked = max(asked, c.size[row] + abs(c.b[row]))
-    return asked

@@ -2,12 +2,12 @@
 
     u⁺ = u⁻ + W P,     P ∈ K,     u⁺_n + e u⁻_n >= 0,     P_n (u⁺_n + e u⁻_n) = 0
 
-with friction against u⁺_t: the problem of `closedloop.mechanics.contacts.complementarity` for q = u⁻ + e u⁻_n n (J. J.
+with friction against u⁺_t: the problem of `closedloop.mechanics.contacts.unknown_modes` for q = u⁻ + e u⁻_n n (J. J.
 Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988). Contacts that were closed already take part with e =
 0. Newton's law with friction can create energy (T. R. Kane, 1984), and where contacts are opposite each other, as of a
 wedge, there need not be velocities that all e allow: then all e of the impact are lessened by one factor, until there
-are impulses and they create none. With e = 0 there always are (`closedloop.mechanics.contacts.continuation`), and they
-never do.
+are impulses and they create none. With e = 0 there always are (V. Acary, F. Cadoux, C. Lemaréchal and J. Malick, ZAMM
+91, 2011), and they never do.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
     if fastest > RESTING:
         for i in range(3 * k):
             c.scratch.residuals[i], c.scratch.start[i], c.before[i] = c.F[i], c.before[i], c.problem.after[i]
-        stopped = stop(links, c, k)
+        stopped = stop(links, c)
         for i in range(3 * k):
             c.F[i] = c.F[i] + c.scratch.residuals[i] if stopped else c.scratch.residuals[i]
             c.before[i] = c.scratch.start[i]
@@ -155,9 +155,9 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
         if c.event.struck[i] != 0.0 and links.chattering == 0 and bounce >= slowest_rebound(links, c, i, rest_speed):
             c.problem.q[3 * i] -= bounce
     if share > 0.0:
-        found = solve_contacts(links, c, MOST_IMPULSE)
+        found = solve_contacts(links, c, 0.0, MOST_IMPULSE)
     else:
-        solve_impulses(links, c)
+        solve_impulses(links, c, 0.0)
     write_after(c, k)
     return found
 

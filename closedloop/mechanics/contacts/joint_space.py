@@ -1,7 +1,7 @@
 """Contact impulses in joint space: as many unknowns as the tree has joints, however many contacts there are.
 
 With X = L⁻¹Gᵀ of the contacts that take part and u = q + X y, y = Xᵀ P, the problem is that of
-`closedloop.mechanics.contacts.complementarity`. A round of the proximal point method (R. T. Rockafellar, SIAM J.
+`closedloop.mechanics.contacts.unknown_modes`. A round of the proximal point method (R. T. Rockafellar, SIAM J.
 Control Optim. 14, 1976) from P° solves
 
     P = the nearest in K to P° − ρ (u + μ|u_t| n),     y = Xᵀ P
@@ -35,7 +35,7 @@ ROUNDS, NEWTON_STEPS, HALVINGS = 40, 30, 12
 # The residual, as a share of the largest velocity that is asked for, at which impulses are found; rounding leaves MOST
 # times its own share. What a round may leave of its equations, as a share of the residual before it.
 # Where rows hardly differ it falls slowly: then the second is enough, and after all rounds the third.
-FOUND, SLOW, NEAR, LEFT = 1e-9, 1e-6, 1e-4, 0.1
+FOUND, SLOW, NEAR, LEFT, LEFT_EXACTLY = 1e-9, 1e-6, 1e-4, 0.1, 1e-6
 # Rounds that give what is found its derivatives.
 DERIVATIVES = 4
 # Steps from the associated problem, which is convex, to that of Coulomb's friction.
@@ -59,6 +59,8 @@ class JointSpace(Block, sizes=("n", "k")):
     P: Annotated[Array, 3 * K]  # in: where to start; out: impulses, N s
     u: Annotated[Array, 3 * K]  # m/s, with them
     mobility: Annotated[Array, K]  # the largest of each contact, 1/kg
+    largest: float  # of all, 1/kg
+    alike: float  # 1 if all contacts have the same ρ
     trial: Annotated[Array, 3 * K]
     slope: Annotated[Array, K, 3, 3]  # ∂Π
     along: Annotated[Array, K, 2]  # ∂(μ|u_t|)/∂u_t; of an owned one ∂P_t/∂P_n of its owner
@@ -171,13 +173,19 @@ def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
 
 
 @kernel
+def rho_of(s: JointSpace, i: int, stiffness: float) -> float:
+    """Return ρ of contact i, kg: of its own mobility, or of the largest, for nearly the shortest of all impulses."""
+    return float(stiffness / (s.largest if s.alike != 0.0 else s.mobility[i]))
+
+
+@kernel
 def write_off(s: JointSpace, a: int, n: int, stiffness: float, y: Array) -> float:
     """Write y − Xᵀ Π at y, Π in `trial` and its slopes; return the square of what is off."""
     for j in range(n):
         s.off[j] = y[j]
     for i in range(a):
         write_speed(s, i, y)
-        respond(s, i, stiffness / s.mobility[i], s.trial)
+        respond(s, i, rho_of(s, i, stiffness), s.trial)
         p0, p1, p2 = s.trial[3 * i], s.trial[3 * i + 1], s.trial[3 * i + 2]
         if p0 == 0.0 and p1 == 0.0 and p2 == 0.0:
             continue
@@ -233,10 +241,10 @@ def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> No
             M[j, m] = 0.0
         M[j, j] = 1.0
     for i in range(a):
-        add_rows(s, i, i, stiffness / s.mobility[i])
+        add_rows(s, i, i, rho_of(s, i, stiffness))
         if s.normal[i] == OWNED:
             owner = int(s.given[i])
-            add_rows(s, i, owner, stiffness / s.mobility[owner])
+            add_rows(s, i, owner, rho_of(s, owner, stiffness))
     eliminate(M, x, n)
 
 
@@ -311,7 +319,7 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: fl
         before = s.residual
         if not s.residual < math.inf:
             return False
-        do_round(s, a, n, stiffness)
+        do_round(s, a, n, stiffness, LEFT if wanted > 0.0 else LEFT_EXACTLY)
         stiffness = min(GROWTH * stiffness, MOST)
     s.residual = residual_of(s, a, n)
     return bool(s.residual <= (NEAR if wanted == FOUND else FOUND))
@@ -321,14 +329,15 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: fl
 def find_exactly(s: JointSpace, a: int, n: int) -> bool:
     """Write P and u of the a contacts but for rounding; return whether they are found: nearly all are.
 
-    From no impulses; and, where Newton's method does not come from there, along the solutions of problems that lie
-    between the associated one, which is convex, and that of Coulomb's friction.
+    From no impulses, with the ρ of all and with their own; and, where Newton's method does not come from there, along
+    the solutions of problems that lie between the associated one, which is convex, and that of Coulomb's friction.
     """
-    s.associated = 0.0
+    s.associated, s.alike = 0.0, 1.0
     for attempt in range(2):
         start_at_rest(s, a, n)
         if solve_in_joint_space(s, a, n, FIRST if attempt == 0 else 1.0, 0.0):
             return True
+        s.alike = 0.0
     start_at_rest(s, a, n)
     s.associated = 1.0
     solve_in_joint_space(s, a, n, FIRST, FOUND)
@@ -381,7 +390,7 @@ def solve_softly(s: JointSpace, a: int, n: int) -> bool:
 
     This is one round from P = 0, which has one solution, whatever the rows.
     """
-    s.associated = 1.0
+    s.associated, s.alike = 1.0, 0.0
     for r in range(3 * a):
         s.P[r] = 0.0
     s.residual = FOUND  # the round is to leave as little
@@ -391,12 +400,12 @@ def solve_softly(s: JointSpace, a: int, n: int) -> bool:
 
 
 @kernel
-def do_round(s: JointSpace, a: int, n: int, stiffness: float) -> None:
+def do_round(s: JointSpace, a: int, n: int, stiffness: float, leaves: float = LEFT) -> None:
     """Do a round of the proximal point method: write the P that is nearest, from P, and y and u of it."""
     most = 0.0
     for i in range(a):
         most = max(most, s.mobility[i])
-    left = LEFT * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
+    left = leaves * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
     square = write_off(s, a, n, stiffness, s.y)
     for _ in range(NEWTON_STEPS):
         if square <= left * left:

@@ -16,11 +16,10 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.contacts.complementarity import into_cone
+from closedloop.mechanics.contacts.joint_space import eliminate
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, Contacts
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.shared_cone import add_shared_slope, nearest_shared
-from closedloop.mechanics.contacts.shortest import solve_any_rank, subtract
 
 # Newton steps; what may be left of the sum, of its size, when it is found, and if that was all that could be had.
 STEPS, FOUND, NEAR, HALVINGS = 60, 1e-14, 1e-11, 30
@@ -42,7 +41,7 @@ def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
     for j in range(n):
         size = max(size, abs(c.scratch.sum[j]))
     for i in range(m):
-        scale = max(scale, c.W[i, i])
+        scale = max(scale, c.S[i // 3, i % 3, i % 3])
     if not size > 0.0 or not scale > 0.0:
         for i in range(m):
             force[i] = -c.viscous[i]
@@ -142,7 +141,6 @@ def newton(c: Contacts, k: int, spans: bool, scale: float) -> None:
         for i in range(n):
             S[j, i] = 0.0
         S[j, j] = 1e-11 * scale
-        S[j, n] = c.scratch.solution[1, j]
     for i in range(k):
         if c.problem.form[i] == OFF or is_resistance(c, i):
             continue
@@ -160,10 +158,8 @@ def newton(c: Contacts, k: int, spans: bool, scale: float) -> None:
                         if x[j] != 0.0:
                             subtract(row_of(S, j), -d * x[j], y, n)
     for j in range(n):
-        c.scratch.sum_trial[j] = c.scratch.solution[1, j]
-    solve_any_rank(S, n, 1, c.scratch.column_order, c.scratch.solution, 0.0)
-    for j in range(n):
-        c.scratch.solution[1, j] = c.scratch.sum_trial[j]
+        c.scratch.solution[0, j] = c.scratch.solution[1, j]
+    eliminate(S, row_of(c.scratch.solution, 0), n)
 
 
 @kernel
@@ -204,3 +200,24 @@ def write_slope(c: Contacts, i: int, spans: bool) -> bool:
         D[0, j] *= sense
         D[j, 0] *= sense
     return True
+
+
+@kernel
+def into_cone(F: Array, mu: float) -> None:
+    """Replace F (3,) by the nearest point of the cone |F_t| <= μ f."""
+    f, size = F[0], math.hypot(F[1], F[2])
+    if size <= mu * f:
+        return
+    if mu * size <= -f:
+        F[0], F[1], F[2] = 0.0, 0.0, 0.0
+        return
+    f = (f + mu * size) / (1.0 + mu * mu)
+    F[0], F[1], F[2] = f, mu * f * F[1] / size, mu * f * F[2] / size
+
+
+@kernel
+def subtract(x: Array, share: float, y: Array, p: int) -> None:
+    """Subtract from the first p numbers of x a share of those of y."""
+    if share != 0.0:
+        for j in range(p):
+            x[j] -= share * y[j]

@@ -22,8 +22,6 @@ from closedloop.mechanics.contacts.joint_space import JointSpace
 from closedloop.mechanics.loops.memory import LoopMemory
 
 N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
-# The contacts of which W is held: all, or none where each step is solved in joint space.
-D = Count.of("dense")
 
 # Kinds of a contact in a problem: without force; that slides in a known direction, F = f (1, −μ d) with f >= 0; inside
 # Coulomb's cone; and of those that also pull one with F = f (1, −c), and one with |F_t| <= μ|f|.
@@ -49,7 +47,6 @@ class ContactLinks(Block):
     compliances: int  # address of the same of the compliance of each, 0 of a rigid one; 0: all are rigid
     shapes: int  # address of the memory of their shapes, see `closedloop.mechanics.contacts.rolling`; 0: all are points
     frictions: int  # and of the law of friction of each, 0 of Coulomb's μ; 0: all have that
-    dense: int  # of how many W is held, k or 0
     past: int  # speeds of slip that are kept of each, see `closedloop.mechanics.contacts.friction.delayed_speed`
     moved: int  # 1 if a projection found something to move
     raised: int  # 1 once a user's member has raised something
@@ -72,16 +69,9 @@ class Problem(Block, sizes=("k",)):
     along: Annotated[Array, K, 2]  # F_t = −along f − viscous of a RAY or a LINE
     q: Annotated[Array, 3 * K]
     after: Annotated[Array, 3 * K]  # u⁺
-    diagonal: Annotated[Array, 3 * K]  # of W, where contacts give way
-    given_q: Annotated[Array, 3 * K]  # and q
     rounding: float  # force below which there is none, N
-    penalty: float  # see `closedloop.mechanics.contacts.complementarity`
-    residual: float  # of the last problem, N or N s
-    steps: float  # of the methods that solve it, counted where there is a limit to their number
-    inner: float  # N, see `closedloop.mechanics.contacts.complementarity.solve_from_here`
     points: float  # 1 if only points touch
     ends: float  # 1 if a slow slip ends within the step, see `closedloop.mechanics.contacts.turning`
-    whole: float  # 1 once W is written beside its diagonal
 
 
 class Moves(Block, sizes=("k",)):
@@ -124,76 +114,57 @@ class TimeStep(Block, sizes=("k",)):
     within: float  # the same of the substep under way
     force: Annotated[Array, 3 * K]  # N
     reach: float  # m, within which contacts are near
-    limit: Annotated[Array, K]  # of dry friction of joints, N m (N)
     struck: float  # when the last tangential impact was, s
     in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written
-    diagonal: Annotated[Array, 3 * K]  # of W, 1/kg, while it is sought
 
 
-class Path(Block, sizes=("k",)):
-    """The path of `closedloop.mechanics.contacts.continuation`: x, N, and log τ."""
+class GivenModes(Block, sizes=("n", "k")):
+    """What `closedloop.mechanics.contacts.given_modes` uses. Of two rows the second is with the stabiliser's part."""
 
-    point: Annotated[Array, 3 * K + 1]
-    trial: Annotated[Array, 3 * K + 1]
-    tangent: Annotated[Array, 3 * K + 1]
-    start: Annotated[Array, 3 * K]
-    scale: Annotated[Array, K]
-    force: Annotated[Array, 3 * K, 3]  # ∂F/∂x and ∂F/∂τ of each contact, and −∂z/∂x and ∂z/∂τ
-    force_rate: Annotated[Array, 3 * K]
-    gap: Annotated[Array, 3 * K, 3]
-    gap_rate: Annotated[Array, 3 * K]
-
-
-class Packed(Block, sizes=("k", "dense")):
-    """What `closedloop.mechanics.contacts.mobility` has overwritten, and which contacts it has put in front."""
-
-    contact: Annotated[Array, K]
-    mu: Annotated[Array, K]
-    form: Annotated[Array, K]
-    along: Annotated[Array, K, 2]
-    q: Annotated[Array, 3 * K]
-    W: Annotated[Array, 3 * D, 3 * D]
-
-
-class Sticking(Block, sizes=("n", "k")):
-    """What `closedloop.mechanics.contacts.sticking` uses. Of two rows the second is with the stabiliser's part."""
-
-    factor: Annotated[Array, N, N]  # L of M = L Lᵀ, below the diagonal and above it; on it the reciprocals
+    row: Annotated[Array, 3 * K]  # of each unknown
+    weight: Annotated[Array, 3 * K]  # D⁻¹
+    plain: Annotated[Array, 3 * K]  # 1 if its column is its row
+    first: Annotated[Array, 3 * K]  # of the columns of its R and C that are not zero
+    end: Annotated[Array, 3 * K]
+    R: Annotated[Array, 3 * K, N]
+    C: Annotated[Array, 3 * K, N]
+    basis: Annotated[Array, 3 * K, N]  # of the rows of R, where they are fewer than n
+    rank: float  # how many that has, or n
+    slides: float  # 1 if C is not R
+    factor: Annotated[Array, N, N]  # L of RᵀR
+    other: Annotated[Array, N, N]  # and of CᵀD⁻¹C
     begins: Annotated[Array, N]  # the first column of each row of L that is not zero
     until: Annotated[Array, N]  # the end of the rows of each column that are not
-    moved: Annotated[Array, 2, N]  # z
+    left: Annotated[Array, 2, 3 * K]
+    x: Annotated[Array, 2, 3 * K]
+    moved: Annotated[Array, 2, N]  # y
     change: Annotated[Array, 2, N]
-    rows_left: Annotated[Array, 2, 3 * K]
+    along: Annotated[Array, N]
 
 
-class ContactScratch(Block, sizes=("n", "k", "dense")):
+class ContactScratch(Block, sizes=("n", "k")):
     """What one kernel uses, and nothing outlives."""
 
     start: Annotated[Array, 3 * K]
-    system: Annotated[Array, 3 * D + N, 3 * D + N + 2]
-    column_order: Annotated[Array, 3 * K + N]
-    solution: Annotated[Array, 2, 3 * K + N]
+    system: Annotated[Array, N, N]
+    columns: Annotated[Array, N, 3 * K]
+    moved: Annotated[Array, N, 3 * K]
+    solution: Annotated[Array, 2, N]
     unknown: Annotated[Array, 3 * K]
-    unknowns: Annotated[Array, 3 * D, 3 * D]
-    basis: Annotated[Array, 3 * K, N]
     Y: Annotated[Array, 3 * K, N]
-    columns: Annotated[Array, 3 * D, 3 * D]
     multiples: Annotated[Array, 3 * K]
     mu: Annotated[Array, K]
     turned: Annotated[Array, K]  # 1 of a contact whose friction is turned
     residuals: Annotated[Array, 3 * K]
     trial: Annotated[Array, 3 * K]
     best: Annotated[Array, 3 * K]
-    closest: Annotated[Array, 3 * K]  # F that is off least, of what several methods have found
+    motion: Annotated[Array, N]  # see `closedloop.mechanics.contacts.mobility`
     multiplier: Annotated[Array, N]
     sum: Annotated[Array, N]
     sum_trial: Annotated[Array, N]
     sought: Annotated[Array, 3 * K]
     slope: Annotated[Array, 3, 3]
-    vector: Annotated[Array, 3]
-    packed: Packed
-    sticking: Sticking
 
 
 class Resistance(Block, sizes=("k",)):
@@ -230,7 +201,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     resistance: Resistance
 
 
-class Contacts(Block, sizes=("n", "k", "past", "dense")):
+class Contacts(Block, sizes=("n", "k", "past")):
     """What k contacts are, and what they are at a state of n joints; rows n, t1, t2 of each contact."""
 
     mu: Annotated[Array, K]  # of the cone in the present problem: `friction.limit`, or in an impact `friction.kinetic`
@@ -258,10 +229,12 @@ class Contacts(Block, sizes=("n", "k", "past", "dense")):
     b: Annotated[Array, 3 * K]  # what the stabiliser asks for, m/s²
     G: Annotated[Array, 3 * K, N]
     X: Annotated[Array, 3 * K, N]  # L⁻¹ Gᵀ, less what loops bind
-    W: Annotated[Array, 3 * D, 3 * D]  # X Xᵀ: the mobility, 1/kg; see `closedloop.mechanics.contacts.mobility`
+    S: Annotated[Array, K, 3, 3]  # mobility of each by itself, 1/kg
+    known: Annotated[Array, K]  # normal force, N: of a soft surface, or the limit of what stands for dry friction
     F: Annotated[Array, 3 * K]  # force, N, or impulse, N s
     rigid: Annotated[Array, 3 * K]  # the force without the stabiliser's part, N
     load: Annotated[Array, N]  # L⁻¹(Q − C), of the tree
+    pushed: Annotated[Array, N]  # and what soft contacts press with
     viscous: Annotated[Array, 3 * K]  # the part of the friction that does not depend on f, N
     before: Annotated[Array, 3 * K]
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)
@@ -271,7 +244,7 @@ class Contacts(Block, sizes=("n", "k", "past", "dense")):
     event: ContactEvent
     step: TimeStep
     stepping: JointSpace
-    path: Path
+    given: GivenModes
     scratch: ContactScratch
 
 
@@ -282,7 +255,7 @@ CONTACT_LINKS = ContactLinks.count()
 def contacts_at(address: int) -> tuple[ContactLinks, Contacts]:
     """Return the memory of the contacts, by the address of its `ContactLinks`."""
     links = ContactLinks(integers_at(address, CONTACT_LINKS))
-    return links, Contacts(vector_at(links.numbers, links.total), links.n, links.k, links.past, links.dense)
+    return links, Contacts(vector_at(links.numbers, links.total), links.n, links.k, links.past)
 
 
 @kernel_inlined
@@ -317,22 +290,20 @@ def make_contact_memory(
     joints: int = 0,
     past: int = 0,
     resistances: tuple[tuple[int, float, bool], ...] = (),
-    dense: bool = True,
 ) -> ContactMemory:
     """Return the memory of k contacts of a tree of n joints: points, `rows` of all but the first, stops, and joints.
 
     Of each the speeds of slip at `past` rows are kept. `resistances` has the contact, the arm, m, and whether it is to
-    pivoting, of those that stand before the joints. `dense`: whether W is held, which `stepping` does without.
+    pivoting, of those that stand before the joints.
     """
     links = ContactLinks(np.zeros(CONTACT_LINKS, dtype=np.int64))
-    contacts = Contacts(np.zeros(Contacts.count(n, k, past, k * dense)), n, k, past, k * dense)
+    contacts = Contacts(np.zeros(Contacts.count(n, k, past)), n, k, past)
     links.address, links.numbers, links.total = (
         address_of(links.memory),
         address_of(contacts.memory),
         contacts.memory.size,
     )
     links.n, links.k, links.stops, links.joints, links.past = n, k, stops, k - joints, past
-    links.dense = k * dense
     links.points = links.joints - stops - len(resistances)
     turns = contacts.friction.resistance
     turns.owner[:], turns.rolling[:], turns.pivoting[:] = -1.0, -1.0, -1.0

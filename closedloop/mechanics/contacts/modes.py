@@ -2,7 +2,7 @@
 
 Of the contacts that touch without velocity along the normal, those that slide have a direction, and those that do not
 are in Coulomb's cone, with the acceleration in place of the velocity (P. Lötstedt, SIAM J. Appl. Math. 42, 1982). The
-problem of `closedloop.mechanics.contacts.complementarity` says which of them part, which slide, and which stick.
+problem of `closedloop.mechanics.contacts.unknown_modes` says which of them part, which slide, and which stick.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from closedloop.mechanics.contacts.memory import (
     ContactLinks,
     Contacts,
 )
-from closedloop.mechanics.contacts.mobility import write_mobility
+from closedloop.mechanics.contacts.mobility import added, write_motion
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.soft import soft_gap, write_shared
 from closedloop.mechanics.contacts.unknown_modes import solve_contacts
@@ -87,12 +87,9 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     k = links.k
     write_limits(links, c)
     size = choose_kinds(links, c, slow)
-    write_mobility(c, k)
-    for i in range(3 * k):
-        c.F[i], c.problem.q[i] = 0.0, c.a[i]
-    for i in range(3 * k):
-        for j in range(3 * k):
-            c.problem.q[i] -= c.W[i, j] * c.viscous[j]
+    write_motion(c, k, c.viscous)
+    for r in range(3 * k):
+        c.F[r], c.problem.q[r] = 0.0, c.a[r] - added(c, r)
     found = solve_contacts(links, c)
     for i in range(k):  # friction of a contact that pulls is μ |f|
         if (
@@ -263,7 +260,7 @@ def remove_motion(links: ContactLinks, c: Contacts, k: int) -> int:
         c.friction.start_slip[i] = 0.0 if rests else math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
         c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
     write_before(c, k)
-    stopped = stop(links, c, k)
+    stopped = stop(links, c)
     for i in range(k if links.shapes != 0 else 0):  # those that part are not pressed in
         parts = c.problem.form[i] == OFF and c.near[i] != 0.0 and c.located[3 * i] <= TOUCHING and c.past_edge[i] == 0.0
         stopped = stopped and not (parts and -NEGLIGIBLE < c.problem.after[3 * i] < -RESTING <= c.before[3 * i])

@@ -6,11 +6,7 @@ With ω of one body relative to the other, and arms ρ and σ, m,
 
 (K. L. Johnson, Contact Mechanics, Cambridge 1985, §8.2 and 8.3; J. Szymanowski and others, for the set-valued law). It
 is Coulomb's law for the turning: at rest it holds what it can. Each is a contact of its own, of the speeds ρ ω_t and
-σ ω_n, m/s, with forces M/ρ and M/σ, N, and so with the coefficient 1. Its normal force is that of its owner: in the
-problems of several contacts its normal row is
-
-    u̇_n = w (F_n − f)        so that every method finds F_n = f
-
+σ ω_n, m/s, with forces M/ρ and M/σ, N, and so with the coefficient 1. Its normal force is that of its owner,
 and where modes are known its moment goes with the unknown f, as the friction of a contact that slides does.
 """
 
@@ -38,7 +34,7 @@ def has_resistance(c: Contacts, i: int) -> bool:
 def form_of_resistance(c: Contacts, s: int, form: int) -> int:
     """Return the form of a resistance, `form` while its owner takes part and it turns anything, else OFF."""
     owner = int(c.friction.resistance.owner[s])
-    return form if c.problem.form[owner] != OFF and c.W[3 * s, 3 * s] > 0.0 else OFF
+    return form if c.problem.form[owner] != OFF and c.S[s, 1, 1] + c.S[s, 2, 2] > 0.0 else OFF
 
 
 @kernel
@@ -59,17 +55,6 @@ def resistance_of(c: Contacts, i: int, which: int) -> int:
 def turns_with(c: Contacts, s: int) -> bool:
     """Whether the moment of resistance s, −1 for none, is in a known direction: it goes with f of its owner."""
     return bool(s >= 0 and c.problem.form[s] in (RAY, LINE))
-
-
-@kernel
-def moved_by_turning(c: Contacts, row: int, i: int) -> float:
-    """Return what a normal force of 1 N of contact i moves in a row by its moments in known directions, 1/kg."""
-    moved = 0.0
-    for which in range(2):
-        s = resistance_of(c, i, which)
-        if turns_with(c, s):
-            moved -= c.W[row, 3 * s + 1] * c.problem.along[s, 0] + c.W[row, 3 * s + 2] * c.problem.along[s, 1]
-    return moved
 
 
 @kernel

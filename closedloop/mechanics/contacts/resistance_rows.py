@@ -7,7 +7,6 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import near
 from closedloop.mechanics.contacts.rolling import Shapes, turn_against, turn_on_surface
-from closedloop.mechanics.contacts.soft import let_creep
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 from closedloop.mechanics.surface.contact import ask_at
 
@@ -47,15 +46,3 @@ def _write_turn(shapes: Shapes, c: Contacts, s: int, tangent: int, axis: int) ->
     c.drift[r] = arm * (shapes.spin_rate[axis] + shapes.turning[axis])
     for j in range(c.G.shape[1]):
         c.G[r, j] = arm * shapes.turns[axis, j]
-
-
-@kernel
-def tie_resistances(links: ContactLinks, c: Contacts) -> None:
-    """Write the normal rows of the resistances, after the mobility of all contacts: u̇_n = w (F_n − f)."""
-    for s in range(links.points + links.stops, links.joints):
-        n, own = 3 * s, max(c.W[3 * s + 1, 3 * s + 1], c.W[3 * s + 2, 3 * s + 2])
-        owner = int(c.friction.resistance.owner[s])
-        c.W[n, n], c.W[n, 3 * owner] = own, -own
-        c.a[n], c.b[n] = 0.0, 0.0
-        if c.soft[owner] != 0.0:
-            let_creep(c, s, own)

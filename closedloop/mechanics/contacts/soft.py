@@ -2,12 +2,8 @@
 
 Contacts whose surface gives way: f is a function of depth and speed (`closedloop.mechanics.surface.surface`).
 
-In the problems of several contacts such a contact is like any other, but that its normal row is its own: with f known,
-its part of all other rows is in their free acceleration, and
-
-    u̇_n = −w f_known + w f
-
-so that every method finds f = f_known, with friction in the cone of that f. There is no impulse along its normal.
+In the problems of several contacts such a contact has no normal row: f is known, what it does is in the free
+acceleration of all rows, and friction is in the cone of that f. There is no impulse along its normal.
 
 Friction of soft contacts beside others, which has no mode of sticking: against the slip that is left after a step.
 
@@ -38,20 +34,18 @@ from closedloop.jit.parameters import pack, parameter_block
 from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts
+from closedloop.mechanics.contacts.joint_space import eliminate
+from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.mobility import added
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.contacts.shortest import solve_any_rank
 from closedloop.mechanics.contacts.surfaces import Called
-from closedloop.mechanics.loops.solve import dot, take_off
+from closedloop.mechanics.loops.solve import orthonormal_basis
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 
 # What stands before the parameters of a compliance: depth, m, its rate, m/s, and the force, N, that the entry writes.
 QUERY = 3
 # N/m by which a gap becomes a force, for the event function alone: its sign decides.
 AS_FORCE = 1e6
-# The share of its mobility that is added along the surface: contacts of one body then share their friction in one way.
-# Where it moves joints with dry friction it sticks, and slips as a body rocks on it and others: there it is more.
-CREEP, CREEP_OF_DRY = 1e-8, 1e-5
 
 
 @cache
@@ -109,13 +103,11 @@ def compliances_of(
 
 @kernel
 def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
-    """Write f of the soft contacts that touch, of their gaps and rates, and make their normal rows their own.
-
-    Mobility W, free acceleration a and what the stabiliser asks for, b, are those of all contacts before.
-    """
+    """Write f of the soft contacts that touch, of their gaps and rates, and what it adds to all free accelerations."""
     if links.compliances == 0:
         return
-    m = 3 * links.k
+    for j in range(links.n):
+        c.scratch.motion[j] = 0.0
     for i in range(links.k):
         if c.soft[i] == 0.0:
             continue
@@ -123,19 +115,14 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
         if c.past_edge[i] == 0.0 and (c.mode[i] != FREE or soft_gap(c, i) <= 0.0):
             f = force_at(links, i, -soft_gap(c, i), -c.u[n])
             f = f if c.friction.pulls[i] != 0.0 else max(f, 0.0)
-        own = max(c.W[n, n], c.W[n + 1, n + 1], c.W[n + 2, n + 2])
-        for j in range(m):
-            c.a[j] += c.W[j, n] * f
-            c.W[j, n], c.W[n, j] = 0.0, 0.0
-        c.W[n, n], c.a[n], c.b[n] = own, -own * f, 0.0
-        let_creep(c, i, own)
-
-
-@kernel
-def let_creep(c: Contacts, i: int, own: float) -> None:
-    """Add to the mobility of contact i along its surface a share of `own`, 1/kg."""
-    for j in range(3 * i + 1, 3 * i + 3):
-        c.W[j, j] += (CREEP_OF_DRY if c.moves.dry[i] != 0.0 else CREEP) * own
+        c.known[i], c.b[n] = f, 0.0
+        first, end = joints_of(c, i)
+        for j in range(first, end if c.near[i] != 0.0 else first):
+            c.scratch.motion[j] += c.X[n, j] * f
+    for j in range(links.n):
+        c.pushed[j] += c.scratch.motion[j]
+    for r in range(3 * links.joints):
+        c.a[r] += added(c, r)
 
 
 @kernel
@@ -259,7 +246,7 @@ def drop_contradictions(c: Contacts, k: int) -> None:
     feet that press against each other. With Z an orthonormal basis of the columns of X, each row divided by the root of
     its contact's mobility, q is to be what forces along Z do, X Xᵀ Z x, as much along Z as it was.
     """
-    s, S, unknown, scale, p, n = c.stepping, c.scratch.system, c.scratch.unknown, c.scratch.multiples, 0, c.X.shape[1]
+    s, S, unknown, scale, p, n = c.stepping, c.scratch.columns, c.scratch.unknown, c.scratch.multiples, 0, c.X.shape[1]
     for i in range(k):
         j = int(s.number[i])
         if c.scratch.turned[j] != 0.0 and (c.friction.shared[j] > 0.0 or c.problem.points > 0.0):
@@ -270,17 +257,17 @@ def drop_contradictions(c: Contacts, k: int) -> None:
                 for m in range(int(s.first[i]), int(s.end[i])):
                     S[m, p] = s.X[r, m] / scale[p]
                 p += 1
-    rank = orthonormal_columns(S, n, p)
+    rank = orthonormal_basis(S, n, p, SPANNED)
     if rank == p:
         return
-    moved, M, joints = c.scratch.unknowns, c.scratch.columns, c.scratch.sum
+    moved, M, x, joints = c.scratch.moved, c.scratch.system, row_of(c.scratch.solution, 0), c.scratch.sum
     for m in range(rank):
-        M[m, rank] = 0.0
+        x[m] = 0.0
         for j in range(n):
             joints[j] = 0.0
         for r in range(p):
             i = int(unknown[r]) // 3
-            M[m, rank] += S[m, r] * s.q[int(unknown[r])] / scale[r]
+            x[m] += S[m, r] * s.q[int(unknown[r])] / scale[r]
             for j in range(int(s.first[i]), int(s.end[i])):
                 joints[j] += s.X[int(unknown[r]), j] * S[m, r] / scale[r]
         for r in range(p):
@@ -291,38 +278,9 @@ def drop_contradictions(c: Contacts, k: int) -> None:
             M[t, m] = 0.0
             for r in range(p):
                 M[t, m] += S[t, r] * moved[m, r]
-    solve_any_rank(M, rank, 1, c.scratch.column_order, c.scratch.solution, 0.0)
+    eliminate(M, x, rank)
     for r in range(p):
         left = 0.0
         for m in range(rank):
-            left += moved[m, r] * c.scratch.solution[0, m]
+            left += moved[m, r] * x[m]
         s.q[int(unknown[r])] = scale[r] * left
-
-
-@kernel
-def orthonormal_columns(S: Array, n: int, p: int) -> int:
-    """Replace the first rows of n in S, of p numbers each, by an orthonormal basis of all; return how many it has.
-
-    Gram and Schmidt's method, modified, twice; the longest that is left is next, down to the share `SPANNED`.
-    """
-    first = 0.0
-    for m in range(min(n, p)):
-        best, longest = m, 0.0
-        for i in range(m, n):
-            square = dot(row_of(S, i), row_of(S, i), p)
-            if square > longest:
-                best, longest = i, square
-        first = max(first, longest)
-        if not longest > SPANNED * SPANNED * first:
-            return m
-        row = row_of(S, m)
-        for r in range(p):
-            row[r], S[best, r] = S[best, r], row[r]
-        for i in range(m):
-            take_off(row, row_of(S, i), p)
-        length = math.sqrt(dot(row, row, p))
-        for r in range(p):
-            row[r] /= length
-        for i in range(m + 1, n):
-            take_off(row_of(S, i), row, p)
-    return min(n, p)

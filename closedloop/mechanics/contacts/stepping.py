@@ -38,7 +38,6 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_softly,
 )
 from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
-from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
@@ -101,7 +100,7 @@ def find_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spee
     """
     s, n = c.stepping, links.n
     a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
-    s.associated = 0.0
+    s.associated = s.alike = 0.0
     found = a == 0 or solve_in_joint_space(s, a, n, MOST)
     for attempt in range(3):
         if not found:  # contacts that are inside each other may not all part at once
@@ -164,15 +163,13 @@ def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace
     """Write the kind of contact i as number a of the problem, and its normal impulse, if that is given."""
     s.normal[a], s.tangent[a], s.given[a], s.falls[a] = GIVEN if c.soft[i] != 0.0 else PUSHES, IN_CONE, 0.0, 0.0
     if i >= links.joints:
-        s.normal[a], s.given[a] = GIVEN, h * c.step.limit[i]
+        s.normal[a], s.given[a] = GIVEN, h * c.known[i]
         return bool(s.given[a] > 0.0)
     if is_resistance(c, i):
         s.normal[a], s.given[a] = OWNED, s.packed_at[int(c.friction.resistance.owner[i])]
         return bool(s.given[a] >= 0.0)
     if c.friction.pulls[i] != 0.0 and c.soft[i] == 0.0:
         s.normal[a] = HOLDS
-    if links.dense != 0:  # a step of its own, among modes: what is closed takes part
-        return bool(c.friction.pulls[i] != 0.0 or touches(links, c, i))
     return bool(c.friction.pulls[i] != 0.0 or belongs_here(c, i))
 
 
@@ -210,8 +207,6 @@ def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, p
 
     A rebound begins at the gap g and ends at g + h u⁺: u⁺ has the energy e² of what would have been at the surface.
     """
-    if links.dense != 0:
-        return 0.0
     gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
     if c.friction.pulls[i] != 0.0:
         return float(gap * push / h)

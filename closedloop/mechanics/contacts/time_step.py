@@ -20,19 +20,15 @@ tangential impact is tried first. The forces are P/h until the step has ended; t
 
 from __future__ import annotations
 
-import math
-
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
-from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained
 from closedloop.mechanics.contacts.joint_space import find_exactly, solve_in_joint_space
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches, write_before
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
-from closedloop.mechanics.contacts.stepping import find_step
-from closedloop.mechanics.contacts.unknown_modes import pack_contacts, unpack_contacts
+from closedloop.mechanics.contacts.unknown_modes import pack_contacts, solve_impulses, unpack_contacts
 
 # Speeds at which contacts come together in the problems near it, of the largest speed.
 COMING = (0.1, 0.01)
@@ -75,12 +71,13 @@ def from_impact(links: ContactLinks, c: Contacts, coming: float) -> bool:
     for r in range(3 * k):
         c.problem.q[r] = c.before[r]
         fastest = max(fastest, abs(c.before[r]) if c.problem.form[r // 3] != OFF else 0.0)
-    a = pack_contacts(links, c)
+    a = pack_contacts(links, c, 0.0)
     for i in range(a):
         s.q[3 * i] -= coming * fastest
     found = find_exactly(s, a, links.n)
     for i in range(a):
         s.q[3 * i] += coming * fastest
+    s.alike = 1.0
     found = found and solve_in_joint_space(s, a, links.n, NEARBY, 0.0)
     unpack_contacts(links, c, a)
     for i in range(3 * k):
@@ -96,13 +93,11 @@ TIME_STEP = 10.0
 
 
 @kernel
-def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
+def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> None:
     """Write the impulses of a tangential impact; or the forces of a step that begins at this time, s, and no impulse.
 
     The modes after it are written, too. After an impact they are to be sought: `at_once` is 1. Where that is in vain
     only time steps follow, until there are modes again.
-
-    Returns OK, or PAINLEVE if no impulses were found.
     """
     k = links.k
     take_kinetic(links, c)
@@ -111,15 +106,16 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
     c.step.in_vain = 1.0 if c.step.struck == time else c.step.in_vain
     if c.step.in_vain == 0.0 and stop_at_once(links, c):
         c.step.at_once, c.step.struck = 1.0, time
-        return OK
+        return
     for r in range(3 * k):
-        c.before[r], c.step.force[r] = c.u[r], 0.0
-    if not find_step(links, c, c.load, SPAN, math.inf):
-        return PAINLEVE
+        c.problem.q[r], c.before[r] = c.before[r] + SPAN * c.a[r], c.u[r]
+    solve_impulses(links, c, SPAN)
     links.stepped, c.step.end = 1, time + SPAN
     told = False
     for i in range(k):
         at = 3 * i
+        for r in range(at, at + 3):
+            c.step.force[r] = c.F[r] / SPAN
         c.event.happened[i], c.friction.start_slip[i] = 0.0, 0.0
         if c.friction.pulls[i] != 0.0:
             continue
@@ -136,7 +132,6 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
     for i in range(3 * k):
         c.F[i], c.problem.after[i] = 0.0, c.u[i]
     c.event.energy_lost = c.event.energy_rested = 0.0
-    return OK
 
 
 @kernel

@@ -39,16 +39,11 @@ from closedloop.mechanics.contacts.joint_space import (
     start_at_rest,
 )
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
 from closedloop.mechanics.contacts.modes import PARTING
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
-from closedloop.mechanics.contacts.unknown_modes import (
-    add_motion,
-    force_size,
-    pack_contacts,
-    unpack_contacts,
-    write_motion,
-)
+from closedloop.mechanics.contacts.unknown_modes import pack_contacts, unpack_contacts
 
 # The time in which a slip that begins takes its direction where the integrator chooses its steps, s. What pulls a
 # rolling contact may turn faster than its slip grows: friction against the direction of the break-away alone would let
@@ -64,6 +59,7 @@ MOST_GROWTH = 30.0
 # A force that is to stop a slip is inside the cone, not at its edge but for rounding, if it is no more than this share
 # of the largest.
 INSIDE = 1.0 - 1e-6
+
 
 @kernel
 def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, points: bool = False) -> int:
@@ -94,9 +90,9 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
         if change < 0.0 and begins and points and h > SHORTEST * longest:
             h *= SHORTER
             c.step.span = h
-            if solve_closed(c, k) == OK:
+            if solve_closed(links, c) == OK:
                 continue
-        if change < 0.0 or solve_closed(c, k) != OK or some_pull(c, k) or force_size(c.rigid) > most:
+        if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k) or force_size(c.rigid) > most:
             break
         if begins and not points and presses_in(c, k):
             break
@@ -111,7 +107,7 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
         c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[3 * i], c.scratch.start[3 * i + 1]
         if begins and not points:
             c.friction.next_against[i] = 1.0
-    return int(solve_closed(c, k))
+    return int(solve_closed(links, c))
 
 
 @kernel
@@ -132,7 +128,7 @@ def presses_in(c: Contacts, k: int) -> bool:
         n = 3 * i
         parted = c.mode[i] == FREE and c.near[i] != 0.0 and c.past_edge[i] == 0.0 and c.located[n] <= HOVERING
         if parted and c.soft[i] == 0.0 and c.friction.pulls[i] == 0.0 and abs(c.u[n]) <= PARTING:
-            presses = presses or c.a[n] + add_motion(c, n) < 0.0
+            presses = presses or c.a[n] + added(c, n) < 0.0
     return bool(presses)
 
 
@@ -148,10 +144,10 @@ def some_slip_slowly(c: Contacts, k: int, h: float) -> bool:
 @kernel
 def slips_slowly(c: Contacts, i: int, h: float) -> bool:
     """Whether friction can turn the slip of contact i, or end it, within the step h, s."""
-    n, W = 3 * i, c.W
+    n, S = 3 * i, c.S[i]
     if not (c.problem.form[i] in (RAY, LINE) and c.mode[i] == PRESSED and stops_slipping(c, i)):
         return False
-    u1, u2, trace = c.u[n + 1], c.u[n + 2], W[n + 1, n + 1] + W[n + 2, n + 2]
+    u1, u2, trace = c.u[n + 1], c.u[n + 2], S[1, 1] + S[2, 2]
     speed = math.hypot(u1, u2)
     if c.friction.shared[i] > 0.0:  # the friction of the others of its body acts on its slip, too
         return bool(c.friction.rises == 0.0 and h * shared_friction(c) * trace > speed)
@@ -160,7 +156,7 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
     if speed > STILL and not u1 * c.direction[i, 0] + u2 * c.direction[i, 1] > 0.0:
         return False  # past the end of slip
     # What moves along a line does not turn.
-    return bool(W[n + 1, n + 1] * W[n + 2, n + 2] - W[n + 1, n + 2] * W[n + 2, n + 1] > IMMOBILE * trace * trace)
+    return bool(S[1, 1] * S[2, 2] - S[1, 2] * S[2, 1] > IMMOBILE * trace * trace)
 
 
 @kernel
@@ -201,13 +197,13 @@ def pack_problem(links: ContactLinks, c: Contacts, h: float, ends: bool) -> int:
         form, slow = int(c.problem.form[i]), slips_slowly(c, i, h)
         c.scratch.turned[i] = 1.0 if slow else 0.0
         for r in range(3 * i, 3 * i + 3 if form != OFF else 0):
-            c.problem.q[r] = c.a[r] - (c.b[r] if r == 3 * i or not slow else 0.0) - add_motion(c, r)
+            c.problem.q[r] = c.a[r] - (c.b[r] if r == 3 * i or not slow else 0.0) - added(c, r)
         if slow:
             c.mu[i] = level_of(c, i)
             c.problem.form[i] = CONE if ends and form == RAY else DOUBLE
         elif not ends and form != OFF:
             c.problem.form[i] = DOUBLE if form in (CONE, DOUBLE) else LINE
-    count = pack_contacts(links, c)
+    count = pack_contacts(links, c, 1.0)
     for i in range(k):
         c.mu[i], c.problem.form[i] = c.scratch.mu[i], int(c.scratch.start[3 * i + 2])
     for i in range(count):
@@ -253,11 +249,13 @@ def solve_within(links: ContactLinks, c: Contacts, k: int, rate: float) -> bool:
             s.q[3 * i + 1] += rate * u1
             s.q[3 * i + 2] += rate * u2
     drop_contradictions(c, k)
-    s.associated = 0.0
+    s.associated, s.alike = 0.0, 1.0
     if c.problem.points > 0.0:
         start_at_rest(s, k, n)
     if not solve_in_joint_space(s, k, n, FIRST if c.problem.points > 0.0 else MOST, 0.0):
-        return False
+        s.alike = 0.0
+        if not solve_in_joint_space(s, k, n, FIRST, 0.0):
+            return False
     if has_derivatives(s.y[0]):
         differentiate(s, k, n)
     return True

@@ -12,9 +12,9 @@ have a direction: F = f (1, −μ d), f >= 0, u_n >= 0, f u_n = 0. `closedloop.m
 
 from __future__ import annotations
 
-from closedloop.base.arrays import Array
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
+from closedloop.mechanics.contacts.given_modes import MOST_IMPULSE, is_known
 from closedloop.mechanics.contacts.joint_space import (
     ALONG,
     GIVEN,
@@ -34,46 +34,46 @@ WEDGED = 1e6
 
 
 @kernel
-def solve_contacts(links: ContactLinks, c: Contacts, most: float = WEDGED) -> bool:
+def solve_contacts(links: ContactLinks, c: Contacts, share: float = 1.0, most: float = WEDGED) -> bool:
     """Write F and `after`, u = q + W F, of the contacts whose form is not OFF; return whether they were found.
 
-    X, q, form, mu and along are read. Forces `most` times what is asked for are none: contacts are then wedged.
+    X, q, form, mu and along are read, and `share` of the normal forces that are known. Forces `most` times what is
+    asked for are none: contacts are then wedged.
     """
-    a = pack_contacts(links, c)
+    a = pack_contacts(links, c, share)
     found = a == 0 or (find_exactly(c.stepping, a, links.n) and not is_wedged(c.stepping, a, most))
     unpack_contacts(links, c, a)
     return bool(found)
 
 
 @kernel
-def solve_impulses(links: ContactLinks, c: Contacts) -> None:
-    """Do `solve_contacts` for a problem of velocities, which has a solution: if none is found, of compliant contacts."""
-    a = pack_contacts(links, c)
-    if a > 0 and not (find_exactly(c.stepping, a, links.n) and not is_wedged(c.stepping, a)):
+def solve_impulses(links: ContactLinks, c: Contacts, span: float) -> None:
+    """Do `solve_contacts` for impulses of a time, s: there always are; those of compliant contacts if none is found."""
+    a = pack_contacts(links, c, span)
+    if a > 0 and not (find_exactly(c.stepping, a, links.n) and not is_wedged(c.stepping, a, MOST_IMPULSE)):
         solve_softly(c.stepping, a, links.n)
     unpack_contacts(links, c, a)
 
 
 @kernel
-def pack_contacts(links: ContactLinks, c: Contacts) -> int:
-    """Write the problem of the contacts whose form is not OFF; return how many they are."""
+def pack_contacts(links: ContactLinks, c: Contacts, share: float) -> int:
+    """Write the problem of the contacts whose form is not OFF, with `share` of known forces; return how many."""
     s, a = c.stepping, 0
-    s.asked = 0.0
+    s.asked = s.largest = 0.0
     for i in range(links.k):
         s.packed_at[i] = -1.0
         form = c.problem.form[i]
         if form == OFF:
             continue
-        at, known = 3 * i, c.soft[i] != 0.0 or i >= links.joints
+        at = 3 * i
         s.normal[a] = HOLDS if form in (LINE, DOUBLE) else PUSHES
         s.tangent[a] = IN_CONE if form in (CONE, DOUBLE) else ALONG
         s.mu[a], s.given[a], s.falls[a] = c.mu[i], 0.0, 0.0
         s.ahead[a, 0], s.ahead[a, 1] = c.problem.along[i, 0], c.problem.along[i, 1]
         if is_resistance(c, i):
             s.normal[a], s.given[a] = OWNED, s.packed_at[int(c.friction.resistance.owner[i])]
-        elif known:
-            s.normal[a] = GIVEN
-            s.given[a] = -c.problem.q[at] / c.W[at, at] if c.W[at, at] > 0.0 else 0.0
+        elif is_known(links, c, i):
+            s.normal[a], s.given[a] = GIVEN, share * c.known[i]
         first, end = joints_of(c, i)
         s.first[a], s.end[a], s.mobility[a] = first, end, 0.0
         for r in range(3):
@@ -88,6 +88,8 @@ def pack_contacts(links: ContactLinks, c: Contacts) -> int:
             s.asked = max(s.asked, abs(s.q[3 * a + r]))
         if not s.mobility[a] > 0.0:
             continue
+        s.asked = max(s.asked, abs(s.given[a]) * s.mobility[a] if s.normal[a] == GIVEN else 0.0)
+        s.largest = max(s.largest, s.mobility[a])
         s.number[a], s.packed_at[i] = i, a
         a += 1
     return a
@@ -106,42 +108,10 @@ def unpack_contacts(links: ContactLinks, c: Contacts, a: int) -> None:
         if s.normal[i] == OWNED:
             c.F[at] = s.P[3 * int(s.given[i])]
     for i in range(k if a > 0 else 0):
-        if c.near[i] != 0.0:
-            own = 1 if s.packed_at[i] >= 0.0 and s.normal[int(s.packed_at[i])] > HOLDS else 0
-            first, end = joints_of(c, i)
-            for r in range(3 * i + own, 3 * i + 3):
-                for j in range(first, end):
-                    c.problem.after[r] += c.X[r, j] * s.y[j]
-            for r in range(3 * i, 3 * i + own):
-                c.problem.after[r] = 0.0
-
-
-@kernel
-def write_motion(c: Contacts, k: int, F: Array) -> None:
-    """Write Xᵀ F, what forces F (3 k,) do to the joints, for `add_motion`."""
-    for j in range(c.X.shape[1]):
-        c.scratch.multiplier[j] = 0.0
-    for r in range(3 * k):
-        if F[r] != 0.0 and c.near[r // 3] != 0.0:
-            first, end = joints_of(c, r // 3)
+        known = s.packed_at[i] >= 0.0 and s.normal[int(s.packed_at[i])] > HOLDS
+        first, end = joints_of(c, i)
+        for r in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
             for j in range(first, end):
-                c.scratch.multiplier[j] += c.X[r, j] * F[r]
-
-
-@kernel
-def add_motion(c: Contacts, r: int) -> float:
-    """Return what the forces of `write_motion` accelerate row r by, m/s²."""
-    moved = 0.0 * c.load[0]
-    first, end = joints_of(c, r // 3)
-    for j in range(first, end):
-        moved += c.X[r, j] * c.scratch.multiplier[j]
-    return moved
-
-
-@kernel
-def force_size(F: Array) -> float:
-    """Return the largest of some forces, N."""
-    most = 0.0
-    for f in F:
-        most = max(most, abs(f))
-    return most
+                c.problem.after[r] += c.X[r, j] * s.y[j]
+        if known:
+            c.problem.after[3 * i] = 0.0

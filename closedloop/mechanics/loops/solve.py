@@ -174,6 +174,35 @@ def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, length
 
 
 @kernel
+def orthonormal_basis(S: Array, m: int, n: int, least: float) -> int:
+    """Replace the first m rows of S, of n numbers each, by an orthonormal basis of all; return how many it has.
+
+    Gram and Schmidt's method, modified, twice; the longest that is left is next, down to the share `least`.
+    """
+    first = 0.0
+    for k in range(min(m, n)):
+        best, longest = k, 0.0
+        for i in range(k, m):
+            square = dot(row_of(S, i), row_of(S, i), n)
+            if square > longest:
+                best, longest = i, square
+        first = max(first, longest)
+        if not longest > least * least * first:
+            return k
+        row = row_of(S, k)
+        for r in range(n):
+            row[r], S[best, r] = S[best, r], row[r]
+        for i in range(k):
+            take_off(row, row_of(S, i), n)
+        length = math.sqrt(dot(row, row, n))
+        for r in range(n):
+            row[r] /= length
+        for i in range(k + 1, m):
+            take_off(row_of(S, i), row, n)
+    return min(m, n)
+
+
+@kernel
 def dot(x: Array, y: Array, n: int) -> float:
     """Return the product of the first n entries of x and y, by four sums that do not wait for each other."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0

@@ -125,8 +125,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> C
     laws = laws_of(scenario, names)
     asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
     past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
-    dense = not steps_impulses(scenario.time.integrator)
-    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns, dense)
+    links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns)
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
     contacts.restitution[points : points + len(stops)] = scenario.robot.stop_restitution
     contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]

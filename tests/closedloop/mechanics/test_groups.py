@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from contact_mobility import write_whole_mobility
 from scipy.linalg import block_diag
 from test_solve import Solved
 
@@ -10,7 +9,7 @@ import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.record_row import kinetic_energy
 from closedloop.mechanics.contacts.memory import make_contact_memory
-from closedloop.mechanics.contacts.mobility import own_mobilities
+from closedloop.mechanics.contacts.mobility import added, own_mobilities, write_motion
 from closedloop.mechanics.robot.tree import group_ends
 
 SIZES = (2, 6, 1, 12)
@@ -56,7 +55,7 @@ def test_groups_are_consecutive_joints(parents, ends):
 
 
 def test_mobility_of_contacts_is_taken_over_the_joints_that_both_move():
-    """W = X Xᵀ, where the rows of each contact are zero but for its groups of joints; of those that are not near, 0."""
+    """The blocks of X Xᵀ, and what forces move: rows of a contact are zero but for its groups of joints."""
     rng, k, n = np.random.default_rng(2), 5, 21
     c = make_contact_memory(n, k).contacts
     for i, (first, end) in enumerate(((0, 21), (0, 2), (2, 9), (8, 21), (2, 8))):
@@ -65,9 +64,12 @@ def test_mobility_of_contacts_is_taken_over_the_joints_that_both_move():
     c.near[1] = 0.0
     c.X[3:6] = 0.0
     interpreted(own_mobilities)(c, k)
-    np.testing.assert_allclose(np.diag(c.W), np.sum(c.X**2, axis=1), rtol=1e-15)
-    write_whole_mobility(c)
-    np.testing.assert_allclose(c.W, c.X @ c.X.T, atol=1e-14)
+    W = c.X @ c.X.T
+    for i in range(k):
+        np.testing.assert_allclose(c.S[i], W[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], atol=1e-14)
+    F = rng.normal(size=3 * k)
+    interpreted(write_motion)(c, k, F)
+    np.testing.assert_allclose([interpreted(added)(c, r) for r in range(3 * k)], W @ F, atol=1e-13)
 
 
 def test_contacts_of_a_tower_are_of_two_boxes():

@@ -287,7 +287,7 @@ def test_a_cube_that_rests_on_four_feet_beside_the_arm_changes_no_pole(integrato
         f"contact force[foot {k}]" for k in (1, 2, 3, 4)
     ]
     found, poles = ([pole.z for pole in each.poles()] for each in (mine, wanted))
-    np.testing.assert_allclose(found, poles, atol=1e-11)
+    np.testing.assert_allclose(found, poles, atol=1e-6)  # a double pole at 1 splits by the root of rounding
 
 
 def test_poles_of_a_block_that_a_gripper_holds():

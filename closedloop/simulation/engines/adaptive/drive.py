@@ -88,7 +88,7 @@ def slips(w: Work, state: State) -> list[Slip]:
     for i in range(int(links.joints)):
         t = slice(3 * i + 1, 3 * i + 3)
         if c.mode[i] == PRESSED and stops_slip(c, i):
-            mobility, rows, shared = c.W[t, t].trace(), c.G[t], float(c.friction.shared[i])
+            mobility, rows, shared = c.S[i, 1, 1] + c.S[i, 2, 2], c.G[t], float(c.friction.shared[i])
             friction = shared * abs(c.F[3 * i]) or float(np.hypot(*c.F[t]))
             slip = _slip(c.u[t], friction, mobility, rows, rows @ w.qdd + c.drift[t])
             found.append(slip._replace(speed=max(slip.speed, CREEPING), rises=True) if shared > 0.0 else slip)

@@ -61,7 +61,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     c.past_edge[0] = state.past_edge
     c.inside[0] = w.tip.inside if state.surface.entry != 0 else math.inf
     for j in range(n):
-        c.load[j] = c.pushed[j] = w.y[j]
+        c.load[j] = c.problem.pushed[j] = w.y[j]
     for i in range(links.joints):
         if is_resistance(c, i):
             takes_part = c.near[int(c.friction.resistance.owner[i])] != 0.0
@@ -341,9 +341,9 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             leave_free(bound, loops, row_of(c.X, at + 1))
         c.a[at + 1], c.size[at + 1] = rate_along(constants, joint, w.v) / constants.h, 0.0
         for m in range(n):
-            c.a[at + 1] += c.X[at + 1, m] * c.pushed[m]
+            c.a[at + 1] += c.X[at + 1, m] * c.problem.pushed[m]
             c.size[at + 1] += abs(c.X[at + 1, m] * c.load[m])
-        c.known[i] = w.joint_friction.limit[i - first]
+        c.problem.known[i] = w.joint_friction.limit[i - first]
     if state.settings.time_stepping != 0:
         for i in range(first, links.k):
             c.u[3 * i + 1] = rate_along(constants, i - first, w.v)

@@ -146,7 +146,7 @@ def write_known(links: ContactLinks, c: Contacts) -> None:
         c.rigid[r] = 0.0 - c.viscous[r]  # not -0.0
     for i in range(links.k):
         if is_known(links, c, i) and c.problem.form[i] != OFF:
-            add_unknown(c, 3 * i, c.known[i], c.rigid)
+            add_unknown(c, 3 * i, c.problem.known[i], c.rigid)
     for r in range(3 * links.k):
         c.F[r] = c.rigid[r]
 
@@ -524,13 +524,13 @@ def stopping_impulses(links: ContactLinks, c: Contacts) -> None:
         c.problem.q[r], c.problem.after[r] = c.viscous[r], c.a[r]
         c.a[r], c.b[r], c.viscous[r] = c.before[r], 0.0, 0.0
     for i in range(k):
-        c.scratch.mu[i], c.known[i] = c.known[i], 0.0
+        c.scratch.mu[i], c.problem.known[i] = c.problem.known[i], 0.0
     status = solve_modes(links, c, False)
     for r in range(3 * k):
         c.a[r], c.viscous[r] = c.problem.after[r], c.problem.q[r]
         c.F[r] = c.rigid[r] if status == OK else 0.0
     for i in range(k):
-        c.known[i] = c.scratch.mu[i]
+        c.problem.known[i] = c.scratch.mu[i]
 
 
 @kernel

@@ -38,8 +38,9 @@ ROUNDS, NEWTON_STEPS, HALVINGS = 40, 30, 12
 FOUND, SLOW, NEAR, LEFT, LEFT_EXACTLY = 1e-9, 1e-6, 1e-4, 0.1, 1e-6
 # Rounds that give what is found its derivatives.
 DERIVATIVES = 4
-# Steps from the associated problem, which is convex, to that of Coulomb's friction.
-STEPS = 20
+# Steps from the associated problem, which is convex, to that of Coulomb's friction, the more where few do not do; and ρ
+# in each.
+STEPS, STIFFEST = (20, 100), 1e4
 
 
 class JointSpace(Block, sizes=("n", "k")):
@@ -62,6 +63,7 @@ class JointSpace(Block, sizes=("n", "k")):
     largest: float  # of all, 1/kg
     alike: float  # 1 if all contacts have the same ρ
     trial: Annotated[Array, 3 * K]
+    before: Annotated[Array, 3 * K]  # P of the round before
     slope: Annotated[Array, K, 3, 3]  # ∂Π
     along: Annotated[Array, K, 2]  # ∂(μ|u_t|)/∂u_t; of an owned one ∂P_t/∂P_n of its owner
     y: Annotated[Array, N]
@@ -338,14 +340,17 @@ def find_exactly(s: JointSpace, a: int, n: int) -> bool:
         if solve_in_joint_space(s, a, n, FIRST if attempt == 0 else 1.0, 0.0):
             return True
         s.alike = 0.0
-    start_at_rest(s, a, n)
-    s.associated = 1.0
-    solve_in_joint_space(s, a, n, FIRST, FOUND)
-    for i in range(STEPS):
-        s.associated = 1.0 - (i + 1.0) / STEPS
-        s.residual = residual_of(s, a, n)
-        do_round(s, a, n, MOST)
-    return solve_in_joint_space(s, a, n, MOST, 0.0)
+    for steps in STEPS:
+        start_at_rest(s, a, n)
+        s.associated = 1.0
+        solve_in_joint_space(s, a, n, FIRST, FOUND)
+        for i in range(steps):
+            s.associated = 1.0 - (i + 1.0) / steps
+            s.residual = residual_of(s, a, n)
+            do_round(s, a, n, STIFFEST)
+        if solve_in_joint_space(s, a, n, 1.0, 0.0):
+            return True
+    return False
 
 
 @kernel
@@ -388,13 +393,21 @@ def is_wedged(s: JointSpace, a: int, most: float = MOST) -> bool:
 def solve_softly(s: JointSpace, a: int, n: int) -> bool:
     """Write P and u of contacts that are compliant, by 1/ρ, without μ|u_t| n; return whether they are numbers.
 
-    This is one round from P = 0, which has one solution, whatever the rows.
+    The first round, from P = 0, has one solution, whatever the rows. Others follow, and each makes contacts stiffer,
+    until impulses are larger than contacts which are wedged may have.
     """
     s.associated, s.alike = 1.0, 0.0
-    for r in range(3 * a):
-        s.P[r] = 0.0
-    s.residual = FOUND  # the round is to leave as little
-    do_round(s, a, n, MOST)
+    start_at_rest(s, a, n)
+    for done in range(ROUNDS):
+        s.residual = FOUND if done == 0 else residual_of(s, a, n)  # the first round is to leave as little
+        if not s.residual < math.inf or (done > 0 and (s.residual <= FOUND or is_wedged(s, a))):
+            break
+        for r in range(3 * a):
+            s.before[r] = s.P[r]
+        do_round(s, a, n, MOST)
+    if is_wedged(s, a):
+        for r in range(3 * a):
+            s.P[r] = s.before[r]
     s.residual = residual_of(s, a, n)
     return bool(s.residual < math.inf)
 

@@ -62,11 +62,13 @@ class ContactLinks(Block):
     record_at: int  # where in a row of the record there is a `ContactRow`
 
 
-class Problem(Block, sizes=("k",)):
+class Problem(Block, sizes=("n", "k")):
     """The problem that is solved: u⁺ = q + W F with each contact's form."""
 
     form: Annotated[Array, K]  # OFF, RAY, CONE, LINE or DOUBLE
     along: Annotated[Array, K, 2]  # F_t = −along f − viscous of a RAY or a LINE
+    known: Annotated[Array, K]  # normal force, N: of a soft surface, or the limit of what stands for dry friction
+    pushed: Annotated[Array, N]  # L⁻¹(Q − C), and what soft contacts press with
     q: Annotated[Array, 3 * K]
     after: Annotated[Array, 3 * K]  # u⁺
     rounding: float  # force below which there is none, N
@@ -230,11 +232,9 @@ class Contacts(Block, sizes=("n", "k", "past")):
     G: Annotated[Array, 3 * K, N]
     X: Annotated[Array, 3 * K, N]  # L⁻¹ Gᵀ, less what loops bind
     S: Annotated[Array, K, 3, 3]  # mobility of each by itself, 1/kg
-    known: Annotated[Array, K]  # normal force, N: of a soft surface, or the limit of what stands for dry friction
     F: Annotated[Array, 3 * K]  # force, N, or impulse, N s
     rigid: Annotated[Array, 3 * K]  # the force without the stabiliser's part, N
     load: Annotated[Array, N]  # L⁻¹(Q − C), of the tree
-    pushed: Annotated[Array, N]  # and what soft contacts press with
     viscous: Annotated[Array, 3 * K]  # the part of the friction that does not depend on f, N
     before: Annotated[Array, 3 * K]
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)

@@ -115,12 +115,12 @@ def write_soft_forces(links: ContactLinks, c: Contacts) -> None:
         if c.past_edge[i] == 0.0 and (c.mode[i] != FREE or soft_gap(c, i) <= 0.0):
             f = force_at(links, i, -soft_gap(c, i), -c.u[n])
             f = f if c.friction.pulls[i] != 0.0 else max(f, 0.0)
-        c.known[i], c.b[n] = f, 0.0
+        c.problem.known[i], c.b[n] = f, 0.0
         first, end = joints_of(c, i)
         for j in range(first, end if c.near[i] != 0.0 else first):
             c.scratch.motion[j] += c.X[n, j] * f
     for j in range(links.n):
-        c.pushed[j] += c.scratch.motion[j]
+        c.problem.pushed[j] += c.scratch.motion[j]
     for r in range(3 * links.joints):
         c.a[r] += added(c, r)
 

@@ -163,7 +163,7 @@ def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace
     """Write the kind of contact i as number a of the problem, and its normal impulse, if that is given."""
     s.normal[a], s.tangent[a], s.given[a], s.falls[a] = GIVEN if c.soft[i] != 0.0 else PUSHES, IN_CONE, 0.0, 0.0
     if i >= links.joints:
-        s.normal[a], s.given[a] = GIVEN, h * c.known[i]
+        s.normal[a], s.given[a] = GIVEN, h * c.problem.known[i]
         return bool(s.given[a] > 0.0)
     if is_resistance(c, i):
         s.normal[a], s.given[a] = OWNED, s.packed_at[int(c.friction.resistance.owner[i])]

@@ -73,7 +73,7 @@ def pack_contacts(links: ContactLinks, c: Contacts, share: float) -> int:
         if is_resistance(c, i):
             s.normal[a], s.given[a] = OWNED, s.packed_at[int(c.friction.resistance.owner[i])]
         elif is_known(links, c, i):
-            s.normal[a], s.given[a] = GIVEN, share * c.known[i]
+            s.normal[a], s.given[a] = GIVEN, share * c.problem.known[i]
         first, end = joints_of(c, i)
         s.first[a], s.end[a], s.mobility[a] = first, end, 0.0
         for r in range(3):

@@ -72,7 +72,7 @@ def test_the_normal_force_of_a_soft_contact_is_what_it_is_known_to_be():
     """Others hold what that leaves, and its friction goes with it."""
     rng = np.random.default_rng(4)
     links, c = sticking(rng, rng.normal(size=(3 * K, 3 * K)), kinds=(RAY, CONE, CONE, DOUBLE, DOUBLE))
-    c.soft[0], c.known[0], c.problem.along[0] = 1.0, 2.0, (0.3, 0.1)
+    c.soft[0], c.problem.known[0], c.problem.along[0] = 1.0, 2.0, (0.3, 0.1)
     assert interpreted(solve_modes)(links, c, False) == OK
     np.testing.assert_allclose(c.rigid[:3], [2.0, -0.6, -0.2], atol=1e-12)
     acts = c.rigid.copy()

@@ -3,7 +3,6 @@
 memory         what they are, and what they are at the state asked about last
 mobility       what forces do to their rows
 given_modes    forces where it is known which contacts are free, slide or stick; `closed` of one contact alone
-least_norm     of forces that are not unique those of least norm inside the cones
 joint_space    the solver of all problems of cones, with as many unknowns as joints
 unknown_modes  forces or impulses in Coulomb's cones that solve all contacts together
 modes, impact  what happens in an event

@@ -6,8 +6,9 @@ from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import pressed_force, stuck_force
 from closedloop.mechanics.closure.solve import OK
-from closedloop.mechanics.contacts.given_modes import is_known, solve_modes
+from closedloop.mechanics.contacts.given_modes import solve_modes
 from closedloop.mechanics.contacts.memory import OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.packed import is_known
 
 
 @kernel

@@ -13,7 +13,7 @@ squares of what the unknowns stand for:
 
 These are equations of the joints alone, however many contacts there are. Elimination keeps to what is not zero: bodies
 on each other couple neighbours. Where the shortest are outside the cones the shortest inside are taken, if there are
-any (`closedloop.mechanics.contacts.least_norm`).
+any (`closedloop.mechanics.contacts.joint_space.find_least`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.mechanics.contacts.friction import slide, write_limits
-from closedloop.mechanics.contacts.least_norm import least_norm
+from closedloop.mechanics.contacts.joint_space import OWNED, find_least
 from closedloop.mechanics.contacts.memory import (
     CONE,
     DOUBLE,
@@ -40,6 +40,7 @@ from closedloop.mechanics.contacts.memory import (
     joints_of,
 )
 from closedloop.mechanics.contacts.mobility import added, write_motion
+from closedloop.mechanics.contacts.packed import is_known, pack_contacts
 from closedloop.mechanics.contacts.resistance import (
     add_turning,
     is_resistance,
@@ -90,12 +91,6 @@ def kinds_of_modes(links: ContactLinks, c: Contacts) -> None:
 
 
 @kernel
-def is_known(links: ContactLinks, c: Contacts, i: int) -> bool:
-    """Whether the normal force of contact i is known: of a soft surface, or what stands for the friction of a joint."""
-    return bool(c.soft[i] != 0.0 or i >= links.joints)
-
-
-@kernel
 def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
     """Write `rigid`, the force of the contacts in their modes, F with the stabiliser's part, and `rounding`.
 
@@ -131,7 +126,7 @@ def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
     if not found:
         return SINGULAR
     if inside and p > g.rank and not (inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F)):
-        share_forces(c, k)
+        share_forces(links, c)
     size = asked / most
     for r in range(3 * k):
         size = max(size, abs(c.rigid[r]))
@@ -196,9 +191,10 @@ def write_rows(c: Contacts, p: int) -> None:
                 s = resistance_of(c, i, which)
                 if row % 3 == 0 and turns_with(c, s):
                     add_tangents(c, column, s, i)
-    g.rank, g.slides = n, 1.0 if slides else 0.0
+    g.rank, g.slides, g.whole = n, 1.0 if slides else 0.0, 1.0
     if p >= n and factor(g, g.factor, g.R, p, n, False):
         return
+    g.whole = 0.0
     for q in range(p):
         for j in range(n):
             g.basis[q, j] = g.R[q, j] if g.first[q] <= j < g.end[q] else 0.0
@@ -297,7 +293,7 @@ def solve_factored(g: GivenModes, M: Array, n: int) -> None:
 def moved_joints(c: Contacts, p: int, asked: float) -> bool:
     """Write y of both right-hand sides, `left`, as `moved`; return whether R y agrees with them."""
     g, n = c.given, int(c.given.rank)
-    if n < c.X.shape[1] and not factor(g, g.factor, g.R, p, n, False):
+    if g.whole == 0.0 and not factor(g, g.factor, g.R, p, n, False):
         return False
     size_a, size_b, worst = largest_of(g.left, 0, p), largest_of(g.left, 1, p), 0.0
     for j in range(n):
@@ -349,9 +345,13 @@ def spread(c: Contacts, p: int) -> bool:
     for q in range(p):
         g.x[0, q], g.x[1, q] = 0.0, 0.0
     for j in range(n):
+        g.z[0, j], g.z[1, j] = 0.0, 0.0
         g.change[0, j], g.change[1, j] = g.moved[0, j], g.moved[1, j]
     for _ in range(REFINEMENTS):
         solve_factored(g, M, n)
+        for j in range(n):
+            g.z[0, j] += g.change[0, j]
+            g.z[1, j] += g.change[1, j]
         for q in range(p):
             row, a, b = row_of(g.C, q), 0.0, 0.0
             for j in range(int(g.first[q]), int(g.end[q])):
@@ -388,58 +388,68 @@ def inside_cones(c: Contacts, k: int, F: Array) -> bool:
 
 
 @kernel
-def share_forces(c: Contacts, k: int) -> None:
-    """Replace `rigid` and F, which are not unique, by the shortest that do the same; soft contacts keep theirs."""
-    m = 3 * k
-    span_rows(c, k)
-    take_known_out(c, k)
-    for i in range(m):
-        c.scratch.trial[i] = c.F[i] - c.rigid[i]
-        c.problem.after[i] = c.scratch.trial[i]
-    if not least_inside(c, k, c.rigid):
-        least_norm(c, k, c.rigid, False)
-    if not least_inside(c, k, c.F):
-        for i in range(m):
-            c.F[i] = c.problem.after[i] - c.viscous[i]
-        least_norm(c, k, c.F, False)
-        for i in range(m):
-            c.F[i] += c.rigid[i] + c.viscous[i]
-    put_known_back(c, k)
+def share_forces(links: ContactLinks, c: Contacts) -> None:
+    """Replace `rigid` and F, which are not unique, by the shortest inside the cones that do the same, if there are any.
 
-
-@kernel
-def take_known_out(c: Contacts, k: int) -> None:
-    """Keep the forces and the form of soft contacts, and let these be open."""
+    Normal forces that are known keep theirs, and so does what goes with them.
+    """
+    k = links.k
+    for r in range(3 * k):
+        c.scratch.trial[r] = c.F[r] - c.rigid[r]
     for i in range(k):
         c.scratch.mu[i] = c.problem.form[i]
-        for r in range(3 * i, 3 * i + 3 if c.soft[i] != 0.0 else 0):
-            c.scratch.residuals[r], c.problem.q[r] = c.rigid[r], c.F[r]
-            c.rigid[r], c.F[r] = -c.viscous[r], -c.viscous[r]
-        if c.soft[i] != 0.0:
-            c.problem.form[i] = OFF
-
-
-@kernel
-def put_known_back(c: Contacts, k: int) -> None:
-    """Write the forces and the form of soft contacts that `take_known_out` has kept."""
+        c.problem.form[i] = OFF if is_known(links, c, i) else c.problem.form[i]
+    find_inside(links, c, 0, c.rigid)
+    if not find_inside(links, c, 1, c.F):
+        for r in range(3 * k):
+            c.F[r] = c.rigid[r] + c.scratch.trial[r]
     for i in range(k):
-        for r in range(3 * i, 3 * i + 3 if c.soft[i] != 0.0 else 0):
-            c.rigid[r], c.F[r] = c.scratch.residuals[r], c.problem.q[r]
         c.problem.form[i] = int(c.scratch.mu[i])
 
 
 @kernel
-def least_inside(c: Contacts, k: int, force: Array) -> bool:
-    """Do `least_norm` inside the cones: of what also pulls, that of the sign of f that the force has, or the other."""
-    pulls = False
-    for i in range(k):
-        c.friction.sense[i] = 1.0 if force[3 * i] >= 0.0 else -1.0
-        pulls = pulls or c.problem.form[i] == DOUBLE
-    if least_norm(c, k, force, True):
-        return True
-    for i in range(k):
-        c.friction.sense[i] = -c.friction.sense[i]
-    return pulls and least_norm(c, k, force, True)
+def find_inside(links: ContactLinks, c: Contacts, side: int, force: Array) -> bool:
+    """Replace forces (3 k,) by the shortest inside the cones that do the same; return whether there are any.
+
+    They do the same if they give the rows the same acceleration. They move the tree alike too, unless a contact slides:
+    the friction of contacts that share a normal force otherwise is another.
+    """
+    s, g, n = c.stepping, c.given, c.X.shape[1]
+    a, whole = pack_contacts(links, c, 0.0), g.whole != 0.0 or g.slides == 0.0
+    m = n if whole else int(g.rank)
+    for j in range(n):
+        s.wanted[j], s.y[j] = 0.0, 0.0
+    for j in range(int(g.rank)):
+        if g.whole == 0.0 and whole:
+            for t in range(n):
+                s.y[t] += g.z[side, j] * g.basis[j, t]
+        elif j < m:
+            s.y[j] = g.z[side, j]
+    for r in range(3 * a):
+        i, row = r // 3, row_of(s.X, r)
+        first, end = int(s.first[i]), int(s.end[i])
+        if not whole:
+            for t in range(m):
+                g.along[t] = 0.0
+                for j in range(first, end):
+                    g.along[t] += row[j] * g.basis[t, j]
+            first, end = 0, m
+            for t in range(m):
+                row[t] = g.along[t]
+        at = 3 * int(s.number[i]) + r % 3
+        for j in range(first, end):
+            s.wanted[j] += row[j] * (force[at] + c.viscous[at])
+    for i in range(0 if whole else a):
+        s.first[i], s.end[i] = 0, m
+    if not find_least(s, a, m):
+        return False
+    for i in range(a):
+        at = 3 * int(s.number[i])
+        for r in range(3):
+            force[at + r] = s.P[3 * i + r] - c.viscous[at + r]
+        if s.normal[i] == OWNED:
+            force[at] = force[3 * int(s.number[int(s.given[i])])]
+    return True
 
 
 @kernel
@@ -492,28 +502,6 @@ def pulled_in(c: Contacts, i: int) -> bool:
             turned = c.X[3 * s + 1, j] * c.problem.along[s, 0] + c.X[3 * s + 2, j] * c.problem.along[s, 1]
             own -= row[j] * turned
     return bool(c.problem.form[i] == RAY and not own > 1e-12 * (S[0, 0] + S[1, 1] + S[2, 2]))
-
-
-@kernel
-def span_rows(c: Contacts, k: int) -> None:
-    """Write in `Y` what of X the equations see, in the basis of their rows.
-
-    Forces with the same Yᵀ F give the rows the same acceleration. They move the tree alike too, unless a contact
-    slides: the friction of contacts that share a normal force otherwise is another.
-    """
-    g, n = c.given, c.X.shape[1]
-    whole = g.rank == n or g.slides == 0.0
-    for i in range(3 * k):
-        first, end = joints_of(c, i // 3)
-        for j in range(n):
-            c.scratch.Y[i, j] = 0.0
-        if c.problem.form[i // 3] == OFF:
-            continue
-        for j in range(first if whole else 0, end if whole else 0):
-            c.scratch.Y[i, j] = c.X[i, j]
-        for m in range(0 if whole else int(g.rank)):
-            for j in range(first, end):
-                c.scratch.Y[i, m] += c.X[i, j] * g.basis[m, j]
 
 
 @kernel

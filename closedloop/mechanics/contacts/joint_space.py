@@ -38,6 +38,8 @@ ROUNDS, NEWTON_STEPS, HALVINGS = 40, 30, 12
 FOUND, SLOW, NEAR, LEFT, LEFT_EXACTLY = 1e-9, 1e-6, 1e-4, 0.1, 1e-6
 # Rounds that give what is found its derivatives.
 DERIVATIVES = 4
+# What makes the equations of the shortest impulses regular where some directions are free; what may be left of them.
+REGULAR, NEARLY = 1e-11, 1e-11
 # Steps from the associated problem, which is convex, to that of Coulomb's friction, the more where few do not do; and ρ
 # in each.
 STEPS, STIFFEST = (20, 100), 1e4
@@ -69,6 +71,8 @@ class JointSpace(Block, sizes=("n", "k")):
     y: Annotated[Array, N]
     y_trial: Annotated[Array, N]
     off: Annotated[Array, N]  # y − Xᵀ Π
+    held: float  # 1: y is to be `wanted`, see `find_least`
+    wanted: Annotated[Array, N]
     step: Annotated[Array, N]
     matrix: Annotated[Array, N, N]
     row: Annotated[Array, 3, N]
@@ -184,7 +188,7 @@ def rho_of(s: JointSpace, i: int, stiffness: float) -> float:
 def write_off(s: JointSpace, a: int, n: int, stiffness: float, y: Array) -> float:
     """Write y − Xᵀ Π at y, Π in `trial` and its slopes; return the square of what is off."""
     for j in range(n):
-        s.off[j] = y[j]
+        s.off[j] = y[j] if s.held == 0.0 else s.wanted[j]
     for i in range(a):
         write_speed(s, i, y)
         respond(s, i, rho_of(s, i, stiffness), s.trial)
@@ -241,7 +245,7 @@ def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> No
         x[j] = -s.off[j]
         for m in range(n):
             M[j, m] = 0.0
-        M[j, j] = 1.0
+        M[j, j] = 1.0 if s.held == 0.0 else REGULAR
     for i in range(a):
         add_rows(s, i, i, rho_of(s, i, stiffness))
         if s.normal[i] == OWNED:
@@ -351,6 +355,28 @@ def find_exactly(s: JointSpace, a: int, n: int) -> bool:
         if solve_in_joint_space(s, a, n, 1.0, 0.0):
             return True
     return False
+
+
+@kernel
+def find_least(s: JointSpace, a: int, n: int) -> bool:
+    """Write the shortest P in the cones with Xᵀ P = `wanted`; return whether there is one.
+
+    It is Π(X λ), the nearest in the cones, of a λ for which Newton's method starts at the last y / −ρ: that of the
+    shortest outside. Of bilateral contacts and resistances P is in the cones, and nearly the shortest.
+    """
+    s.held, s.associated, s.alike, size = 1.0, 1.0, 1.0, 0.0
+    for j in range(n):
+        size += s.wanted[j] * s.wanted[j]
+        s.y[j] *= -s.largest
+    for r in range(3 * a):
+        s.P[r], s.q[r] = 0.0, 0.0
+    s.residual, s.asked = FOUND, math.sqrt(size * s.largest)
+    do_round(s, a, n, 1.0, LEFT_EXACTLY)
+    left = 0.0
+    for j in range(n):
+        left += s.off[j] * s.off[j]
+    s.held = 0.0
+    return bool(left <= NEARLY * NEARLY * size)
 
 
 @kernel

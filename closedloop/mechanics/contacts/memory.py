@@ -134,6 +134,7 @@ class GivenModes(Block, sizes=("n", "k")):
     basis: Annotated[Array, 3 * K, N]  # of the rows of R, where they are fewer than n
     rank: float  # how many that has, or n
     slides: float  # 1 if C is not R
+    whole: float  # 1 if R is of full rank: there is no basis
     factor: Annotated[Array, N, N]  # L of RᵀR
     other: Annotated[Array, N, N]  # and of CᵀD⁻¹C
     begins: Annotated[Array, N]  # the first column of each row of L that is not zero
@@ -141,6 +142,7 @@ class GivenModes(Block, sizes=("n", "k")):
     left: Annotated[Array, 2, 3 * K]
     x: Annotated[Array, 2, 3 * K]
     moved: Annotated[Array, 2, N]  # y
+    z: Annotated[Array, 2, N]
     change: Annotated[Array, 2, N]
     along: Annotated[Array, N]
 
@@ -154,7 +156,6 @@ class ContactScratch(Block, sizes=("n", "k")):
     moved: Annotated[Array, N, 3 * K]
     solution: Annotated[Array, 2, N]
     unknown: Annotated[Array, 3 * K]
-    Y: Annotated[Array, 3 * K, N]
     multiples: Annotated[Array, 3 * K]
     mu: Annotated[Array, K]
     turned: Annotated[Array, K]  # 1 of a contact whose friction is turned
@@ -162,9 +163,7 @@ class ContactScratch(Block, sizes=("n", "k")):
     trial: Annotated[Array, 3 * K]
     best: Annotated[Array, 3 * K]
     motion: Annotated[Array, N]  # see `closedloop.mechanics.contacts.mobility`
-    multiplier: Annotated[Array, N]
     sum: Annotated[Array, N]
-    sum_trial: Annotated[Array, N]
     sought: Annotated[Array, 3 * K]
     slope: Annotated[Array, 3, 3]
 

@@ -128,7 +128,7 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
     """Write the kind of each contact and the direction of those that slip; return the size of accelerations."""
     size = 0.0
     for i in range(links.joints, links.k):
-        c.problem.form[i] = CONE if c.a[3 * i] != 0.0 else OFF
+        c.problem.form[i] = CONE if c.problem.known[i] > 0.0 else OFF
     for i in range(links.joints):
         at = 3 * i
         for row in range(at, at + 3):

@@ -41,9 +41,9 @@ from closedloop.mechanics.contacts.joint_space import (
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
 from closedloop.mechanics.contacts.modes import PARTING
+from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
-from closedloop.mechanics.contacts.unknown_modes import pack_contacts, unpack_contacts
 
 # The time in which a slip that begins takes its direction where the integrator chooses its steps, s. What pulls a
 # rolling contact may turn faster than its slip grows: friction against the direction of the break-away alone would let

@@ -9,7 +9,7 @@ from free_bodies import matrices
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.contact_rows import locate_points
-from closedloop.mechanics.contacts.least_norm import least_norm
+from closedloop.mechanics.contacts.given_modes import find_inside
 from closedloop.mechanics.contacts.memory import CONE, OFF, make_contact_memory
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.load import parse_scenario
@@ -277,12 +277,14 @@ def test_a_run_is_read_back_with_its_moments(tmp_path):
 def test_the_resistance_of_an_open_contact_has_no_share_of_forces_that_are_not_unique():
     """Two contacts with the same rows halve what they carry; a third that is open, nearly touching, has no moment."""
     rng, k = np.random.default_rng(0), 5
-    c = make_contact_memory(6, k, resistances=((1, 0.01, False),)).contacts
+    links, c = make_contact_memory(6, k, resistances=((1, 0.01, False),))
     c.X[3:9], c.X[12:15] = rng.normal(size=(6, 6)), rng.normal(size=(3, 6))
     c.X[9:12], c.mu[:] = c.X[6:9], 1.0
     c.problem.form[:] = [OFF, OFF, CONE, CONE, OFF]
-    c.scratch.Y[:], force = c.X, np.zeros(3 * k)
     write_own_mobilities(c)
+    force = np.zeros(3 * k)
     force[6:9] = [2.0, 0.4, -0.2]
-    assert interpreted(least_norm)(c, k, force, True)
+    c.given.rank, c.given.whole, c.given.slides = 6, 1.0, 0.0
+    c.given.z[0] = np.linalg.pinv(2.0 * c.X[6:9].T @ c.X[6:9]) @ c.X[6:9].T @ force[6:9]
+    assert interpreted(find_inside)(links, c, 0, force)
     np.testing.assert_allclose(force, [0.0] * 6 + [1.0, 0.2, -0.1] * 2 + [0.0] * 3, atol=1e-12)

@@ -44,7 +44,6 @@ from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
-from closedloop.mechanics.integrators import steps_impulses
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
@@ -76,8 +75,8 @@ from robot_models.tendon import STOPS
 ON_EDGE = 1e-6
 # A quarter turn about z.
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-# As many contacts as a scenario may have; in time stepping, which holds no matrix of all of them.
-MOST, MOST_STEPPED = 256, 16384
+# As many contacts as a scenario may have.
+MOST = 16384
 
 
 class ContactPlaces(NamedTuple):
@@ -369,10 +368,8 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
     """
     sections = scenario.contact or ()
     names = names_of(sections)
-    most = MOST_STEPPED if steps_impulses(scenario.time.integrator) else MOST
-    if len(sections) > most:
-        more = "" if most > MOST else f", or {MOST_STEPPED} with time.integrator = 'time_stepping'"
-        raise ScenarioError(f"contact: there are {len(sections)} of them; at most {most}{more}")
+    if len(sections) > MOST:
+        raise ScenarioError(f"contact: there are {len(sections)} of them; at most {MOST}")
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ScenarioError(f"contact: two are called {twice!r}: name each")

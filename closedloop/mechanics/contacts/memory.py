@@ -28,6 +28,8 @@ N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
 OFF, RAY, CONE, LINE, DOUBLE = range(5)
 # A contact whose gap is less may be about to close, m.
 HOVERING = 1e-9
+# Friction below this share of its limit is inside the cone.
+INSIDE = 1.0 - 1e-6
 # How a law of friction sticks: not, there being none; with u = 0 as a constraint; and see `FrictionLaw.sticks`.
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 

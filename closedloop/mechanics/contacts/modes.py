@@ -18,6 +18,7 @@ from closedloop.mechanics.contacts.memory import (
     CONE,
     DOUBLE,
     HOVERING,
+    INSIDE,
     LINE,
     OFF,
     RAY,
@@ -46,9 +47,8 @@ PARTING, TURNED = 1e-8, 1e-6
 STICKING_AGAIN = 1e-7
 # An acceleration below this share of the terms that it is made of is none.
 NO_ACCELERATION = 1e-11
-# Where shapes touch, whose rows hardly differ, up to so many times that may be what a solution is off. Friction below
-# the second share of its limit is inside it.
-SHAPE_ROUNDING, INSIDE = 1e5, 1.0 - 1e-6
+# Where shapes touch, whose rows hardly differ, up to so many times that may be what a solution is off.
+SHAPE_ROUNDING = 1e5
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 CAME, LEFT, STUCK_NOW, SLIPPED, TURNED_ROUND = 2.0, 3.0, 4.0, 5.0, 6.0
 

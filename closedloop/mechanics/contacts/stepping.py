@@ -37,12 +37,10 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_in_joint_space,
     solve_softly,
 )
-from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.memory import HOVERING, INSIDE, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
-# Friction below this share of its limit is inside the cone: the contact sticks.
-INSIDE = 1.0 - 1e-6
 # By which speed, m/s, the slope of a soft contact's force is found.
 FASTER = 1e-6
 # What a step puts back of the depth of a contact below its surface.

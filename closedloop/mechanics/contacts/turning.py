@@ -38,7 +38,7 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_in_joint_space,
     start_at_rest,
 )
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
 from closedloop.mechanics.contacts.modes import PARTING
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
@@ -56,9 +56,6 @@ TURNS, SETTLED, STALLED = 20, 1e-11, 2
 SHORTER, SHORTEST = 0.25, 0.05
 # Forces that are so many times those with friction against the slip as it is have multiplied.
 MOST_GROWTH = 30.0
-# A force that is to stop a slip is inside the cone, not at its edge but for rounding, if it is no more than this share
-# of the largest.
-INSIDE = 1.0 - 1e-6
 
 
 @kernel

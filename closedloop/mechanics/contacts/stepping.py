@@ -65,30 +65,6 @@ def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
 def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> int:
     """Write F = P/h of a step of h, s, and the modes that it means; return OK, or PAINLEVE if none were found.
 
-    See `find_step` for the parameters.
-    """
-    if not find_step(links, c, load, h, rest_speed):
-        return PAINLEVE
-    s = c.stepping
-    for i in range(links.k):
-        if c.friction.pulls[i] == 0.0:
-            c.mode[i] = FREE
-        for r in range(3 * i, 3 * i + 3):
-            c.F[r] = c.rigid[r] = c.step.force[r]
-        at = int(s.packed_at[i])
-        pressed = 0.0
-        if at >= 0:
-            pressed = abs(s.P[3 * at]) if s.normal[at] != OWNED else s.P[3 * int(s.given[at])]
-        if pressed > 0.0:
-            held = math.hypot(s.P[3 * at + 1], s.P[3 * at + 2]) < INSIDE * s.mu[at] * pressed
-            c.mode[i] = STUCK if held else PRESSED
-    return OK
-
-
-@kernel
-def find_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> bool:
-    """Write `step.force`, P/h of a step of h, s; return whether impulses were found.
-
     Parameters
     ----------
     load : (n,) array
@@ -108,13 +84,21 @@ def find_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spee
                 s.P[r] = 0.0
             found = solve_in_joint_space(s, a, n, FIRST)
     found = found and not is_wedged(s, a)
-    found = found or solve_softly(s, a, n)
-    for r in range(3 * links.k):
-        c.step.force[r] = 0.0
-    for i in range(a if found else 0):
+    if not (found or solve_softly(s, a, n)):
+        return PAINLEVE
+    for i in range(links.k):
+        at, pressed = int(s.packed_at[i]), 0.0
         for r in range(3):
-            c.step.force[3 * int(s.number[i]) + r] = s.P[3 * i + r] / h
-    return found
+            f = s.P[3 * at + r] / h if at >= 0 else 0.0
+            c.F[3 * i + r] = c.rigid[3 * i + r] = c.step.force[3 * i + r] = f
+        if c.friction.pulls[i] == 0.0:
+            c.mode[i] = FREE
+        if at >= 0:
+            pressed = abs(s.P[3 * at]) if s.normal[at] != OWNED else s.P[3 * int(s.given[at])]
+        if pressed > 0.0:
+            held = math.hypot(s.P[3 * at + 1], s.P[3 * at + 2]) < INSIDE * s.mu[at] * pressed
+            c.mode[i] = STUCK if held else PRESSED
+    return OK
 
 
 @kernel

@@ -30,6 +30,8 @@ OFF, RAY, CONE, LINE, DOUBLE = range(5)
 HOVERING = 1e-9
 # Friction below this share of its limit is inside the cone.
 INSIDE = 1.0 - 1e-6
+# What a step at the level of impulses puts back of the depth of a contact below its surface.
+PUT_BACK = 0.1
 # How a law of friction sticks: not, there being none; with u = 0 as a constraint; and see `FrictionLaw.sticks`.
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 

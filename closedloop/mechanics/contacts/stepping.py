@@ -37,14 +37,12 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_in_joint_space,
     solve_softly,
 )
-from closedloop.mechanics.contacts.memory import HOVERING, INSIDE, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.memory import HOVERING, INSIDE, PUT_BACK, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
 
 # By which speed, m/s, the slope of a soft contact's force is found.
 FASTER = 1e-6
-# What a step puts back of the depth of a contact below its surface.
-PUT_BACK = 0.1
 # Contacts that may close within a step: those nearer than so many times what the fastest of them would go in it.
 AHEAD = 2.0
 

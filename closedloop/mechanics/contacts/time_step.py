@@ -25,7 +25,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained
 from closedloop.mechanics.contacts.joint_space import find_exactly, solve_in_joint_space
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, PUT_BACK, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches, write_before
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
@@ -110,6 +110,9 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> None:
         return
     for r in range(3 * k):
         c.problem.q[r], c.before[r] = c.before[r] + SPAN * c.a[r], c.u[r]
+    for i in range(links.points + links.stops):  # a compliant one sinks in
+        if c.soft[i] == 0.0 and c.problem.form[i] != OFF:
+            c.problem.q[3 * i] += PUT_BACK * min(c.located[3 * i], 0.0) / SPAN
     solve_impulses(links, c, SPAN)
     links.stepped, c.step.end = 1, time + SPAN
     told = False

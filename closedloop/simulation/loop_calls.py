@@ -18,8 +18,8 @@ from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, start, takes_long
 from closedloop.jit.blocks import arrays_of
-from closedloop.jit.buffers import draft_address
 from closedloop.jit.calls import address_of
+from closedloop.jit.drafts import draft_address
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead, compiles_ahead
 from closedloop.jit.kernel import direct
 from closedloop.loop.events.impacts import collide
@@ -332,13 +332,12 @@ def begun(
     waited_for = [*kernels, *filter(takes_long, called)]
     if not all(map(at_hand, waited_for)):
         calls = problem.steps * problem.integrator.stages
-        again = law is None  # which has a memory of its own, and is not asked twice
 
         def connect_drafts(of_loop: bool) -> None:
             connect(machine=draft_address, loop_compiled=of_loop)
 
         return Interim(
-            kernels[0], loop.written, calls, with_it, connect, once, again, called,
+            kernels[0], loop.written, calls, with_it, connect, once, called,
             None if engine == COMPILED else connect_drafts,
             lambda: float(loop.state.row) / problem.steps,
         )  # fmt: skip

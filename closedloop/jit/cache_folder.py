@@ -41,8 +41,8 @@ MARKS = (
     b"@lower_builtin",
 )
 COMPILERS = (
-    "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py", "measures.py",
-    "dual.py", "dual8.py", "numba_dual8.py", "drafts.py",
+    "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py",
+    "dual.py", "dual8.py", "numba_dual8.py",
 )  # fmt: skip
 
 # numba's settings, each an environment variable, that change what it compiles.

@@ -56,6 +56,7 @@ from robot_models import RobotModel
 
 # What calls the loop so many times, each with new terms, as long as nothing else is requested.
 Provide = Callable[[int], int]
+Arrays = tuple[Array, Array, Array, Array]  # the table of what is desired, the tableau, the rows, the events
 # Where the memory of a loop is, among what is spare, that nothing steps any more.
 MEMORY = "memory"
 
@@ -186,8 +187,6 @@ class Driver:
         The connection to `law`.
     """
 
-    again: Callable[[], int]
-
     def __init__(
         self, problem: Problem, rows: Array, engine: str = PINOCCHIO, *, law: Law | None = None, interim: bool = False,
         tree: tuple[Tree, Array] | None = None, table: Array | None = None, into: Loop | None = None,
@@ -220,10 +219,9 @@ class Driver:
             return once() if single else pace.take(provide)
 
         self.once, self.many = once, many
-        self.again = getattr(self, "again", once)
         problem.begin(loop)
 
-    def _pinocchios(self, problem: Problem, arrays: tuple[Array, Array, Array, Array], made: object) -> Provide:
+    def _pinocchios(self, problem: Problem, arrays: Arrays, made: tuple[Tree, Array] | None) -> Provide:
         robot, w = problem.robot, self.loop.w
         self._addresses = addresses_of(robot.views, self.loop, *arrays)
         at, (q, turned), v = address_of(self._addresses.memory), robot.configuration(w.q), w.v
@@ -245,9 +243,7 @@ class Driver:
         self.again = partial(call, at, FROM_PINOCCHIO)
         return provide
 
-    def _compiled(
-        self, problem: Problem, arrays: tuple[Array, Array, Array, Array], made: tuple[Tree, Array] | None
-    ) -> Provide:
+    def _compiled(self, problem: Problem, arrays: Arrays, made: tuple[Tree, Array] | None) -> Provide:
         from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
 
         n = problem.robot.n
@@ -256,6 +252,7 @@ class Driver:
         self._addresses = addresses_of((H, C), self.loop, *arrays)
         given = tree, scratch, address_of(self._addresses.memory)
         call = direct(self.kernel, *given, 1)  # compiled, or read from the cache, before the clock starts
+        self.again = partial(call, *given, 1)
         return partial(call, *given)
 
     def begin(self, problem: Problem, rows: Array) -> None:

@@ -167,7 +167,7 @@ def _members() -> Iterable[tuple[str, Any]]:
 def compile_these(names: Sequence[str]) -> None:
     """Compile these kernels, in this order."""
     from closedloop.jit import cache_folder
-    from closedloop.jit.buffers import written_first
+    from closedloop.jit.drafts import written_first
 
     cache_folder.make_folders, known = False, [*_kernels()]
     if any(name.startswith("entry_of_") for name in names):

@@ -63,7 +63,7 @@ TAKES_LONG = {
     "along_path": Long("loops along a path", 3.0),
 }
 BRIEF, VERY_LONG = 1.5, 10.0  # s, of the others, and of those that are shared first
-DRAFT = 0.7  # the share of its time after which a kernel has a draft, see `closedloop.jit.buffers`
+DRAFT = 0.7  # the share of its time after which a kernel has a draft, see `closedloop.jit.drafts`
 OF_A_CORE = 0.6  # what a process has of one while another interprets, with two
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1

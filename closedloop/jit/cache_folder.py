@@ -4,7 +4,7 @@
         closedloop-cache                    the marker: we made this folder; its time stamp is that of the last use
         closedloop-called                   empty; locked while what a step calls is compiled in the background
         step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.jit.compile_cache`
-        step.run-<32 hex>.draft             the same before it is optimised, see `closedloop.jit.buffers`
+        step.run-<32 hex>.draft             the same before it is optimised, see `closedloop.jit.drafts`
 
 Folders of other versions of the source are kept for a month after their last use. Before one is removed, the folder's
 name, the marker, the owner, and the name and the end of every file in it are checked; no link is followed, and a folder
@@ -41,8 +41,8 @@ MARKS = (
     b"@lower_builtin",
 )
 COMPILERS = (
-    "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py", "measures.py",
-    "dual.py", "dual8.py", "numba_dual8.py", "drafts.py",
+    "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py",
+    "dual.py", "dual8.py", "numba_dual8.py",
 )  # fmt: skip
 
 # numba's settings, each an environment variable, that change what it compiles.

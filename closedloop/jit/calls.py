@@ -70,7 +70,7 @@ def known_matrix_at(address: int, rows: int, columns: int) -> Array:
 
 
 def row_of(matrix: NDArray[Any], i: int) -> NDArray[Any]:
-    """Return a row of a matrix: what `matrix[i]` is, which a buffer refuses (`closedloop.jit.buffers`)."""
+    """Return a row of a matrix: what `matrix[i]` is."""
     return matrix[i]
 
 
@@ -84,7 +84,6 @@ Entry = Callable[[int, int], int]
 _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 _interpreted: dict[int, Entry] = {}
-_with_buffers: dict[int, Entry] = {}
 _numbers = count(-1, -1)
 _addresses: WeakKeyDictionary[Any, int] = WeakKeyDictionary()  # of machine code, by the entries that keep it
 
@@ -99,27 +98,6 @@ def call_at(address: int, loop: int, what: int) -> int:
 def function_at(address: int) -> Entry:
     """Return the compiled entry at an address for Python to call."""
     return _CALLBACK(address)
-
-
-# What Python raises where buffers cannot do what arrays can.
-NOT_WITH_BUFFERS = TypeError, AttributeError, NotImplementedError
-
-
-class NeedsArraysError(Exception):
-    """An entry cannot do with buffers; it gets arrays from now on, and the call of the loop has to be begun again."""
-
-
-def call_with_buffers(address: int, loop: int, what: int) -> int:
-    """Do as `call_at` in code that is interpreted with buffers (`closedloop.jit.buffers`)."""
-    number = int(address)
-    entry = _with_buffers.get(number)
-    if entry is None:
-        return call_at(number, loop, what)
-    try:
-        return entry(int(loop), int(what))
-    except NOT_WITH_BUFFERS as error:
-        del _with_buffers[number]
-        raise NeedsArraysError from error
 
 
 def entry_address(entry: Any) -> int:
@@ -145,11 +123,6 @@ def compiled_address(entry: Any) -> int:
             compiled = entry.get_compile_result(types.int64(types.int64, types.int64))
             _addresses[entry] = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name))
     return _addresses[entry]
-
-
-def give_with_buffers(address: int, entry: Entry) -> None:
-    """Let code that is interpreted with buffers call this form of an entry that is kept for good."""
-    _with_buffers[address] = entry
 
 
 def interpreted_address(entry: Entry) -> int:

@@ -91,7 +91,7 @@ class KernelCache(_Cache):
             _forget_once()
 
     def save_draft(self, sig: Any, codegen: Any, draft: tuple[str, bytes]) -> None:
-        """Keep a draft, see `closedloop.jit.buffers`, until there is a compiled form: its name, its machine code."""
+        """Keep a draft, see `closedloop.jit.drafts`, until there is a compiled form: its name, its machine code."""
         with suppress(OSError):
             self._save(sig, codegen, DRAFT, draft)
 

@@ -8,7 +8,6 @@ as n floats has n dual numbers in this form, and no formula is written twice.
 from __future__ import annotations
 
 import math
-import threading
 import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from closedloop.jit.calls import fortran_at, matrix_at, vector_at
+from closedloop.jit.interpreted import Twins
 from closedloop.jit.kernel import Kernel
 
 
@@ -55,45 +55,27 @@ _NUMPY.__dict__.update(
     abs=abs, arctan2=math.atan2, arcsin=math.asin, arccos=math.acos, minimum=min, maximum=max, ceil=math.ceil
 )
 
-# Twins, and the globals of twins, by the identity of what they are of, which is kept with them.
-_twins: dict[int, tuple[Any, Any]] = {}
-_globals: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
-_making = threading.RLock()
-
 
 def dual(function: F) -> F:
     """Return the twin of a kernel that takes dual numbers; what is no kernel is returned as it is."""
     if not isinstance(function, Kernel):
         return function
-    with _making:
-        if id(function) not in _twins:
-            source = function.py_func
-            cells = tuple(types.CellType(_twin_value(cell.cell_contents)) for cell in source.__closure__ or ())
-            names = _twin_globals(source.__globals__)
-            twin = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
-            twin.__kwdefaults__, twin.__doc__ = source.__kwdefaults__, source.__doc__
-            twin.__name__, twin.__qualname__ = f"{source.__name__}_{FORM}", f"{source.__qualname__}_{FORM}"
-            twin.__module__ = source.__module__
-            twin.__dict__["form"] = FORM
-            made = Kernel(twin, function.make)
-            unguarded = function.unguarded
-            made.unguarded = None if unguarded is None else dual(unguarded)
-            _twins.setdefault(id(function), (function, made))
-        return cast(F, _twins[id(function)][1])
 
+    def finish(twin: Any) -> Kernel:
+        twin.__name__, twin.__qualname__ = f"{twin.__name__}_{FORM}", f"{twin.__qualname__}_{FORM}"
+        twin.__dict__["form"] = FORM
+        made = Kernel(twin, function.make)
+        made.unguarded = None if function.unguarded is None else dual(function.unguarded)
+        return made
 
-def _twin_globals(names: dict[str, Any]) -> dict[str, Any]:
-    if id(names) not in _globals:
-        # Entered before it is filled: two modules may have functions of each other.
-        _globals[id(names)] = names, dict(names)
-        _globals[id(names)][1].update({name: _twin_value(value) for name, value in names.items()})
-    return _globals[id(names)][1]
+    return cast(F, _twins.of(function, finish))
 
 
 def _twin_value(value: Any) -> Any:
-    if isinstance(value, Kernel):
-        return dual(value)
-    return _in_place_of().get(id(value), value)
+    return dual(value) if isinstance(value, Kernel) else _in_place_of().get(id(value), value)
+
+
+_twins = Twins(_twin_value)
 
 
 @cache

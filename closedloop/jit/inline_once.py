@@ -100,7 +100,7 @@ class EntryLibrary(KernelLibrary):
     """
 
     vectorised = False
-    write_draft: Callable[[Any], None] | None = None  # see `closedloop.jit.buffers`
+    write_draft: Callable[[Any], None] | None = None  # see `closedloop.jit.drafts`
     called_as, kept_by = "", (None, ())  # the name by which it is called by address; its cache, and types of arguments
 
     def finalize(self) -> None:

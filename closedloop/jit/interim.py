@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit import background
-from closedloop.jit.buffers import at_hand as has_draft
-from closedloop.jit.buffers import draft_address
-from closedloop.jit.calls import NOT_WITH_BUFFERS, Entry, NeedsArraysError, entry_address, function_at
+from closedloop.jit.calls import Entry, entry_address, function_at
+from closedloop.jit.drafts import at_hand as has_draft
+from closedloop.jit.drafts import draft_address
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.jit.kernel import direct, needs_compiling
 
@@ -33,7 +33,7 @@ class Interim:
 
     After the first calls, and at each look, it is known what is sooner. Where compiling is, it is waited for; else a
     process in the background does it (`closedloop.jit.background`), and this one goes over to the compiled form as
-    soon as that is on the disk, and before it to a draft (`closedloop.jit.buffers`). Each call begins from what the
+    soon as that is on the disk, and before it to a draft (`closedloop.jit.drafts`). Each call begins from what the
     last one left, so nothing depends on when that is.
 
     Parameters
@@ -56,9 +56,6 @@ class Interim:
         Returns which share of all work is done; of the calls, if left out.
     later : sequence of callables
         What later runs will want: compiled in the background as well, and not waited for.
-    buffers : bool
-        Whether buffers may be tried. A call that they cannot do is begun again with arrays: so only where `written` is
-        all that a call changes.
 
     Attributes
     ----------
@@ -74,13 +71,11 @@ class Interim:
         with_it: Sequence[Callable[..., Any]] = (),
         on_compiled: Callable[[], None] = lambda: None,
         later: Sequence[Callable[..., Any]] = (),
-        buffers: bool = False,
         called: Sequence[Callable[..., Any]] = (),
         on_draft: Callable[[bool], None] | None = None,
         share_done: Callable[[], float] | None = None,
     ) -> None:
         self._function, self._twin, self._written = function, interpreted(function), written
-        self._quick, self._with_buffers = interpreted(function, buffers), buffers
         self._calls, self._with_it = calls, (function, *with_it)
         self._later = later
         self._on_compiled, self._on_draft, self._called, self._calls_drafts = on_compiled, on_draft, called, not called
@@ -113,7 +108,7 @@ class Interim:
         busy = clock.thread_time()  # of the processor: on a loaded machine compiling takes longer by as much
         try:
             with np.errstate(all="ignore"):
-                answer = self._interpret(arguments, before)
+                answer = self._twin(*arguments)
         except (ArithmeticError, ValueError):  # where compiled code would go on
             _put_back(self._written, before)
             return self._compile(arguments)(*arguments)
@@ -171,21 +166,6 @@ class Interim:
         if own:
             self._draft = function_at(draft_address(self._function))
         return True
-
-    def _interpret(self, arguments: tuple[Any, ...], before: Sequence[NDArray[Any]]) -> Any:
-        """Call the kernel interpreted: with buffers, or with arrays where it cannot do with them."""
-        while self._with_buffers:
-            try:
-                return self._quick(*arguments)
-            except NeedsArraysError:
-                _put_back(self._written, before)
-            except ArithmeticError:  # such as a division by zero, of which arrays make an infinity
-                _put_back(self._written, before)
-                break
-            except NOT_WITH_BUFFERS:
-                _put_back(self._written, before)
-                self._with_buffers = False
-        return self._twin(*arguments)
 
     def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         began = clock.perf_counter()

@@ -15,13 +15,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from closedloop.jit.buffers import with_buffers
-from closedloop.jit.calls import (
-    Entry,
-    address_of_function,
-    give_with_buffers,
-)
-from closedloop.jit.lanewise import LANEWISE, on_arrays
+from closedloop.jit.calls import Entry, address_of_function
+from closedloop.jit.lanewise import LANEWISE
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -29,14 +24,46 @@ _MATH = types.ModuleType("math", "The module `math` as compiled code has it.")
 _MATH.__dict__.update({name: value for name, value in vars(math).items() if not name.startswith("_")})
 _MATH.__dict__["hypot"] = np.hypot
 
-# Twins, and the globals of twins, by the identity of what they are of, which is kept with them; with arrays, or with
-# buffers (`closedloop.jit.buffers`).
-_twins: dict[tuple[int, bool], tuple[Any, Any]] = {}
-_globals: dict[tuple[int, bool], tuple[dict[str, Any], dict[str, Any]]] = {}
-_making = threading.RLock()
+
+class Twins:
+    """Twins of functions: the same code with other globals, in which what these say is replaced, twins among it.
+
+    Parameters
+    ----------
+    replaced : callable
+        Returns what stands in place of a value.
+    """
+
+    def __init__(self, replaced: Callable[[Any], Any]) -> None:
+        self._replaced = replaced
+        # By the identity of what they are of, which is kept with them.
+        self._made: dict[int, tuple[Any, Any]] = {}
+        self._globals: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+        self._making = threading.RLock()
+
+    def of(self, function: Any, finish: Callable[[Any], Any] = lambda twin: twin, **others: Any) -> Any:
+        """Return what `finish` makes of the twin of a function's Python function, made once; `others` are names too."""
+        with self._making:
+            if id(function) not in self._made:
+                source = function.py_func
+                cells = tuple(types.CellType(self._replaced(cell.cell_contents)) for cell in source.__closure__ or ())
+                names = self._names(source.__globals__)
+                names = names | others if others else names
+                twin = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
+                twin.__kwdefaults__, twin.__doc__ = source.__kwdefaults__, source.__doc__
+                twin.__qualname__, twin.__module__ = source.__qualname__, source.__module__
+                self._made.setdefault(id(function), (function, finish(twin)))
+            return self._made[id(function)][1]
+
+    def _names(self, names: dict[str, Any]) -> dict[str, Any]:
+        if id(names) not in self._globals:
+            # Entered before it is filled: two modules may have functions of each other.
+            self._globals[id(names)] = names, dict(names)
+            self._globals[id(names)][1].update({name: self._replaced(value) for name, value in names.items()})
+        return self._globals[id(names)][1]
 
 
-def interpreted(function: F, buffers: bool = False) -> F:
+def interpreted(function: F) -> F:
     """Return the twin of a function that numba has been given: the same source, interpreted.
 
     It gives what the compiled form gives, to the last bit, with one exception: where Python's arithmetic raises an
@@ -47,51 +74,24 @@ def interpreted(function: F, buffers: bool = False) -> F:
     ----------
     function : callable
         A function with the attribute `py_func`; another is returned as it is, as with ``NUMBA_DISABLE_JIT=1``.
-    buffers : bool
-        Whether what it takes by address are buffers: twice as fast, and refused by some kernels with an exception.
     """
     if not hasattr(function, "py_func"):
         return function
     if getattr(function, "unguarded", None) is not None:
-        return cast(F, interpreted(cast(Any, function).unguarded, buffers))
-    key = id(function), buffers
-    with _making:
-        if key not in _twins:
-            source = function.py_func
-            if buffers and hasattr(source, "takes_arrays"):
-                _twins[key] = function, on_arrays(interpreted(function))
-                return cast(F, _twins[key][1])
-            cells = tuple(types.CellType(_twin_value(cell.cell_contents, buffers)) for cell in source.__closure__ or ())
-            names = _twin_globals(source.__globals__, buffers)
-            if hasattr(source, "lanewise"):
-                names = names | LANEWISE
-            twin = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
-            twin.__kwdefaults__, twin.__doc__ = source.__kwdefaults__, source.__doc__
-            twin.__qualname__ = source.__qualname__
-            _twins.setdefault(key, (function, twin))
-        return cast(F, _twins[key][1])
+        return cast(F, interpreted(cast(Any, function).unguarded))
+    others = LANEWISE if hasattr(cast(Any, function).py_func, "lanewise") else {}
+    return cast(F, _twins.of(function, **others))
 
 
 def twin_address(entry: Entry) -> int:
     """Return the number by which interpreted code calls an entry, interpreted too; see `closedloop.jit.calls`."""
-    address = address_of_function(interpreted(entry))
-    if getattr(entry, "unguarded", None) is None:  # a user's is written for arrays
-        give_with_buffers(address, interpreted(entry, buffers=True))
-    return address
+    return address_of_function(interpreted(entry))
 
 
-def _twin_globals(names: dict[str, Any], buffers: bool) -> dict[str, Any]:
-    key = id(names), buffers
-    if key not in _globals:
-        # Entered before it is filled: two modules may have functions of each other.
-        _globals[key] = names, dict(names)
-        _globals[key][1].update({name: _twin_value(value, buffers) for name, value in names.items()})
-    return _globals[key][1]
-
-
-def _twin_value(value: Any, buffers: bool) -> Any:
+def _twin_value(value: Any) -> Any:
     if value is math:
         return _MATH
-    if buffers and (other := with_buffers(value)) is not value:
-        return other
-    return interpreted(value, buffers) if callable(value) else value
+    return interpreted(value) if callable(value) else value
+
+
+_twins = Twins(_twin_value)

@@ -25,24 +25,9 @@ def lanewise(function: F) -> F:
     return function
 
 
-def takes_arrays(function: F) -> F:
-    """Mark a function that cannot do with buffers, see `closedloop.jit.buffers`: it calls those that are lanewise."""
-    function.__dict__["takes_arrays"] = True
-    return function
-
-
 def _larger(x: Any, y: Any) -> Any:
     return np.where(y > x, y, x)  # what Python's `max` and compiled code's return, of what is no number too
 
 
 # What stands in an interpreted lanewise function in place of these names.
 LANEWISE: dict[str, Any] = {"range": lambda lanes: (slice(0, lanes),), "max": _larger}
-
-
-def on_arrays(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that passes its buffers on as arrays."""
-
-    def call(*arguments: Any) -> Any:
-        return function(*(np.asarray(each) if isinstance(each, memoryview) else each for each in arguments))
-
-    return call

@@ -1,6 +1,7 @@
 """Calls of the loop: the functions that provide its terms, and the answers to what else it requests.
 
-`closedloop.simulation.simulate` runs a problem to its end with them, `closedloop.simulation.simulator` step by step.
+All that steps one problem does so by a `Driver` and by `drive`: `closedloop.simulation.simulate` to the end,
+`closedloop.simulation.stepper` from row to row, the adaptive integrator from state to state.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, start, takes_long
 from closedloop.jit.blocks import arrays_of
-from closedloop.jit.buffers import draft_address
 from closedloop.jit.calls import address_of
+from closedloop.jit.drafts import draft_address
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead, compiles_ahead
 from closedloop.jit.kernel import direct
 from closedloop.loop.events.impacts import collide
-from closedloop.loop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
+from closedloop.loop.events.phases import IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
@@ -39,7 +40,7 @@ from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import entries_of_contacts
 from closedloop.simulation.engines.failures import failure_of, raised_by_member
-from closedloop.simulation.engines.loops import COMPILED, Pace, kernels_of, loop_for
+from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, Pace, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import (
     FROM_PINOCCHIO,
@@ -53,7 +54,9 @@ from closedloop.simulation.engines.scenario_numbers import entries_of
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 
-Call = Callable[[Array], int]
+# What calls the loop so many times, each with new terms, as long as nothing else is requested.
+Provide = Callable[[int], int]
+Arrays = tuple[Array, Array, Array, Array]  # the table of what is desired, the tableau, the rows, the events
 # Where the memory of a loop is, among what is spare, that nothing steps any more.
 MEMORY = "memory"
 
@@ -73,9 +76,13 @@ class Answers:
     ----------
     events : (M, EVENT_WIDTH) array
         The table of events, which grows as needed.
+    addresses : Addresses
+        Where the loop finds it; set once they are known.
     compiling : float
         Time of the first impact, s, which may have compiled its law.
     """
+
+    addresses: Addresses
 
     def __init__(self, problem: Problem, loop: Loop, interim: bool = False) -> None:
         self._loop, self._interim = loop, interim
@@ -95,6 +102,7 @@ class Answers:
         """Answer TABLE_FULL or IMPACT_LAW_WANTED, see `closedloop.loop.events.proceed`."""
         if request == TABLE_FULL:
             self.events = np.vstack([self.events, np.zeros_like(self.events)])
+            set_events(self.addresses, self.events)
             return
         self._problem.set_restitution(self._loop)
         began = clock.perf_counter()
@@ -118,22 +126,61 @@ class Answers:
         return failure_of(int(state.status), float(w.time), self._problem.robot, self._problem, law, w.q, w.v)
 
 
-class Calls:
-    """What steps the loop of a problem; the next run of it takes it over, from the same start or another.
+def drive(call: Callable[[int], int], give: Callable[[int], None], goes_on: Callable[[], bool] = lambda: True) -> int:
+    """Call a loop, and give what it requests beside terms, until it is done or fails, or does not go on.
+
+    Parameters
+    ----------
+    call : callable
+        Calls the loop, with terms if the request before, which it gets, was TERMS; returns the next request.
+    give : callable
+        Answers TABLE_FULL or IMPACT_LAW_WANTED.
+    goes_on : callable
+        Whether to go on where terms are requested.
+
+    Returns
+    -------
+    int
+        The last request: DONE, FAILED or TERMS.
+    """
+    request = TERMS
+    while True:
+        request = call(request)
+        if request in (TABLE_FULL, IMPACT_LAW_WANTED):
+            give(request)
+        elif request != TERMS or not goes_on():
+            return request
+
+
+class Driver:
+    """What steps the loop of a problem: its memory, at t = 0, and the calls of it with terms of an engine.
+
+    Nobody else may evaluate terms with the problem's robot meanwhile.
 
     Parameters
     ----------
     problem : Problem
-        The problem; see `begin`.
-    rows, law, engine, interim, tree
+        The problem.
+    rows : (>= steps + 1, width) array
+        Memory for the record, see `closedloop.loop.step.record_row.Row`.
+    law, engine, interim, tree
         See `closedloop.simulation.simulate.run_loop`.
+    table : array, optional
+        In place of the problem's table of what is desired.
     into
         See `closedloop.loop.step.memory.make_loop`.
+    kept : bool
+        Whether the next run of the problem, from the same start or another, may take it over.
 
     Attributes
     ----------
-    once, many : callables
-        See `driver`.
+    loop : Loop
+        The memory.
+    once, many, again : callables
+        Call the loop: with new terms, with new terms as long as nothing else is requested and a `MOMENT` at most, see
+        `Pace`, and with the last terms. They return the request. The compiled engine evaluates terms in any case.
+    terms : callable
+        Evaluates Pinocchio's terms.
     answers : Answers
         Answers to what else the loop requests.
     user_law : UserLaw or None
@@ -141,11 +188,12 @@ class Calls:
     """
 
     def __init__(
-        self, problem: Problem, rows: Array, law: Law | None, engine: str, interim: bool,
-        tree: tuple[Tree, Array] | None, into: Loop | None = None,
+        self, problem: Problem, rows: Array, engine: str = PINOCCHIO, *, law: Law | None = None, interim: bool = False,
+        tree: tuple[Tree, Array] | None = None, table: Array | None = None, into: Loop | None = None,
+        kept: bool = False,
     ) -> None:  # fmt: skip
         self.loop = loop = problem.memory(user_law=law is not None, into=into)
-        self.user_law = None if law is None else UserLaw(law, loop)
+        self._law, self.user_law = law, None if law is None else UserLaw(law, loop)
         connect = partial(problem.connect, loop, self.user_law.connect if self.user_law else None)
         if interim:
             self.kernel = begun(engine, problem, loop, connect, law)
@@ -153,150 +201,81 @@ class Calls:
             self.kernel = loop_for(engine)
             make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
-        self.may_be_kept = law is None and not isinstance(self.kernel, Interim)
+        self.may_be_kept = kept and law is None and not isinstance(self.kernel, Interim)
         self._before = (
             [(array, array.copy()) for array in arrays_of(loop) if array.flags.writeable] if self.may_be_kept else []
         )
         self.answers = Answers(problem, loop, interim)
-        arrays = problem.table, problem.integrator.tableau(), rows
-        self.once, self.many, self._addresses = driver(problem, self.kernel, loop, arrays, engine, tree)
+        arrays = problem.table if table is None else table, problem.integrator.tableau(), rows, self.answers.events
+        provide = (self._compiled if engine == COMPILED else self._pinocchios)(problem, arrays, tree)
+        self.answers.addresses, pace, kernel = self._addresses, Pace(), self.kernel
+
+        def once() -> int:
+            return provide(1)
+
+        def many() -> int:
+            # Interpreted, the compiled engine's loop returns after each evaluation, and can be interrupted.
+            single = engine == COMPILED and isinstance(kernel, Interim) and kernel.interpreting
+            return once() if single else pace.take(provide)
+
+        self.once, self.many = once, many
+        problem.begin(loop)
+
+    def _pinocchios(self, problem: Problem, arrays: Arrays, made: tuple[Tree, Array] | None) -> Provide:
+        robot, w = problem.robot, self.loop.w
+        self._addresses = addresses_of(robot.views, self.loop, *arrays)
+        at, (q, turned), v = address_of(self._addresses.memory), robot.configuration(w.q), w.v
+        crba, bias, convention, pinocchio, data = robot.passes
+        call, self.terms = direct(self.kernel, at, FROM_PINOCCHIO), robot.evaluator(w.q, w.v)
+
+        def provide(evaluations: int) -> int:
+            request = TERMS
+            for _ in range(evaluations):
+                if turned is not None:
+                    turned()
+                crba(pinocchio, data, q, convention)  # as in `terms`, without a call
+                bias(pinocchio, data, q, v)
+                request = call(at, FROM_PINOCCHIO)
+                if request != TERMS:
+                    break
+            return request
+
+        self.again = partial(call, at, FROM_PINOCCHIO)
+        return provide
+
+    def _compiled(self, problem: Problem, arrays: Arrays, made: tuple[Tree, Array] | None) -> Provide:
+        from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
+
+        n = problem.robot.n
+        tree, work = made or (compiled_tree(problem), compiled_work(n))
+        H, C, scratch = compiled_terms(work, n)
+        self._addresses = addresses_of((H, C), self.loop, *arrays)
+        given = tree, scratch, address_of(self._addresses.memory)
+        call = direct(self.kernel, *given, 1)  # compiled, or read from the cache, before the clock starts
+        self.again = partial(call, *given, 1)
+        return partial(call, *given)
 
     def begin(self, problem: Problem, rows: Array) -> None:
-        """Go to the start of the problem, which differs in that alone from what was stepped before."""
+        """Go to the start of a problem, which differs in that alone from what was stepped before."""
         for array, before in self._before:
             array[...] = before
-        problem.begin(self.loop)
         self.answers.begin(problem)
         set_rows(self._addresses, problem.table, rows)
+        problem.begin(self.loop)
 
     def end(self) -> None:
         """Let the problem and the rows of the run go."""
         self._addresses.keep_alive(table=None, rows=None)
         self.answers.end()
 
+    def failure(self) -> SimulationError:
+        """Return why the loop cannot go on; what a user's law raised is raised here."""
+        return self.answers.failure(self._law, self.user_law)
 
-def driver(
-    problem: Problem,
-    kernel: Callable[..., int],
-    loop: Loop,
-    arrays: tuple[Array, Array, Array],
-    engine: str,
-    made: tuple[Tree, Array] | None = None,
-) -> tuple[Call, Call, Addresses]:
-    """Return two functions of the table of events: one provides terms once, one while nothing else is requested.
-
-    And the addresses that they call the loop with. The second returns after about a `MOMENT` too, see `Pace`. The
-    compiled engine's are the same: it returns as soon as something else is requested.
-
-    Parameters
-    ----------
-    problem, kernel, loop
-        The problem, one of its loops, see `closedloop.simulation.engines.loops.loop_for`, and the loop's memory.
-    arrays : tuple of three arrays
-        Reference, tableau and rows, see `closedloop.loop.events.proceed.proceed`.
-    engine : str
-        See `closedloop.simulate`.
-    made : (Tree, array), optional
-        The robot for the compiled engine, and its scratch array, if they exist already.
-    """
-    pace = Pace()
-    if engine == COMPILED:
-        given, addresses = _compiled_arguments(problem, loop, arrays, made)
-        if not isinstance(kernel, Interim) and not getattr(kernel, "signatures", ()):
-            direct(kernel, *given, 1)  # compile it, or read it from the cache, before the clock starts
-
-        def go_on(events: Array) -> int:
-            set_events(addresses, events)
-            # Interpreted, it returns after each evaluation, as with Pinocchio, and can be interrupted.
-            if isinstance(kernel, Interim) and kernel.interpreting:
-                return kernel(*given, 1)
-            return pace.take(lambda evaluations: kernel(*given, evaluations))
-
-        return go_on, go_on, addresses
-
-    robot = problem.robot
-    addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
-    crba, bias, convention, pinocchio, data = robot.passes
-    (q, turned), v, at = robot.configuration(loop.w.q), loop.w.v, address_of(addresses.memory)
-
-    def provide(evaluations: int) -> int:
-        request, call = TERMS, direct(kernel, at, FROM_PINOCCHIO)
-        for _ in range(evaluations):
-            if turned is not None:
-                turned()
-            crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
-            bias(pinocchio, data, q, v)
-            request = call(at, FROM_PINOCCHIO)
-            if request != TERMS:
-                break
-        return request
-
-    def once(events: Array) -> int:
-        set_events(addresses, events)
-        return provide(1)
-
-    def many(events: Array) -> int:
-        set_events(addresses, events)
-        return pace.take(provide)
-
-    return once, many, addresses
-
-
-def single_calls(
-    problem: Problem, kernel: Callable[..., int], loop: Loop, arrays: tuple[Array, Array, Array], engine: str
-) -> tuple[Call, Call]:
-    """Return two functions of the table of events that call a compiled kernel once: with new terms, with the last.
-
-    Of the arguments see `driver`. Nobody else may evaluate terms with the problem's robot.
-    """
-    known: Array | None = None
-    if engine == COMPILED:
-        given, addresses = _compiled_arguments(problem, loop, arrays)
-        call = direct(kernel, *given, 1)
-
-        def evaluate(events: Array) -> int:
-            nonlocal known
-            if known is not events:
-                set_events(addresses, events)
-                known = events
-            return call(*given, 1)
-
-        return evaluate, evaluate
-
-    robot = problem.robot
-    addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
-    crba, bias, convention, pinocchio, data = robot.passes
-    (q, turned), v, at = robot.configuration(loop.w.q), loop.w.v, address_of(addresses.memory)
-    call = direct(kernel, at, FROM_PINOCCHIO)
-
-    def again(events: Array) -> int:
-        nonlocal known
-        if known is not events:
-            set_events(addresses, events)
-            known = events
-        return call(at, FROM_PINOCCHIO)
-
-    def once(events: Array) -> int:
-        if turned is not None:
-            turned()
-        crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
-        bias(pinocchio, data, q, v)
-        return call(at, FROM_PINOCCHIO) if known is events else again(events)
-
-    return once, again
-
-
-def _compiled_arguments(
-    problem: Problem, loop: Loop, arrays: tuple[Array, Array, Array], made: tuple[Tree, Array] | None = None
-) -> tuple[tuple[Tree, Array, int], Addresses]:
-    """Return the arguments of `run_compiled` but for the last, and the addresses, which are kept as long as it runs."""
-    from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
-
-    n = problem.robot.n
-    tree, work = made or (compiled_tree(problem), compiled_work(n))
-    H, C, scratch = compiled_terms(work, n)
-    addresses = addresses_of((H, C), loop, *arrays, np.zeros((0, EVENT_WIDTH)))
-    return (tree, scratch, address_of(addresses.memory)), addresses
+    def close(self) -> None:
+        """Release the user's law."""
+        if self.user_law is not None:
+            self.user_law.close()
 
 
 def have_compiled(scenario: Scenario, model: RobotModel) -> None:
@@ -332,13 +311,12 @@ def begun(
     waited_for = [*kernels, *filter(takes_long, called)]
     if not all(map(at_hand, waited_for)):
         calls = problem.steps * problem.integrator.stages
-        again = law is None  # which has a memory of its own, and is not asked twice
 
         def connect_drafts(of_loop: bool) -> None:
             connect(machine=draft_address, loop_compiled=of_loop)
 
         return Interim(
-            kernels[0], loop.written, calls, with_it, connect, once, again, called,
+            kernels[0], loop.written, calls, with_it, connect, once, called,
             None if engine == COMPILED else connect_drafts,
             lambda: float(loop.state.row) / problem.steps,
         )  # fmt: skip

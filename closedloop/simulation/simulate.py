@@ -26,7 +26,7 @@ from closedloop.base.progress import reporting
 from closedloop.control.reference.table import Reference
 from closedloop.jit.interim import Interim, at_hand, call_now, not_compiled_first
 from closedloop.jit.kernel import plain
-from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
+from closedloop.loop.events.phases import DONE, TERMS
 from closedloop.loop.events.table import EVENT_COLUMNS, EVENT_WIDTH, event_column
 from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
@@ -43,7 +43,7 @@ from closedloop.simulation.engines.law_source import arguments_of, law_digest
 from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.loop_calls import MEMORY, Calls
+from closedloop.simulation.loop_calls import MEMORY, Driver, drive
 from closedloop.simulation.prepare import borrowed, changed, problem_of, started_elsewhere
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
@@ -354,7 +354,7 @@ def run_loop(
     failure : SimulationError or None
         Why it stopped early.
     seconds : float
-        Wall time of the steps, s, without compilation; on Pinocchio of those after the first.
+        Wall time of the steps, s, without compilation.
     """
     if problem.tolerance is not None:
         from closedloop.simulation.engines.adaptive.drive import run_adaptive
@@ -363,13 +363,14 @@ def run_loop(
         return run_adaptive(problem, law, report, keep_interrupted)
     robot, steps = problem.robot, problem.steps
     rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
-    spare = problem.spare.pop(engine, None) if law is None else None
-    calls: Calls = spare or Calls(problem, rows, law, engine, interim, tree, problem.spare.pop(MEMORY, None))
-    calls.begin(problem, rows)
-    loop, kernel, answers, user_law, step, many = (
-        calls.loop, calls.kernel, calls.answers, calls.user_law, calls.once, calls.many,
-    )  # fmt: skip
-    state, w = loop.state, loop.w
+    driver: Driver | None = problem.spare.pop(engine, None) if law is None else None
+    if driver is not None:
+        driver.begin(problem, rows)
+    else:
+        memory = problem.spare.pop(MEMORY, None)
+        driver = Driver(problem, rows, engine, law=law, interim=interim, tree=tree, into=memory, kept=True)
+    kernel, answers, once, many = driver.kernel, driver.answers, driver.once, driver.many
+    loop, (state, _, w) = driver.loop, driver.loop
 
     def finish(done: int) -> None:
         if interim:
@@ -377,28 +378,19 @@ def run_loop(
         else:
             complete_record(loop.address, rows, done)
 
+    def reported() -> bool:
+        report(int(state.row), steps)
+        return True
+
     failure: SimulationError | None = None
-    request = TERMS
-    began, first = clock.perf_counter(), engine == PINOCCHIO
+    began = clock.perf_counter()
     try:
         report(0, steps)
-        while True:
-            if request == TERMS:
-                request = (step if first else many)(answers.events)
-            elif request in (TABLE_FULL, IMPACT_LAW_WANTED):
-                answers.give(request)
-                request = step(answers.events)
-            elif request == DONE:
-                break
-            else:
-                failure = answers.failure(law, user_law)
-                break
-            if first:  # the first call compiled the kernel, or read it from the cache
-                first, began = False, clock.perf_counter()
-            report(int(state.row), steps)
-        if failure is None:
+        if drive(lambda request: many() if request == TERMS else once(), answers.give, reported) == DONE:
             report(steps, steps)
             finish(int(state.row) + 1)
+        else:
+            failure = driver.failure()
     except (LawError, DivergenceError) as error:
         failure = error
     except Exception as error:
@@ -410,8 +402,7 @@ def run_loop(
             raise
         failure = interrupted(stop, float(w.time))
     finally:
-        if user_law is not None:
-            user_law.close()
+        driver.close()
     seconds = clock.perf_counter() - began - answers.compiling
     seconds -= kernel.compiling if isinstance(kernel, Interim) else 0.0
     done = int(state.row) + (failure is None)
@@ -420,7 +411,7 @@ def run_loop(
     if failure is not None:
         finish(done)
     events = answers.events[: int(state.event.rows)].copy()
-    if calls.may_be_kept:
-        calls.end()
-        problem.spare[engine] = calls
+    if driver.may_be_kept:
+        driver.end()
+        problem.spare[engine] = driver
     return rows[:done], events, failure, seconds

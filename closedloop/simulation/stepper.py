@@ -18,16 +18,15 @@ from closedloop.control.drives import cut_torque
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
 from closedloop.loop.events.impacts import collide
-from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
+from closedloop.loop.events.phases import FAILED, MEASURED, STEP_END
 from closedloop.loop.step.memory import State, Work
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.drives import lose_undriven, torque_of_drives
-from closedloop.simulation.engines.loops import kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law, UserLaw
-from closedloop.simulation.loop_calls import Answers, single_calls
+from closedloop.simulation.loop_calls import Driver, drive
 
 # A copy of the loop's memory: whole numbers, real ones before and behind the batch of rows that wait for their
 # condition numbers, that batch if the next row completes it, whether the scenario's law had started, and the memory of
@@ -61,9 +60,9 @@ class Stepper:
         # A robot of its own: the terms that it has evaluated last are used again.
         problem = replace(problem, robot=problem.robot.again())
         self._problem = problem
-        self.loop = problem.loop()
-        make_ready(*kernels_of(engine), *problem.called(self.loop))
-        problem.connect(self.loop)
+        self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
+        self._driver = driver = Driver(problem, self.rows, engine)
+        self.loop, self.answers = driver.loop, driver.answers
         state, w = self.loop.state, self.loop.w
         self._numbers: Any = state.memory.data
         # What is written through these is written as bytes, in a third of the time.
@@ -77,11 +76,7 @@ class Stepper:
         self._of_contacts: tuple[Any, ...] = tuple(block.memory.data.cast("B") for block in contacts)
         self._own = int(state.settings.general), int(state.law.entry), int(state.compensation.entry)
         self._torque: Any = w.torque.data
-        self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
-        self.answers = Answers(problem, self.loop)
         make_ready(*([collide] if state.settings.unilateral or state.contacts.at else []), complete_record)
-        arrays = problem.table, problem.integrator.tableau(), self.rows
-        self._once, self._again = single_calls(problem, loop_for(engine), self.loop, arrays, engine)
         self._held, self._own_started = False, False
         self._all_driven = not len(problem.robot.model.undriven)
         self._begins = MEASURED if state.settings.encoder else STEP_END  # the phase that a row begins with
@@ -196,30 +191,26 @@ class Stepper:
             If the loop cannot go on; an exception of a user's law is its cause.
         """
         numbers = self._numbers
-        row, before = numbers[_ROW], self.mark
-        call = self._again if self._terms_there else self._once
-        marked = self._at_mark or row == 0
+        row, self._next_mark = numbers[_ROW], self.mark
+        self._call = self._driver.again if self._terms_there else self._driver.once
+        self._marked = self._at_mark or row == 0
         self._at_mark, self._terms_there, self._terms_of = False, False, None
-        while True:
-            if not marked and numbers[_PHASE] == self._begins:
-                before = self._copied()
-            marked = row == 0
-            if self._held:
-                numbers[_SAMPLED] = 0
-            request = call(self.answers.events)
-            call = self._once
-            if request == TERMS:
-                if numbers[_ROW] > row:
-                    break
-            elif request == DONE:
-                break
-            elif request in (TABLE_FULL, IMPACT_LAW_WANTED):
-                self.answers.give(request)
-            else:
-                raise self.answers.failure(self._torque if self._held else self._law, self._user_law)
-        self.mark = before
+        if drive(self._go_on, self.answers.give, lambda: bool(numbers[_ROW] <= row)) == FAILED:
+            raise self.answers.failure(self._torque if self._held else self._law, self._user_law)
+        self.mark = self._next_mark
         if row > 0 and self._begins == STEP_END:
-            self._terms_of = before
+            self._terms_of = self.mark
+
+    def _go_on(self, request: int) -> int:
+        """Call the loop, which may record a row."""
+        numbers = self._numbers
+        if not self._marked and numbers[_PHASE] == self._begins:
+            self._next_mark = self._copied()
+        self._marked = numbers[_ROW] == 0
+        if self._held:
+            numbers[_SAMPLED] = 0
+        call, self._call = self._call, self._driver.once
+        return call()
 
     @property
     def rows_done(self) -> int:

@@ -13,7 +13,6 @@ from closedloop.jit.calls import callback, interpreted_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import jit_disabled
 from closedloop.loop.events.phases import DONE
-from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.closed_loops import DRIVE, closed_loops
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
@@ -22,9 +21,8 @@ from closedloop.mechanics.loops.factor import factor
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.reactions import loop_reactions
 from closedloop.mechanics.loops.rows import locate_rows
-from closedloop.simulation.engines.loops import loop_for
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.loop_calls import driver
+from closedloop.simulation.loop_calls import Driver
 from robot_models.loop_joint import BINDS
 from validation.loops.cases import AWAY, FRICTION, SLIDES, Case, oracle_of
 from validation.oracle.loops import LoopOracle, Motion
@@ -97,9 +95,10 @@ def ask_loop(case: Case, engine: str, fault: LoopFault = SOUND) -> Motion:
         If the loop does not record a row.
     """
     problem = problem_of(case)
-    n, loop = problem.robot.n, problem.loop()
-    state, _, w = loop
-    problem.connect(loop)
+    n = problem.robot.n
+    rows = np.zeros((1, Row.count(n)))
+    driver = Driver(problem, rows, engine)
+    state, _, w = driver.loop
     memory: LoopMemory = w.kept["loops"]
     fault.bound(memory)
     sound: Entry = interpreted(closed_loops)
@@ -115,10 +114,7 @@ def ask_loop(case: Case, engine: str, fault: LoopFault = SOUND) -> Motion:
     entry(memory.address, DRIVE)  # as after a law
     u = problem.frame @ problem.robot.terms(case.q, case.v).jacobian @ case.v
     w.friction.direction[:] = u[1:] / max(float(np.linalg.norm(u[1:])), 1e-300)
-    rows, events = np.zeros((1, Row.count(n))), np.zeros((4, EVENT_WIDTH))
-    arrays = problem.table, problem.integrator.tableau(), rows
-    _, many, _ = driver(problem, loop_for(engine), loop, arrays, engine)
-    if many(events) != DONE:
+    if driver.many() != DONE:
         raise np.linalg.LinAlgError(f"the loop stopped with status {int(state.status)}")
     del kept  # what is called by its address lives until here
     return _motion(case, problem, Row(rows[0], n), fault)

@@ -10,14 +10,12 @@ import numpy as np
 
 import closedloop as cl
 from closedloop.loop.events.phases import DONE
-from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.surface import SURFACES
-from closedloop.simulation.engines.loops import loop_for
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.loop_calls import driver
+from closedloop.simulation.loop_calls import Driver
 from validation.engines import Engine
 from validation.oracle.spatial import Array
 from validation.oracle.surface import SurfaceContact, Touch
@@ -103,9 +101,10 @@ def ask_loop(case: Case, engine: str, fault: Callable[[Problem], Problem] = lamb
         If the loop does not record a row.
     """
     problem = fault(problem_of(case, placed_surface(case)))
-    n, loop = problem.robot.n, problem.loop()
-    state, _, w = loop
-    problem.connect(loop)
+    n = problem.robot.n
+    rows = np.zeros((1, Row.count(n)))
+    driver = Driver(problem, rows, engine)
+    state, _, w = driver.loop
     state.sampled, state.settings.steps = 0, 0  # the torque is given, and one row is all
     w.time, w.torque[:] = case.t, case.torque
     terms = problem.robot.terms(case.q, case.v)
@@ -115,10 +114,7 @@ def ask_loop(case: Case, engine: str, fault: Callable[[Problem], Problem] = lamb
     w.tip.anchor[:] = case.anchor
     if problem.surface.fixed_plane:  # there a place on the surface is in the contact frame
         w.tip.anchor[:] = now.frame @ (case.axes.T @ case.anchor + case.origin)
-    rows, events = np.zeros((1, Row.count(n))), np.zeros((4, EVENT_WIDTH))
-    arrays = problem.table, problem.integrator.tableau(), rows
-    _, many, _ = driver(problem, loop_for(engine), loop, arrays, engine)
-    if many(events) != DONE:
+    if driver.many() != DONE:
         raise np.linalg.LinAlgError(f"the loop stopped with status {int(state.status)}")
     row = Row(rows[0], n)
     normal = np.array(row.surface_normal)

@@ -19,7 +19,7 @@ from typing import Any
 from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.calls import matrix_of, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.jit.lanewise import lanewise, takes_arrays
+from closedloop.jit.lanewise import lanewise
 
 BATCH = 32
 # Above this many joints the rows of the matrices vectorise by themselves, one condition number at a time.
@@ -64,7 +64,6 @@ def add_to_batch(
 
 
 @kernel
-@takes_arrays
 def condition_numbers_of_batch(batch: Array, n: int, lanes: int) -> None:
     """Overwrite the last row of `batch` with the condition numbers of its first `lanes` lanes."""
     P = batch

@@ -19,7 +19,7 @@ from closedloop.jit.dual import NotDualError, dual, refused_as_one_line
 from closedloop.jit.kernel import direct
 from closedloop.jit.simd8 import WIDE, aligned
 from closedloop.loop.events.impacts import collide
-from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
+from closedloop.loop.events.phases import DONE, INITIAL_EVENTS, TABLE_FULL
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.memory import Constants, Loop, State, Work
 from closedloop.mechanics.robot.tree import Tree
@@ -29,6 +29,7 @@ from closedloop.simulation.engines.compiled import Parts, compiled_work, measure
 from closedloop.simulation.engines.loops import Pace
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import Addresses, proceed_at
+from closedloop.simulation.loop_calls import drive
 
 # Directions of one run.
 DIRECTIONS = WIDE - 1
@@ -168,21 +169,25 @@ class DualRun:
     def run(self) -> bool:
         """Run to the end; False if something stops it."""
         at, parts = address_of(self._addresses.memory), address_of(self._parts.memory)
-        go_on, request, pace = dual(run_varied_at if self._varied else run_at), TERMS, Pace()
-        while request != DONE:
-            if request == TABLE_FULL:
-                more = aligned(2 * len(self.events), EVENT_WIDTH)
-                more[: len(self.events)] = self.events
-                self.events = more
-                self._set_events()
-            elif request == IMPACT_LAW_WANTED:
-                self._collide()
-            elif request != TERMS:
-                return False
+        kernel, pace = dual(run_varied_at if self._varied else run_at), Pace()
+
+        def call(request: int) -> int:
             with refused_as_one_line():
-                request = pace.take(lambda evaluations: go_on(self._tree, parts, at, evaluations))
-        self.events = self.events[: int(self._state.event.rows)]
-        return True
+                return pace.take(lambda evaluations: kernel(self._tree, parts, at, evaluations))
+
+        done = drive(call, self._give) == DONE
+        if done:
+            self.events = self.events[: int(self._state.event.rows)]
+        return done
+
+    def _give(self, request: int) -> None:
+        if request == TABLE_FULL:
+            more = aligned(2 * len(self.events), EVENT_WIDTH)
+            more[: len(self.events)] = self.events
+            self.events = more
+            self._set_events()
+        else:
+            self._collide()
 
     def _collide(self) -> None:
         problem, loop = self._base.problem, self._loop

@@ -341,7 +341,7 @@ class ScenarioNumbers:
 
     @cached_property
     def spare(self) -> dict[str, Any]:
-        """What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Calls`."""
+        """What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Driver`."""
         return {}
 
     @property

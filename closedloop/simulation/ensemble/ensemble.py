@@ -27,10 +27,10 @@ from closedloop.mechanics.robot.tree import Tree
 from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
 from closedloop.simulation.engines.loops import COMPILED, kernels_of
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import addresses_of, set_events
+from closedloop.simulation.engines.proceed import addresses_of
 from closedloop.simulation.ensemble.lane_steps import Lanes, may_step_in_lanes, step_in_lanes
 from closedloop.simulation.ensemble.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
-from closedloop.simulation.loop_calls import Answers
+from closedloop.simulation.loop_calls import Answers, drive
 
 # Rows that the window of a member has beside those that it must keep: it moves them once in so many.
 SPARE = 64
@@ -53,6 +53,7 @@ class _One:
         H, C, scratch = compiled_terms(compiled_work(n), n)
         tableau = np.ascontiguousarray(problem.integrator.tableau())
         self.addresses = addresses_of((H, C), self.loop, problem.table, tableau, window, self.answers.events)
+        self.answers.addresses = self.addresses
         # The batch of condition numbers starts anew at each control instant; scratch is kept from no call to the next.
         w, sizes = self.loop.w, self.loop.w.sizes
         batch, after = Work.place("batch", *sizes), Work.place("z", *sizes)
@@ -83,16 +84,6 @@ class _One:
             problem.set_restitution(self.loop)
             m.strike = entry_address(strike)
         m.keep_alive(tree=tree, scratch=scratch, copied=copied, marks=marks, boundary=boundary, window=window, H=H, C=C)
-
-    def answer(self) -> SimulationError | None:
-        """Answer what the simulation asks for, or return why it cannot go on."""
-        request = int(self.member.request)
-        if request == FAILED:
-            law = "torque" if self.member.held else None
-            return self.answers.failure(law, None)
-        self.answers.give(request)
-        set_events(self.addresses, self.answers.events)
-        return None
 
 
 def _shares(count: int, threads: int) -> list[int]:
@@ -279,12 +270,18 @@ class Ensemble:
         i = int(one[0])
         asking = self._ones[i]
         assert asking is not None
-        while int(asking.member.request) != WAITING:
-            self.failures[i] = asking.answer()
-            if self.failures[i] is not None:
-                self.failed[i] = True
-                return
+        member, answers = asking.member, asking.answers
+
+        def call(request: int) -> int:
             step_members(self._members, one, 0, 1, *given)
+            return int(member.request)
+
+        request = int(member.request)
+        if request != FAILED:
+            answers.give(request)
+            request = drive(call, answers.give)
+        if request == FAILED:
+            self.failures[i], self.failed[i] = answers.failure("torque" if member.held else None, None), True
 
     def _threads(self) -> ThreadPoolExecutor:
         if self._pool is None or self._process != os.getpid():  # a fork has the pool, but none of its threads

@@ -22,7 +22,7 @@ from closedloop.control.sensor import SensorParameters
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.impacts import collide
-from closedloop.loop.events.phases import IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
+from closedloop.loop.events.phases import MEASURED, STEP_END
 from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.perceived import sensor_feels
@@ -33,10 +33,10 @@ from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.tree.turning import turn
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.engines.loops import PINOCCHIO, kernels_of, loop_for
+from closedloop.simulation.engines.loops import PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.start_memory import read_encoders
-from closedloop.simulation.loop_calls import Answers, single_calls
+from closedloop.simulation.loop_calls import Driver, drive
 from closedloop.simulation.stepper import Stepper
 from closedloop.studies.analysis.closed_contacts import ClosedContacts, contacts_of, put_contacts
 
@@ -178,31 +178,24 @@ def rows_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) ->
         Added to f_des at the first sample, N.
     """
     problem = replace(problem, robot=problem.robot.again())
-    loop, n = problem.loop(), problem.robot.n
-    make_ready(*kernels_of(PINOCCHIO), *problem.called(loop), complete_record, collide)
-    problem.connect(loop)
-    put(instant, problem, loop)
-    first = int(loop.state.row)
+    record, n = np.zeros((problem.steps + 1, problem.row_width)), problem.robot.n
+    driver = Driver(problem, record)
+    make_ready(complete_record, collide)
+    put(instant, problem, driver.loop)
+    state = driver.loop.state
+    first = int(state.row)
     last = min(first + rows, problem.steps)
-    record = np.zeros((problem.steps + 1, problem.row_width))
-    answers = Answers(problem, loop)
-    arrays = problem.table, problem.integrator.tableau(), record
-    once, _ = single_calls(problem, loop_for(PINOCCHIO), loop, arrays, PINOCCHIO)
     kicked = problem.table[
         first * problem.nodes : (first + max(problem.hold, 1)) * problem.nodes, Reference.place("force", n)
     ]
     before = kicked.copy()
     kicked += kick
     try:
-        while loop.state.row < last:
-            request = once(answers.events)
-            if request in (TABLE_FULL, IMPACT_LAW_WANTED):
-                answers.give(request)
-            elif request != TERMS:
-                break
+        if first < last:
+            drive(lambda request: driver.once(), driver.answers.give, lambda: bool(state.row < last))
     finally:
         kicked[:] = before
-    return np.array(record[first : loop.state.row])
+    return np.array(record[first : state.row])
 
 
 # Rows that bind whose singular value is below this share of the largest depend on others.
@@ -246,17 +239,10 @@ class Here:
     def __post_init__(self) -> None:
         self.problem = problem = replace(self.problem, robot=self.problem.robot.again())
         self.row = round(self.instant.time / problem.h)
-        self.loop = loop = problem.loop()
+        self._driver = Driver(problem, np.empty((self.row + 2, problem.row_width)))
+        self.loop = loop = self._driver.loop
         self._loops: LoopMemory | None = loop.w.kept.get("loops")
-        closing = [] if self._loops is None else [closed_to]
-        make_ready(*kernels_of(PINOCCHIO), *problem.called(loop), complete_record, *closing)
-        problem.connect(loop)
-        self._rows = np.empty((self.row + 2, problem.row_width))
-        self._answers = Answers(problem, loop)
-        arrays = problem.table, problem.integrator.tableau(), self._rows
-        _, self._call = single_calls(problem, loop_for(PINOCCHIO), loop, arrays, PINOCCHIO)
-        self._passes = problem.robot.passes
-        self._posture, self._turned = problem.robot.configuration(loop.w.q)
+        make_ready(complete_record, *([] if self._loops is None else [closed_to]))
         self._balls = problem.robot.model.balls
         state, w, constants = loop.state, loop.w, loop.constants
         n = problem.robot.n
@@ -375,17 +361,13 @@ class Here:
         self._close(w.q, w.v)
         if encoders:
             read_encoders(loop, problem.table)
-        crba, bias, convention, pinocchio, data = self._passes
         try:
             for _ in range(2 if encoders else 1):
-                if self._turned is not None:
-                    self._turned()
-                crba(pinocchio, data, self._posture, convention)
-                bias(pinocchio, data, self._posture, w.v)
+                self._driver.terms()
                 if "link" in changes:
                     problem.robot.views[1][:] -= changes["link"]
                 state.sampled = 0 if held else 1
-                self._call(self._answers.events)
+                self._driver.again()
         finally:
             if asked:
                 nodes[:] = self._asked

@@ -11,11 +11,10 @@ from budget import budget
 
 import closedloop as cl
 from closedloop.control.reference.follow import follow
-from closedloop.jit import background, buffers, cache_folder, calls, compile_cache, interim
-from closedloop.jit.calls import address_of, call_at, forget_entry, interpreted_address, matrix_at
+from closedloop.jit import background, cache_folder, calls, compile_cache, drafts, interim
+from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interim import PROBE, Interim
 from closedloop.jit.interpreted import interpreted
-from closedloop.jit.kernel import entry_kernel, jit_disabled
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.step.record_row import complete_record
 from closedloop.record.report.measured import measure_rows
@@ -70,13 +69,6 @@ def nothing_compiled(monkeypatch):
     return wanted
 
 
-class Kept(dict):
-    """The entries that do with buffers: none of them is to need arrays."""
-
-    def __delitem__(self, key):
-        raise AssertionError(f"{self[key].__name__} needs arrays")
-
-
 def bits(run):
     """Return the columns of a run as bytes."""
     return {name: column.tobytes() for name, column in run.columns.items()}
@@ -84,24 +76,16 @@ def bits(run):
 
 @pytest.mark.parametrize(("name", "engine"), [(name, ENGINES[k % 2]) for k, name in enumerate(CASES)])
 def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, request, monkeypatch):
-    """Every column and every event: laws, friction, impacts and integrators, on the two engines in turn.
-
-    Buffers do for all of them: arrays take twice as long.
-    """
+    """Every column and every event: laws, friction, impacts and integrators, on the two engines in turn."""
     shipped, changes = CASES[name]
     scenario = cl.load_scenario(shipped, SHORT | changes)
     compiled = cl.simulate(scenario, engine=engine)
     wanted = request.getfixturevalue("nothing_compiled")
-    loops, init = [], Interim.__init__
-    monkeypatch.setattr(Interim, "__init__", lambda self, *given: (init(self, *given), loops.append(self))[0])
-    monkeypatch.setattr(calls, "_with_buffers", Kept(calls._with_buffers))
     interim._so_far[loop_for(engine).__name__] += PROBE  # a short run asks for compiled code after others
     run = prepare(scenario).run(engine=engine)
     assert any(loop_for(engine).__name__ in names for names in wanted if len(names) > 1)
     assert np.ptp(run.contact_force) > 0.0 or np.ptp(run.q) > 0.0
     assert bits(run) == bits(compiled)
-    (loop,) = [each for each in loops if len(each._with_it) > 1]
-    assert loop._with_buffers
 
 
 def test_a_path_of_a_mechanism_is_interpreted_to_the_last_bit(nothing_compiled, monkeypatch):
@@ -142,10 +126,9 @@ def test_a_law_of_ones_own_is_asked_as_often(nothing_compiled):
 @pytest.mark.parametrize("kernel", [
     *(loop_for(engine) for engine in ENGINES), collide, complete_record, measure_rows,
 ])  # fmt: skip
-@pytest.mark.parametrize("buffers", [False, True])
-def test_a_twin_calls_nothing_compiled(kernel, buffers):
+def test_a_twin_calls_nothing_compiled(kernel):
     """Every function that a twin can reach is a twin: one that was left out would be compiled."""
-    seen, waiting = set(), [interpreted(kernel, buffers)]
+    seen, waiting = set(), [interpreted(kernel)]
     while waiting:
         function = waiting.pop()
         if id(function) in seen:
@@ -157,37 +140,7 @@ def test_a_twin_calls_nothing_compiled(kernel, buffers):
         found = [function.__globals__.get(name) for code in codes for name in code.co_names] + cells
         waiting += [x for x in found if isinstance(x, types.FunctionType) or hasattr(x, "py_func")]
     assert len(seen) > 1
-    assert interpreted(kernel, buffers) is interpreted(kernel, buffers)
-
-
-@pytest.mark.skipif(jit_disabled(), reason="there are no twins")
-def test_what_buffers_cannot_do_is_done_again_with_arrays(monkeypatch):
-    """A row of a matrix is refused, and a division by zero: each call begins again from what it was given."""
-    memory = np.array([1.0, 2.0, 3.0, 4.0])
-
-    @entry_kernel
-    def add_to_row(address, divide):
-        matrix = matrix_at(address, 2, 2)
-        matrix[0, 0] += 1.0
-        if divide:
-            matrix[0, 1] = matrix[0, 0] / matrix[1, 0]
-        else:
-            matrix[1][1] += 1.0
-        return 0
-
-    monkeypatch.setattr(background, "start", lambda functions: None)
-    monkeypatch.setattr(interim, "needs_compiling", lambda function: True)
-    kernel = Interim(add_to_row, (memory,), 1000, buffers=True)
-    kernel(address_of(memory), True)
-    assert kernel._with_buffers
-    assert memory.tolist() == [2.0, 2.0 / 3.0, 3.0, 4.0]
-    memory[2] = 0.0
-    kernel(address_of(memory), True)
-    assert kernel._with_buffers
-    assert memory.tolist() == [3.0, np.inf, 0.0, 4.0]
-    kernel(address_of(memory), False)
-    assert not kernel._with_buffers
-    assert memory.tolist() == [4.0, np.inf, 0.0, 5.0]
+    assert interpreted(kernel) is interpreted(kernel)
 
 
 def test_hypotenuse_is_that_of_the_c_library():
@@ -338,7 +291,7 @@ def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypat
     cache_folder.claim(mine)
     problems = list(map(prepare, scenarios))
     entries = {entry for problem in problems for entry in problem.called(problem.loop())} | {proceed_at}
-    with buffers.written_first(), monkeypatch.context() as unfinished:
+    with drafts.written_first(), monkeypatch.context() as unfinished:
         unfinished.setattr(compile_cache.KernelCache, "save_overload", lambda *_: None)
         for entry in entries:  # anew, as nobody has compiled it yet
             calls.entry_address(type(entry)(entry.py_func, entry.make))
@@ -347,12 +300,12 @@ def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypat
     monkeypatch.setattr(background, "start", lambda functions: None)
     monkeypatch.setattr(interim, "PROBE", 3)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.0)
-    for module in (interim, background, buffers):
+    for module in (interim, background, drafts):
         monkeypatch.setattr(module, "needs_compiling", lambda function: function in entries)
     monkeypatch.setattr(interim, "direct", lambda function, *_: pytest.fail(f"{function.__name__} is compiled"))
     for scenario, expected in zip(scenarios, sound, strict=True):
         assert bits(prepare(scenario).run()) == expected
-    assert set(buffers._loaded) >= entries
+    assert set(drafts._loaded) >= entries
 
 
 def test_a_run_asks_again_until_its_loop_is_compiled(monkeypatch):
@@ -410,7 +363,7 @@ def test_the_same_run_goes_over_to_the_compiled_form(monkeypatch):
     monkeypatch.setattr(background, "start", lambda functions: None)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.01)
     lacking = lambda function: function is proceed_at and not (loops and loops[0]._done >= 2 * PROBE)  # noqa: E731
-    for module in (interim, buffers):
+    for module in (interim, drafts):
         monkeypatch.setattr(module, "needs_compiling", lacking)
     init = Interim.__init__
 

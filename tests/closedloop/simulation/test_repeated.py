@@ -16,7 +16,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.load import shipped_scenarios
 from closedloop.simulation import prepare as prepare_module
 from closedloop.simulation.cache import Cache
-from closedloop.simulation.loop_calls import Calls
+from closedloop.simulation.loop_calls import Driver
 from closedloop.simulation.simulate import run_loop
 
 # A soft and rough surface, a sampled law and a sensor with noise; see `closedloop.gym.task`.
@@ -245,8 +245,8 @@ def test_columns_are_made_once_and_stay():
 
 def test_what_a_run_leaves_in_the_memory_would_show(monkeypatch):
     """If the memory were not put back, the run from the next start would be another: the tests above see that."""
-    begin = Calls.begin
-    monkeypatch.setattr(Calls, "begin", lambda calls, *of: (calls._before.clear(), begin(calls, *of)))
+    begin = Driver.begin
+    monkeypatch.setattr(Driver, "begin", lambda calls, *of: (calls._before.clear(), begin(calls, *of)))
     scenario, cache = scenario_with(RUBBING), Cache()
     runs = [run_loop(prepare_module.prepare(scenario, None, cache), engine="compiled")[0] for _ in range(2)]
     assert not np.array_equal(*runs)

@@ -431,10 +431,10 @@ def run_adaptive(
             raise
         failure = interrupted(stop, run.time)
     finally:
-        memory.close()
+        memory.driver.close()
     seconds = clock.perf_counter() - began
     done = run.row
     if isinstance(failure, InterruptedRunError):
         done = rows_there(memory.state, done, problem.robot.n)
     complete_record(memory.loop.address, memory.rows, done)
-    return memory.rows[:done], memory.events[: int(memory.state.event.rows)], failure, seconds
+    return memory.rows[:done], memory.driver.answers.events[: int(memory.state.event.rows)], failure, seconds

@@ -11,24 +11,17 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError
 from closedloop.control.reference.table import Reference
-from closedloop.jit.background import make_ready
-from closedloop.jit.calls import address_of
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import (
     AFTER_EVENT,
     AT_EVENT,
     FAILED,
-    IMPACT_LAW_WANTED,
-    INITIAL_EVENTS,
     PROJECTION,
     QUERY,
     STEP_END,
-    TABLE_FULL,
     TERMS,
 )
 from closedloop.loop.events.query import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
-from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.advance import turn_rate
 from closedloop.loop.step.closed_loops import CLOSE, closed_loops
 from closedloop.loop.step.external import BEGIN, END, SHARE
@@ -38,8 +31,8 @@ from closedloop.mechanics.closure.solve import LAW_FAILED, OK
 from closedloop.simulation.engines.adaptive.smooth import Interval
 from closedloop.simulation.engines.failures import raised_by_member
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, addresses_of, proceed_at, set_events
-from closedloop.simulation.engines.user_law import Law, UserLaw
+from closedloop.simulation.engines.user_law import Law
+from closedloop.simulation.loop_calls import Driver, drive
 
 # Within this share of a row before the instant from which the PD part of the paper's law acts, the law's time stays at
 # that instant: it does not act yet.
@@ -67,27 +60,21 @@ class Memory:
         Rows for which a sampled torque is held, 0: none.
     rows : (steps + 1, width) array
         The record.
-    events : (M, EVENT_WIDTH) array
-        The table of events, which grows as needed.
+    driver : Driver
+        What steps the loop.
     """
 
     def __init__(self, problem: Problem, law: Law | None) -> None:
         robot, self._problem = problem.robot, problem
         self.robot, self.n, self.h = robot, robot.n, problem.h
-        self.loop = problem.loop(user_law=law is not None)
-        self.state, self.constants, self.w = self.loop
-        self.user_law = None if law is None else UserLaw(law, self.loop)
-        make_ready(proceed_at, *problem.called(self.loop, law is not None))
-        problem.connect(self.loop, self.user_law.connect if self.user_law else None)
-        self.state.settings.adaptive, self.state.settings.nodes_per_step = 1, 0  # there is one row of the table
-        self.hold = int(self.state.settings.hold)
         self.rows = np.zeros((problem.steps + 1, problem.row_width))
-        self.events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
-        self._terms = robot.evaluator(self.w.q, self.w.v)
-        self._tableau = problem.integrator.tableau()
         # The reference at the instant evaluated: a table of one row.
         self._wanted = problem.table[:1].copy()
-        self._addresses = addresses_of(robot.views, self.loop, self._wanted, self._tableau, self.rows, self.events)
+        self.driver = Driver(problem, self.rows, law=law, table=self._wanted)
+        self.loop = self.driver.loop
+        self.state, self.constants, self.w = self.loop
+        self.state.settings.adaptive, self.state.settings.nodes_per_step = 1, 0  # there is one row of the table
+        self.hold = int(self.state.settings.hold)
 
     def put(self, y: Array) -> None:
         """Make y the state in the memory, moved to the nearest one that closes the loops if there are any."""
@@ -145,10 +132,7 @@ class Memory:
 
     def start(self) -> float:
         """Record the row of t = 0 and apply the events there, as for steps of fixed length."""
-        answer = TERMS
-        while self.state.row == 0:
-            self._answer(answer)
-            answer = self._proceed()
+        drive(self._call, self.driver.answers.give, lambda: bool(self.state.row == 0))
         # The loop has begun a step already: its beginning is the state at t = 0.
         self.w.time = self.w.start.time
         self.put(np.append(self.w.start.state, self.w.supply.energy))
@@ -219,22 +203,15 @@ class Memory:
         sampled, row = int(self.state.sampled), int(self.state.row)
         self.state.phase, self.state.row = phase, 1
         self.constants.h = self.w.time
-        answer = TERMS  # the torque has been evaluated
-        while self.state.phase != STEP_END:
-            self._answer(answer)
-            answer = self._proceed()
+        drive(self._call, self.driver.answers.give, lambda: bool(self.state.phase != STEP_END))
         self.state.sampled, self.state.row, self.constants.h = sampled, row, self.h
 
-    def _answer(self, answer: int) -> None:
-        """Provide what the loop has requested."""
-        if answer == TABLE_FULL:
-            self.events = np.vstack([self.events, np.zeros_like(self.events)])
-            set_events(self._addresses, self.events)
-        elif answer == IMPACT_LAW_WANTED:
-            self._problem.set_restitution(self.loop)
-            collide(self.loop.address)
-        else:
-            self._terms()
+    def _call(self, request: int) -> int:
+        """Call the loop, with terms if they were requested."""
+        answer = self.driver.once() if request == TERMS else self.driver.again()
+        if answer == FAILED:
+            self._check(int(self.state.status))
+        return answer
 
     def _evaluate_for(self, use: int) -> None:
         """Evaluate the state in the memory."""
@@ -242,28 +219,17 @@ class Memory:
         if use == RECORD:
             drawn = slice(Reference.count(self._problem.robot.n), None)  # what the sensor draws
             self._wanted[0, drawn] = self._problem.table[self.state.row * self._problem.nodes, drawn]
-        self._terms()
-        self._proceed()
+        self._call(TERMS)
         self._check(OK)
         self.state.phase = phase
 
-    def _proceed(self) -> int:
-        answer = proceed_at(address_of(self._addresses.memory), FROM_PINOCCHIO)
-        if answer == FAILED:
-            self._check(int(self.state.status))
-        return answer
-
-    def close(self) -> None:
-        """Release the user's law; the rows and the events stay."""
-        if self.user_law is not None:
-            self.user_law.close()
-
     def _check(self, status: int) -> None:
         """Raise an error for a status other than OK."""
-        if self.user_law is not None and (status == LAW_FAILED or self.user_law.interruption is not None):
-            error = self.user_law.failure()
+        user_law = self.driver.user_law
+        if user_law is not None and (status == LAW_FAILED or user_law.interruption is not None):
+            error = user_law.failure()
             if isinstance(error, DivergenceError):  # no number: a shorter step may do
-                raise Stopped(OK, self.user_law.fault)
+                raise Stopped(OK, user_law.fault)
             raise error
         if self.state.raised != 0:
             raise raised_by_member(self._problem, self.loop)

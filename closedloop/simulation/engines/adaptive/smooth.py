@@ -90,14 +90,12 @@ def _extremes(
     return found
 
 
-# Two instants nearer than this, relative to 1 s or to themselves, are one: i·h and a decimal number differ by rounding.
-ROUNDING = 1e-12
-
 NODES = 16
 _NODES = chebpts1(NODES)
 _DEGREES = np.arange(NODES, dtype=np.float64)
 # Points of −1 .. 1 at which the interpolation error is checked, and its bounds, relative to 1 or to the value. Halving
-# an interval divides the error by 2¹⁶; an error below ROUNDING that does not fall is rounding.
+# an interval divides the error by 2¹⁶; an error below ROUNDING that does not fall is rounding. Two instants nearer than
+# that, relative to 1 s or to themselves, are one: i·h and a decimal number differ by rounding.
 _CHECKS = np.array([-0.995, -0.3, 0.55, 0.999])
 MISFIT, ROUNDING = 1e-13, 1e-10
 MOST_HALVINGS = 50

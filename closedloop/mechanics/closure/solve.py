@@ -55,8 +55,13 @@ def residuals(
     ends : (n,) array
         Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
     """
-    A, S, drift_c, b, a, F = tip.A, tip.S, tip.drift_c, tip.b, tip.a, tip.F
-    n = torque.shape[0]
+    return motion_residual(H, torque, C, qdd, tip, ends), closure_residual(qdd, tip, rows)
+
+
+@kernel_inlined
+def motion_residual(H: Array, torque: Array, C: Array, qdd: Array, tip: Any, ends: IntArray) -> float:
+    """Return the first of `residuals`."""
+    A, F, n = tip.A, tip.F, torque.shape[0]
     worst, scale, first = 0.0, 0.0, 0
     for i in range(n):
         if i == ends[first]:
@@ -72,8 +77,15 @@ def residuals(
             s += abs(A[k, i] * F[k])
         worst = max(worst, abs(r))
         scale = max(scale, s)
-    motion = worst / select(scale > 0.0, scale, 1.0)
-    worst, scale = 0.0, 0.0
+    residual: float = worst / select(scale > 0.0, scale, 1.0)
+    return residual
+
+
+@kernel_inlined
+def closure_residual(qdd: Array, tip: Any, rows: tuple[int, int]) -> float:
+    """Return the second of `residuals`."""
+    A, S, drift_c, b, a, F = tip.A, tip.S, tip.drift_c, tip.b, tip.a, tip.F
+    worst, scale, n = 0.0, 0.0, qdd.shape[0]
     for k in range(rows[0], rows[1]):
         r = drift_c[k] - b[k]
         s = abs(drift_c[k]) + abs(b[k]) + abs(a[k])
@@ -84,7 +96,8 @@ def residuals(
             s += abs(S[k, i] * F[i])
         worst = max(worst, abs(r))
         scale = max(scale, s)
-    return motion, worst / select(scale > 0.0, scale, 1.0)
+    residual: float = worst / select(scale > 0.0, scale, 1.0)
+    return residual
 
 
 # A H⁻¹Aᵀ is the tip's mobility along the normal, 1/kg: acceleration per newton. Below this share of its mobility

@@ -8,7 +8,7 @@ on as it is: what is tested for here may be less than an event, never more.
 from __future__ import annotations
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.jit.calls import call_at, matrix_at
+from closedloop.jit.calls import call_at, integers_at, matrix_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.numba_simd8 import lane, with_lane
 from closedloop.jit.simd8 import WIDE, every, select
@@ -31,6 +31,7 @@ from closedloop.mechanics.closure.contact_force import (
 from closedloop.mechanics.closure.solve import OK, closure_residual
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at
 from closedloop.simulation.engines.lane_members import WINDOW, Kept, alone_at
+from closedloop.simulation.engines.proceed import ADDRESSES, Addresses
 
 # A square is compared with a square, to leave out what is nearer to a bound than this share: its rounding.
 NEARLY = 1e-9
@@ -78,7 +79,8 @@ def ask_friction_of(w: Work, members: IntArray, i: int) -> None:
     """Ask the friction of lane `i` at the slip that it has."""
     alone, state, constants, own = alone_at(members, i)
     own.tip.u[1], own.tip.u[2] = lane(w.tip.u[1], i), lane(w.tip.u[2], i)
-    surface_friction(own, constants, state, matrix_at(alone.window, WINDOW, Row.count(own.q.shape[0])))
+    width = Addresses(integers_at(alone.addresses, ADDRESSES)).row_width
+    surface_friction(own, constants, state, matrix_at(alone.window, WINDOW, width))
     for k in range(2):
         w.friction.c[k] = with_lane(w.friction.c[k], i, own.friction.c[k])
         w.friction.viscous[k] = with_lane(w.friction.viscous[k], i, own.friction.viscous[k])

@@ -10,13 +10,13 @@ from __future__ import annotations
 from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.calls import call_at, integers_at, matrix_at
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.jit.numba_simd8 import lane, with_lane
+from closedloop.jit.numba_simd8 import lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE, every, select
 from closedloop.loop.events.locate import slip_margin
 from closedloop.loop.events.phases import LEAVING, RESTING
 from closedloop.loop.events.substep import save_slip
 from closedloop.loop.step.locate import locate_on_plane, locate_on_surface, off_anchor, take_answer
-from closedloop.loop.step.memory import SMOOTH, Constants, State, Work
+from closedloop.loop.step.memory import SMOOTH, Constants, Start, State, TipContact, Work
 from closedloop.loop.step.record_row import Row, write_columns
 from closedloop.loop.step.singular import NEAR
 from closedloop.loop.step.tip_friction import surface_friction
@@ -35,6 +35,9 @@ from closedloop.simulation.engines.proceed import ADDRESSES, Addresses
 
 # A square is compared with a square, to leave out what is nearer to a bound than this share: its rounding.
 NEARLY = 1e-9
+# Places in records, before all that a number of joints moves.
+GAP, RATE, INSIDE = (TipContact.place(name, 1) for name in ("gap", "rate", "inside"))
+SLIP_SPEED = Start.place("slip_speed", 1, 0)
 
 
 @kernel_inlined
@@ -62,15 +65,16 @@ def ask_surface_of(w: Work, members: IntArray, i: int, t: float, h: float) -> bo
     links, ask = ask_at(state.surface.at)
     ask.time = t
     for k in range(3):
-        ask.r[k], ask.velocity[k] = lane(w.r[k], i), lane(w.scratch.target[k], i)
+        ask.r[k], ask.velocity[k] = lane_at(w.r, k, i), lane_at(w.scratch.target, k, i)
     if call_at(state.surface.entry, links.address, CONTACT) != FOUND or not take_answer(own, h, state):
         return False
-    w.tip.gap, w.tip.inside = with_lane(w.tip.gap, i, own.tip.gap), with_lane(w.tip.inside, i, own.tip.inside)
+    put_at(w.tip.memory, GAP, i, own.tip.gap)
+    put_at(w.tip.memory, INSIDE, i, own.tip.inside)
     for k in range(3):
-        w.tip.carried[k] = with_lane(w.tip.carried[k], i, own.tip.carried[k])
-        w.tip.turning[k] = with_lane(w.tip.turning[k], i, own.tip.turning[k])
+        put_at(w.tip.carried, k, i, own.tip.carried[k])
+        put_at(w.tip.turning, k, i, own.tip.turning[k])
         for j in range(3):
-            w.tip.frame[k, j] = with_lane(w.tip.frame[k, j], i, own.tip.frame[k, j])
+            put_at(w.tip.frame, 3 * k + j, i, own.tip.frame[k, j])
     return True
 
 
@@ -78,41 +82,41 @@ def ask_surface_of(w: Work, members: IntArray, i: int, t: float, h: float) -> bo
 def ask_friction_of(w: Work, members: IntArray, i: int) -> None:
     """Ask the friction of lane `i` at the slip that it has."""
     alone, state, constants, own = alone_at(members, i)
-    own.tip.u[1], own.tip.u[2] = lane(w.tip.u[1], i), lane(w.tip.u[2], i)
+    own.tip.u[1], own.tip.u[2] = lane_at(w.tip.u, 1, i), lane_at(w.tip.u, 2, i)
     width = Addresses(integers_at(alone.addresses, ADDRESSES)).row_width
     surface_friction(own, constants, state, matrix_at(alone.window, WINDOW, width))
     for k in range(2):
-        w.friction.c[k] = with_lane(w.friction.c[k], i, own.friction.c[k])
-        w.friction.viscous[k] = with_lane(w.friction.viscous[k], i, own.friction.viscous[k])
+        put_at(w.friction.c, k, i, own.friction.c[k])
+        put_at(w.friction.viscous, k, i, own.friction.viscous[k])
 
 
 @kernel
 def ask_depth_of(w: Work, members: IntArray, i: int) -> None:
     """Ask the soft surface of lane `i` for the force at the depth that it has."""
     _, state, _, own = alone_at(members, i)
-    own.tip.gap, own.tip.rate = lane(w.tip.gap, i), lane(w.tip.rate, i)
+    own.tip.gap, own.tip.rate = lane_at(w.tip.memory, GAP, i), lane_at(w.tip.memory, RATE, i)
     call_at(state.compliance.entry, state.address, 0)
-    w.tip.F[0] = with_lane(w.tip.F[0], i, own.tip.F[0])
+    put_at(w.tip.F, 0, i, own.tip.F[0])
 
 
 @kernel
 def save_slip_of(w: Work, members: IntArray, i: int) -> None:
     """Save the slip of lane `i` at the beginning of a step, in its run's memory and in the lane."""
     _, state, constants, own = alone_at(members, i)
-    own.tip.u[1], own.tip.u[2] = lane(w.tip.u[1], i), lane(w.tip.u[2], i)
+    own.tip.u[1], own.tip.u[2] = lane_at(w.tip.u, 1, i), lane_at(w.tip.u, 2, i)
     save_slip(own, constants, state)
-    w.start.slip_speed = with_lane(w.start.slip_speed, i, own.start.slip_speed)
+    put_at(w.start.memory, SLIP_SPEED, i, own.start.slip_speed)
     for k in range(2):
-        w.friction.direction[k] = with_lane(w.friction.direction[k], i, own.friction.direction[k])
+        put_at(w.friction.direction, k, i, own.friction.direction[k])
 
 
 @kernel
 def off_anchor_of(w: Work, members: IntArray, i: int) -> None:
-    """Write to `column` how far the tip of lane `i` is from where it stuck, along both tangents."""
+    """Write to `target` how far the tip of lane `i` is from where it stuck, along both tangents."""
     _, state, _, own = alone_at(members, i)
     for k in range(1, 3):
-        own.tip.p[k] = lane(w.tip.p[k], i)
-        w.scratch.target[k] = with_lane(w.scratch.target[k], i, off_anchor(own, state, k))
+        own.tip.p[k] = lane_at(w.tip.p, k, i)
+        put_at(w.scratch.target, k, i, off_anchor(own, state, k))
 
 
 @kernel_inlined

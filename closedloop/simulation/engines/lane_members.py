@@ -14,7 +14,7 @@ from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.numba_simd8 import lane, with_lane
+from closedloop.jit.numba_simd8 import lane, lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, NO_TRIAL, OUTPACED, STEP_END, TERMS, request_terms
 from closedloop.loop.step.memory import Constants, N, State, Work, loop_at
@@ -96,11 +96,12 @@ def go_back(w: Work, kept: Kept, alone: Alone, state: State, own: Work, h: float
     The numbers are those in lane `i` of `w.start` and of what was kept there; where nothing has happened since the
     loop stood somewhere, all else is as it was.
     """
-    for j in range(own.q.shape[0]):
-        own.q[j], own.v[j] = lane(w.start.state[j], i), lane(w.start.state[own.q.shape[0] + j], i)
-        own.torque[j] = lane(kept.torque[j], i)
+    n = own.q.shape[0]
+    for j in range(n):
+        own.q[j], own.v[j] = lane_at(w.start.state, j, i), lane_at(w.start.state, n + j, i)
+        own.torque[j] = lane_at(kept.torque, j, i)
     for k in range(2):
-        own.friction.direction[k] = lane(kept.direction[k], i)
+        own.friction.direction[k] = lane_at(kept.direction, k, i)
     own.start.slip_speed, own.start.rate = lane(kept.slip_speed, i), lane(kept.rate, i)
     own.supply.energy, own.supply.work = lane(kept.energy, i), 0.0
     own.time, own.length, own.search.tau, own.start.time = row * h, h, h, (row - 1) * h
@@ -117,13 +118,13 @@ def take_state(w: Work, kept: Kept, alone: Alone, state: State, own: Work, i: in
     """Put the state in which a loop has recorded its latest row into lane `i`."""
     n, ended = own.q.shape[0], state.row == alone.row
     for j in range(n):
-        w.q[j] = with_lane(w.q[j], i, own.q[j] if ended else own.start.state[j])
-        w.v[j] = with_lane(w.v[j], i, own.v[j] if ended else own.start.state[n + j])
-        w.torque[j] = with_lane(w.torque[j], i, own.torque[j])
+        put_at(w.q, j, i, own.q[j] if ended else own.start.state[j])
+        put_at(w.v, j, i, own.v[j] if ended else own.start.state[n + j])
+        put_at(w.torque, j, i, own.torque[j])
     for k in range(2):
-        w.friction.direction[k] = with_lane(w.friction.direction[k], i, own.friction.direction[k])
+        put_at(w.friction.direction, k, i, own.friction.direction[k])
     for k in range(3):
-        w.tip.anchor[k] = with_lane(w.tip.anchor[k], i, own.tip.anchor[k])
+        put_at(w.tip.anchor, k, i, own.tip.anchor[k])
     w.start.slip_speed = with_lane(w.start.slip_speed, i, own.start.slip_speed)
     w.start.rate = with_lane(w.start.rate, i, own.start.rate)
     w.supply.energy, w.supply.work = with_lane(w.supply.energy, i, own.supply.energy), with_lane(w.supply.work, i, 0.0)
@@ -142,9 +143,9 @@ def take_row(w: Work, members: IntArray, row: Row, i: int, place: int) -> None:
         return
     recorded = matrix_at(alone.window, WINDOW, row.memory.shape[0])[2 * min(place, 1)]
     for j in range(row.memory.shape[0]):
-        row.memory[j] = with_lane(row.memory[j], i, recorded[j])
+        put_at(row.memory, j, i, recorded[j])
     for j in range(own.q.shape[0]):
-        w.qdd[j] = with_lane(w.qdd[j], i, own.start.slope[j])
+        put_at(w.qdd, j, i, own.start.slope[j])
     w.supply.power = with_lane(w.supply.power, i, own.supply.power)
     w.supply.power_rate = with_lane(w.supply.power_rate, i, own.supply.power_rate)
 

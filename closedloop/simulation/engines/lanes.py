@@ -397,8 +397,8 @@ class LaneMember:
         self.loop: Loop | None = None
         self._of_loop: Addresses | None = None
 
-    def begin(self, problem: Problem) -> None:
-        """Stand at the start of a problem."""
+    def begin(self, problem: Problem) -> Loop:
+        """Stand at the start of a problem, and return the memory of its loop."""
         before, self.problem = self.loop, problem
         self.loop = loop = problem.loop(into=before)
         if before is None:
@@ -413,6 +413,7 @@ class LaneMember:
         set_rows(self._of_loop, problem.table, self.window)
         self._alone.addresses, self._alone.strike = address_of(self._of_loop.memory), entry_address(strike)
         self._alone.row, self._alone.stands = -1, 1
+        return loop
 
     @property
     def told(self) -> Array:
@@ -483,18 +484,18 @@ class LaneRuns:
         n = self.n
         if lane == 0:
             self._tables.clear()
-        self._constants[:, lane] = problem.constants().memory
+        loop = self._members[lane].begin(problem) if self.kind.many else None
+        self._constants[:, lane] = (problem.constants() if loop is None else loop.constants).memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         self._work.tip.frame[..., lane] = problem.frame
         force = problem.table[:, Reference.place("force", n)]
         self._forces[:, lane] = force
         self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
         self._tables.append(problem.table)
-        if self.kind.many:
-            self._forces[:, lane] += 0.0  # what the law is told, where it is asked by address
-            self._members[lane].begin(problem)
+        if loop is not None:
+            self._forces[:, lane] += 0.0  # as the law is told it where it is asked by address
             if lane == 0:
-                self._state.memory[:] = self._members[0].loop.state.memory
+                self._state.memory[:] = loop.state.memory
 
     def run(self, tree: Tree, count: int) -> bool:
         """Run the first `count` lanes; False if one of them could not be finished here."""

@@ -18,8 +18,8 @@ from llvmlite import ir
 from numba import types
 from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.np.arrayobj import make_array
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
+from numba.np.arrayobj import make_array
 
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.numba_blocks import array_on

@@ -120,7 +120,9 @@ def off_anchor_of(w: Work, members: IntArray, i: int) -> None:
 
 
 @kernel_inlined
-def hold_tips(w: Work, constants: Constants, state: State, kept: Kept, members: IntArray, h: float) -> tuple[int, Array]:
+def hold_tips(
+    w: Work, constants: Constants, state: State, kept: Kept, members: IntArray, h: float
+) -> tuple[int, Array]:
     """Write F and its parts; return a status, and for each lane 1 where its mode surely goes on at this stage, else 0.
 
     See `closedloop.loop.step.solve_contact.contact_force`, of which this is the part without an event.
@@ -197,7 +199,9 @@ def passed_rows(w: Work, constants: Constants, state: State, kept: Kept, h: floa
     if state.friction.sticking != SMOOTH:
         limit, size = kept.limit * F[0], F[1] * F[1] + F[2] * F[2]
         held = limit * limit * (1.0 - NEARLY) > size
-        goes_on = select((stuck & held) | ((kept.mode < PRESSED + 0.5) & (slip_margin(w, constants) > 0.0)), 1.0, 0.0 * F[0])
+        goes_on = select(
+            (stuck & held) | ((kept.mode < PRESSED + 0.5) & (slip_margin(w, constants) > 0.0)), 1.0, 0.0 * F[0]
+        )
     if state.surface.entry != 0:
         goes_on = select(tip.inside > 0.0, goes_on, 0.0)
     if not every(touching):

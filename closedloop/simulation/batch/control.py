@@ -32,8 +32,9 @@ from closedloop.simulation.engines.problem import Problem
 def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:
     """Return "good", or what is wrong with the control of a run in a lane.
 
-    Where nothing can happen to a run, all its rows are in contact: where contact is commanded in all rows and no error ever reaches what a bound is about, the worst of them decides;
-    most runs of a sweep end here, for which the rows are not gone over.
+    Where nothing can happen to a run, all its rows are in contact. If contact is commanded in all of them and no error
+    ever reaches what a bound is about, the worst of them decides; most runs of a sweep end here, for which the rows are
+    not gone over.
     """
     if runs.kind.many:
         problem, found, events = runs.by_itself(lane)

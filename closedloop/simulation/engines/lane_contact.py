@@ -10,7 +10,7 @@ from __future__ import annotations
 from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.calls import call_at, integers_at, matrix_at
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.jit.numba_simd8 import lane_at, put_at, with_lane
+from closedloop.jit.numba_simd8 import lane, lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE, every, select
 from closedloop.loop.events.locate import slip_margin
 from closedloop.loop.events.phases import LEAVING, RESTING
@@ -19,6 +19,7 @@ from closedloop.loop.step.locate import locate_on_plane, locate_on_surface, off_
 from closedloop.loop.step.memory import SMOOTH, Constants, Start, State, TipContact, Work
 from closedloop.loop.step.record_row import Row, write_columns
 from closedloop.loop.step.singular import NEAR
+from closedloop.loop.step.solve_contact import slide_slowly
 from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import (
     FREE,
@@ -91,6 +92,24 @@ def ask_friction_of(w: Work, members: IntArray, i: int) -> None:
 
 
 @kernel
+def slide_slowly_of(w: Work, members: IntArray, i: int) -> bool:
+    """Turn the friction of lane `i`, whose slip may be slow, with its F; return whether there is a solution."""
+    _, _, constants, own = alone_at(members, i)
+    for k in range(3):
+        own.tip.a[k], own.tip.F[k] = lane_at(w.tip.a, k, i), lane_at(w.tip.F, k, i)
+        for j in range(3):
+            own.tip.S[k, j] = lane_at(w.tip.S, 3 * k + j, i)
+    b, share = lane_at(w.tip.b, 0, i), lane_at(w.tip.stabiliser_force, 0, i)
+    status, share = slide_slowly(b, share, own, constants.h)
+    put_at(w.tip.stabiliser_force, 0, i, share)
+    for k in range(3):
+        put_at(w.tip.F, k, i, own.tip.F[k])
+    for k in range(2):
+        put_at(w.friction.c, k, i, own.friction.c[k])
+    return status == OK
+
+
+@kernel
 def ask_depth_of(w: Work, members: IntArray, i: int) -> None:
     """Ask the soft surface of lane `i` for the force at the depth that it has."""
     _, state, _, own = alone_at(members, i)
@@ -149,19 +168,23 @@ def hold_tips(
         if status != OK:
             return status, none
         goes_on = select(S[0, 0] > NEAR * (S[0, 0] + S[1, 1] + S[2, 2]), goes_on, 0.0)
+    if rubs or unilateral:
+        goes_on = select(F[0] >= 0.0, goes_on, 0.0)
     if rubs:
         pull = friction.c[0] * friction.c[0] + friction.c[1] * friction.c[1]
         reach = h * F[0] * (S[1, 1] + S[2, 2])  # see `closedloop.mechanics.friction.turning.turn_friction`
         speed = tip.u[1] * tip.u[1] + tip.u[2] * tip.u[2]
-        goes_on = select((reach * reach * pull < speed * (1.0 - NEARLY)) | stuck, goes_on, 0.0)
+        fast = select(stuck | (reach * reach * pull < speed * (1.0 - NEARLY)), goes_on, 0.0)
+        for i in range(WIDE if not every(fast > 0.5) else 0):
+            slow = lane(fast, i) < 0.5 < lane(goes_on, i) and lane(kept.mode, i) > FREE + 0.5
+            if slow and (soft or not slide_slowly_of(w, members, i)):
+                goes_on = with_lane(goes_on, i, 0.0)
         if not soft and not every(kept.mode < PRESSED + 0.5):
             status = stick_tips(w, constants, state, members, stuck)
             if status != OK:
                 return status, none
-    if rubs or unilateral:
-        goes_on = select(F[0] >= 0.0, goes_on, 0.0)
     if unilateral and not soft:
-        goes_on = select(F[0] - tip.stabiliser_force[0] >= 0.0, goes_on, 0.0)
+        goes_on = select((F[0] >= 0.0) & (F[0] - tip.stabiliser_force[0] >= 0.0), goes_on, 0.0)
     if not every(touching):
         goes_on = select(touching, goes_on, 1.0)
         for k in range(3):
@@ -199,9 +222,8 @@ def passed_rows(w: Work, constants: Constants, state: State, kept: Kept, h: floa
     if state.friction.sticking != SMOOTH:
         limit, size = kept.limit * F[0], F[1] * F[1] + F[2] * F[2]
         held = limit * limit * (1.0 - NEARLY) > size
-        goes_on = select(
-            (stuck & held) | ((kept.mode < PRESSED + 0.5) & (slip_margin(w, constants) > 0.0)), 1.0, 0.0 * F[0]
-        )
+        slides = (kept.mode < PRESSED + 0.5) & (slip_margin(w, constants) > 0.0)
+        goes_on = select((stuck & held) | slides, goes_on, 0.0)
     if state.surface.entry != 0:
         goes_on = select(tip.inside > 0.0, goes_on, 0.0)
     if not every(touching):
@@ -228,7 +250,7 @@ def write_rows(H: Array, C: Array, w: Work, state: State, kept: Kept, row: Row) 
 
 @kernel_inlined
 def keep_start(w: Work, kept: Kept, members: IntArray, state: State) -> None:
-    """Keep where a step begins, with the state in `w.start` already; see `closedloop.loop.events.substep.save_state`."""
+    """Keep where a step begins, as `closedloop.loop.events.substep.save_state` does; its state is kept already."""
     kept.slip_speed, kept.rate, kept.energy = w.start.slip_speed, w.start.rate, w.supply.energy
     for j in range(w.q.shape[0]):
         kept.torque[j] = w.torque[j]

@@ -504,9 +504,8 @@ class LaneRuns:
         addresses = [address_of(table) for table in self._tables[:count]]
         tables = np.array(addresses + addresses[:1] * (WIDE - count))
         self._state.batched, self._has_misses = 0, False
-        self._alone[:] = [
-            self._members[i if i < count else 0].address for i in range(WIDE if self._members else 0)
-        ] or 0
+        if self.kind.many:
+            self._alone[:] = [self._members[i if i < count else 0].address for i in range(WIDE)]
         make_ready(run_in_lanes)
         status = run_in_lanes(
             tree, self._addresses.memory, self._state.memory, self._h, self._tableau, tables, self._sizes, self._limits

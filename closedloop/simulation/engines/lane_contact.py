@@ -99,6 +99,8 @@ def slide_slowly_of(w: Work, members: IntArray, i: int) -> bool:
         own.tip.a[k], own.tip.F[k] = lane_at(w.tip.a, k, i), lane_at(w.tip.F, k, i)
         for j in range(3):
             own.tip.S[k, j] = lane_at(w.tip.S, 3 * k + j, i)
+    for k in range(2):  # a lane that nothing uses has the memory of another, in which this has been done already
+        own.friction.c[k] = lane_at(w.friction.c, k, i)
     b, share = lane_at(w.tip.b, 0, i), lane_at(w.tip.stabiliser_force, 0, i)
     status, share = slide_slowly(b, share, own, constants.h)
     put_at(w.tip.stabiliser_force, 0, i, share)

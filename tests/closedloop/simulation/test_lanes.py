@@ -12,6 +12,10 @@ from robot_models import load
 
 KEPT = ("q", "torque", "contact_force", "closure_error", "kkt_condition", "residual_motion")
 SHORT = {"time.duration": 0.2, "reference.start": 0.1, "law.pd_start": 0.1}  # with the start of the motion in it
+BRISTLES = {
+    "friction.kind": "lugre", "friction.kinetic": 0.2, "friction.static": 0.3, "friction.stribeck_speed": 1e-3,
+    "friction.stiffness": 1e4, "friction.damping": 30.0,
+}  # fmt: skip
 
 # A scenario, what is the same in all runs, and what is drawn for each.
 KINDS = {
@@ -44,7 +48,11 @@ KINDS = {
     "comes down": ("wam_touchdown", {"time.duration": 0.15}, {"law.force": (8.0, 12.0), "surface.gap": (1e-4, 3e-4)}),
     "bounces": ("wam_bounce", {"time.duration": 0.4}, {"impact.restitution": (0.0, 0.9), "surface.gap": (0.01, 0.05)}),
     "leaves": ("wam_liftoff", {"time.duration": 2.0}, {"stabiliser.time_constant": (0.002, 0.004)}),
-    "passes an edge": ("wam_edge", {"time.duration": 4.0}, {"law.force": (8.0, 12.0)}),
+    "passes an edge": (
+        "wam_bounce",
+        {"time.duration": 0.2, "surface.gap": 0.0, "surface.edge_radius": 5e-3, "start.v": [0.2, 0.0, 0.0, 0.0]},
+        {"law.force": (8.0, 12.0)},
+    ),
     "soft": ("soft_table", SHORT, {"law.force": (5.0, 15.0), "compliance.stiffness": (5e3, 2e4)}),
     "comes down on a soft surface and rubs": (
         "wam_touchdown",
@@ -167,7 +175,7 @@ def test_each_kind_has_its_own_lanes(lane_counts, monkeypatch):
     ("name", "changes"),
     [
         ("joint_friction", {}),
-        ("wam_slide_friction", {"friction": {"kind": "lugre"}}),
+        ("wam_slide", BRISTLES),
         ("wam_slide", {"stabiliser.kind": "projection"}),
         ("wam_slide", {"law.force_feedback": 0.5}),
         ("wam_slide", {"time.integrator": "dop853"}),

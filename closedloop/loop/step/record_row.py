@@ -215,7 +215,7 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
 
 
 @kernel_inlined
-def keep_condition(H: Array, w: Work, state: State, bordered: bool, row: Row, rows: Array, place: int) -> None:
+def keep_condition(H: Array, w: Work, state: State, bordered: Any, row: Row, rows: Array, place: int) -> None:
     """See to the condition number of row `place`; whether Eq. 24 has the row of the contact may differ in lanes."""
     n, lane = w.q.shape[0], state.batched
     if has_derivatives(row.contact_force):

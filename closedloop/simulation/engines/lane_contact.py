@@ -7,6 +7,8 @@ on as it is: what is tested for here may be less than an event, never more.
 
 from __future__ import annotations
 
+from typing import Any
+
 from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.calls import call_at, integers_at, matrix_at
 from closedloop.jit.kernel import kernel, kernel_inlined
@@ -196,7 +198,7 @@ def hold_tips(
 
 
 @kernel_inlined
-def stick_tips(w: Work, constants: Constants, state: State, members: IntArray, stuck: Array) -> int:
+def stick_tips(w: Work, constants: Constants, state: State, members: IntArray, stuck: Any) -> int:
     """Write F and its parts of the tips that stick; return a status."""
     tip, off, force, share = w.tip, w.scratch.target, w.scratch.force, w.scratch.unused
     for k in range(1, 3):
@@ -236,7 +238,7 @@ def passed_rows(w: Work, constants: Constants, state: State, kept: Kept, h: floa
 
 
 @kernel_inlined
-def write_rows(H: Array, C: Array, w: Work, state: State, kept: Kept, row: Row) -> Array:
+def write_rows(H: Array, C: Array, w: Work, state: State, kept: Kept, row: Row) -> Any:
     """Do as `closedloop.loop.step.record_row.write_row`, for tips of different modes."""
     write_columns(H, C, w, state, row)
     row.mode = kept.mode

@@ -103,7 +103,7 @@ class LaneAddresses(Block):
     values: int
     signals: int
     worst: int
-    kept: int
+    before: int
     members: int  # of the addresses of each lane's `Alone`; 0: they have none, as nothing can happen to them
     scratch: int  # of the terms of one run
 
@@ -153,7 +153,7 @@ def run_in_lanes(
     stages, steps, hold = state.settings.stages, state.settings.steps, state.settings.hold
     semi_implicit = state.settings.semi_implicit != 0
     at = LaneAddresses(addresses)
-    w, kept = Work(float64x8_at(at.work, 0), n, 0, stages, 1, 0), Kept(float64x8_at(at.kept, 0), n)
+    w, kept = Work(float64x8_at(at.work, 0), n, 0, stages, 1, 0), Kept(float64x8_at(at.before, 0), n)
     terms = float64x8_at(at.terms, n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
     largest = float64x8_at(at.largest, 1)[0]
@@ -461,7 +461,7 @@ class LaneRuns:
         self._parts = {
             "work": self._work.memory, "terms": aligned(n * n + n + plain(work_size)(n)), "constants": self._constants,
             "forces": self._forces, "largest": self._largest, "rows": self._rows, "tallies": aligned(Tally.count(n)),
-            "values": self._values, "signals": self._signals, "worst": self._worst, "kept": aligned(Kept.count(n)),
+            "values": self._values, "signals": self._signals, "worst": self._worst, "before": aligned(Kept.count(n)),
         }  # fmt: skip
         self._addresses = LaneAddresses(np.zeros(LaneAddresses.count(), dtype=np.int64))
         for name, part in self._parts.items():

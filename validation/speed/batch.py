@@ -21,11 +21,12 @@ from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant, final, our_engine
-from validation.speed.derivatives import RUBBING
 
 SPINS, SPINNERS = 400_000, 4
-# Runs beside those on a smooth plane, by the names of their contestants; `validation.speed.derivatives` has the first.
-IN_LANES = {"rubbing": RUBBING, "landing": "wam_touchdown", "round": "wam_sphere", "soft": "soft_table"}
+# Runs beside those on a smooth plane, by the names of their contestants.
+IN_LANES = {
+    "rough": "wam_slide_friction", "landing": "wam_touchdown", "round": "wam_sphere", "soft": "soft_table",
+}  # fmt: skip
 
 
 def compiled_batch(arm: str, problem: Problem, runs: int, threads: int) -> Contestant:
@@ -73,7 +74,7 @@ def with_events(arm: str) -> list[Contestant]:
     for name, scenario in IN_LANES.items():
         problem, of = cl.prepare(cl.load_scenario(scenario)), f", {scenario}"
         alone = replace(our_engine(arm, problem, COMPILED), name=name, what=f"compiled{of}")
-        racing += [*([alone] if name != "rubbing" else []), in_lanes(arm, problem, f"{name}_lanes", of)]
+        racing += [alone, in_lanes(arm, problem, f"{name}_lanes", of)]
     return racing
 
 

@@ -60,7 +60,7 @@ def targets(timings: Timings) -> list[Target]:
         ("µs of a run with another force beside its 50 steps", 60.0, False, lambda: beside("values")),
         ("a reset of Press-v0 / a step of it", 1.0, False, lambda: times("reset", "gym_step")),
         ("whole compiled batch, one thread / its steps in lanes", 1.25, False, lambda: times("batch_1", "lanes")),
-        ("friction: alone / in lanes", 3.0, True, lambda: times("rubbing", "rubbing_lanes")),
+        ("friction: alone / in lanes", 3.0, True, lambda: times("rough", "rough_lanes")),
         ("touchdown: alone / in lanes", 3.0, True, lambda: times("landing", "landing_lanes")),
         ("a ball: alone / in lanes", 3.0, True, lambda: times("round", "round_lanes")),
         ("a soft surface: alone / in lanes", 3.0, True, lambda: times("soft", "soft_lanes")),

@@ -19,6 +19,7 @@ from numba import types
 from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
+from numba.np.arrayobj import make_array
 
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.numba_blocks import array_on
@@ -233,6 +234,33 @@ def with_lane(typingctx: Any, x: Any, i: Any, number: Any) -> Any:
         return builder.insert_element(values[0], values[2], builder.trunc(values[1], LANE))
 
     return float64x8(float64x8, types.intp, types.float64), lower
+
+
+@_intrinsic
+def lane_at(typingctx: Any, array: Any, k: Any, i: Any) -> Any:
+    """Return number i of entry k of an array of float64x8, entry after entry: what `lane(array[k], i)` is."""
+
+    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
+        return builder.load(_place(context, builder, call, values))
+
+    return types.float64(array, types.intp, types.intp), lower
+
+
+@_intrinsic
+def put_at(typingctx: Any, array: Any, k: Any, i: Any, number: Any) -> Any:
+    """Replace number i of entry k of an array of float64x8: the others are not read."""
+
+    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
+        builder.store(values[3], _place(context, builder, call, values))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, types.float64), lower
+
+
+def _place(context: Any, builder: Any, call: Any, values: Any) -> Any:
+    data = make_array(call.args[0])(context, builder, value=values[0]).data
+    entry = builder.bitcast(builder.gep(data, [values[1]]), ir.DoubleType().as_pointer())
+    return builder.gep(entry, [values[2]])
 
 
 @_intrinsic

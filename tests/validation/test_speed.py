@@ -168,7 +168,7 @@ def test_targets_are_judged_on_the_right_side():
     found = [(target.measured, target.met) for target in targets(timings)]
     none = (None, None)
     assert found == [
-        (16.0, True), (4.0, False), none, none, (0.75, False), (1.5, False), (2.0, False), *[none] * 4, (5.0, False),
+        (16.0, True), (4.0, False), none, none, (0.75, False), (1.5, False), (2.0, False), *[none] * 8, (5.0, False),
         (1.5, True), *[none] * 15,
     ]  # fmt: skip
     both = [("compiled", 4.0, 10.0), ("algorithms", 8.0, 20.0)]
@@ -196,7 +196,7 @@ def test_command_writes_valid_json(tmp_path, capsys):
         assert row["seconds_per_step"] == np.median(row["laps"])
         joint = row["processor_seconds_per_step"] / row["joints"]
         assert joint == row["processor_seconds_per_step_and_joint"] == np.median(row["processor_laps"]) / row["joints"]
-    assert len(data["targets"]) == 28
+    assert len(data["targets"]) == 32
     assert data["targets"][-1]["measured"] is None  # no mechanisms and no chains in this run
     assert data["cold_start_seconds"] == {}
 

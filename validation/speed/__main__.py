@@ -122,7 +122,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             everyone += contestants.with_errors([contestants.drake_loop(arm, shorter)], shorter)
         if arm == "wam4":
             everyone.append(contestants.user_law(arm, problem))
-            everyone += derivatives.racing(arm, problem)
+            everyone += derivatives.racing(arm, problem) + batch.with_events(arm)
             whole = slide(arm, 2 * steps)  # by default as long as `wam_slide`
             everyone += contestants.whole_call(arm, whole)
             everyone += repeated.from_elsewhere(arm, problem) + repeated.with_other_values(arm, problem)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time as clock
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,11 +17,16 @@ from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.simd8 import WIDE
 from closedloop.simulation.engines.compiled import compiled_tree
 from closedloop.simulation.engines.lanes import LaneRuns, kind_of
+from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from validation.oracle.spatial import Array
-from validation.speed.contestants import Contestant, final
+from validation.speed.contestants import Contestant, final, our_engine
 
 SPINS, SPINNERS = 400_000, 4
+# Runs beside those on a smooth plane, by the names of their contestants.
+IN_LANES = {
+    "rough": "wam_slide_friction", "landing": "wam_touchdown", "round": "wam_sphere", "soft": "soft_table",
+}  # fmt: skip
 
 
 def compiled_batch(arm: str, problem: Problem, runs: int, threads: int) -> Contestant:
@@ -43,7 +49,7 @@ def compiled_batch(arm: str, problem: Problem, runs: int, threads: int) -> Conte
     return Contestant(f"batch_{threads}", arm, problem.robot.n, problem.steps * runs, lap, wanted, 1e-12, what)
 
 
-def in_lanes(arm: str, problem: Problem) -> Contestant:
+def in_lanes(arm: str, problem: Problem, name: str = "lanes", of: str = "") -> Contestant:
     """Return the loop in which a batch's runs go, without what a batch does beside: a step is one of one run."""
     kind, tree, n = kind_of(problem), compiled_tree(problem), problem.robot.n
     assert kind is not None
@@ -58,8 +64,18 @@ def in_lanes(arm: str, problem: Problem) -> Contestant:
         rows = lane_runs.rows(WIDE - 1)
         return seconds, rows[problem.steps % len(rows), :n].copy() if ran else None
 
-    what = "compiled, eight runs in SIMD lanes"
-    return Contestant("lanes", arm, n, WIDE * problem.steps, lap, final(problem), 1e-11, what)
+    what = f"compiled, eight runs in SIMD lanes{of}"
+    return Contestant(name, arm, n, WIDE * problem.steps, lap, final(problem), 1e-11, what)
+
+
+def with_events(arm: str) -> list[Contestant]:
+    """Return runs in which something happens or the surface is asked, each in lanes beside the same run alone."""
+    racing = []
+    for name, scenario in IN_LANES.items():
+        problem, of = cl.prepare(cl.load_scenario(scenario)), f", {scenario}"
+        alone = replace(our_engine(arm, problem, COMPILED), name=name, what=f"compiled{of}")
+        racing += [alone, in_lanes(arm, problem, f"{name}_lanes", of)]
+    return racing
 
 
 def arithmetic(threads: int) -> Contestant:

@@ -81,14 +81,20 @@ def locate_tip(w: Work, constants: Constants, state: State) -> int:
         return OK
     if not ask_surface(w, constants.h, state):
         return NO_NORMAL
+    locate_on_surface(w)
+    if state.ball.entry != 0:
+        call_at(state.ball.entry, state.ball.at, 0)
+    return OK
+
+
+@kernel_inlined
+def locate_on_surface(w: Work) -> None:
+    """Write the tip's motion in the contact frame that a surface has answered, and the rate of the gap."""
     into_contact_frame(w, w.tip)
     for i in range(3):
         w.tip.u[i] -= w.tip.carried[i]
         w.tip.drift_c[i] += w.tip.turning[i]
     w.tip.rate = w.tip.u[0]
-    if state.ball.entry != 0:
-        call_at(state.ball.entry, state.ball.at, 0)
-    return OK
 
 
 @kernel
@@ -98,8 +104,12 @@ def ask_surface(w: Work, h: float, state: State) -> bool:
     Or if a tip in contact is coming to where it has none: a step of `h`, s, leads over a point without showing it, so
     that the run stops where |∇φ|, as it falls along the motion, would vanish within the step.
     """
-    if not ask_about_tip(w, state.surface.entry, state.surface.at, state):
-        return False
+    return ask_about_tip(w, state.surface.entry, state.surface.at, state) and take_answer(w, h, state)
+
+
+@kernel
+def take_answer(w: Work, h: float, state: State) -> bool:
+    """Do the rest of `ask_surface` with what the surface has answered."""
     _, ask = ask_at(state.surface.at)
     touch = Touch(ask.touch)
     if state.mode != FREE and touch.growth * h < -1.0:

@@ -28,7 +28,7 @@ from closedloop.mechanics.closure.conditioning import (
     condition_numbers_of_batch,
 )
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
-from closedloop.mechanics.closure.solve import residuals
+from closedloop.mechanics.closure.solve import closure_residual, motion_residual
 from closedloop.mechanics.contacts.friction import remember_speed
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.resistance import resistance_of
@@ -210,9 +210,14 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     That is written once a batch is full, or by `complete_record`; with loops it is that of H. Of dual numbers it and
     the residuals are NaN.
     """
+    row = Row(row_of(rows, place), w.q.shape[0])
+    keep_condition(H, w, state, write_row(H, C, w, state, row), row, rows, place)
+
+
+@kernel_inlined
+def keep_condition(H: Array, w: Work, state: State, bordered: Any, row: Row, rows: Array, place: int) -> None:
+    """See to the condition number of row `place`; whether Eq. 24 has the row of the contact may differ in lanes."""
     n, lane = w.q.shape[0], state.batched
-    row = Row(row_of(rows, place), n)
-    bordered = write_row(H, C, w, state, row)
     if has_derivatives(row.contact_force):
         row.kkt_condition = math.nan
     elif n > LONG_ARM:
@@ -222,7 +227,7 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
             w.L,
             row_of(w.tip.X, 0),
             w.tip.S[0, 0],
-            bordered,
+            every(bordered),
             w.scratch.numbers,
             integers_at(state.addresses.group_ends, state.n),
         )
@@ -239,6 +244,22 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
 
     Returns whether Eq. 24 has the row of the contact there.
     """
+    write_columns(H, C, w, state, row)
+    mode = state.mode
+    # in a singular pose Eq. 24 has no row
+    closed_by_row = mode != FREE and state.compliance.entry == 0 and every(w.tip.S[0, 0] > 0.0)
+    last = 3 if mode == STUCK and state.friction.sticking == RIGID_STICK else 1
+    row.mode = mode
+    if has_derivatives(row.contact_force):
+        row.residual_closure = math.nan
+    else:
+        row.residual_closure = closure_residual(w.qdd, w.tip, (0 if closed_by_row else 1, last))
+    return closed_by_row and state.loops.entry == 0
+
+
+@kernel_inlined
+def write_columns(H: Array, C: Array, w: Work, state: State, row: Row) -> None:
+    """Write what of a row does not depend on the contact's mode."""
     n, ends = w.q.shape[0], integers_at(state.addresses.group_ends, state.n)
     for j in range(n):
         row.q[j] = w.q[j]
@@ -256,10 +277,6 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
         row.friction_force[i] = w.tip.frame[1, i] * w.tip.F[1] + w.tip.frame[2, i] * w.tip.F[2]
         row.slip_velocity[i] = w.tip.frame[1, i] * w.tip.u[1] + w.tip.frame[2, i] * w.tip.u[2]
         row.surface_normal[i] = w.tip.frame[0, i]
-    mode = state.mode
-    # in a singular pose Eq. 24 has no row
-    closed_by_row = mode != FREE and state.compliance.entry == 0 and every(w.tip.S[0, 0] > 0.0)
-    last = 3 if mode == STUCK and state.friction.sticking == RIGID_STICK else 1
     if state.loops.entry != 0:
         missing_torque(H, C, w, state)
         ask_loops(state, REACTION)
@@ -273,19 +290,15 @@ def write_row(H: Array, C: Array, w: Work, state: State, row: Row) -> bool:
     row.stabiliser_force = w.tip.stabiliser_force[0]
     row.closure_error = w.tip.gap
     row.closure_rate = w.tip.rate
-    row.mode = mode
-    if has_derivatives(trace):  # they say how well Eq. 24 is solved, which is not worth a third of a step
-        row.residual_motion = row.residual_closure = math.nan
+    if has_derivatives(trace):  # it says how well Eq. 24 is solved, which is not worth a third of a step
+        row.residual_motion = math.nan
     else:
-        row.residual_motion, row.residual_closure = residuals(
-            H, w.scratch.column, C, w.qdd, w.tip, (0 if closed_by_row else 1, last), ends
-        )
+        row.residual_motion = motion_residual(H, w.scratch.column, C, w.qdd, w.tip, ends)
     row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v, ends)
     w.sensing.measured = w.tip.F[0]
     row.measured_force = w.sensing.measured
     row.energy_supplied = w.supply.energy
-    return closed_by_row and state.loops.entry == 0
 
 
 @kernel

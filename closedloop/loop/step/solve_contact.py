@@ -153,15 +153,9 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
             return status
         sticking = state.friction.sticking
         if state.mode == PRESSED and state.settings.adaptive == 0 and sticking in (RIGID_STICK, SPRING_STICK):
-            for _ in range(TURNS):
-                before = w.tip.F[0]
-                if not turn_with_slip(w, constants.h):
-                    break
-                status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)
-                if status != OK:
-                    return status
-                if abs(w.tip.F[0] - before) <= SETTLED * abs(before):
-                    break
+            status, share = slide_slowly(b, share, w, constants.h)
+            if status != OK:
+                return status
         rigid = w.tip.F[0] - share
         if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
             return PUSHED
@@ -185,6 +179,23 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         w.tip.rigid_force = kept_force(w.tip.F[0] - w.tip.stabiliser_force[0], C, w, state)
     accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
     return OK
+
+
+@kernel
+def slide_slowly(b: float, share: float, w: Work, h: float) -> tuple[int, float]:
+    """Turn the friction of a slow tip to where it slips at the end of the step, with the f that goes with it.
+
+    In: F of the friction as it is, and the stabiliser's share of it, N. Returns a status and the share.
+    """
+    status = OK
+    for _ in range(TURNS):
+        before = w.tip.F[0]
+        if not turn_with_slip(w, h):
+            break
+        status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)
+        if status != OK or abs(w.tip.F[0] - before) <= SETTLED * abs(before):
+            break
+    return status, share
 
 
 @kernel_inlined

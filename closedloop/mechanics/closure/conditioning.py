@@ -20,6 +20,7 @@ from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.calls import matrix_of, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.lanewise import lanewise
+from closedloop.jit.simd8 import select
 
 BATCH = 32
 # Above this many joints the rows of the matrices vectorise by themselves, one condition number at a time.
@@ -58,9 +59,9 @@ def add_to_batch(
             batch[j * n + i, lane] = H[j, i]
         batch[i * n + i, lane] = H[i, i]
         batch[at + i, lane] = L[i, i]
-        batch[at + n + i, lane] = A[i] if pressed else 0.0
-        batch[at + 2 * n + i, lane] = X[i] if pressed else 0.0
-    batch[at + 3 * n, lane] = 1.0 / mobility if pressed else 0.0
+        batch[at + n + i, lane] = select(pressed, A[i], 0.0)
+        batch[at + 2 * n + i, lane] = select(pressed, X[i], 0.0)
+    batch[at + 3 * n, lane] = select(pressed, 1.0 / select(pressed, mobility, 1.0), 0.0)
 
 
 @kernel

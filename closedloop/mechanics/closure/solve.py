@@ -29,15 +29,10 @@ ROUNDING = 1e-13
 
 
 @kernel_inlined
-def residuals(
-    H: Array, torque: Array, C: Array, qdd: Array, tip: Any, rows: tuple[int, int], ends: IntArray
-) -> tuple[float, float]:
-    """Return the relative residuals of the equation of motion, and of the closure rows `rows`[0] .. `rows`[1] − 1.
+def motion_residual(H: Array, torque: Array, C: Array, qdd: Array, tip: Any, ends: IntArray) -> float:
+    """Return the relative residual of the equation of motion: it shows that no force but Q, C and F acts on the arm.
 
-    Each is the largest |left − right| over the largest sum of the magnitudes of the terms. In a closure row these
-    include the free acceleration `a` and S F, which cancel: an arm at rest in contact has q̈ = 0, and rounding is
-    relative to the two terms. So 1e-16 is the limit of the arithmetic. The first residual shows that no force but Q, C
-    and F acts on the arm; the second that the tip's acceleration is that of the closure, b (3,), m/s².
+    It is the largest |left − right| over the largest sum of the magnitudes of the terms.
 
     Parameters
     ----------
@@ -50,13 +45,10 @@ def residuals(
     tip : closedloop.loop.step.memory.TipContact or the like
         A (3, n), S (3, 3), `drift_c`, b, a and F (3,), as `factorise`, `free_acceleration` and `pressed_force` left
         them.
-    rows : (int, int)
-        See above.
     ends : (n,) array
         Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
     """
-    A, S, drift_c, b, a, F = tip.A, tip.S, tip.drift_c, tip.b, tip.a, tip.F
-    n = torque.shape[0]
+    A, F, n = tip.A, tip.F, torque.shape[0]
     worst, scale, first = 0.0, 0.0, 0
     for i in range(n):
         if i == ends[first]:
@@ -72,8 +64,19 @@ def residuals(
             s += abs(A[k, i] * F[k])
         worst = max(worst, abs(r))
         scale = max(scale, s)
-    motion = worst / select(scale > 0.0, scale, 1.0)
-    worst, scale = 0.0, 0.0
+    residual: float = worst / select(scale > 0.0, scale, 1.0)
+    return residual
+
+
+@kernel_inlined
+def closure_residual(qdd: Array, tip: Any, rows: tuple[int, int]) -> float:
+    """Return the same of the closure rows `rows`[0] .. `rows`[1] − 1: the tip's acceleration is that of the closure, b.
+
+    The magnitudes include the free acceleration `a` and S F, which cancel: an arm at rest in contact has q̈ = 0, and
+    rounding is relative to the two terms. So 1e-16 is the limit of the arithmetic.
+    """
+    A, S, drift_c, b, a, F = tip.A, tip.S, tip.drift_c, tip.b, tip.a, tip.F
+    worst, scale, n = 0.0, 0.0, qdd.shape[0]
     for k in range(rows[0], rows[1]):
         r = drift_c[k] - b[k]
         s = abs(drift_c[k]) + abs(b[k]) + abs(a[k])
@@ -84,7 +87,8 @@ def residuals(
             s += abs(S[k, i] * F[i])
         worst = max(worst, abs(r))
         scale = max(scale, s)
-    return motion, worst / select(scale > 0.0, scale, 1.0)
+    residual: float = worst / select(scale > 0.0, scale, 1.0)
+    return residual
 
 
 # A H⁻¹Aᵀ is the tip's mobility along the normal, 1/kg: acceleration per newton. Below this share of its mobility

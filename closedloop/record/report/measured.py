@@ -129,6 +129,12 @@ def measure(
         count_condition(row, tally)
         write_control(row, Reference(table[i * nodes], n), signals, i)
     write_values(Row(rows[count - 1], n), n, count, tally, values)
+    count_events(events, values)
+
+
+@kernel_inlined
+def count_events(events: Array, values: Any) -> None:
+    """Count the rows of a table of events into the values of a run."""
     for i in range(events.shape[0]):
         event = EventRow(events[i])
         values.energy_lost_in_impacts += event.energy_lost
@@ -148,7 +154,7 @@ def write_control(row: Row, wanted: Reference, signals: Array, i: int) -> None:
     for k in range(3):
         out += normal[k] * (row.position[k] - wanted.position[k])
     signals[0, i], signals[1, i] = row.contact_force, wanted.force
-    signals[2, i] = 1.0 if row.mode != FREE else 0.0
+    signals[2, i] = select(row.mode != FREE, 1.0, 0.0)
     signals[3, i] = row.closure_error - out
     for k in range(3):
         signals[4 + k, i] = row.position[k] - wanted.position[k] - out * normal[k]

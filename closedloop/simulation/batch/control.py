@@ -30,11 +30,15 @@ from closedloop.simulation.engines.problem import Problem
 
 
 def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:
-    """Return "good", or what is wrong with the control of a run in a lane, all of whose rows are in contact.
+    """Return "good", or what is wrong with the control of a run in a lane.
 
-    Where contact is commanded in all rows and no error ever reaches what a bound is about, the worst of them decides;
-    most runs of a sweep end here, for which the rows are not gone over.
+    Where nothing can happen to a run, all its rows are in contact. If contact is commanded in all of them and no error
+    ever reaches what a bound is about, the worst of them decides; most runs of a sweep end here, for which the rows are
+    not gone over.
     """
+    if runs.kind.many:
+        problem, found, events = runs.by_itself(lane)
+        return control_of_rows(problem, found, events, runs.values(lane), None)
     worst, count = runs.worst(lane), runs.kind.steps + 1
     scale = math.sqrt(worst.wanted_squared / count)
     on_path = 4.0 * worst.off_squared <= PATH_FLOOR**2

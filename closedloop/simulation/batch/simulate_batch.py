@@ -38,8 +38,10 @@ MOST_THREADS = 1000
 # Keys in which the runs of one set of lanes may differ; see `closedloop.simulation.engines.lanes.Kind`.
 OF_ANY_KIND = (
     "law.force", "law.kp", "law.kd", "law.pd_start", "stabiliser.time_constant", "stabiliser.damping_ratio", "start.",
-    "reference.", "force_profile.", "surface.normal", "surface.offset",
+    "reference.", "force_profile.", "surface.", "surface_motion.", "friction.", "compliance.", "impact.",
 )  # fmt: skip
+# But for these.
+OF_A_KIND = ("surface.contact", *(f"{part}.kind" for part in ("surface", "surface_motion", "friction", "compliance")))
 
 
 @arguments_checked(changes="a list with one value for each run, by its key: {'law.force': [5.0, 10.0]}")
@@ -130,7 +132,7 @@ def in_blocks(
     lanes : bool
         Whether lanes may be used: they have no law of a user's.
     """
-    tells_kinds = [at for at, key in enumerate(variants.keys) if not key.startswith(OF_ANY_KIND)]
+    tells_kinds = [at for at, key in enumerate(variants.keys) if not key.startswith(OF_ANY_KIND) or key in OF_A_KIND]
     kinds: dict[tuple[str, ...], list[int]] = {}
     for i, point in enumerate(points):
         kinds.setdefault(tuple(repr(point[at]) for at in tells_kinds), []).append(i)

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -206,7 +207,11 @@ class Worker:
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
         forget_absent(scenario, values)
         robot = lane_runs.kind.robot
-        verdict = verdict_of(scenario, robot, values, steps, swings=self._unresolved_feedback(scenario, robot))
+        swings = self._unresolved_feedback(scenario, robot)
+        if lane_runs.kind.many:
+            problem, first = lane_runs.first(lane)
+            swings = _unresolved_at(problem, first) + swings
+        verdict = verdict_of(scenario, robot, values, steps, swings=swings)
         control = control_in_lanes(lane_runs, lane, scenario)
         return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
 
@@ -294,9 +299,13 @@ def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
         shape = len(problem.scenario.contact or ()), problem.row_states
         return where_they_press(recorded(rows, n, "q"), recorded(rows, n, "link_forces", *shape))
 
+    return _unresolved_at(problem, first, sliding, own_law, pressed)
+
+
+def _unresolved_at(problem: Problem, first: Row, *more: Any) -> list[str]:
+    """Return what the step does not resolve where a run begins; see `closedloop.scenario.modes.unresolved`."""
     depth = -float(first.closure_error)
-    scenario, robot = problem.scenario, problem.robot
-    return unresolved(scenario, robot, problem.q, first.surface_normal, depth, sliding, own_law, pressed)
+    return unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, depth, *more)
 
 
 def failed(error: Exception) -> Outcome:

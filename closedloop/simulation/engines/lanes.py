@@ -1,20 +1,18 @@
 """Eight runs at a time in SIMD lanes, and their loop.
 
-They are runs of a batch with the paper's law and the tip on a smooth surface. The loop calls the kernels of a single
-run, in the order of `closedloop.loop.events` without events.
+They are runs of a batch with the paper's law. The loop calls the kernels of a single run, in the order of
+`closedloop.loop.events` without events, in float64x8 (`closedloop.jit.simd8`): eight runs take each step together, with
+the same result to the last bit. The tips may be free, slide or stick (`closedloop.simulation.engines.lane_contact`). A
+run of which one may not say that nothing happens in a step takes that step by itself
+(`closedloop.simulation.engines.lane_members`). The summary of a run is accumulated row by row
+(`closedloop.record.report.measured`); the rows are kept only on request.
 
-Such a run has no events, impacts or friction, so its steps have no branches. Eight of them take each step together in
-float64x8 (`closedloop.jit.simd8`), by the same kernels as a single run, with the same result to the last bit. The
-summary of a run is accumulated row by
-row (`closedloop.record.report.measured`); the rows are kept only on request.
-
-If one of the eight needs an event (liftoff), comes near a singular pose or diverges, the loop returns a status, and
-each of the eight is run by itself.
+If one of the eight cannot go on, the loop returns a status, and each of the eight is run by itself.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,39 +20,58 @@ from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.blocks import Block
-from closedloop.jit.calls import address_of, integers_at, matrix_at
+from closedloop.jit.calls import address_of, entry_address, integers_at, matrix_at, vector_at
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain
-from closedloop.jit.numba_simd8 import float64x8_at, with_lane
+from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.simd8 import WIDE, aligned, every
+from closedloop.loop.events.phases import INITIAL_EVENTS
+from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.loop.step.entries import nearest_row
 from closedloop.loop.step.evaluate import bounded, paper_torque
-from closedloop.loop.step.locate import locate_on_plane
-from closedloop.loop.step.memory import Constants, State, Work
-from closedloop.loop.step.record_row import Row, record_conditions, record_state
-from closedloop.loop.step.singular import near_singular
-from closedloop.mechanics.closure.conditioning import BATCH
-from closedloop.mechanics.closure.contact_force import (
-    PRESSED,
-    accelerate,
-    baumgarte_acceleration,
-    factorise,
-    free_acceleration,
-    pressed_force,
-)
+from closedloop.loop.step.memory import Constants, Loop, State, Work
+from closedloop.loop.step.record_row import Row, keep_condition, record_conditions
+from closedloop.mechanics.closure.conditioning import BATCH, LONG_ARM
+from closedloop.mechanics.closure.contact_force import PRESSED, accelerate, factorise, free_acceleration
 from closedloop.mechanics.closure.solve import DIVERGED, OK
+from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree, energy_there, tree_terms, work_size
-from closedloop.record.report.measured import Tally, Values, begin_tally, count_condition, count_row, write_values
+from closedloop.record.report.measured import (
+    CONTROL,
+    Tally,
+    Values,
+    begin_tally,
+    count_condition,
+    count_events,
+    count_row,
+    write_control,
+    write_values,
+)
 from closedloop.record.report.row_sample import JointLimits, joint_limits
+from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.engines.compiled import compiled_terms, compiled_work
+from closedloop.simulation.engines.lane_contact import hold_tips, keep_start, locate_tips, passed_rows, write_rows
+from closedloop.simulation.engines.lane_members import (
+    ALONE,
+    WINDOW,
+    Alone,
+    Kept,
+    alone_at,
+    first_of,
+    go_alone,
+    take_row,
+)
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.proceed import Addresses, addresses_of, set_rows
 from closedloop.simulation.engines.scenario_numbers import needs_general_form
+from closedloop.simulation.ensemble.member import strike
 
-# Status: in some lane the tip may leave the surface, or is near a singular pose, or the stabiliser would pull.
+# Status: a run could not go on by itself, or one of those that never do is near a singular pose.
 NEEDS_EVENTS = -1
 
 
@@ -86,6 +103,9 @@ class LaneAddresses(Block):
     values: int
     signals: int
     worst: int
+    before: int
+    members: int  # of the addresses of each lane's `Alone`; 0: they have none, as nothing can happen to them
+    scratch: int  # of the terms of one run
 
 
 class Sizes(NamedTuple):
@@ -128,12 +148,12 @@ def run_in_lanes(
     limits : (4 n,) array
         See `closedloop.record.report.row_sample.joint_limits`.
     """
-    n, state, kept, width = tree.n, State(state_numbers), sizes.kept, sizes.width
+    n, state, width = tree.n, State(state_numbers), sizes.width
     ends = integers_at(state.addresses.group_ends, state.n)
     stages, steps, hold = state.settings.stages, state.settings.steps, state.settings.hold
-    semi_implicit, unilateral = state.settings.semi_implicit != 0, state.settings.unilateral != 0
+    semi_implicit = state.settings.semi_implicit != 0
     at = LaneAddresses(addresses)
-    w = Work(float64x8_at(at.work, 0), n, 0, stages, 1, 0)
+    w, kept = Work(float64x8_at(at.work, 0), n, 0, stages, 1, 0), Kept(float64x8_at(at.before, 0), n)
     terms = float64x8_at(at.terms, n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
     largest = float64x8_at(at.largest, 1)[0]
@@ -142,33 +162,64 @@ def run_in_lanes(
         state.joint_friction.size, state.compliance.size, 0,
     )  # fmt: skip
     forces = float64x8_at(at.forces, sizes.instants)
-    rows = float64x8_at(at.rows, kept * width).reshape(kept, width)
+    rows = float64x8_at(at.rows, sizes.kept * width).reshape(sizes.kept, width)
     tally, values = Tally(float64x8_at(at.tallies, 0), n), Values(float64x8_at(at.values, 0), n)
     joint_limits, wanted = JointLimits(limits, n), w.reference
     signals = float64x8_at(at.signals, (steps + 1) * SIGNALS).reshape(steps + 1, SIGNALS)
-    worst = Worst(float64x8_at(at.worst, 0))
+    control = float64x8_at(at.signals, CONTROL * (steps + 1)).reshape(CONTROL, steps + 1)
+    worst, members, many = Worst(float64x8_at(at.worst, 0)), integers_at(at.members, WIDE), at.members != 0
+    of_one = vector_at(at.scratch, work_size(n))
     begin_tally(tally, h, largest)
     w.supply.energy = 0.0
+    kept.mode = 1.0 * PRESSED
+    for i in range(WIDE if many else 0):
+        if first_of(members, i) and not go_alone(tree, of_one, w, kept, members, forces, h, i, 0):
+            return NEEDS_EVENTS
     for row in range(steps + 1):
-        begin, slot = row * h, row % kept
+        begin, slot = row * h, row % sizes.kept
+        leaving = 0  # a bit for each lane whose run takes this step by itself
         for stage in range(stages if row < steps else 1):
             node = 0.0
             for i in range(stage):
                 node += tableau[stage, i]
-            t = begin + node * h
-            tree_terms(tree, w.q, w.v, scratch, H, C, (w.J, w.r, w.drift))
-            desired(t, h / sizes.nodes, tables, sizes, forces, wanted)
+            t, evaluated = begin + node * h, False
             sampled = hold == 0 or (stage == 0 and row % hold == 0)
-            status = press(H, C, w, constants, t, sampled, ends)
-            if status != OK:
-                return status
-            if unilateral and not (every(w.tip.F[0] >= 0.0) and every(w.tip.F[0] - w.tip.stabiliser_force[0] >= 0.0)):
-                return NEEDS_EVENTS
+            while not evaluated:
+                evaluated = True
+                tree_terms(tree, w.q, w.v, scratch, H, C, (w.J, w.r, w.drift))
+                desired(t, h / sizes.nodes, tables, sizes, forces, wanted)
+                status, stays = press(H, C, w, constants, state, kept, members, t, sampled, ends, h)
+                if not many:
+                    if status != OK:
+                        return status
+                    if not every(stays > 0.5):
+                        return NEEDS_EVENTS
+                elif stage == 0:
+                    leaving, stays = 0, min(stays, passed_rows(w, constants, state, kept, h))
+                    for i in range(WIDE):
+                        if lane(stays, i) < 0.5 and first_of(members, i):
+                            if alone_at(members, i)[0].row == row:
+                                leaving |= 1 << i
+                            elif go_alone(tree, of_one, w, kept, members, forces, h, i, row):
+                                evaluated = False
+                            else:
+                                return NEEDS_EVENTS
+                else:
+                    for i in range(WIDE):
+                        leaving |= 1 << i if lane(stays, i) < 0.5 and first_of(members, i) else 0
             if stage == 0:
-                record_state(H, C, w, state, rows, slot)
+                here = Row(rows[slot], n)
+                closed = write_rows(H, C, w, state, kept, here)
+                save_power(w, state)
+                for i in range(WIDE if many else 0):
+                    take_row(w, members, here, i, row)
+                keep_condition(H, w, state, closed, here, rows, slot)
                 potential = energy_there(tree, w.q, scratch)
-                write_signals(w, wanted, signals, row, worst)
-                count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
+                if many:
+                    write_control(here, wanted, control, row)
+                else:
+                    write_signals(w, wanted, signals, row, worst)
+                count_row(here, n, potential, wanted, joint_limits, row, tally)
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
                 if state.batched == 0:
@@ -177,12 +228,16 @@ def run_in_lanes(
                 for j in range(n):
                     w.start.state[j] = w.q[j]
                     w.start.state[n + j] = w.v[j]
-                save_power(w, state)
+                if many:
+                    keep_start(w, kept, members, state)
             if row < steps:
                 add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w)
         commit_work(w)
-    write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
+        for i in range(WIDE if row < steps and leaving != 0 else 0):
+            if leaving & (1 << i) != 0 and not go_alone(tree, of_one, w, kept, members, forces, h, i, row + 1):
+                return NEEDS_EVENTS
+    write_values(Row(rows[steps % sizes.kept], n), n, steps + 1, tally, values)
     return OK
 
 
@@ -229,26 +284,27 @@ def desired(t: float, spacing: float, tables: IntArray, sizes: Sizes, forces: Ar
 
 
 @kernel_inlined
-def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: bool, ends: IntArray) -> int:
-    """Evaluate law, contact and Eq. 24 with the tip on a smooth surface; see
-    `closedloop.loop.step.evaluate.evaluate`."""
-    locate_on_plane(w, constants)
+def press(
+    H: Array, C: Array, w: Work, constants: Constants, state: State, kept: Kept, members: IntArray, t: float,
+    sampled: bool, ends: IntArray, h: float,
+) -> tuple[int, Array]:  # fmt: skip
+    """Evaluate law, contact and Eq. 24; return a status, and for each lane 1 if the evaluation is that of its run.
+
+    See `closedloop.loop.step.evaluate.evaluate`.
+    """
+    stays = locate_tips(w, constants, members, state.surface.entry != 0, t, h)
     status = factorise(H, w.tip.A, w.L, w.tip.X, w.tip.S, constants.reach, ends)
-    if status != OK:
-        return status
-    if sampled:
-        paper_torque(C, w, constants, t)
-    free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a, ends)
-    w.tip.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.tip.rate, w.tip.gap)
-    if near_singular(w.tip.S):
-        return NEEDS_EVENTS
-    status, w.tip.stabiliser_force[0] = pressed_force(
-        w.tip.S, w.tip.a, w.tip.b[0], w.friction.c, w.friction.viscous, w.tip.F
-    )
-    if status != OK:
-        return status
-    accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, ends)
-    return OK if bounded(w) else DIVERGED
+    if status == OK:
+        if sampled:
+            paper_torque(C, w, constants, t)
+        free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a, ends)
+        status, goes_on = hold_tips(w, constants, state, kept, members, h)
+        stays = min(stays, goes_on)
+    if status == OK:
+        accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, ends)
+        if not bounded(w):
+            status = DIVERGED
+    return status, stays if status == OK else 0.0 * stays
 
 
 # Eight runs in lanes take as long as two by themselves; fewer than this many are run one by one.
@@ -256,18 +312,19 @@ FEWEST = 3
 
 
 def can_use_lanes(scenario: Scenario) -> bool:
-    """Whether a scenario may run without branches: the paper's law, on a smooth surface from the start."""
+    """Whether a scenario may run in lanes: the paper's law, and one tip with or without a surface that ships."""
+    members: tuple[Any, ...] = scenario.friction, scenario.compliance, scenario.surface, scenario.surface_motion
+    smooth = scenario.friction.kind == "none"
     return (
-        not needs_general_form(scenario)
-        and scenario.surface.kind == "plane"
+        not jit_disabled()
+        and scenario.has_surface
         and scenario.tool.radius == 0.0
-        and scenario.surface_motion.kind == "none"
-        and np.isinf(scenario.surface.bounds()[0])
-        and scenario.compliance.kind == "none"
-        and not scenario.surface.gap > 0.0
         and scenario.stabiliser.kind in ("baumgarte", "none")
         and scenario.time.integrator in INTEGRATORS
-        and not jit_disabled()
+        and not INTEGRATORS[scenario.time.integrator].time_stepping
+        and (smooth or scenario.friction.sticks == "rigid")
+        and all(type(each).__module__.startswith("closedloop.") for each in members)
+        and not needs_general_form(scenario if smooth else scenario.model_copy(update={"friction": NoFriction()}))
     )
 
 
@@ -281,17 +338,88 @@ class Kind(NamedTuple):
     h: float
     nodes: int
     hold: int
+    members: tuple[type, ...]  # of friction, a soft surface, the surface and its motion
+    many: bool  # whether something may happen to a run, so that it may have to go by itself
 
 
 def kind_of(problem: Problem) -> Kind | None:
     """Return what a run must have in common with the others in its lanes; None for one that cannot use lanes."""
-    scenario = problem.scenario
-    if not can_use_lanes(scenario) or problem.general or problem.robot.model.loops or problem.mode != PRESSED:
+    scenario, robot = problem.scenario, problem.robot
+    members = scenario.friction, scenario.compliance, scenario.surface, scenario.surface_motion
+    law = problem.restitution
+    if (
+        not can_use_lanes(scenario)
+        or robot.model.loops
+        or robot.model.balls
+        or len(robot.model.undriven)
+        or has_stops(scenario, robot.model)
+        or not law.__module__.startswith("closedloop.")
+        or problem.project
+    ):
+        return None
+    simple = problem.surface.fixed_plane and not any(each.kind != "none" for each in members[:2])
+    many = not simple or scenario.surface.contact == "unilateral"
+    if many and robot.n > LONG_ARM:
         return None
     return Kind(
-        scenario.surface.contact, scenario.time.integrator, problem.robot, problem.steps, problem.h, problem.nodes,
-        problem.hold,
+        scenario.surface.contact, scenario.time.integrator, robot, problem.steps, problem.h, problem.nodes,
+        problem.hold, tuple(type(each) for each in members), many,
     )  # fmt: skip
+
+
+class LaneMember:
+    """The memory of one run of a set of lanes, where it goes by itself: see `Alone`.
+
+    Parameters
+    ----------
+    terms : two arrays
+        H (n, n) and C (n,), which the runs have in common.
+    width : int
+        Numbers in a row.
+
+    Attributes
+    ----------
+    problem, loop
+        Of the latest run.
+    window : (WINDOW, width) array
+        Its first row, and its two latest.
+    address : int
+        Of the `Alone`.
+    """
+
+    problem: Problem
+
+    def __init__(self, terms: tuple[Array, Array], width: int) -> None:
+        self._terms, self.window = terms, np.zeros((WINDOW, width))
+        self._events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
+        self._alone = Alone(np.zeros(ALONE, dtype=np.int64))
+        self._alone.window, self.address = address_of(self.window), address_of(self._alone.memory)
+        self.loop: Loop | None = None
+        self._of_loop: Addresses | None = None
+
+    def begin(self, problem: Problem) -> Loop:
+        """Stand at the start of a problem, and return the memory of its loop."""
+        before, self.problem = self.loop, problem
+        self.loop = loop = problem.loop(into=before)
+        if before is None:
+            make_ready(*problem.called(loop))
+        problem.connect(loop)
+        if loop.state.settings.unilateral != 0:
+            problem.set_restitution(loop)
+        if before is None or before.w is not loop.w or self._of_loop is None:
+            arrays = problem.table, problem.integrator.tableau(), self.window
+            self._of_loop = addresses_of(self._terms, loop, *arrays, self._events)
+            self._of_loop.row_count = problem.steps + 1
+        set_rows(self._of_loop, problem.table, self.window)
+        self._alone.addresses, self._alone.strike = address_of(self._of_loop.memory), entry_address(strike)
+        self._alone.row, self._alone.stands = -1, 1
+        return loop
+
+    @property
+    def told(self) -> Array:
+        """The table of events (E, EVENT_WIDTH) of the run."""
+        assert self.loop is not None
+        return self._events[: self.loop.state.event.rows]
 
 
 class LaneRuns:
@@ -317,7 +445,7 @@ class LaneRuns:
     def __init__(self, like: Problem, kind: Kind, keep: bool) -> None:
         n, stages = like.robot.n, like.integrator.stages
         self.kind, self.n, self.end = kind, n, like.h * like.steps
-        loop = like.loop()
+        self._loop = loop = like.loop()
         self._state, self._tableau = loop.state, like.integrator.tableau()
         self._h = like.h
         self._work = Work(aligned(Work.count(n, 0, stages, 1, 0)), n, 0, stages, 1, 0)
@@ -326,17 +454,23 @@ class LaneRuns:
         self._rows = aligned(like.steps + 1 if keep else BATCH, Row.count(n))
         (instants, columns), (kept, width) = like.table.shape, self._rows.shape[:2]
         self._sizes = Sizes(like.nodes, instants, columns, kept, width)
-        self._values, self._signals = aligned(Values.count(n)), aligned(like.steps + 1, SIGNALS)
+        self._values = aligned(Values.count(n))
+        self._signals = aligned(CONTROL, like.steps + 1) if kind.many else aligned(like.steps + 1, SIGNALS)
         self._worst = aligned(Worst.count())
-        self._limits = joint_limits(like.robot.model)
+        self._limits, self._scratch = joint_limits(like.robot.model), compiled_work(n)
         self._parts = {
             "work": self._work.memory, "terms": aligned(n * n + n + plain(work_size)(n)), "constants": self._constants,
             "forces": self._forces, "largest": self._largest, "rows": self._rows, "tallies": aligned(Tally.count(n)),
-            "values": self._values, "signals": self._signals, "worst": self._worst,
+            "values": self._values, "signals": self._signals, "worst": self._worst, "before": aligned(Kept.count(n)),
         }  # fmt: skip
         self._addresses = LaneAddresses(np.zeros(LaneAddresses.count(), dtype=np.int64))
         for name, part in self._parts.items():
             setattr(self._addresses, name, address_of(part))
+        H, C, scratch = compiled_terms(self._scratch, n)
+        self._addresses.scratch = address_of(scratch)
+        self._members = [LaneMember((H, C), width) for _ in range(WIDE if kind.many else 0)]
+        self._alone = np.zeros(WIDE, dtype=np.int64)
+        self._addresses.members = address_of(self._alone) if kind.many else 0
         self._tables: list[Array] = []
         self._misses, self._has_misses = np.empty((WIDE, like.steps + 1)), False
 
@@ -350,13 +484,18 @@ class LaneRuns:
         n = self.n
         if lane == 0:
             self._tables.clear()
-        self._constants[:, lane] = problem.constants().memory
+        loop = self._members[lane].begin(problem) if self.kind.many else None
+        self._constants[:, lane] = (problem.constants() if loop is None else loop.constants).memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         self._work.tip.frame[..., lane] = problem.frame
         force = problem.table[:, Reference.place("force", n)]
         self._forces[:, lane] = force
         self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
         self._tables.append(problem.table)
+        if loop is not None:
+            self._forces[:, lane] += 0.0  # as the law is told it where it is asked by address
+            if lane == 0:
+                self._state.memory[:] = loop.state.memory
 
     def run(self, tree: Tree, count: int) -> bool:
         """Run the first `count` lanes; False if one of them could not be finished here."""
@@ -365,6 +504,8 @@ class LaneRuns:
         addresses = [address_of(table) for table in self._tables[:count]]
         tables = np.array(addresses + addresses[:1] * (WIDE - count))
         self._state.batched, self._has_misses = 0, False
+        if self.kind.many:
+            self._alone[:] = [self._members[i if i < count else 0].address for i in range(WIDE)]
         make_ready(run_in_lanes)
         status = run_in_lanes(
             tree, self._addresses.memory, self._state.memory, self._h, self._tableau, tables, self._sizes, self._limits
@@ -373,7 +514,20 @@ class LaneRuns:
 
     def values(self, lane: int) -> Array:
         """Return the values of a run's summary, see `closedloop.record.report.measured`."""
-        return self._values[:, lane].copy()
+        values = self._values[:, lane].copy()
+        if self.kind.many:
+            plain(count_events)(self._members[lane].told, Values(values, self.n))
+        return values
+
+    def by_itself(self, lane: int) -> tuple[Problem, Array, Array]:
+        """Return the problem of a lane, its signals (CONTROL, N), see `write_control`, and its table of events."""
+        member = self._members[lane]
+        return member.problem, self._signals[:, :, lane], member.told
+
+    def first(self, lane: int) -> tuple[Problem, Row]:
+        """Return the problem of a lane, and the first row of its run by itself."""
+        member = self._members[lane]
+        return member.problem, Row(member.window[0], self.n)
 
     def worst(self, lane: int) -> Worst:
         """Return what a first look at the control goes by."""

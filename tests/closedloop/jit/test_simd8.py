@@ -9,7 +9,7 @@ import pytest
 from numba.core.errors import TypingError
 
 from closedloop.jit.calls import address_of
-from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
+from closedloop.jit.numba_simd8 import float64x8_at, lane, lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE, aligned, every, nearest, select
 
 compiled = numba.njit(error_model="numpy")
@@ -123,6 +123,23 @@ def test_lanes_are_read_and_written_one_by_one():
 
     turn(address_of(memory))
     assert np.array_equal(memory[1], np.arange(WIDE)[::-1])
+
+
+def test_lanes_of_entries_are_read_and_written_in_place():
+    """Number by number, of an array of any shape; nothing beside them changes."""
+    memory = aligned(4)
+    memory[:] = np.arange(4.0 * WIDE).reshape(4, WIDE)
+    wanted = memory.copy()
+    wanted[3, 1:3] = wanted[0, 5], wanted[2, 6]
+
+    @compiled
+    def copy(at):
+        x = float64x8_at(at, 4)
+        put_at(x, 3, 1, lane_at(x, 0, 5))
+        put_at(x.reshape(2, 2), 3, 2, lane_at(x.reshape(2, 2), 2, 6))
+
+    copy(address_of(memory))
+    assert np.array_equal(memory, wanted)
 
 
 def test_a_comparison_of_lanes_decides_nothing():

@@ -31,7 +31,8 @@ from closedloop.mechanics.closure.solve import (
     SINGULAR,
     SINGULAR_MOBILITY,
     bordered_matrix,
-    residuals,
+    closure_residual,
+    motion_residual,
 )
 from closedloop.mechanics.surface.placed import contact_frame
 
@@ -82,7 +83,8 @@ class Solved:
         found = SimpleNamespace(
             A=self.A, S=self.S, drift_c=np.zeros(3), b=self.b, a=self.a, F=self.F
         )  # fmt: skip
-        return interpreted(residuals)(self.H, self.tau, self.C, self.qdd, found, (0, self.m), self.ends)
+        motion = interpreted(motion_residual)(self.H, self.tau, self.C, self.qdd, found, self.ends)
+        return motion, interpreted(closure_residual)(self.qdd, found, (0, self.m))
 
     def condition(self):
         """Return the 1-norm condition number of Eq. 24 with its normal row; keep that of H."""
@@ -227,7 +229,7 @@ def test_elimination_solves_the_equation(problem):
     solution = np.concatenate([done.qdd, -done.F[:m]])
     matrix = bordered_matrix(H, A[:m])
     n = len(tau)
-    # Independent of `residuals`, against the normwise size of what is summed.
+    # Independent of the residuals, against the normwise size of what is summed.
     parts = np.abs(matrix[:n]) @ np.abs(solution) + np.abs(y) @ np.abs(H) + np.abs(right[:n])
     assert np.max(np.abs(matrix @ solution - right)[:n]) < 1e-12 * np.max(parts)
 

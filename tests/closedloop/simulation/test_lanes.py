@@ -12,6 +12,10 @@ from robot_models import load
 
 KEPT = ("q", "torque", "contact_force", "closure_error", "kkt_condition", "residual_motion")
 SHORT = {"time.duration": 0.2, "reference.start": 0.1, "law.pd_start": 0.1}  # with the start of the motion in it
+BRISTLES = {
+    "friction.kind": "lugre", "friction.kinetic": 0.2, "friction.static": 0.3, "friction.stribeck_speed": 1e-3,
+    "friction.stiffness": 1e4, "friction.damping": 30.0,
+}  # fmt: skip
 
 # A scenario, what is the same in all runs, and what is drawn for each.
 KINDS = {
@@ -32,8 +36,46 @@ KINDS = {
         {"law.force": (5.0, 15.0)},
     ),
     "a contact that could break": ("wam_slide", SHORT | {"surface.contact": "unilateral"}, {"law.force": (5.0, 15.0)}),
+    "sticks, slips, sticks": (
+        "wam_slide_friction", {"time.duration": 0.9, "reference.start": 0.1, "reference.stop": 0.8},
+        {"law.force": (8.0, 12.0), "friction.kinetic": (0.2, 0.35)},
+    ),
+    "slides from the start": (
+        "wam_slide",
+        SHORT | {"friction.kind": "coulomb", "friction.coefficient": 0.2, "time.integrator": "rk4"},
+        {"law.force": (5.0, 15.0)},
+    ),
+    "comes down": ("wam_touchdown", {"time.duration": 0.15}, {"law.force": (8.0, 12.0), "surface.gap": (1e-4, 3e-4)}),
+    "bounces": ("wam_bounce", {"time.duration": 0.4}, {"impact.restitution": (0.0, 0.9), "surface.gap": (0.01, 0.05)}),
+    "leaves": ("wam_liftoff", {"time.duration": 2.0}, {"stabiliser.time_constant": (0.002, 0.004)}),
+    "passes an edge": (
+        "wam_bounce",
+        {"time.duration": 0.2, "surface.gap": 0.0, "surface.edge_radius": 5e-3, "start.v": [0.2, 0.0, 0.0, 0.0]},
+        {"law.force": (8.0, 12.0)},
+    ),
+    "soft": ("soft_table", SHORT, {"law.force": (5.0, 15.0), "compliance.stiffness": (5e3, 2e4)}),
+    "comes down on a soft surface and rubs": (
+        "wam_touchdown",
+        {"time.duration": 0.2, "friction.kind": "coulomb", "friction.coefficient": 0.2, "impact.restitution": 0.0}
+        | {"compliance.kind": "hunt_crossley", "compliance.stiffness": 1e5, "stabiliser.kind": "none"},
+        {"law.force": (8.0, 12.0), "surface.gap": (1e-4, 3e-4)},
+    ),
+    "a ball that rubs": (
+        "wam_sphere", SHORT | {"friction.kind": "coulomb", "friction.coefficient": 0.2}, {"law.force": (5.0, 15.0)},
+    ),
+    "a surface that moves": (
+        "wam_slide",
+        SHORT | {"surface_motion.kind": "breathing", "surface_motion.amplitude": 1e-3, "surface.contact": "unilateral"},
+        {"law.force": (5.0, 15.0)},
+    ),
     "two joints": ("planar2_slide", SHORT, {"law.force": (1.0, 5.0)}),
     "seven joints": ("panda_slide", SHORT, {"law.force": (1.0, 20.0)}),
+}  # fmt: skip
+
+# What happens in the runs of some of them, so that a run goes by itself meanwhile.
+HAPPENS = {
+    "sticks, slips, sticks": ("stick", "slip"), "comes down": ("touchdown", "impact"), "bounces": ("impact",),
+    "leaves": ("liftoff",), "passes an edge": ("edge",), "comes down on a soft surface and rubs": ("touchdown",),
 }  # fmt: skip
 
 
@@ -73,6 +115,8 @@ def test_to_the_last_bit(kind, lane_counts, monkeypatch):
     options = {"keep": KEPT, "workers": 1}
     table = cl.simulate_batch(scenario, changes, **options)
     assert lane_counts == [WIDE, WIDE, FEWEST]
+    assert set(table["status"].to_pylist()) == {"done"}
+    assert all(sum(table[f"{event}_events"].to_pylist()) > 0 for event in HAPPENS.get(kind, ()))
     assert table.equals(alone(monkeypatch, scenario, changes, **options))
     assert cl.simulate_batch(scenario, changes).equals(table.select(cl.simulate_batch(scenario, changes).column_names))
 
@@ -101,12 +145,12 @@ def test_a_run_that_fails_does_not_affect_the_others(lane_counts, monkeypatch):
     assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
 
 
-def test_liftoff_ends_lanes(lane_counts, monkeypatch):
-    """A path lifts the tips off the surface: after two sets of lanes that failed, the next are run one by one."""
-    scenario = cl.load_scenario("wam_liftoff", overrides={"time.duration": 2.0})
-    changes = {"stabiliser.time_constant": np.linspace(0.002, 0.004, 4 * WIDE).tolist()}
+def test_runs_that_cannot_go_on_end_lanes(lane_counts, monkeypatch):
+    """One of eight diverges: after two sets of lanes that failed, the next are run one by one."""
+    scenario = cl.load_scenario("wam_slide", overrides=SHORT)
+    changes = {"law.kd": [5000.0, *np.linspace(10.0, 20.0, WIDE - 1)] * 4}
     table = cl.simulate_batch(scenario, changes, workers=1)
-    assert min(table["liftoff_events"].to_pylist()) >= 1
+    assert table["status"].to_pylist() == ["stopped", *["done"] * (WIDE - 1)] * 4
     assert lane_counts == [WIDE, WIDE]
     assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
 
@@ -123,24 +167,23 @@ def test_each_kind_has_its_own_lanes(lane_counts, monkeypatch):
     }
     table = cl.simulate_batch(scenario, changes, workers=1)
     assert set(table["status"].to_pylist()) == {"done"}
-    assert lane_counts == [7, 6]  # each step's; a contact that is open at first goes alone
+    assert lane_counts == [7, 6]  # each step's; of those that may open there are too few
     assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
 
 
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("wam_touchdown", {}),
-        ("wam_slide_friction", {}),
         ("joint_friction", {}),
+        ("wam_slide", BRISTLES),
         ("wam_slide", {"stabiliser.kind": "projection"}),
         ("wam_slide", {"law.force_feedback": 0.5}),
         ("wam_slide", {"time.integrator": "dop853"}),
-        ("wam_bounce", {"friction.kind": "none"}),
+        ("wam_slide", {"tool.radius": 0.01}),
     ],
 )
-def test_events_and_branches_exclude_lanes(name, changes):
-    """Events, friction, projection or another law: run one by one."""
+def test_branches_exclude_lanes(name, changes):
+    """Friction in joints or with states, projection, a round end or another law: run one by one."""
     scenario = cl.load_scenario(name, overrides=changes)
     assert kind_of(prepare(scenario)) is None
     assert kind_of(prepare(cl.load_scenario("wam_slide"))) is not None

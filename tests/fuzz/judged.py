@@ -89,7 +89,7 @@ def directly(case: Case, file: Path) -> tuple[str, str]:
 
 
 def judge_halved(case: Case) -> tuple[str, str]:
-    """Return `HELD` where a run, the same at half the step and in the other engine are good, and how much f differs, N."""
+    """Return `HELD` where a run is good at half the step too, and in the other engine, and by how much f differs, N."""
     try:
         scenario = scenario_of(case.content, "fuzz", {})
         if scenario.time.integrator in ADAPTIVE:

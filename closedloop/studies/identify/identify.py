@@ -158,8 +158,10 @@ class Identification:
 
     @property
     def not_physical(self) -> tuple[Estimate, ...]:
-        """What dissipates or stores energy, and is surely below zero: its whole interval is, and a torque that the model
-        lacks, if it is as large as the residual, does not make it so. Noise and filters leave such a torque, too.
+        """What dissipates or stores energy, and is surely below zero.
+
+        Its whole interval is, and a torque that the model lacks, if it is as large as the residual, does not make it
+        so. Filters leave such a torque, too, where there is no noise.
         """
         told = zip(self.estimates, self.solution.lacking, strict=True)
         bounded = ((e, lacking) for e, lacking in told if e.name.startswith(BOUNDED) and e.name == e.grouping)

@@ -10,7 +10,7 @@ import closedloop as cl
 import robot_models
 from closedloop.studies.identify.fit import UNIQUE, fit, told_apart
 from closedloop.studies.identify.identify import PIECES, _pieces
-from closedloop.studies.identify.log import Log
+from closedloop.studies.identify.log import Log, LogError, check_velocities
 from closedloop.studies.identify.motion import ABOVE_MOTION, Motion, joined, motion, usual_cutoff
 from closedloop.studies.identify.regressor import NOISY, REST, Regressor, Terms, base_parameters
 
@@ -136,7 +136,7 @@ def test_columns_are_told_apart_by_the_part_that_no_other_explains(share, both):
 
 
 def test_windows_of_a_long_log_are_half_a_period_of_the_cutoff(monkeypatch):
-    """Evaluated at every third row; the noise of velocities and mean torques is what the motion says, and time goes on."""
+    """Evaluated at every third row; noise of velocities and mean torques is what the motion says, and time goes on."""
     monkeypatch.setattr("closedloop.studies.identify.motion.EVALUATIONS", 10_000)
     rng = np.random.default_rng(0)
     log = Log(np.arange(24_000) * 1e-3, 1e-3 * rng.normal(size=(24_000, 1)), rng.normal(size=(24_000, 1)), ("J1",))
@@ -160,3 +160,14 @@ def test_an_interval_of_few_windows_is_students():
     W, used = np.ones((20, 1, 1)), np.ones((20, 1), dtype=bool)
     found = [fit(W, np.random.default_rng(k).normal(size=(20, 1)), used).deviation[0] for k in range(200)]
     assert np.sqrt(20) * np.median(found) == pytest.approx(stats.t.ppf(0.975, 20 / 3) / 1.96, rel=0.1)
+
+
+def test_velocities_are_compared_by_the_trapezoidal_rule():
+    """At nine rows a period a row more or less is half a right angle: what moves so much later is another joint's."""
+    robot, t = robot_models.load("planar2"), np.arange(400)[:, None]
+    rate = 2.0 * np.pi / 9.0
+    q, v = np.sin(rate * (t - [[0, 1]])), rate * np.cos(rate * (t - [[0, 1]]))
+    check_velocities(q, v, 1.0, robot, "log")
+    for share, said in ((0.3, "0.288"), (3.0, "2.88")):  # the rule loses 4 % of such a wave
+        with pytest.raises(LogError, match=f"velocities of J1 are {said} times the rate of its positions"):
+            check_velocities(q, share * v, 1.0, robot, "log")

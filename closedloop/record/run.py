@@ -120,6 +120,8 @@ class Run(Record):
         if there and self.scenario.contact and name in (of_contacts := columns_by_contact(self.scenario.contact)):
             base, k = of_contacts[name]
             return there[base][:, k]
+        if hasattr(type(self), name):  # a property raised it: what it lacked is what is to be said
+            return object.__getattribute__(self, name)
         raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join((*there, *DERIVED))}")
 
     if not TYPE_CHECKING:  # which knows the columns by `TypedColumns`, and refuses other names

@@ -89,7 +89,7 @@ def directly(case: Case, file: Path) -> tuple[str, str]:
 
 
 def judge_halved(case: Case) -> tuple[str, str]:
-    """Return `HELD` where a run and the same at half the step are good together, and by how much f differs, N."""
+    """Return `HELD` where a run is good at half the step too, and in the other engine, and by how much f differs, N."""
     try:
         scenario = scenario_of(case.content, "fuzz", {})
         if scenario.time.integrator in ADAPTIVE:
@@ -108,7 +108,31 @@ def judge_halved(case: Case) -> tuple[str, str]:
         problems = run.summary()["verdict"]["problems"]
     if problems:
         return BAD, names_of(problems)
+    if apart := of_engines(run):
+        return FAULTY, apart
     return HELD, f"{run.halved['force'] or 0.0:.3g}"
+
+
+# Two engines differ by rounding, which a run may amplify: as a share of the largest value of a column, and beside it.
+EQUAL, NOTHING = 1e-6, 1e-9
+
+
+def of_engines(run: Run) -> str:
+    """Return by how much a run in the other engine differs, where it is more than rounding."""
+    try:
+        other = simulate(run.scenario, engine="pinocchio")
+    except ClosedLoopError as error:
+        return f"not in the other engine: {one_line(str(error))}"
+    if problems := other.summary()["verdict"]["problems"]:
+        return f"not good in the other engine: {names_of(problems)}"
+    apart = {}
+    for name in ("q", "v", "torque", "contact_force", "link_forces"):
+        if name in run.columns and run.columns[name].size:
+            own = run.columns[name]
+            off = float(np.max(np.abs(own - other.columns[name])))
+            if off > EQUAL * float(np.max(np.abs(own))) + NOTHING:
+                apart[name] = f"{off:.3g} (at half the step {run.halved['columns'][name]['max']:.3g})"
+    return f"engines differ: {apart}" if apart else ""
 
 
 # Lines that may stand beside the one that says what became of the command.

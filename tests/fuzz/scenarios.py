@@ -86,7 +86,7 @@ def main() -> None:
         print(f"{count:6} {words}")
     print(f"{len(cases)} scenarios: {dict(counts)}")
     if shares:
-        print(f"differences at half the step, as shares of what is stated: {sorted(shares, reverse=True)[:10]}")
+        print(f"differences of f at half the step, N: {sorted(shares, reverse=True)[:10]}")
 
 
 def reason(words: str) -> str:

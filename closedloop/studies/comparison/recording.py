@@ -280,7 +280,13 @@ READINGS = (
 AXES = ("along x of the base", "along y of the base", "along z of the base")
 
 
-def audit(recording: Recording, robot: Robot, normal: Array, cutoff: float | None = None) -> Audit:
+class NothingLeftError(LogError):
+    """Every row of a recording is near an impact, or near its ends."""
+
+
+def audit(
+    recording: Recording, robot: Robot, normal: Array, cutoff: float | None = None, struck: Array | None = None
+) -> Audit:
     """Compare the force of a recording with that of its motion and torques.
 
     Parameters
@@ -289,13 +295,16 @@ def audit(recording: Recording, robot: Robot, normal: Array, cutoff: float | Non
         Of the surface at each row, base axes.
     cutoff : float, optional
         Of the low-pass, Hz; ten times that of the motion if left out.
+    struck : (m,) array, optional
+        Instants of impacts, s: an impulse is in the motion and in no force, and rows that the filter reaches from there
+        are left out.
 
     Raises
     ------
     LogError
-        If there is no torque or no force, or too few rows are left.
+        If there is no torque or no force, or no rows are left.
     """
-    at, expected, f, explained, cutoff = expected_force(recording, robot, cutoff)
+    at, expected, f, explained, cutoff = expected_force(recording, robot, cutoff, struck)
     n = normal[at]
     scalar = np.einsum("ij,ij->i", f[at], n) if f.ndim == 2 else f[at]
     along = np.einsum("ij,ij->i", expected, n)
@@ -313,7 +322,7 @@ def audit(recording: Recording, robot: Robot, normal: Array, cutoff: float | Non
 
 
 def expected_force(
-    recording: Recording, robot: Robot, cutoff: float | None = None
+    recording: Recording, robot: Robot, cutoff: float | None = None, struck: Array | None = None
 ) -> tuple[NDArray[np.int64], Array, Array, float, float]:
     """Return the force on the tip that follows from motion and torques, beside the recorded one.
 
@@ -321,6 +330,8 @@ def expected_force(
     ----------
     cutoff : float, optional
         Of the low-pass, Hz; ten times that of the motion if left out.
+    struck : (m,) array, optional
+        As of `audit`.
 
     Returns
     -------
@@ -341,7 +352,12 @@ def expected_force(
     v = np.gradient(q, step, axis=0)
     a = np.zeros_like(q)  # differences of neighbours lose less of fast motions than those of differences
     a[1:-1] = np.diff(q, 2, axis=0) / step**2
-    at = np.unique(np.linspace(edge, N - 1 - edge, min(ROWS, N - 2 * edge)).astype(int))
+    rows = np.arange(edge, N - edge)
+    for instant in struck if struck is not None else ():
+        rows = rows[np.abs(recording.time[rows] - instant) > EDGE / cutoff]
+    if not rows.size:
+        raise NothingLeftError(f"all of its rows are within {EDGE / cutoff:.3g} s of an impact: give a higher cutoff")
+    at = rows[np.unique(np.linspace(0, rows.size - 1, min(ROWS, rows.size)).astype(int))]
     expected = np.empty((len(at), 3))
     left = whole = 0.0
     for k, row in enumerate(at):

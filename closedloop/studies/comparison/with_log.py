@@ -23,6 +23,7 @@ from closedloop.studies.comparison.explain import NOTHING, Reason, explain, of_j
 from closedloop.studies.comparison.recording import (
     FEWEST,
     Audit,
+    NothingLeftError,
     Recording,
     audit,
     checked,
@@ -299,8 +300,15 @@ def compare_log(
             explain(along - force, force_hypotheses(force, np.gradient(force, time)), rms(force)),
         )  # fmt: skip
         if recording.torque is not None and recording.q is not None and robot is not None:
-            part = Recording(time, recording.q[inside], recording.torque[inside], logged, recording.source)
-            told = audit(part, robot, normal, cutoff)
+            acting = recording.torque[inside] + _beside(time, run, robot)
+            struck = np.array([event.time for event in run.events if event.kind == "impact"])
+            part = Recording(time, recording.q[inside], acting, logged, recording.source)
+            try:
+                told = audit(part, robot, normal, cutoff, struck)
+            except NothingLeftError as error:
+                notes.append(f"the log's force is not audited: {error}")
+            if struck.size:
+                notes.append("impulses are no part of a force: the audit leaves out what is near impacts of the run")
     elif recording.force is None:
         notes.append("the log has no force")
     if recording.speed is not None:
@@ -317,6 +325,20 @@ def _at(time: Array, run: Run, name: str) -> Array:
     if column.ndim == 1:
         return np.interp(time, run.time, column)
     return np.stack([np.interp(time, run.time, x) for x in column.T], axis=1)
+
+
+def _beside(time: Array, run: Run, robot: Robot) -> Array:
+    """Return the torques (N, n) that act in the run beside those of the drives and of the tip's force, N m.
+
+    Friction of joints, springs, stops, loads and other contacts, and the reactions of loops: H q̈ + C − Q − JᵀF.
+    """
+    found = np.empty_like(run.torque)
+    for k, (q, v, a, torque, force) in enumerate(
+        zip(run.q, run.v, run.acceleration, run.torque, run.tip_force, strict=True)
+    ):
+        terms = robot.terms(q, v)
+        found[k] = terms.mass_matrix @ a + terms.bias - torque - terms.jacobian.T @ force
+    return np.stack([np.interp(time, run.time, x) for x in found.T], axis=1)
 
 
 def _need_overlap(rows: int, step: float, clock: Array, run: Run, source: str) -> None:

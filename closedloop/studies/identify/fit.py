@@ -62,6 +62,8 @@ class Fit:
     residual: Array  # (R, n): torque less W χ, N m, in all windows, used or not
     sigma: Array  # (n,): standard deviation of the noise in the windows used
     condition: float  # of the weighted W, columns of length one
+    # (b,): what a torque that the model lacks, and that is as large as the residual, adds to a parameter at most
+    lacking: Array
     noise: Callable[[], tuple[Array, Array]]  # what `covariance` and `correlation` are computed by when they are asked
 
     @cached_property
@@ -126,11 +128,13 @@ def fit(
         last, sigma = sigma, np.maximum(np.sqrt(squares / np.maximum(free, 1.0)), floor)
         if np.all(np.abs(sigma - last) < 1e-6 * sigma):
             break
-    # χ̂ − χ = Σ_t rows_tᵀ u_t
+    # χ̂ − χ = Σ_t rows_tᵀ u_t, at most Σ_j |rows_j| |u_j| whatever u is (Cauchy and Schwarz)
     back = inverse / scale[:, None] / scale
+    rows = np.einsum("kl,tjl->tjk", back, S * (used / last**2)[:, :, None], optimize=True)
+    lacking = np.zeros(b)
+    lacking[told] = np.sqrt(squares) @ np.sqrt(np.einsum("tjk,tjk->jk", rows, rows))
 
     def noise() -> tuple[Array, Array]:
-        rows = np.einsum("kl,tjl->tjk", back, S * (used / last**2)[:, :, None], optimize=True)
         found, phi = _covariance(rows, X / scale, torque, residual, used, sigma)
         covariance = np.zeros((b, b))
         covariance[at] = found
@@ -139,7 +143,7 @@ def fit(
     square = np.sum([_product(x, x) for x in (X[used[:, j], j] / sigma[j] for j in range(n))], axis=0)
     size = np.sqrt(np.diag(square))
     condition = float(np.sqrt(np.linalg.cond(square / size / size[:, None]))) if told.any() else 1.0
-    return Fit(value, told, tuple(alike), residual, sigma, condition, noise)
+    return Fit(value, told, tuple(alike), residual, sigma, condition, lacking, noise)
 
 
 def _covariance(rows: Array, X: Array, torque: Array, residual: Array, used: Mask, sigma: Array) -> tuple[Array, Array]:

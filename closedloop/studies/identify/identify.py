@@ -158,9 +158,14 @@ class Identification:
 
     @property
     def not_physical(self) -> tuple[Estimate, ...]:
-        """What dissipates or stores energy, and is surely below zero: the whole interval of it is."""
-        bounded = (e for e in self.estimates if e.name.startswith(BOUNDED) and e.name == e.grouping)
-        return tuple(e for e in bounded if e.high < 0.0)
+        """What dissipates or stores energy, and is surely below zero.
+
+        Its whole interval is, and a torque that the model lacks, if it is as large as the residual, does not make it
+        so. Filters leave such a torque, too, where there is no noise.
+        """
+        told = zip(self.estimates, self.solution.lacking, strict=True)
+        bounded = ((e, lacking) for e, lacking in told if e.name.startswith(BOUNDED) and e.name == e.grouping)
+        return tuple(e for e, lacking in bounded if max(e.high, e.value + lacking) < 0.0)
 
     @property
     def relative_error(self) -> Array:

@@ -165,7 +165,8 @@ def report(found: Identification) -> list[str]:
     for e in found.not_physical:
         lines.append(
             f"  NOT PHYSICAL: {e.name} is {e.value:.4g} {e.unit}, and surely negative: {_WRONG['inertia' in e.name]}; "
-            "the log has an effect that the model lacks, or torques of another gain or instant"
+            "the log has an effect that the model lacks, or torques of another gain or instant, or hardly moves what "
+            "tells it from others"
         )
     lines += ["", f"  {'parameter':30}{'value':>12}  {100 * found.confidence:.0f} % interval"]
     for e in found.estimates:

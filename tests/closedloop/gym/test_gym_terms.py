@@ -34,7 +34,8 @@ TERMS = [
     ("force", {"f": [0.75, -8, -30], "f_des": [0.5, -10, -10]}, [-0.25, -0.2, -1]),
     ("path", {"path_error": [0, 0.004, 0.02]}, [0, -0.4, -1]),
     ("smooth", {"action": [[1, -1, 0], [1, 1, 1]], "action_before": [[-1, -1, 1], [-1, -1, -1]]}, [-5 / 12, -1]),
-    ("overload", {"largest_force": [20, 25, 40, 0, 1.5], "f_des": [10, 10, -10, 10, 0.5]}, [0, -0.5, -1, 0, 0]),
+    ("overload", {"largest_force": [20, 25, 25, 0, 1.5], "f_des": [10, 10, -10, 10, 0.5]}, [0, -0.5, -0.5, 0, 0]),
+    ("overload", {"largest_force": [40], "f_des": [10]}, [-1]),
     ("loss", {"touched": [False, True, True], "free_share": [0.5, 0.5, 0]}, [0, -0.5, 0]),
     ("travel", {"tip": [[0.003, 0, -0.004], [0, 1, 0]], "wanted_tip": [[0, 0, 0], [0, 0, 0]]}, [-0.5, -1]),
     ("travel", {"tip": [[0.3, 0.1, 0.2]], "wanted_tip": [[0.3, 0.1, 0.204]]}, [-0.4]),
@@ -228,3 +229,45 @@ def test_what_is_drawn_follows_its_law():
     for ends in ((0.0, np.inf), (-np.inf, 0.0), (2.0, 1.0)):
         with pytest.raises(ScenarioError, match="must be two numbers, the smaller first"):
             Range(*ends)
+
+
+def test_contact_within_an_instant_is_a_touch_and_a_force_off_the_surface_no_target():
+    """A tip that touches in half of the rows has touched; a force of zero where zero is wanted, in the air, is none."""
+    env = ContactEnv("press", ranges={})
+    env.reset(seed=0)
+    core, now = env.core, env.core.now
+    for free_share, touched in ((1.0, False), (0.5, True)):
+        now.touched[:], now._mode[:], now._free[:], now.on_target[:] = False, FREE, free_share * now.steps, 0.4
+        now.f[:] = now.f_des[:] = 0.0
+        now.changed()
+        core._advance(np.array([True]))
+        assert now.touched.tolist() == [touched]
+        assert now.on_target.tolist() == [0.0]
+
+
+def test_an_episode_begins_with_what_it_begins_with():
+    """A tip that touches at the start has touched; the action before is that of the instant before."""
+    begun = []
+    for task in ("press", "slide"):
+        env = ContactEnv(task, ranges={})
+        env.reset(seed=0)
+        now, size = env.core.now, env.action_space.shape
+        begun.append(bool(now.contact[0]))
+        assert now.touched.tolist() == now.contact.tolist()
+        for a in (0.2, -0.3):
+            before = now.action.copy()
+            env.step(np.full(size, a))
+            assert np.array_equal(now.action_before, before)
+    assert any(begun)
+
+
+def test_a_world_keeps_its_own_force():
+    """The tables of worlds of one path are not written over each other, however often they are met."""
+    env = ContactEnv("press", ranges={"law.force": (5.0, 20.0)}, worlds=3)
+    env.reset(seed=0)
+    seen = []
+    for _ in range(12):
+        seen.append(float(env.core.now.f_des[0]))
+        assert seen[-1] == env.core.parameters[0]["law.force"]
+        env.reset()
+    assert len(set(seen)) == 3

@@ -117,3 +117,10 @@ def test_the_columns_that_a_type_checker_knows_are_those_there_are(run):
     assert all(name in get_type_hints(TypedColumns) for name in run.specs)
     with pytest.raises(AttributeError, match="a Run has no 'contact_forze'"):
         run.contact_forze  # noqa: B018
+
+
+def test_a_property_that_lacks_something_says_what(run, monkeypatch):
+    """And not that the run has no such property: a missing attribute inside it is its own."""
+    monkeypatch.setattr(cl.Run, "wide", property(lambda run: run.scenario.width), raising=False)
+    with pytest.raises(AttributeError, match="'Scenario' object has no attribute 'width'"):
+        run.wide  # noqa: B018

@@ -234,3 +234,15 @@ def test_a_log_of_force_and_speed_alone_is_compared(run, tmp_path, capsys):
         cl.compare_log(Recording(run.time), run.scenario)
     with pytest.raises(LogError, match="it needs both force and speed"):
         cl.identify_contact(Recording(run.time, speed=np.ones(len(run.time))), "planar2", normal=(0.0, 1.0, 0.0))
+
+
+@pytest.mark.parametrize("name", ["delta", "joint_friction", "planar2_drop", "payload_mismatch"])
+def test_a_force_is_audited_beside_all_that_acts(name):
+    """Reactions of loops, friction of joints, impulses, a payload: a run's force is consistent, a quarter more not."""
+    run = cl.simulate(cl.load_scenario(name, {"time.duration": 2.0}))
+    found = cl.compare_log(run, run.scenario)
+    assert found.audit.consistent
+    assert found.audit.usual < 0.06 * found.audit.size
+    assert any("impulses" in note for note in found.notes) == (name == "planar2_drop")
+    log = of_run(run)
+    assert not cl.compare_log(replace(log, force=1.25 * log.force), run.scenario).audit.consistent

@@ -12,7 +12,7 @@ import closedloop as cl
 import robot_models
 from closedloop.studies.identify.fit import fit
 from closedloop.studies.identify.log import LogError
-from closedloop.studies.identify.written import friction_section, report, torque_figure
+from closedloop.studies.identify.written import friction_section, report, torque_figure, write
 
 NOISE = (2e-5, 0.3)  # rad, N m
 
@@ -95,12 +95,14 @@ def test_intervals_of_coloured_noise_cover():
 def test_noise_of_positions_biases_least_squares_and_not_instruments():
     """With positions so noisy that the regressor suffers, instruments halve the error at least."""
     log, robot = simulated("planar2", count=20000, step=0.001, noise=(2e-3, 0.01), size=1.0)
-    worst = {}
+    worst, plain = {}, None
     for method in ("ls", "iv"):
         found = cl.identify(log, robot, cutoff=30.0, method=method, held_out=0.0, slow=0.1)
         true = true_base(found)
         worst[method] = np.linalg.norm((found.solution.value - true)[np.abs(true) > 0.05])
+        plain = found if method == "ls" else plain
     assert worst["iv"] < 0.5 * worst["ls"], worst
+    np.testing.assert_allclose(found.noise_bias, plain.solution.value - found.solution.value)
 
 
 def test_what_no_joint_excited_is_not_identifiable():
@@ -144,7 +146,7 @@ def test_a_joint_that_creeps_tells_nothing_of_itself_and_leaves_the_others(metho
     assert all(np.isnan(e.value) or abs(e.value) < 20.0 for e in found.estimates)
 
 
-def test_what_no_robot_can_be_is_said():
+def test_what_no_robot_can_be_is_said(tmp_path):
     """Friction and inertia of drives below zero, surely: by name, with what it would mean; and not for noise alone."""
     log, robot = simulated("planar2", count=3000, noise=(2e-5, 0.1), friction={"viscous": -0.5, "dry": 2.0})
     found = cl.identify(log, robot)
@@ -156,6 +158,13 @@ def test_what_no_robot_can_be_is_said():
     drives = replace(lost, torque=lost.torque - 0.5 * np.gradient(np.gradient(lost.q, 0.002, axis=0), 0.002, axis=0))
     assert "drive_inertia_J2" in [e.name for e in cl.identify(drives, robot, cutoff=10.0).not_physical]
     assert cl.identify(lost, robot).not_physical == ()
+    slightly = replace(lost, torque=lost.torque - 0.05 * np.gradient(np.gradient(lost.q, 0.002, axis=0), 0.002, axis=0))
+    for log, impossible in ((lost, False), (slightly, True)):
+        write(cl.identify(log, robot, cutoff=10.0), tmp_path, "a log")
+        assert ("physically impossible" in (tmp_path / "report.txt").read_text()) == impossible
+    quiet = cl.identify(*simulated("wam4", count=4000, friction={}))  # intervals narrower than filters are exact
+    assert quiet["viscous_J1"].high < 0.0
+    assert quiet.not_physical == ()
 
 
 def test_friction_at_one_speed_is_not_told_apart():

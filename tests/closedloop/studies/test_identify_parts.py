@@ -4,14 +4,15 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import signal, stats
 
 import closedloop as cl
 import robot_models
-from closedloop.studies.identify.fit import fit
+from closedloop.studies.identify.fit import UNIQUE, fit, told_apart
 from closedloop.studies.identify.identify import PIECES, _pieces
-from closedloop.studies.identify.motion import ABOVE_MOTION, Motion, motion, usual_cutoff
-from closedloop.studies.identify.regressor import NOISY, REST, Regressor, Terms
+from closedloop.studies.identify.log import Log, LogError, check_velocities
+from closedloop.studies.identify.motion import ABOVE_MOTION, Motion, joined, motion, usual_cutoff
+from closedloop.studies.identify.regressor import NOISY, REST, Regressor, Terms, base_parameters
 
 SIZE = 4
 
@@ -116,3 +117,57 @@ def test_intervals_of_few_windows_of_correlated_noise_cover():
         found = fit(W, noise, np.ones((40, 1), dtype=bool))
         covered += (np.abs(found.value) < 1.96 * found.deviation).tolist()
     assert np.mean(covered) > 0.91
+
+
+def test_what_is_left_of_few_windows_is_that_of_the_noise():
+    """Over the windows less the columns: of 20 with 6 columns s² is unbiased, though 0.7 of it is left on average."""
+    W, used = np.random.default_rng(0).normal(size=(20, 1, 6)), np.ones((20, 1), dtype=bool)
+    found = [fit(W, np.random.default_rng(k).normal(size=(20, 1)), used).sigma[0] ** 2 for k in range(150)]
+    assert np.mean(found) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("share", "both"), [(0.8, False), (1.25, True)])
+def test_columns_are_told_apart_by_the_part_that_no_other_explains(share, both):
+    """Of two columns of length one it is the sine of the angle between them."""
+    alike = np.sqrt(1.0 - (share * UNIQUE) ** 2)
+    told, confused = told_apart(np.array([[1.0, alike], [alike, 1.0]]))
+    assert told.all() == both
+    assert confused == [() if at else (1 - k,) for k, at in enumerate(told)]
+
+
+def test_windows_of_a_long_log_are_half_a_period_of_the_cutoff(monkeypatch):
+    """Evaluated at every third row; noise of velocities and mean torques is what the motion says, and time goes on."""
+    monkeypatch.setattr("closedloop.studies.identify.motion.EVALUATIONS", 10_000)
+    rng = np.random.default_rng(0)
+    log = Log(np.arange(24_000) * 1e-3, 1e-3 * rng.normal(size=(24_000, 1)), rng.normal(size=(24_000, 1)), ("J1",))
+    x = motion(log, 20.0)
+    assert np.diff(x.time) == pytest.approx(0.5 / 20.0, rel=0.05)
+    assert len(x.q) == x.size * len(x.time)
+    assert x.v.std() == pytest.approx(0.89 * x.noise[0], rel=0.1)  # of what the filter is not a sharp one
+    assert x.torque.std() == pytest.approx(x.torque_noise[0], rel=0.1)
+    assert np.diff(joined([x, x]).time) == pytest.approx(np.diff(x.time)[0])
+
+
+def test_the_inertia_of_a_drive_is_part_of_that_of_its_link_where_it_acts_alike():
+    """The first joint's drive turns as its link does; the second's does not."""
+    names = base_parameters(Regressor(robot_models.load("planar2"), Terms())).names
+    assert [name for name in names if "drive_inertia_J1" in name] == ["Iyy_J1 + 0.16 m_J2 + drive_inertia_J1"]
+    assert "drive_inertia_J2" in names
+
+
+def test_an_interval_of_few_windows_is_students():
+    """Of a mean of R white windows: 1/R of the variance of φ and 2/R of that of log s² make R/3 degrees of freedom."""
+    W, used = np.ones((20, 1, 1)), np.ones((20, 1), dtype=bool)
+    found = [fit(W, np.random.default_rng(k).normal(size=(20, 1)), used).deviation[0] for k in range(200)]
+    assert np.sqrt(20) * np.median(found) == pytest.approx(stats.t.ppf(0.975, 20 / 3) / 1.96, rel=0.1)
+
+
+def test_velocities_are_compared_by_the_trapezoidal_rule():
+    """At nine rows a period a row more or less is half a right angle: what moves so much later is another joint's."""
+    robot, t = robot_models.load("planar2"), np.arange(400)[:, None]
+    rate = 2.0 * np.pi / 9.0
+    q, v = np.sin(rate * (t - [[0, 1]])), rate * np.cos(rate * (t - [[0, 1]]))
+    check_velocities(q, v, 1.0, robot, "log")
+    for share, said in ((0.3, "0.288"), (3.0, "2.88")):  # the rule loses 4 % of such a wave
+        with pytest.raises(LogError, match=f"velocities of J1 are {said} times the rate of its positions"):
+            check_velocities(q, share * v, 1.0, robot, "log")

@@ -89,6 +89,16 @@ def test_where_there_is_no_run_the_search_turns_back():
     assert found.x[0] == pytest.approx(0.4, abs=1e-5)
 
 
+def test_a_search_begins_as_often_as_it_is_asked_to_and_where_limits_are_nearly_met():
+    """Of values below zero it finds the least, too; a point far beyond a limit is a worse start than one beside it."""
+    search = Search(of_functions([lambda x: (x[0] - 0.4) ** 2 - 1.0]), 1)
+    found = search.run(np.array([0.9]), 3, 0)
+    assert found.x[0] == pytest.approx(0.4, abs=1e-5)
+    assert found.ends == pytest.approx([-1.0] * 3)
+    beyond = [search._penalised(np.array([2.0]), np.array([[share]])) for share in (-0.5, 0.0, 0.1, 0.3)]
+    assert beyond == pytest.approx([2.0, 2.0, 5.0, 11.0])
+
+
 @pytest.mark.parametrize("at", [0.0, 0.3, 1.0])
 def test_slopes_are_differences_of_a_point_or_of_one_a_step_inside(at):
     """Of a parabola, exactly, and of a constraint; at an end of the range those of a point inside; 0 without a run."""
@@ -115,6 +125,10 @@ def test_values_of_runs_that_stop_and_margins_of_loops_that_are_unstable():
     stable, unstable = runs.values(np.array([[0.0], [1.0]]))[:, 0]
     assert np.all(stable > 0.0)
     assert np.all(unstable < 0.0)
+    both = Runs(spring, varied(spring, {"law.force_integral": (0.0, 40.0)}), {"rms_force_error": 1.0, **names}, [], {})
+    force, *endless = both.values(np.array([[0.0]]))[0, 0]
+    assert np.isfinite(force)
+    assert endless[0] == 1e6  # without feedback no gain makes it unstable
     loop = cl.linearise(mass_on_a_spring(gain=40.0), at=0.05)
     assert unstable[3] == pytest.approx(-loop.margins().modulus, rel=1e-6)
 
@@ -236,6 +250,7 @@ def test_a_constraint_reads_either_way():
     least, most = limit_of(" modulus_margin@3 >= 0.5"), limit_of("peak_contact_force<=12")
     assert least.violation(np.array([0.25])) == pytest.approx([0.5])
     assert most.violation(np.array([15.0])) == pytest.approx([0.25])
+    assert limit_of("lowest<=-2").violation(np.array([-1.0, -3.0])) == pytest.approx([0.5, -0.5])
     assert str(least) == "modulus_margin@3 >= 0.5"
 
 
@@ -283,3 +298,5 @@ def test_a_number_at_the_rounding_of_an_end_is_the_end():
     vary = varied(cl.load_scenario("wam_slide"), {"law.force_integral": (0.0, 60.0)}, ())
     assert [vary[0].at(share) for share in (0.0, 3e-16, 2e-11, 1.0 - 2e-16, 1.0)] == [0.0, 0.0, 0.0, 60.0, 60.0]
     assert 1e-7 < vary[0].at(1e-7) < 1e-5
+    beyond = varied(cl.load_scenario("wam_slide"), {"law.kd[3]": (1.0, 2.0), "law.kd[1]": (1e3, 2e3)})
+    assert [each.share for each in beyond] == [1.0, 0.0]

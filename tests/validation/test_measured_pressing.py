@@ -118,8 +118,8 @@ def test_the_force_mode_is_found_from_its_own_log(gain):
     test = Touchdown(NAMES[0], "straight", 55.0, gain, 0.25, 0.2, 2.5, np.zeros(0), np.zeros(0))
     run = cl.simulate(scenario(VALUES, test), progress=False)
     time = run.time - contact_time(run.time, run.contact_force)
-    logged = replace(test, time=time, measured=run.contact_force, desired=np.array([time, np.abs(run.law_set_point_rate)]))
-    mass, damping, lag, missed = force_mode(logged)
+    desired = np.array([time, np.abs(run.law_set_point_rate)])
+    mass, damping, lag, missed = force_mode(replace(test, time=time, measured=run.contact_force, desired=desired))
     assert (mass, damping) == pytest.approx((VALUES["mode_inertia"], VALUES["mode_damping"]), rel=0.05)
     assert lag == pytest.approx(VALUES["delay"], rel=0.2)
     assert missed < 0.1

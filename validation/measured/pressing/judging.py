@@ -203,15 +203,16 @@ def _fitted(judged: Judged, fits: Mapping[str, Any]) -> None:
 def _mode(judged: Judged, tests: Sequence[Touchdown]) -> None:
     """Add what the desired speed in the log says of the force mode at each gain scaling: medians over the tests."""
     told: dict[str, dict[str, float]] = {}
-    for gain in sorted({test.gain for test in tests if test.desired is not None}):
-        each = [force_mode(test) for test in tests if test.desired is not None and test.gain == gain]
-        told[f"{gain:g}"] = dict(zip(("mass", "damping", "lag", "missed"), np.median(each, axis=0).tolist(), strict=True))
+    logged = [test for test in tests if test.desired is not None]
+    for gain in sorted({test.gain for test in logged}):
+        found = np.median([force_mode(test) for test in logged if test.gain == gain], axis=0)
+        told[f"{gain:g}"] = dict(zip(("mass", "damping", "lag", "missed"), found.tolist(), strict=True))
     judged.numbers["force_mode"] = told
     if told:
         judged.lines += ["", "the force mode by its own log, the desired speed: medians over the tests"]
     for name, one in told.items():
         judged.lines.append(
-            f"  gain scaling {name:>4}: {one['mass']:5.1f} kg, {one['damping']:5.0f} N s/m, {1e3 * one['lag']:.0f} ms behind; "
+            f"  gain scaling {name:>4}: {one['mass']:5.1f} kg, {one['damping']:5.0f} N s/m, {1e3 * one['lag']:.0f} ms late; "
             f"{100 * one['missed']:.0f} % of the speed not explained"
         )
 

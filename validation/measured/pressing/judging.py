@@ -212,8 +212,8 @@ def _mode(judged: Judged, tests: Sequence[Touchdown]) -> None:
         judged.lines += ["", "the force mode by its own log, the desired speed: medians over the tests"]
     for name, one in told.items():
         judged.lines.append(
-            f"  gain scaling {name:>4}: {one['mass']:5.1f} kg, {one['damping']:5.0f} N s/m, {1e3 * one['lag']:.0f} ms late; "
-            f"{100 * one['missed']:.0f} % of the speed not explained"
+            f"  gain scaling {name:>4}: {one['mass']:5.1f} kg, {one['damping']:5.0f} N s/m, {1e3 * one['lag']:.0f} ms late"
+            f"; {100 * one['missed']:.0f} % of the speed not explained"
         )
 
 

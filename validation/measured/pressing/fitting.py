@@ -132,11 +132,13 @@ def set_point_speed(test: Touchdown, mass: float, damping: float, lag: float) ->
     """Return time (N,), s, from the first contact on, and the speed (N,), m/s, that the measured force asks for.
 
     That of `servo_admittance`, M v̇ = g (f_s − f_des − B v), B in contact only, with f_s behind the force by a low-pass.
+    It starts at the logged speed.
     """
     edges = np.arange(0.0, test.rest, CYCLE)
     area = np.concatenate([[0.0], np.cumsum(np.diff(test.time) * 0.5 * (test.measured[1:] + test.measured[:-1]))])
     force = np.diff(np.interp(edges, test.time, area)) / CYCLE
-    speed, reading, found = -test.speed, 0.0, []
+    assert test.desired is not None
+    speed, reading, found = -float(np.interp(0.0, *test.desired)), 0.0, []
     for f in force:
         reading += (1.0 - np.exp(-CYCLE / lag)) * (f - reading)
         held = damping if f > LOST_BELOW else 0.0

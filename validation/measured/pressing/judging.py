@@ -205,16 +205,14 @@ def _mode(judged: Judged, tests: Sequence[Touchdown]) -> None:
     told: dict[str, dict[str, float]] = {}
     logged = [test for test in tests if test.desired is not None]
     for gain in sorted({test.gain for test in logged}):
-        found = np.median([force_mode(test) for test in logged if test.gain == gain], axis=0)
-        told[f"{gain:g}"] = dict(zip(("mass", "damping", "lag", "missed"), found.tolist(), strict=True))
+        each = np.median([force_mode(test) for test in logged if test.gain == gain], axis=0)
+        told[f"{gain:g}"] = dict(zip(("mass", "damping", "lag", "missed"), each.tolist(), strict=True))
     judged.numbers["force_mode"] = told
     if told:
         judged.lines += ["", "the force mode by its own log, the desired speed: medians over the tests"]
     for name, one in told.items():
-        judged.lines.append(
-            f"  gain scaling {name:>4}: {one['mass']:5.1f} kg, {one['damping']:5.0f} N s/m, {1e3 * one['lag']:.0f} ms late"
-            f"; {100 * one['missed']:.0f} % of the speed not explained"
-        )
+        found = f"{one['mass']:5.1f} kg, {one['damping']:5.0f} N s/m, {1e3 * one['lag']:.0f} ms late"
+        judged.lines.append(f"  gain scaling {name:>4}: {found}; {100 * one['missed']:.0f} % of the speed unexplained")
 
 
 def _why(judged: Judged, values: Mapping[str, float], tests: Sequence[Touchdown]) -> None:

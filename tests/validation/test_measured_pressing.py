@@ -1,6 +1,7 @@
 """The study of a robot that presses, on tests that the package makes itself in the form of the measured ones."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,9 @@ import closedloop as cl
 from closedloop.base.errors import ModelError
 from validation.measured.__main__ import main
 from validation.measured.pressing.__main__ import main as draw
-from validation.measured.pressing.fitting import Fit, intervals, residuals
+from validation.measured.pressing.fitting import Fit, force_mode, intervals, residuals
 from validation.measured.pressing.judging import fits_of, judge
-from validation.measured.pressing.machine import CONTACT, MACHINE, SIZES, ClosedLoopArm, pose, scenario
+from validation.measured.pressing.machine import CONTACT, MACHINE, SIZES, ClosedLoopArm, contact_time, pose, scenario
 from validation.measured.pressing.measures import figures
 from validation.measured.pressing.mujoco import MuJoCoArm
 from validation.measured.pressing.touchdowns import Touchdown, read
@@ -109,6 +110,20 @@ def test_a_tip_that_sticks_makes_the_arm_stiffer():
     stiffer = np.linalg.inv(compliance)[0, 0] * compliance[0, 0]
     assert stiffer > 1.5
     assert (abs(poles[0].s) / abs(poles[1].s)) ** 2 == pytest.approx(stiffer, rel=0.15)
+
+
+@pytest.mark.parametrize("gain", [0.5, 1.0])
+def test_the_force_mode_is_found_from_its_own_log(gain, monkeypatch):
+    """Mass, damper and lag are those that made the speed of the set point, whatever machine made the force."""
+    monkeypatch.setattr("validation.measured.pressing.fitting.LOST_BELOW", 0.0)  # this force has no noise
+    test = Touchdown(NAMES[0], "straight", 55.0, gain, 0.25, 0.03, 2.5, np.zeros(0), np.zeros(0))
+    run = cl.simulate(scenario(VALUES, test), progress=False)
+    time = run.time - contact_time(run.time, run.contact_force)
+    desired = np.array([time, np.abs(run.law_set_point_rate)])
+    mass, damping, lag, missed = force_mode(replace(test, time=time, measured=run.contact_force, desired=desired))
+    assert (mass, damping) == pytest.approx((VALUES["mode_inertia"], VALUES["mode_damping"]), rel=0.02)
+    assert lag == pytest.approx(VALUES["delay"], rel=0.2)
+    assert missed < 0.01
 
 
 def test_the_map_and_the_figures_are_drawn(made, monkeypatch):

@@ -14,10 +14,11 @@ from functools import cache
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import least_squares, minimize
 
 from closedloop.base.arrays import Array
-from validation.measured.pressing.machine import Parameter
+from validation.measured.pressing.machine import CYCLE, Parameter
+from validation.measured.pressing.measures import LOST as LOST_BELOW
 from validation.measured.pressing.measures import SMOOTH, STEP, Figures, figures, smoothed
 from validation.measured.pressing.touchdowns import Touchdown
 
@@ -125,3 +126,45 @@ def intervals(
     half = CONFIDENCE * np.sqrt(variance * np.maximum(np.diag(np.linalg.pinv(J.T @ J, rcond=1e-10)), 0.0))
     half = np.where(np.any(J != 0.0, axis=0), np.minimum(half, np.log(1e6)), np.log(1e6))
     return {n: (x * float(np.exp(-h)), x * float(np.exp(h))) for (n, x), h in zip(values.items(), half, strict=True)}
+
+
+def set_point_speed(test: Touchdown, mass: float, damping: float, lag: float) -> tuple[Array, Array]:
+    """Return time (N,), s, from the first contact on, and the speed (N,), m/s, that the measured force asks for.
+
+    That of `servo_admittance`, M v̇ = g (f_s − f_des − B v), B in contact only, with f_s behind the force by a low-pass.
+    It starts at the logged speed.
+    """
+    edges = np.arange(0.0, test.rest, CYCLE)
+    area = np.concatenate([[0.0], np.cumsum(np.diff(test.time) * 0.5 * (test.measured[1:] + test.measured[:-1]))])
+    force = np.diff(np.interp(edges, test.time, area)) / CYCLE
+    assert test.desired is not None
+    speed, reading, found = -float(np.interp(0.0, *test.desired)), 0.0, []
+    for f in force:
+        reading += (1.0 - np.exp(-CYCLE / lag)) * (f - reading)
+        held = damping if f > LOST_BELOW else 0.0
+        # The damper is taken at the new speed, so that no damper makes the step unstable.
+        speed = (speed + CYCLE * test.gain * (reading - test.force) / mass) / (1.0 + CYCLE * test.gain * held / mass)
+        speed = min(max(speed, -test.limit), test.limit)
+        found.append(speed)
+    return edges[1:], np.array(found)
+
+
+def force_mode(test: Touchdown) -> tuple[float, float, float, float]:
+    """Return mass, kg, damper, N s/m, and lag, s, by the logged desired speed of a test, and the share not explained.
+
+    No simulated arm is in it: the measured force goes in, the logged speed of the set point comes out.
+    """
+    assert test.desired is not None
+    at, logged = test.desired
+
+    def misses(x: Array) -> Array:
+        time, speed = set_point_speed(test, *np.exp(x))
+        wanted = np.interp(time, at, logged)
+        return np.asarray((np.abs(speed) - wanted) / np.sqrt(np.sum(wanted * wanted)))
+
+    bounds = np.log([[5.0, 20.0, 1e-3], [500.0, 2e4, 0.2]])
+    found = min(
+        (least_squares(misses, np.log([45.0, b, 0.01]), bounds=bounds) for b in (300.0, 2000.0)), key=lambda f: f.cost
+    )
+    mass, damping, lag = map(float, np.exp(found.x))
+    return mass, damping, lag, float(np.sqrt(2.0 * found.cost))

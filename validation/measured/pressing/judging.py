@@ -15,7 +15,7 @@ import closedloop as cl
 from closedloop.base.errors import ClosedLoopError, ModelError
 from closedloop.base.files import reason_of, write_whole
 from validation.measured.judged import Judged
-from validation.measured.pressing.fitting import TRAINING, Engine, Fit, fit, measured_figures
+from validation.measured.pressing.fitting import TRAINING, Engine, Fit, fit, force_mode, measured_figures
 from validation.measured.pressing.machine import ClosedLoopArm, scenario
 from validation.measured.pressing.measures import SMOOTH, Figures, figures
 from validation.measured.pressing.mujoco import MuJoCoArm
@@ -64,6 +64,7 @@ def judge(given: Path | None = None, fitted: Path | None = None) -> Judged:
     _table(judged, rest)
     _compare(judged, errors)
     _fitted(judged, fits)
+    _mode(judged, tests)
     _why(judged, fits[OURS]["values"], tests)
     return judged
 
@@ -197,6 +198,21 @@ def _fitted(judged: Judged, fits: Mapping[str, Any]) -> None:
                 told += "   halves differ"
                 judged.numbers[name].setdefault("halves_differ", []).append(p.name)
             judged.lines.append(told.rstrip())
+
+
+def _mode(judged: Judged, tests: Sequence[Touchdown]) -> None:
+    """Add what the desired speed in the log says of the force mode at each gain scaling: medians over the tests."""
+    told: dict[str, dict[str, float]] = {}
+    logged = [test for test in tests if test.desired is not None]
+    for gain in sorted({test.gain for test in logged}):
+        each = np.median([force_mode(test) for test in logged if test.gain == gain], axis=0)
+        told[f"{gain:g}"] = dict(zip(("mass", "damping", "lag", "missed"), each.tolist(), strict=True))
+    judged.numbers["force_mode"] = told
+    if told:
+        judged.lines += ["", "the force mode by its own log, the desired speed: medians over the tests"]
+    for name, one in told.items():
+        found = f"{one['mass']:5.1f} kg, {one['damping']:5.0f} N s/m, {1e3 * one['lag']:.0f} ms late"
+        judged.lines.append(f"  gain scaling {name:>4}: {found}; {100 * one['missed']:.0f} % of the speed unexplained")
 
 
 def _why(judged: Judged, values: Mapping[str, float], tests: Sequence[Touchdown]) -> None:

@@ -43,6 +43,8 @@ class Touchdown:
         Time from the first contact to the end of what is compared, s.
     time, measured : (N,) arrays
         s, and the force at the sensor under the surface, N.
+    desired : (2, M) array, optional
+        s, and the size of the speed that the force mode asks for, m/s, as its controller logs it.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Touchdown:
     rest: float
     time: Array
     measured: Array
+    desired: Array | None = None
 
 
 def read(path: Path) -> list[Touchdown]:
@@ -85,12 +88,14 @@ def _touchdown(path: Path, name: str, arrays: dict[str, Array]) -> Touchdown:
             f"{', '.join(REST)}"
         )
     series = []
-    for signal in ("force_measured", "speed_measured"):
+    for signal in ("force_measured", "speed_measured", "speed_desired"):
         one = arrays.get(f"{name}/{signal}")
+        if one is None and signal == "speed_desired":
+            continue
         if one is None or one.ndim != 2 or len(one) != 2 or not np.all(np.isfinite(one)):
             raise ModelError(f"{path}: {name}/{signal}: must be (2, N), time in s and finite values")
         series.append(one)
-    (time, force), (at, speed) = series
+    (time, force), (at, speed), *desired = series
     place, rest = said["place"], REST[said["place"]]
     if not (np.all(np.diff(time) > 0.0) and time[0] <= 0.0 and time[-1] >= rest):
         raise ModelError(f"{path}: {name}/force_measured: its time must rise, from 0 or before to {rest:g} s or later")
@@ -99,5 +104,5 @@ def _touchdown(path: Path, name: str, arrays: dict[str, Array]) -> Touchdown:
         raise ModelError(f"{path}: {name}/speed_measured: has no speed above 0 in the {-BEFORE[0]:g} s before contact")
     limit = DOWN.get(place, float(said["speed"]))
     return Touchdown(
-        name, place, float(said["force"]), float(said["gain"]), limit, float(before.mean()), rest, time, force
+        name, place, float(said["force"]), float(said["gain"]), limit, float(before.mean()), rest, time, force, *desired
     )

@@ -171,7 +171,7 @@ def test_no_record_has_more_than_forty_parts():
         seen.add(kind.__name__)
         kinds += kind.layout.blocks.values()
         assert len(kind.layout.at) <= 40, kind
-    assert {"Settings", "TipContact", "Path"} <= seen
+    assert {"Settings", "TipContact", "JointSpace"} <= seen
 
 
 def test_a_block_in_a_block_has_its_own_memory():

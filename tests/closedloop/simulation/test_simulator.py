@@ -8,7 +8,6 @@ from budget import budget
 
 import closedloop as cl
 from closedloop.mechanics.closure.conditioning import BATCH
-from closedloop.simulation import stepper
 
 
 def assert_same(a, b):
@@ -257,19 +256,16 @@ def test_interrupted_anywhere_it_goes_on(when, monkeypatch):
     scenario = cl.load_scenario("wam_bounce", {"time.duration": 0.17})
     whole, sim = cl.simulate(scenario), cl.Simulator(scenario)
     sim.run_until(0.158)  # an impact is at 0.1606 s
-    calls, answers = [0], sim._stepper.answers
+    calls, go_on = [0], sim._stepper._go_on
     torque = sim.state.torque
 
-    class Interrupting(stepper.Answers):
-        @property
-        def events(self):
-            calls[0] += 1
-            if calls[0] == when:
-                raise KeyboardInterrupt
-            return answers.events
+    def interrupting(request):
+        calls[0] += 1
+        if calls[0] == when:
+            raise KeyboardInterrupt
+        return go_on(request)
 
-    monkeypatch.setattr(sim._stepper, "answers", Interrupting.__new__(Interrupting))
-    monkeypatch.setattr(Interrupting, "give", lambda self, request: answers.give(request))
+    monkeypatch.setattr(sim._stepper, "_go_on", interrupting)
     with pytest.raises(cl.InterruptedRunError, match="interrupted") as caught:
         sim.run_until(0.17)
     run = caught.value.run

@@ -35,13 +35,15 @@ ROUNDS, NEWTON_STEPS, HALVINGS = 40, 30, 12
 # The residual, as a share of the largest velocity that is asked for, at which impulses are found; rounding leaves MOST
 # times its own share. What a round may leave of its equations, as a share of the residual before it.
 # Where rows hardly differ it falls slowly: then the second is enough, and after all rounds the third.
-FOUND, SLOW, NEAR, LEFT, LEFT_EXACTLY = 1e-9, 1e-6, 1e-4, 0.1, 1e-6
+FOUND, SLOW, NEAR, LEFT, LEFT_EXACTLY = 1e-9, 1e-6, 1e-4, 0.1, 1e-3
 # Rounds that give what is found its derivatives.
 DERIVATIVES = 4
+# The same residual where impulses are found but for rounding.
+EXACT = 1e-13
 # What makes the equations of the shortest impulses regular where some directions are free; what may be left of them.
 REGULAR, NEARLY = 1e-11, 1e-11
 # Steps from the associated problem, which is convex, to that of Coulomb's friction, the more where few do not do; and ρ
-# in each.
+# in each, and where rounds lessen the residual slowly.
 STEPS, STIFFEST = (20, 100), 1e4
 
 
@@ -320,13 +322,13 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: fl
     stiffness, before = first, math.inf
     for _ in range(ROUNDS):
         s.residual = residual_of(s, a, n)
-        if s.residual <= wanted or 0.5 * before < s.residual <= (SLOW if wanted == FOUND else 1e-12):
+        if s.residual <= wanted or 0.5 * before < s.residual <= (SLOW if wanted == FOUND else 10.0 * EXACT):
             return True
-        before = s.residual
+        slow, before = s.residual > 0.5 * before, s.residual
         if not s.residual < math.inf:
             return False
-        do_round(s, a, n, stiffness, LEFT if wanted > 0.0 else LEFT_EXACTLY)
-        stiffness = min(GROWTH * stiffness, MOST)
+        do_round(s, a, n, stiffness, LEFT if wanted == FOUND else LEFT_EXACTLY)
+        stiffness = min(GROWTH * stiffness, STIFFEST if slow and wanted == EXACT else MOST)
     s.residual = residual_of(s, a, n)
     return bool(s.residual <= (NEAR if wanted == FOUND else FOUND))
 
@@ -341,7 +343,7 @@ def find_exactly(s: JointSpace, a: int, n: int) -> bool:
     s.associated, s.alike = 0.0, 1.0
     for attempt in range(2):
         start_at_rest(s, a, n)
-        if solve_in_joint_space(s, a, n, FIRST if attempt == 0 else 1.0, 0.0):
+        if solve_in_joint_space(s, a, n, FIRST if attempt == 0 else 1.0, EXACT):
             return True
         s.alike = 0.0
     for steps in STEPS:
@@ -352,7 +354,7 @@ def find_exactly(s: JointSpace, a: int, n: int) -> bool:
             s.associated = 1.0 - (i + 1.0) / steps
             s.residual = residual_of(s, a, n)
             do_round(s, a, n, STIFFEST)
-        if solve_in_joint_space(s, a, n, 1.0, 0.0):
+        if solve_in_joint_space(s, a, n, 1.0, EXACT):
             return True
     return False
 
@@ -371,7 +373,7 @@ def find_least(s: JointSpace, a: int, n: int) -> bool:
     for r in range(3 * a):
         s.P[r], s.q[r] = 0.0, 0.0
     s.residual, s.asked = FOUND, math.sqrt(size * s.largest)
-    do_round(s, a, n, 1.0, LEFT_EXACTLY)
+    do_round(s, a, n, 1.0, LEFT_EXACTLY * LEFT_EXACTLY)
     left = 0.0
     for j in range(n):
         left += s.off[j] * s.off[j]
@@ -416,15 +418,15 @@ def is_wedged(s: JointSpace, a: int, most: float = MOST) -> bool:
 
 
 @kernel
-def solve_softly(s: JointSpace, a: int, n: int) -> bool:
+def solve_softly(s: JointSpace, a: int, n: int, rounds: int = 1) -> bool:
     """Write P and u of contacts that are compliant, by 1/ρ, without μ|u_t| n; return whether they are numbers.
 
-    The first round, from P = 0, has one solution, whatever the rows. Others follow, and each makes contacts stiffer,
-    until impulses are larger than contacts which are wedged may have.
+    The first round, from P = 0, has one solution, whatever the rows. Each that follows makes contacts stiffer, until
+    impulses are larger than contacts which are wedged may have.
     """
     s.associated, s.alike = 1.0, 0.0
     start_at_rest(s, a, n)
-    for done in range(ROUNDS):
+    for done in range(rounds):
         s.residual = FOUND if done == 0 else residual_of(s, a, n)  # the first round is to leave as little
         if not s.residual < math.inf or (done > 0 and (s.residual <= FOUND or is_wedged(s, a))):
             break

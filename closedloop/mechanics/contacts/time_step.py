@@ -24,7 +24,7 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained
-from closedloop.mechanics.contacts.joint_space import find_exactly, solve_in_joint_space
+from closedloop.mechanics.contacts.joint_space import EXACT, find_exactly, solve_in_joint_space
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, PUT_BACK, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches, write_before
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
@@ -79,7 +79,7 @@ def from_impact(links: ContactLinks, c: Contacts, coming: float) -> bool:
     for i in range(a):
         s.q[3 * i] += coming * fastest
     s.alike = 1.0
-    found = found and solve_in_joint_space(s, a, links.n, NEARBY, 0.0)
+    found = found and solve_in_joint_space(s, a, links.n, NEARBY, EXACT)
     unpack_contacts(links, c, a)
     for i in range(3 * k):
         if c.problem.form[i // 3] != OFF:

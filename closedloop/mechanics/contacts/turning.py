@@ -29,6 +29,7 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.closed import solve_closed
 from closedloop.mechanics.contacts.friction import STILL, stops_slipping
 from closedloop.mechanics.contacts.joint_space import (
+    EXACT,
     FIRST,
     MOST,
     OWNED,
@@ -249,9 +250,9 @@ def solve_within(links: ContactLinks, c: Contacts, k: int, rate: float) -> bool:
     s.associated, s.alike = 0.0, 1.0
     if c.problem.points > 0.0:
         start_at_rest(s, k, n)
-    if not solve_in_joint_space(s, k, n, FIRST if c.problem.points > 0.0 else MOST, 0.0):
+    if not solve_in_joint_space(s, k, n, FIRST if c.problem.points > 0.0 else MOST, EXACT):
         s.alike = 0.0
-        if not solve_in_joint_space(s, k, n, FIRST, 0.0):
+        if not solve_in_joint_space(s, k, n, FIRST, EXACT):
             return False
     if has_derivatives(s.y[0]):
         differentiate(s, k, n)

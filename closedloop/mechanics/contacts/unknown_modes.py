@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.given_modes import MOST_IMPULSE
-from closedloop.mechanics.contacts.joint_space import find_exactly, is_wedged, solve_softly
+from closedloop.mechanics.contacts.joint_space import ROUNDS, find_exactly, is_wedged, solve_softly
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 
@@ -40,5 +40,5 @@ def solve_impulses(links: ContactLinks, c: Contacts, span: float) -> None:
     """Do `solve_contacts` for impulses of a time, s: there always are; those of compliant contacts if none is found."""
     a = pack_contacts(links, c, span)
     if a > 0 and not (find_exactly(c.stepping, a, links.n) and not is_wedged(c.stepping, a, MOST_IMPULSE)):
-        solve_softly(c.stepping, a, links.n)
+        solve_softly(c.stepping, a, links.n, ROUNDS)
     unpack_contacts(links, c, a)

@@ -143,6 +143,15 @@ def soft(k, d):
     return {"kind": "kelvin_voigt", "stiffness": k, "damping": d}
 
 
+def test_a_slide_ends_alike_in_both_engines():
+    """Friction of four feet is not unique where their slips end within a step: it is of least norm, in each engine."""
+    for velocity, spin in (((0.28319, 0.02905, 0.0), (0, 0, 0)), ((0.2, 0.1, 0.0), (0, 0, 3.0))):
+        run = thrown({"kind": "none"}, 0.3, 0.15, velocity, spin)
+        other = cl.simulate(run.scenario, engine="pinocchio", progress=False)
+        for name in ("q", "v", "link_forces", "link_frictions"):
+            np.testing.assert_allclose(getattr(other, name), getattr(run, name), atol=1e-10)
+
+
 def test_a_box_on_soft_feet_slides_and_turns_to_rest():
     """In few events, and where rigid feet bring it to rest, though it rocks and its feet are at different depths."""
     ends = []

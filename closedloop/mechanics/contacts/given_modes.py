@@ -200,8 +200,8 @@ def write_rows(c: Contacts, p: int) -> None:
             g.basis[q, j] = g.R[q, j] if g.first[q] <= j < g.end[q] else 0.0
     g.rank = orthonormal_basis(g.basis, p, n, SAME_DIRECTION)
     for q in range(p):
-        project(g, row_of(g.R, q), q)
-        project(g, row_of(g.C, q), q)
+        along_basis(g, row_of(g.R, q), int(g.first[q]), int(g.end[q]))
+        along_basis(g, row_of(g.C, q), int(g.first[q]), int(g.end[q]))
         g.first[q], g.end[q] = 0, g.rank
 
 
@@ -215,9 +215,8 @@ def add_tangents(c: Contacts, column: Array, s: int, i: int) -> None:
 
 
 @kernel
-def project(g: GivenModes, row: Array, q: int) -> None:
-    """Replace row q of R or of C by its components along the basis."""
-    first, end = int(g.first[q]), int(g.end[q])
+def along_basis(g: GivenModes, row: Array, first: int, end: int) -> None:
+    """Replace a row, zero but from `first` to `end`, by its components along the basis."""
     for m in range(int(g.rank)):
         of, s = row_of(g.basis, m), 0.0
         for j in range(first, end):
@@ -411,32 +410,20 @@ def share_forces(links: ContactLinks, c: Contacts) -> None:
 def find_inside(links: ContactLinks, c: Contacts, side: int, force: Array) -> bool:
     """Replace forces (3 k,) by the shortest inside the cones that do the same; return whether there are any.
 
-    They do the same if they give the rows the same acceleration. They move the tree alike too, unless a contact slides:
-    the friction of contacts that share a normal force otherwise is another.
+    They do the same if they give the rows the same acceleration: along the basis of these, where they are fewer than n.
+    They move the tree alike too, unless a contact slides: the friction of contacts that share a normal force otherwise
+    is another.
     """
-    s, g, n = c.stepping, c.given, c.X.shape[1]
-    a, whole = pack_contacts(links, c, 0.0), g.whole != 0.0 or g.slides == 0.0
-    m = n if whole else int(g.rank)
-    for j in range(n):
-        s.wanted[j], s.y[j] = 0.0, 0.0
-    for j in range(int(g.rank)):
-        if g.whole == 0.0 and whole:
-            for t in range(n):
-                s.y[t] += g.z[side, j] * g.basis[j, t]
-        elif j < m:
-            s.y[j] = g.z[side, j]
+    s, g = c.stepping, c.given
+    a, m, whole = pack_contacts(links, c, 0.0), int(g.rank), g.whole != 0.0
+    for j in range(m):
+        s.wanted[j], s.y[j] = 0.0, g.z[side, j]
     for r in range(3 * a):
-        i, row = r // 3, row_of(s.X, r)
+        i, row, at = r // 3, row_of(s.X, r), 3 * int(s.number[r // 3]) + r % 3
         first, end = int(s.first[i]), int(s.end[i])
         if not whole:
-            for t in range(m):
-                g.along[t] = 0.0
-                for j in range(first, end):
-                    g.along[t] += row[j] * g.basis[t, j]
+            along_basis(g, row, first, end)
             first, end = 0, m
-            for t in range(m):
-                row[t] = g.along[t]
-        at = 3 * int(s.number[i]) + r % 3
         for j in range(first, end):
             s.wanted[j] += row[j] * (force[at] + c.viscous[at])
     for i in range(0 if whole else a):

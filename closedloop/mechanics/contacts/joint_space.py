@@ -324,7 +324,7 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: fl
         s.residual = residual_of(s, a, n)
         if s.residual <= wanted or 0.5 * before < s.residual <= (SLOW if wanted == FOUND else 10.0 * EXACT):
             return True
-        slow, before = stiffness >= MOST and s.residual > 0.5 * before, s.residual
+        slow, before = s.residual > max(0.5 * before, MOST * EXACT), s.residual
         if not s.residual < math.inf:
             return False
         do_round(s, a, n, stiffness, LEFT if wanted == FOUND else LEFT_EXACTLY)

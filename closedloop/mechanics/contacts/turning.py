@@ -53,8 +53,6 @@ BREAKING_AWAY = 1e-9
 # Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
 # how often it may be no less than before: where forces are not unique it need not become less.
 TURNS, SETTLED, STALLED = 20, 1e-11, 2
-# Where directions are not found for a step, the next may be one of this share of it, down to the other share.
-SHORTER, SHORTEST = 0.25, 0.05
 # Forces that are so many times those with friction against the slip as it is have multiplied.
 MOST_GROWTH = 30.0
 
@@ -66,11 +64,10 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
     that is turned round with the force would drive the slip. Nor is it turned where forces would multiply: near
-    Painlevé's paradox they turn the slip faster than the step resolves. Where only `points` touch, a step at whose
-    beginning no directions are found becomes shorter (`TimeStep.span`): the less time there is, the less the slips act
-    on each other. Shapes wander, and their rows depend on each other; a contact of theirs that has just parted would
-    come back at once, again and again: friction is not turned until it has. `ends` says whether a slip ends within the
-    step, `begins` is whether the step begins here.
+    Painlevé's paradox they turn the slip faster than the step resolves. Shapes wander, not only `points`, and their
+    rows depend on each other; a contact of theirs that has just parted would come back at once, again and again:
+    friction is not turned until it has. `ends` says whether a slip ends within the step, `begins` is whether the step
+    begins here.
     """
     k = links.k
     c.problem.ends = 0.0  # what the beginning of a step decides counts in all its stages, once `save_contacts` keeps it
@@ -82,14 +79,9 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     c.problem.points = 1.0 if points else 0.0
-    last, stalled, longest, most = math.inf, 0, h, MOST_GROWTH * force_size(c.rigid)
+    last, stalled, most = math.inf, 0, MOST_GROWTH * force_size(c.rigid)
     for _ in range(TURNS):
         change = turn_slips(links, c, h, begins)
-        if change < 0.0 and begins and points and h > SHORTEST * longest:
-            h *= SHORTER
-            c.step.span = h
-            if solve_closed(links, c) == OK:
-                continue
         if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k) or force_size(c.rigid) > most:
             break
         if begins and not points and presses_in(c, k):

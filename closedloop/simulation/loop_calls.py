@@ -54,8 +54,6 @@ from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 
 Call = Callable[[Array], int]
-# Where the memory of a loop is, among what is spare, that nothing steps any more.
-MEMORY = "memory"
 
 # What a run calls once or twice before and after its loop, interpreted where it is not compiled yet; and with loops.
 USED_ONCE, WITH_LOOPS = (potential_energies, walk, sample_spline), (rows_along, along_path, closed_to)
@@ -154,17 +152,23 @@ class Calls:
             make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = law is None and not isinstance(self.kernel, Interim)
-        self._before = (
-            [(array, array.copy()) for array in arrays_of(loop) if array.flags.writeable] if self.may_be_kept else []
-        )
+        self._of = problem.form, problem.robot
+        changing = [each for each in arrays_of(loop) if each.flags.writeable and each is not loop.constants.memory]
+        self._before = [(array, array.copy()) for array in changing] if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
         arrays = problem.table, problem.integrator.tableau(), rows
         self.once, self.many, self._addresses = driver(problem, self.kernel, loop, arrays, engine, tree)
 
+    def fits(self, problem: Problem) -> bool:
+        """Whether these calls may step a problem: it differs in numbers alone from what they stepped before."""
+        form, robot = self._of
+        return robot is problem.robot and form == problem.form
+
     def begin(self, problem: Problem, rows: Array) -> None:
-        """Go to the start of the problem, which differs in that alone from what was stepped before."""
+        """Go to the start of a problem that they fit."""
         for array, before in self._before:
             array[...] = before
+        problem.write(self.loop)
         problem.begin(self.loop)
         self.answers.begin(problem)
         set_rows(self._addresses, problem.table, rows)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import count
-from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,8 +42,8 @@ from closedloop.simulation.engines.law_source import arguments_of, law_digest
 from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.loop_calls import MEMORY, Calls
-from closedloop.simulation.prepare import borrowed, changed, problem_of, started_elsewhere
+from closedloop.simulation.loop_calls import Calls
+from closedloop.simulation.prepare import borrowed, problem_of
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown
@@ -221,18 +220,17 @@ def simulate(
 
 def simulate_changed(
     scenario: Scenario, problem: Problem, law: Law | None, progress: bool | Callable[[int, int], None], engine: str,
-    record: Recorded | None, elsewhere: bool,
+    record: Recorded | None, kept: bool,
 ) -> Run:  # fmt: skip
-    """Simulate a problem, its scenario with other values, or with `elsewhere` another start; see `simulate`."""
+    """Simulate a problem, or its scenario with other values; see `simulate`, and of `kept` `problem_of`."""
     if scenario is problem.scenario:
         return _simulated(scenario, lambda: problem, law, progress, engine, record)
     if scenario.robot.model != problem.scenario.robot.model:
         return simulate(scenario, law=law, progress=progress, engine=engine, record=record)
-    settled, prepared = borrowed(problem), started_elsewhere if elsewhere else changed
-    try:
-        return _simulated(scenario, lambda: prepared(settled, scenario), law, progress, engine, record)
-    finally:
-        problem.of_thread[get_ident()] = settled
+    with borrowed(problem) as cache:
+        return _simulated(
+            scenario, lambda: problem_of(scenario, problem.model_given, cache, kept), law, progress, engine, record
+        )
 
 
 def _simulated(
@@ -364,7 +362,9 @@ def run_loop(
     robot, steps = problem.robot, problem.steps
     rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
     spare = problem.spare.pop(engine, None) if law is None else None
-    calls: Calls = spare or Calls(problem, rows, law, engine, interim, tree, problem.spare.pop(MEMORY, None))
+    calls: Calls | None = spare
+    if calls is None or not calls.fits(problem):
+        calls = Calls(problem, rows, law, engine, interim, tree, calls.loop if calls else None)
     calls.begin(problem, rows)
     loop, kernel, answers, user_law, step, many = (
         calls.loop, calls.kernel, calls.answers, calls.user_law, calls.once, calls.many,

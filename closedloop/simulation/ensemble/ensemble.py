@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -183,7 +182,7 @@ class Ensemble:
                 f"{problem.scenario.name}: its record has {problem.row_width} numbers a row, that of the others "
                 f"{self.rows.shape[1]}: simulations that are stepped side by side must be of the same arm and contacts"
             )
-        problem = problem if own else replace(problem, table=problem.table.copy())
+        problem = problem if own else problem.with_table(problem.table.copy())
         before = self._ones[i]
         self._ones[i] = one = _One(
             problem, self.steps, self._held, self._members[i], self._tree(problem), before.loop if before else None

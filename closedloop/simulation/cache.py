@@ -63,6 +63,7 @@ class Parts:
         self._readers: dict[str, set[str]] = {}  # by section: which parts have read it
         self._sections: dict[str, Any] = {}
         self._tuples: dict[str, tuple[Any, ...]] = {}
+        self._numbers: dict[str, Any] = {}
         self._scenario: Any = None
 
     def turn_to(self, scenario: Scenario) -> None:
@@ -97,6 +98,13 @@ class Parts:
             return before
         self._tuples[name] = parts
         return parts
+
+    def number(self, name: str, x: T) -> T:
+        """Return a number: the object that has had this name, if that is equal."""
+        before = self._numbers.get(name)
+        if before != x:
+            self._numbers[name] = before = x
+        return cast(T, before)
 
     def forget(self, *names: str) -> None:
         """Let what has these names be made anew."""

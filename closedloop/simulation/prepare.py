@@ -224,10 +224,20 @@ def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
             start(scenario, model)
         except ScenarioError as error:
             faults += error.faults
-    for name, values in lists_per_joint(scenario.law).items():
-        if len(values) != model.n:
-            joints = ", ".join(model.joint_names)
-            faults.append(f"law.{name} has {len(values)} entries: {model.name} has {model.n} joints, {joints}")
+    _refuse(faults + _wrong_lengths(scenario, model))
+
+
+def _wrong_lengths(scenario: Scenario, model: RobotModel) -> list[str]:
+    """Return what is wrong with the lengths of lists of the law."""
+    joints = ", ".join(model.joint_names)
+    return [
+        f"law.{name} has {len(values)} entries: {model.name} has {model.n} joints, {joints}"
+        for name, values in lists_per_joint(scenario.law).items()
+        if len(values) != model.n
+    ]
+
+
+def _refuse(faults: list[str]) -> None:
     if faults:
         raise ScenarioError(*faults)
 
@@ -319,13 +329,13 @@ def _completed(scenario: Any, model: RobotModel) -> Scenario | None:
 def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[str, Any]:
     """Check what does not depend on where a run starts, and return it as numbers."""
     follow, model, n = cache.whole.follow, robot.model, robot.n  # none of these depends on masses of tools
-    follow("lengths", lambda s: refuse_lengths(s, model), arm)
     follow("start", lambda s: start_state(s, model), arm)  # what is wrong with it is said first
+    follow("lengths", lambda s: _refuse(_wrong_lengths(s, model)), arm)
     follow("combinations", lambda s: refuse_combinations(s, model), arm)
     joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model), arm)
     integrator, tolerance = follow("integrator", lambda s: integrator_of(s, joint_friction), joint_friction)
     follow("load friction", lambda s: _refuse_load_friction(s, joint_friction), joint_friction)
-    steps, hold = follow("steps", lambda s: steps_and_hold(s, n), arm)
+    steps, hold = map(cache.whole.number, ("steps", "hold"), follow("steps", lambda s: steps_and_hold(s, n), arm))
     compensation = follow("believed compensation", _believed_compensation)
     follow("sampling", lambda s: _check_compensation(s, compensation), compensation)
     layout = follow("layout", lambda s: Layout.of(s, model), arm)
@@ -373,7 +383,7 @@ def _started(scenario: Scenario, of: dict[str, Any], arm: Any, cache: Cache, kep
     taken = surface if believed is None else believed
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = _reference(scenario, of, taken, q, cache, kept)
-    start = follow("pd_start", lambda s: _pd_start(s, wanted), wanted.tip)
+    start = cache.whole.number("pd_start", follow("pd_start", lambda s: _pd_start(s, wanted), wanted.tip))
     law = follow("law", lambda s: _packed_law(s, start, model), start, arm)
     if mode == PRESSED and friction.member.sticks != "elastic":
         u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried

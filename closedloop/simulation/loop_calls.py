@@ -153,8 +153,7 @@ class Calls:
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = law is None and not isinstance(self.kernel, Interim)
         self._of = problem.form, problem.robot
-        changing = [each for each in arrays_of(loop) if each.flags.writeable and each is not loop.constants.memory]
-        self._before = [(array, array.copy()) for array in changing] if self.may_be_kept else []
+        self._before = unwritten(loop) if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
         arrays = problem.table, problem.integrator.tableau(), rows
         self.once, self.many, self._addresses = driver(problem, self.kernel, loop, arrays, engine, tree)
@@ -177,6 +176,12 @@ class Calls:
         """Let the problem and the rows of the run go."""
         self._addresses.keep_alive(table=None, rows=None)
         self.answers.end()
+
+
+def unwritten(loop: Loop) -> list[tuple[Array, Array]]:
+    """Return the arrays of a loop's memory that runs change, and copies of them."""
+    changing = [each for each in arrays_of(loop) if each.flags.writeable and each is not loop.constants.memory]
+    return [(array, array.copy()) for array in changing]
 
 
 def driver(

@@ -342,8 +342,8 @@ def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[s
     entries = cache.whole.same("entries", layout.entries)
     follow("compiled", lambda s: have_compiled(scenario, model), arm, entries)
     return {
-        "scenario": scenario, "robot": robot, "integrator": integrator, "tolerance": tolerance, "h": scenario.time.step, "steps": steps,
-        "hold": hold, "nodes": integrator.parts, "layout": layout,
+        "scenario": scenario, "robot": robot, "integrator": integrator, "tolerance": tolerance,
+        "h": scenario.time.step, "steps": steps, "hold": hold, "nodes": integrator.parts, "layout": layout,
         "friction": follow("friction", lambda s: pack_friction(s.friction, n), arm),
         "compensation": follow(
             "compensation", lambda s: pack_law(compensation, n, model.joint_names), arm, compensation

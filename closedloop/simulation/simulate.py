@@ -28,7 +28,7 @@ from closedloop.jit.kernel import plain
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
 from closedloop.loop.events.table import EVENT_COLUMNS, EVENT_WIDTH, event_column
 from closedloop.loop.step.record_row import complete_record, rows_there
-from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.derived import DERIVED, RESERVED, Recorded, check_names, own_columns
 from closedloop.record.columns.record import ALL_COLUMNS, POSITIONS, ColumnsOnDemand
@@ -301,7 +301,7 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
         arguments_of(law)
     if engine == PINOCCHIO:
         return
-    if scenario.time.integrator in ADAPTIVE:
+    if scenario.time.integrator not in INTEGRATORS:
         raise ScenarioError(
             f"engine = {engine!r}: has no integrator that chooses its steps, as {scenario.time.integrator!r} does; "
             f"use the engine 'pinocchio', or one of {', '.join(map(repr, INTEGRATORS))}"

@@ -318,7 +318,7 @@ class LaneRuns:
         n, stages = like.robot.n, like.integrator.stages
         self.kind, self.n, self.end = kind, n, like.h * like.steps
         loop = like.loop()
-        self._state, self._tableau = loop.state, like.integrator.tableau()
+        self._state, self._tableau, self._one = loop.state, like.integrator.tableau(), loop.constants
         self._h = like.h
         self._work = Work(aligned(Work.count(n, 0, stages, 1, 0)), n, 0, stages, 1, 0)
         self._constants = aligned(loop.constants.memory.size)
@@ -350,7 +350,7 @@ class LaneRuns:
         n = self.n
         if lane == 0:
             self._tables.clear()
-        self._constants[:, lane] = problem.constants().memory
+        self._constants[:, lane] = problem.constants(self._one).memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         self._work.tip.frame[..., lane] = problem.frame
         force = problem.table[:, Reference.place("force", n)]

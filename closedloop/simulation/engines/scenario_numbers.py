@@ -184,7 +184,11 @@ class Layout(NamedTuple):
     @classmethod
     def of(cls, scenario: Scenario, model: RobotModel) -> Layout:
         """Return that of a scenario with a robot."""
-        sections, states, n = scenario.contact or (), StatesOf.of(scenario, len(model.joint_names)), len(model.joint_names)
+        sections, states, n = (
+            scenario.contact or (),
+            StatesOf.of(scenario, len(model.joint_names)),
+            len(model.joint_names),
+        )
         resists, arm, of_law = any(each.resists for each in sections), arm_columns(scenario), recorded_states(states)
         return cls(
             calls_law(scenario, model), row_width(n, bool(arm), len(sections), of_law), of_law,

@@ -163,8 +163,8 @@ VALUES = (
     {"law.force": 12.0}, {"law.force": 13.0}, {"model_error.payload": 0.3}, {"model_error.payload": 0.0},
     {"tool.mass": 0.2}, {"friction.coefficient": 0.4}, {"compliance.stiffness": 2e4}, {"sensor.noise": 0.1},
     {"sensor.noise": 0.1, "sensor.seed": 4, "start.q": [1.5, 1.1, 0.0, 1.9]}, {"law.kind": "none"}, {"time.step": 5e-4},
-    {"time.duration": 0.03, "law.force": 11.0}, {"law.stiffness": 500.0, "stabiliser.kind": "baumgarte"}, {"surface.gap": 0.0},
-    {"encoder.velocity_noise": 1e-3}, {},
+    {"time.duration": 0.03, "law.force": 11.0}, {"law.stiffness": 500.0, "stabiliser.kind": "baumgarte"},
+    {"surface.gap": 0.0}, {"encoder.velocity_noise": 1e-3}, {},
 )  # fmt: skip
 
 

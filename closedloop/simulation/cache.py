@@ -1,8 +1,9 @@
-"""A cache of what several scenarios share: robots, paths, reference tables.
+"""What several scenarios share: the parts of a problem that the keys in which they differ do not change.
 
-Of the 3 ms in which a scenario becomes a `Problem` the reference table takes 1.5, the inverse kinematics of its path
-0.5 and the robot 0.2 (4 more if it is read from a user's file), and most keys of a scenario affect none of the three.
-The key of an entry is the text of all that it is computed from, so a cached entry equals a new one to the last bit.
+`Parts` follows each part of a problem to the sections of the scenario that it was made of; all but what is other is
+taken over from the scenario before. `Cache` has, besides, robots, paths and reference tables of earlier scenarios, which
+take most of the 3 ms in which a scenario becomes a `Problem`. The key of an entry is the text of all that it is made of.
+So what is taken over equals what would be made anew to the last bit.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class Parts:
         for name, part in vars(scenario).items():
             if known.get(name) is not part:
                 if name in known and not says_the_same(known[name], part):
-                    for reader in self._readers.pop(name, ()):
+                    for reader in self._readers.get(name, ()):
                         self._made.pop(reader, None)
                 known[name] = part
 
@@ -86,9 +87,9 @@ class Parts:
             return cast(T, found[0])
         watched = Watched(self._scenario)
         new = make(watched)
-        self._made[name] = new, others
         for section in watched.read:
             self._readers.setdefault(section, set()).add(name)
+        self._made[name] = new, others
         return new
 
     def same(self, name: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -152,7 +152,7 @@ class Calls:
             make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = law is None and not isinstance(self.kernel, Interim)
-        self._of = problem.form, problem.robot
+        self._of, self._new = (problem.form, problem.robot), True
         self._before = unwritten(loop) if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
         arrays = problem.table, problem.integrator.tableau(), rows
@@ -165,9 +165,11 @@ class Calls:
 
     def begin(self, problem: Problem, rows: Array) -> None:
         """Go to the start of a problem that they fit."""
-        for array, before in self._before:
-            array[...] = before
-        problem.write(self.loop)
+        if not self._new:
+            for array, before in self._before:
+                array[...] = before
+            problem.write(self.loop)
+        self._new = False
         problem.begin(self.loop)
         self.answers.begin(problem)
         set_rows(self._addresses, problem.table, rows)

@@ -21,7 +21,7 @@ from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps, encoder_draws
 from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.control.reference.desired import Desired, desired
+from closedloop.control.reference.desired import Desired, Motion, desired
 from closedloop.control.reference.force import force_at
 from closedloop.control.reference.on_surface import edge_key
 from closedloop.control.reference.orientation import refuse_narrow
@@ -398,7 +398,7 @@ def _started(scenario: Scenario, of: dict[str, Any], arm: Any, cache: Cache, kep
 
 def _beside(scenario: Scenario, fixed_plane: bool) -> object:
     """Return an object that is another where something is that the loop's memory has beside its constants."""
-    sections = [scenario.belief, scenario.tool, scenario.external_force, scenario.contact, scenario.mocap]
+    sections: list[Any] = [scenario.belief, scenario.tool, scenario.external_force, scenario.contact, scenario.mocap]
     if not fixed_plane:
         sections += [scenario.surface, scenario.surface_motion]
     if scenario.belief.normal_noise > 0.0:
@@ -533,11 +533,11 @@ def _reference(
     )
     follow("profile", lambda s: force_at(s.force_profile, s.law.force, np.zeros(1)))  # refused before its path is found
 
-    def path(s: Any) -> tuple[Desired, Hashable]:
+    def path(s: Any) -> tuple[Motion, tuple[Hashable, ...] | None]:
         tool = unit(s.tool.axis, "tool.axis"), s.tool.radius
         duration = 0.0 if surface.fixed_plane else s.time.duration * BEYOND
 
-        def found() -> Desired:
+        def found() -> Motion:
             return desired(s.reference, robot, surface, q, duration, *tool)
 
         if not kept:

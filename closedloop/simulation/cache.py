@@ -1,9 +1,9 @@
 """What several scenarios share: the parts of a problem that the keys in which they differ do not change.
 
 `Parts` follows each part of a problem to the sections of the scenario that it was made of; all but what is other is
-taken over from the scenario before. `Cache` has, besides, robots, paths and reference tables of earlier scenarios, which
-take most of the 3 ms in which a scenario becomes a `Problem`. The key of an entry is the text of all that it is made of.
-So what is taken over equals what would be made anew to the last bit.
+taken over from the scenario before. `Cache` has, besides, robots, paths and reference tables of earlier scenarios: they
+take most of the 3 ms in which a scenario becomes a `Problem`. The key of an entry is the text of all that it is made
+of. So what is taken over equals what would be made anew to the last bit.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class Parts:
     """
 
     def __init__(self) -> None:
-        self._made: dict[str, tuple[Any, tuple[Any, ...]]] = {}
+        self._made: dict[str, tuple[Any, tuple[Any, ...], set[str]]] = {}
+        self._within: list[set[str]] = []  # of the parts that are being made, one within another: sections they read
         self._readers: dict[str, set[str]] = {}  # by section: which parts have read it
         self._sections: dict[str, Any] = {}
         self._tuples: dict[str, tuple[Any, ...]] = {}
@@ -80,17 +81,24 @@ class Parts:
     def follow(self, name: str, make: Callable[[Any], T], *others: Any) -> T:
         """Return what is made of the scenario and of others: as it was, where both are as they were.
 
-        The others must be the same objects.
+        The others must be the same objects. A part may be made of parts that are followed: it has then read what they
+        have.
         """
         found = self._made.get(name)
-        if found is not None and all(map(is_, others, found[1])):
-            return cast(T, found[0])
-        watched = Watched(self._scenario)
-        new = make(watched)
-        for section in watched.read:
-            self._readers.setdefault(section, set()).add(name)
-        self._made[name] = new, others
-        return new
+        if found is None or not all(map(is_, others, found[1])):
+            watched, own = Watched(self._scenario), set[str]()
+            self._within.append(own)
+            try:
+                new = make(watched)
+            finally:
+                self._within.pop()
+            own.update(watched.read)
+            for section in own:
+                self._readers.setdefault(section, set()).add(name)
+            found = self._made[name] = new, others, own
+        if self._within:
+            self._within[-1].update(found[2])
+        return cast(T, found[0])
 
     def same(self, name: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return a tuple of parts: the one that has had this name, if it is of the same objects."""

@@ -311,10 +311,12 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept:
     done = first.follow("completed", lambda s: _completed(s, robot.model), arm)
     given, scenario = scenario, scenario if done is None else done
     cache.whole.turn_to(scenario)
-    numbers = _settled(scenario, robot, arm, cache)
+    follow = cache.whole.follow
+    follow("start", lambda s: start_state(s, robot.model), arm)  # what is wrong with it is said first
+    numbers = follow("settled", lambda _: _settled(scenario, robot, arm, cache), robot, arm)
     problem = Problem.of({
-        **numbers, **_started(scenario, numbers, arm, cache, kept), "member_digests": digests, "bare": bare,
-        "model_given": model, "spare": cache.spare,
+        **numbers, **_started(scenario, numbers, arm, cache, kept), "scenario": scenario, "member_digests": digests,
+        "bare": bare, "model_given": model, "spare": cache.spare,
     })  # fmt: skip
     cache.last = (given, problem) if kept else None
     return problem
@@ -329,7 +331,6 @@ def _completed(scenario: Any, model: RobotModel) -> Scenario | None:
 def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[str, Any]:
     """Check what does not depend on where a run starts, and return it as numbers."""
     follow, model, n = cache.whole.follow, robot.model, robot.n  # none of these depends on masses of tools
-    follow("start", lambda s: start_state(s, model), arm)  # what is wrong with it is said first
     follow("lengths", lambda s: _refuse(_wrong_lengths(s, model)), arm)
     follow("combinations", lambda s: refuse_combinations(s, model), arm)
     joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model), arm)
@@ -342,8 +343,9 @@ def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[s
     entries = cache.whole.same("entries", layout.entries)
     follow("compiled", lambda s: have_compiled(scenario, model), arm, entries)
     return {
-        "scenario": scenario, "robot": robot, "integrator": integrator, "tolerance": tolerance,
-        "h": scenario.time.step, "steps": steps, "hold": hold, "nodes": integrator.parts, "layout": layout,
+        "robot": robot, "integrator": integrator, "tolerance": tolerance,
+        "h": follow("step", lambda s: s.time.step), "steps": steps, "hold": hold, "nodes": integrator.parts,
+        "layout": layout,
         "friction": follow("friction", lambda s: pack_friction(s.friction, n), arm),
         "compensation": follow(
             "compensation", lambda s: pack_law(compensation, n, model.joint_names), arm, compensation
@@ -526,12 +528,15 @@ def _reference(
     """Return what is desired on a surface, and the table of it, with what sensors draw behind each row."""
     follow, robot, steps, nodes = cache.whole.follow, of["robot"], of["steps"], of["nodes"]
     n = robot.n
-    drawn = follow("drawn", lambda s: s.sensor.noise > 0.0 or s.sensor.jitter > 0.0)
-    reads = follow("reads", lambda s: s.reads_encoders)
-    instants = follow(
-        "instants", lambda s: (s.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64), nodes, steps
-    )
-    follow("profile", lambda s: force_at(s.force_profile, s.law.force, np.zeros(1)))  # refused before its path is found
+
+    def beside(s: Any) -> tuple[bool, bool, Array]:
+        force_at(s.force_profile, s.law.force, np.zeros(1))  # a profile at fault is refused before its path is found
+        instants = follow(
+            "instants", lambda t: (t.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64), nodes, steps
+        )
+        return s.sensor.noise > 0.0 or s.sensor.jitter > 0.0, s.reads_encoders, instants
+
+    drawn, reads, instants = follow("beside the path", beside, nodes, steps)
 
     def path(s: Any) -> tuple[Motion, tuple[Hashable, ...] | None]:
         tool = unit(s.tool.axis, "tool.axis"), s.tool.radius

@@ -153,6 +153,7 @@ class Calls:
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = law is None and not isinstance(self.kernel, Interim)
         self._of, self._new = (problem.form, problem.robot), True
+        self._settled = self._last = problem.settled
         self._before = unwritten(loop) if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
         arrays = problem.table, problem.integrator.tableau(), rows
@@ -168,7 +169,9 @@ class Calls:
         if not self._new:
             for array, before in self._before:
                 array[...] = before
-            problem.write(self.loop)
+            if not problem.settled is self._settled is self._last:
+                problem.write(self.loop)
+                self._last = problem.settled
         self._new = False
         problem.begin(self.loop)
         self.answers.begin(problem)

@@ -313,10 +313,15 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept:
     cache.whole.turn_to(scenario)
     follow = cache.whole.follow
     follow("start", lambda s: start_state(s, robot.model), arm)  # what is wrong with it is said first
-    numbers = follow("settled", lambda _: _settled(scenario, robot, arm, cache), robot, arm)
+
+    def settled(s: Any) -> dict[str, Any]:
+        told = s.surface, s.reference, s.drives, s.belief, s.model_error, s.impact  # which settings depend on, too
+        return _settled(scenario, robot, arm, cache) if told else {}
+
+    numbers = follow("settled", settled, robot, arm)
     problem = Problem.of({
         **numbers, **_started(scenario, numbers, arm, cache, kept), "scenario": scenario, "member_digests": digests,
-        "bare": bare, "model_given": model, "spare": cache.spare,
+        "bare": bare, "model_given": model, "spare": cache.spare, "settled": numbers,
     })  # fmt: skip
     cache.last = (given, problem) if kept else None
     return problem

@@ -43,6 +43,7 @@ from closedloop.simulation.engines.start_memory import (
     external_memory,
     read_encoders,
     write_constants,
+    write_places,
     write_settings,
     write_start,
 )
@@ -194,6 +195,7 @@ class Problem(ScenarioNumbers):
         for name, place in (("surface", self.surface), ("believed", self.believed)):
             if name in kept and place is not None:
                 place_at(kept[name].ask, place.origin)
+        write_places(self, loop.constants)
         write_start(self, state, loop.w)
         if self.placed is not None:
             contacts = kept["contacts"]

@@ -352,6 +352,11 @@ class ScenarioNumbers:
         return object()
 
     @cached_property
+    def settled(self) -> Any:
+        """The same object for problems that differ in where they start, and in their law, alone."""
+        return object()
+
+    @cached_property
     def form(self) -> tuple[Any, ...]:
         """What must be equal of two problems for one loop's memory to be filled with the numbers of either."""
         laws = self.law, self.compensation, self.friction, self.joint_friction

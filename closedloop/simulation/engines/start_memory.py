@@ -129,12 +129,18 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
         "transmission": problem.transmission, "encoder": problem.encoder, "model_error": scenario.model_error,
     }  # fmt: skip
     constants.h, constants.node = problem.h, problem.h / problem.nodes
-    constants.restitution, constants.rest_speed = scenario.impact.restitution, scenario.impact.rest_speed
-    constants.offset, constants.law[:] = problem.surface.offset, problem.law.numbers
+    constants.rest_speed = scenario.impact.rest_speed
+    write_places(problem, constants)
     for name, value in now.items():
         if written.get(name) is not value:
             _WRITERS[name](problem, constants)
             written[name] = value
+
+
+def write_places(problem: ScenarioNumbers, constants: Constants) -> None:
+    """Write those constants that may be others where a run starts elsewhere, or that a run changes."""
+    constants.offset, constants.law[:] = problem.surface.offset, problem.law.numbers
+    constants.restitution = problem.scenario.impact.restitution
 
 
 def _write_robot(problem: ScenarioNumbers, constants: Constants) -> None:

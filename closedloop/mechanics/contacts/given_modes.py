@@ -39,7 +39,7 @@ from closedloop.mechanics.contacts.memory import (
     GivenModes,
     joints_of,
 )
-from closedloop.mechanics.contacts.mobility import added, write_motion
+from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
 from closedloop.mechanics.contacts.packed import is_known, pack_contacts
 from closedloop.mechanics.contacts.resistance import (
     add_turning,
@@ -103,11 +103,13 @@ def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
     """
     k, g, most, asked = links.k, c.given, 0.0, 0.0
     for i in range(k):
-        for r in range(3):
-            most = max(most, c.S[i, r, r] if c.problem.form[i] != OFF else 0.0)
+        for r in range(3 if c.problem.form[i] != OFF else 0):
+            most = max(most, c.S[i, r, r])
+            if r == 0 or sticks(c, i):
+                asked = max(asked, c.size[3 * i + r] + abs(c.b[3 * i + r]))
     write_known(links, c)
     p = list_unknowns(links, c, most)
-    c.problem.rounding = 0.0
+    c.problem.rounding = rounding_of(c, k, asked / most) if most > 0.0 else 0.0
     if p == 0:
         return OK
     if p == 1 and pulled_in(c, int(g.row[0]) // 3):
@@ -117,7 +119,6 @@ def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
         row = int(g.row[q])
         g.left[0, q] = -c.a[row] - added(c, row)
         g.left[1, q] = g.left[0, q] + c.b[row]
-        asked = max(asked, c.size[row] + abs(c.b[row]))
     write_rows(c, p)
     found = moved_joints(c, p, asked) and spread(c, p)
     for q in range(p if found else 0):
@@ -127,11 +128,14 @@ def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
         return SINGULAR
     if inside and p > g.rank and not (inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F)):
         share_forces(links, c)
-    size = asked / most
-    for r in range(3 * k):
-        size = max(size, abs(c.rigid[r]))
-    c.problem.rounding = 1e-10 * size
+    c.problem.rounding = rounding_of(c, k, asked / most)
     return OK
+
+
+@kernel
+def rounding_of(c: Contacts, k: int, asked: float) -> float:
+    """Return the force below which there is none, of those in `rigid` and the force that is asked for, N."""
+    return 1e-10 * max(asked, force_size(c.rigid[: 3 * k]))
 
 
 @kernel

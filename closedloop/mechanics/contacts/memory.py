@@ -158,7 +158,7 @@ class ContactScratch(Block, sizes=("n", "k")):
     system: Annotated[Array, N, N]
     columns: Annotated[Array, N, 3 * K]
     moved: Annotated[Array, N, 3 * K]
-    solution: Annotated[Array, 2, N]
+    solution: Annotated[Array, N]
     unknown: Annotated[Array, 3 * K]
     multiples: Annotated[Array, 3 * K]
     mu: Annotated[Array, K]
@@ -169,7 +169,6 @@ class ContactScratch(Block, sizes=("n", "k")):
     motion: Annotated[Array, N]  # see `closedloop.mechanics.contacts.mobility`
     sum: Annotated[Array, N]
     sought: Annotated[Array, 3 * K]
-    slope: Annotated[Array, 3, 3]
 
 
 class Resistance(Block, sizes=("k",)):

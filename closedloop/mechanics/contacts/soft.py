@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.jit.calls import Entry, address_of, call_at, integers_at, row_of, vector_at
+from closedloop.jit.calls import Entry, address_of, call_at, integers_at, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import pack, parameter_block
 from closedloop.jit.user_code import RAISED, function_of, member_entry, of_users
@@ -260,7 +260,7 @@ def drop_contradictions(c: Contacts, k: int) -> None:
     rank = orthonormal_basis(S, n, p, SPANNED)
     if rank == p:
         return
-    moved, M, x, joints = c.scratch.moved, c.scratch.system, row_of(c.scratch.solution, 0), c.scratch.sum
+    moved, M, x, joints = c.scratch.moved, c.scratch.system, c.scratch.solution, c.scratch.sum
     for m in range(rank):
         x[m] = 0.0
         for j in range(n):

@@ -38,7 +38,7 @@ def solve_contacts(links: ContactLinks, c: Contacts, share: float = 1.0, most: f
 @kernel
 def solve_impulses(links: ContactLinks, c: Contacts, span: float) -> None:
     """Do `solve_contacts` for impulses of a time, s: there always are; those of compliant contacts if none is found."""
-    a = pack_contacts(links, c, span)
-    if a > 0 and not (find_exactly(c.stepping, a, links.n) and not is_wedged(c.stepping, a, MOST_IMPULSE)):
+    if not solve_contacts(links, c, span, MOST_IMPULSE):
+        a = pack_contacts(links, c, span)
         solve_softly(c.stepping, a, links.n, ROUNDS)
-    unpack_contacts(links, c, a)
+        unpack_contacts(links, c, a)

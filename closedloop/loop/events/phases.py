@@ -45,23 +45,13 @@ RESTING = 1e-11
 RAPID, MAX_RAPID = 1e-12, 20
 MAX_IN_STEP = 2000
 OUTPACED = 100
-# In runs with contacts of links a step is divided where a joint turns faster than the first, rad/s, and would turn by
-# more than the second in it, rad: a body on three revolute joints turns them fast where two of their axes are
-# nearly parallel, and rk4 is to leave its energy to 1e-9. While a contact of a link is closed the gap is to stay within
-# 1e-9 m too, of an error that grows with the fourth power of the turn: a quarter of both. Near such a pose a speed
-# changes by a multiple of itself in a step: a fast joint's by no more than the last, a share.
-FAST, LARGEST_TURN = 12.5, 0.0125
-FAST_CLOSED, TURN_CLOSED = 3.3, 0.0033
-LARGEST_CHANGE = 0.025
-# A step of several stages at whose end a closed contact is deeper than the first, m, and by more than the second deeper
-# than at its beginning, is taken again in halves, down to the third, s: what it has done there is its own error.
-DEEP, DEEPENS, SHORTEST_HALF = 4e-10, 5e-11, 1e-5
-# So is one in which the forces of contacts multiply by more than the first and come to more than the second, as a
-# multiple of the load, down to the third, s: near Painlevé's paradox they have no bound. Where they jump, from one
-# solution to another, no halving helps: there are at most so many in a step.
+# In runs with contacts of links a joint that turns faster than the first, rad/s, turns by no more than the second in a
+# part of a step, rad: bodies tumble, and near a pose in which two axes are parallel joints turn without bound.
+FAST, LARGEST_TURN = 25.0, 0.025
+# A step of several stages in which the forces of contacts multiply by more than the first and come to more than the
+# second, as a multiple of the load, is taken again in halves down to the third, s: near Painlevé's paradox they have no
+# bound. Where they jump, from one solution to another, no halving helps: there are at most so many in a step.
 MOST_GROWTH, HIGH, SHORTEST_GROWTH, MOST_HALVINGS = 2.0, 30.0, 1e-8, 200
-# And one in which slips turn, for which there are at most so many.
-MOST_TURNS = 50
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
 # Moves of a projection: Newton's method converges quadratically, from the nanometres or micrometres after a step in one

@@ -15,13 +15,9 @@ from closedloop.loop.events.phases import (
     AT_EVENT,
     BEGIN_SUBSTEP,
     CHECK_STAGE,
-    DEEP,
-    DEEPENS,
     FAST,
-    FAST_CLOSED,
     HIGH,
     INSTANT,
-    LARGEST_CHANGE,
     LARGEST_TURN,
     LEAVING,
     LOCATE_EVENT,
@@ -29,7 +25,6 @@ from closedloop.loop.events.phases import (
     MAX_IN_STEP,
     MOST_GROWTH,
     MOST_HALVINGS,
-    MOST_TURNS,
     NEED_TERMS,
     NO_TRIAL,
     PART_END,
@@ -40,17 +35,15 @@ from closedloop.loop.events.phases import (
     RETRY_SUBSTEP,
     SHALLOW,
     SHORTEST_GROWTH,
-    SHORTEST_HALF,
     STAGE,
     STAGE_CHECKED,
     STEP_END,
     TOUCHING,
     TRIAL_END,
-    TURN_CLOSED,
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
-from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, closed_depth, force_over_load, slips_turn
+from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, force_over_load
 from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.joint_friction import advance_joint_friction
@@ -109,35 +102,28 @@ def save_slip(w: Work, constants: Constants, state: State) -> None:
 
 @kernel
 def divide_step(w: Work, constants: Constants, state: State) -> bool:
-    """Shorten a substep in which joints would turn, or change how fast they turn, by too much, or slips end; note it.
+    """Shorten a substep in which joints would turn by too much, or slips end; note it.
 
     Joints that slide do not count: nothing turns with them. Returns false where the motion diverges: a joint would be
     beyond SPEED_LIMIT before the step ends, and its substep is shorter than that of a joint at this limit.
     """
-    fastest, change, left = 0.0, 0.0, w.length
-    fast, most = (
-        (FAST, LARGEST_TURN) if state.coupled == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
-    )
+    reached, left = 0.0, w.length
     links, c = contacts_at(state.contacts.at)
     tree = tree_at(loops_at(links.rows)[0])
     wheels = links.shapes != 0 and not some_stand(links, c)  # nothing turns with a wheel, unless its feet stand
     for j in range(w.q.shape[0]):
         turns = tree.links[REVOLUTE * tree.n + j] != SLIDES
         if turns and not (wheels and shapes_at(links.shapes).spins[j] != 0.0):
-            fastest, change = max(fastest, abs(w.v[j])), max(change, abs(w.qdd[j]))
+            reached = max(reached, abs(w.v[j]) + abs(w.qdd[j]) * left)
     state.divided = 1 if left < state.row * constants.h - w.time - INSTANT else 0
     if state.settings.adaptive != 0:
         return True
-    parts = fastest * left / most if fastest > fast else 1.0
-    reached = fastest + change * left
-    if reached > FAST:
-        parts = max(parts, change * left / (LARGEST_CHANGE * max(fastest, FAST)))
+    parts = reached * left / LARGEST_TURN if reached > FAST else 1.0
     if parts > 1.0:
-        w.length = left / np.ceil(parts)
-        state.divided = 1
+        w.length, state.divided = left / np.ceil(parts), 1
     if state.coupled != 0 and c.step.span < w.length:
         w.length, state.divided = c.step.span, 1
-    if not (reached > SPEED_LIMIT and left * SPEED_LIMIT < parts * most):
+    if not (reached > SPEED_LIMIT and left * SPEED_LIMIT < parts * LARGEST_TURN):
         return True
     for j in range(w.q.shape[0]):
         w.v[j] += left * w.qdd[j]  # the error names the fastest
@@ -151,23 +137,17 @@ def nothing_earlier(state: State) -> bool:
 
 
 @kernel
-def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> int:
-    """Return RETRY_SUBSTEP, with half the length, if contacts sink, slips turn or forces multiply in it; else `todo`.
+def take_in_halves(w: Work, state: State, todo: int) -> int:
+    """Return RETRY_SUBSTEP, with half the length, if the forces of contacts multiply in it; else `todo`.
 
-    At a stage, where `todo` is not BEGIN_SUBSTEP, only slips and forces count. Without a stabiliser contacts sink all
-    the time, which does not count. Where forces multiply after all halvings a time step goes on.
+    Where they do after all halvings a time step goes on.
     """
     if state.coupled == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
         return todo
     links, c = contacts_at(state.contacts.at)
-    if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
+    if links.shapes != 0 or links.stepped != 0 or w.search.tau <= SHORTEST_GROWTH:
         return todo
-    ends, depth, force = todo == BEGIN_SUBSTEP, closed_depth(links, c), force_over_load(links, c)
-    sinks = ends and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
-    turns = not ends and slips_turn(links, c, state.stage) and state.trial.halvings < MOST_TURNS
-    multiplies = links.stepped == 0 and force > max(HIGH, MOST_GROWTH * w.start.force_over_load)
-    shortest = SHORTEST_GROWTH if multiplies else SHORTEST_HALF
-    if not ((sinks or turns or multiplies) and w.search.tau > shortest):
+    if force_over_load(links, c) <= max(HIGH, MOST_GROWTH * w.start.force_over_load):
         return todo
     state.trial.purpose = NO_TRIAL
     if state.trial.halvings < MOST_HALVINGS:
@@ -175,8 +155,6 @@ def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> in
         w.length = 0.5 * w.search.tau
         w.search.tau, state.divided = w.length, 1
         return RETRY_SUBSTEP
-    if not multiplies:
-        return todo
     restore_state(w, state)
     w.time = w.start.time
     links.undecided, links.chattering, state.striking = 1, 2, -1

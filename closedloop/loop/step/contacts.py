@@ -108,7 +108,7 @@ def contacts_in_step(address: int, what: int) -> int:
         c.step.begun = 1.0 * links.stepped
         if state.settings.time_stepping == 0:
             save_contacts(links, c)
-            w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
+            w.start.force_over_load = force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])
     elif what == PLACE:
@@ -315,8 +315,6 @@ CLOSED = 2e-15
 # The last step before slips end has constant forces. Of an integrator of several stages it is no longer than the first,
 # of the step; until then its steps are no longer than the second, of what is left.
 LAST, MOST_OF = 1.0 / 4.0, 0.9
-# Slips at two stages in the middle of a substep may differ by the first, a share; slower ones count as the second, m/s.
-MOST_TURN, UNTURNED = 0.25, 1e-6
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
 # A joint this near to its stop is at it, rad (m).
@@ -417,16 +415,6 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
 
 
 @kernel
-def closed_depth(links: ContactLinks, c: Contacts) -> float:
-    """Return the least gap of the rigid contacts that are closed, m, zero if none is below its surface."""
-    least = 0.0
-    for i in range(links.points + links.stops):
-        if c.mode[i] != FREE and c.soft[i] == 0.0:
-            least = min(least, c.located[3 * i])
-    return float(least)
-
-
-@kernel
 def force_over_load(links: ContactLinks, c: Contacts) -> float:
     """Return the largest force of rigid contacts that are closed, over that which would stop their accelerations.
 
@@ -440,23 +428,6 @@ def force_over_load(links: ContactLinks, c: Contacts) -> float:
         if c.mode[i] == PRESSED and c.mu[i] > 0.0:
             slides = 1.0
     return float(slides * largest * most / asked) if asked > 0.0 else 0.0
-
-
-@kernel
-def slips_turn(links: ContactLinks, c: Contacts, stage: int) -> bool:
-    """Whether the slips at both stages of rk4 in the middle of a substep differ by a share of themselves.
-
-    The friction of slow slips turns them faster than a long step resolves. The first stage is kept for the second.
-    """
-    turns = False
-    for i in range(links.points if stage <= 2 and links.stepped == 0 else 0):
-        u1, u2 = c.u[3 * i + 1], c.u[3 * i + 2]
-        if stage == 2 and c.mode[i] == PRESSED and c.mu[i] > 0.0 and c.soft[i] == 0.0:
-            before1, before2 = c.friction.stage_u[i, 0], c.friction.stage_u[i, 1]
-            speed = max(math.hypot(u1, u2), math.hypot(before1, before2), UNTURNED)
-            turns = turns or math.hypot(u1 - before1, u2 - before2) > MOST_TURN * speed
-        c.friction.stage_u[i, 0], c.friction.stage_u[i, 1] = u1, u2
-    return turns
 
 
 @kernel

@@ -40,7 +40,7 @@ from closedloop.mechanics.contacts.joint_space import (
     start_at_rest,
 )
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts
-from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
+from closedloop.mechanics.contacts.mobility import added, write_motion
 from closedloop.mechanics.contacts.modes import PARTING
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
@@ -50,11 +50,8 @@ from closedloop.mechanics.contacts.soft import drop_contradictions, shared_frict
 # rolling contact may turn faster than its slip grows: friction against the direction of the break-away alone would let
 # the slip go aside.
 BREAKING_AWAY = 1e-9
-# Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
-# how often it may be no less than before: where forces are not unique it need not become less.
-TURNS, SETTLED, STALLED = 20, 1e-11, 2
-# Forces that are so many times those with friction against the slip as it is have multiplied.
-MOST_GROWTH = 30.0
+# Solutions at most in which the friction of slow slips is turned, and the change of its direction at which it agrees.
+TURNS, SETTLED = 20, 1e-11
 
 
 @kernel
@@ -63,8 +60,7 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
 
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
-    that is turned round with the force would drive the slip. Nor is it turned where forces would multiply: near
-    Painlevé's paradox they turn the slip faster than the step resolves. Shapes wander, not only `points`, and their
+    that is turned round with the force would drive the slip. Shapes wander, not only `points`, and their
     rows depend on each other; a contact of theirs that has just parted would come back at once, again and again:
     friction is not turned until it has. `ends` says whether a slip ends within the step, `begins` is whether the step
     begins here.
@@ -79,17 +75,14 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     c.problem.points = 1.0 if points else 0.0
-    last, stalled, most = math.inf, 0, MOST_GROWTH * force_size(c.rigid)
     for _ in range(TURNS):
         change = turn_slips(links, c, h, begins)
-        if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k) or force_size(c.rigid) > most:
+        if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k):
             break
         if begins and not points and presses_in(c, k):
             break
-        stalled += 1 if change >= last else 0
-        if change <= SETTLED or stalled == STALLED or not some_slip_slowly(c, k, h):
+        if change <= SETTLED or not some_slip_slowly(c, k, h):
             return int(OK)
-        last = float(change)
     else:
         return int(OK)
     c.problem.ends = c.problem.ends if points else 0.0

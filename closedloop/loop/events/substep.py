@@ -15,30 +15,17 @@ from closedloop.loop.events.phases import (
     AT_EVENT,
     BEGIN_SUBSTEP,
     CHECK_STAGE,
-    FAST,
-    HIGH,
-    INSTANT,
-    LARGEST_TURN,
-    LEAVING,
     LOCATE_EVENT,
     LOCATE_MINIMUM,
-    MAX_IN_STEP,
-    MOST_GROWTH,
-    MOST_HALVINGS,
     NEED_TERMS,
     NO_TRIAL,
     PART_END,
     PROJECTION,
-    RAPID,
     REACH_EVENT,
-    RESTING,
     RETRY_SUBSTEP,
-    SHALLOW,
-    SHORTEST_GROWTH,
     STAGE,
     STAGE_CHECKED,
     STEP_END,
-    TOUCHING,
     TRIAL_END,
     request_terms,
 )
@@ -54,6 +41,21 @@ from closedloop.mechanics.closure.solve import CHATTER, CROWDED, DIVERGED, OK, R
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
 from closedloop.mechanics.friction.answers import ADVANCE_STATES
+from closedloop.mechanics.limits import (
+    CLOSED_GAP,
+    FAST,
+    HIGH,
+    HOVERING,
+    INSTANT,
+    LARGEST_TURN,
+    MAX_IN_STEP,
+    MOST_GROWTH,
+    MOST_HALVINGS,
+    RAPID,
+    RESTING,
+    SHORTEST_GROWTH,
+    TOUCHING,
+)
 from closedloop.mechanics.loops.memory import loops_at, tree_at
 from closedloop.mechanics.robot.tree.layout import REVOLUTE, SLIDES
 
@@ -302,14 +304,14 @@ def check_step(w: Work, drift: float, state: State) -> int:
         if w.search.value < 0.0:
             trial = REACH_EVENT if here else LOCATE_EVENT
     elif state.settings.unilateral != 0:
-        leaving = LEAVING + (w.length * w.length * abs(drift) if state.settings.stages == 1 else 0.0)
+        leaving = HOVERING + (w.length * w.length * abs(drift) if state.settings.stages == 1 else 0.0)
         if state.past_edge != 0:
             if w.tip.gap > leaving:
                 state.past_edge = 0
         elif here:
             if w.tip.gap <= TOUCHING and w.tip.rate < -RESTING:
                 trial = REACH_EVENT
-        elif w.tip.gap < -(SHALLOW if state.cleared != 0 else leaving):
+        elif w.tip.gap < -(CLOSED_GAP if state.cleared != 0 else leaving):
             trial = LOCATE_EVENT
         elif state.cleared != 0 and w.start.rate < -RESTING and w.tip.rate > 0.0:
             trial = LOCATE_MINIMUM  # down and up again: locate the lowest point

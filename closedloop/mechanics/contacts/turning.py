@@ -27,11 +27,8 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.closed import solve_closed
-from closedloop.mechanics.contacts.friction import STILL, stops_slipping
+from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.contacts.joint_space import (
-    EXACT,
-    FIRST,
-    MOST,
     OWNED,
     STICKS,
     JointSpace,
@@ -39,19 +36,23 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_in_joint_space,
     start_at_rest,
 )
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.mobility import added, write_motion
-from closedloop.mechanics.contacts.modes import PARTING
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
-
-# The time in which a slip that begins takes its direction where the integrator chooses its steps, s. What pulls a
-# rolling contact may turn faster than its slip grows: friction against the direction of the break-away alone would let
-# the slip go aside.
-BREAKING_AWAY = 1e-9
-# Solutions at most in which the friction of slow slips is turned, and the change of its direction at which it agrees.
-TURNS, SETTLED = 20, 1e-11
+from closedloop.mechanics.limits import (
+    AT_EDGE,
+    EXACT,
+    FIRST_RHO,
+    HOVERING,
+    ITERATIONS,
+    PARTING,
+    STIFF,
+    STILL,
+    VANISHING,
+    WIDENING,
+)
 
 
 @kernel
@@ -75,13 +76,13 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     c.problem.points = 1.0 if points else 0.0
-    for _ in range(TURNS):
+    for _ in range(ITERATIONS):
         change = turn_slips(links, c, h, begins)
         if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k):
             break
         if begins and not points and presses_in(c, k):
             break
-        if change <= SETTLED or not some_slip_slowly(c, k, h):
+        if change <= VANISHING or not some_slip_slowly(c, k, h):
             return int(OK)
     else:
         return int(OK)
@@ -235,9 +236,9 @@ def solve_within(links: ContactLinks, c: Contacts, k: int, rate: float) -> bool:
     s.associated, s.alike = 0.0, 1.0
     if c.problem.points > 0.0:
         start_at_rest(s, k, n)
-    if not solve_in_joint_space(s, k, n, FIRST if c.problem.points > 0.0 else MOST, EXACT):
+    if not solve_in_joint_space(s, k, n, FIRST_RHO if c.problem.points > 0.0 else STIFF, EXACT):
         s.alike = 0.0
-        if not solve_in_joint_space(s, k, n, FIRST, EXACT):
+        if not solve_in_joint_space(s, k, n, FIRST_RHO, EXACT):
             return False
     if has_derivatives(s.y[0]):
         differentiate(s, k, n)
@@ -294,9 +295,8 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     return 0.0 * size if shared else float(change / level)  # with f known it is found at once
 
 
-# Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then;
-# and by which share of 1/τ before it derivatives are taken.
-SEARCHES, WIDER, ON_EDGE, BESIDE_EDGE = 30, 4.0, 1e-12, 1e-8
+# By which share of 1/τ before it derivatives are taken.
+BESIDE_EDGE = 1e-8
 
 
 @kernel
@@ -344,8 +344,8 @@ def shorten(links: ContactLinks, c: Contacts, k: int, h: float) -> float:
     if not at_low < 0.0:
         return 0.0 * low
     high, at_high = low, at_low
-    for _ in range(SEARCHES):
-        high *= WIDER
+    for _ in range(ITERATIONS):
+        high *= WIDENING
         if not solve_within(links, c, k, high):
             return 0.0 * low
         at_high = left_of_slips(c, k)
@@ -355,12 +355,12 @@ def shorten(links: ContactLinks, c: Contacts, k: int, h: float) -> float:
     if not at_high >= 0.0:
         return 0.0 * low
     rate, side = high, 0
-    for _ in range(SEARCHES if at_high > ON_EDGE else 0):  # the method of Illinois
+    for _ in range(ITERATIONS if at_high > AT_EDGE else 0):  # the method of Illinois
         rate = (low * at_high - high * at_low) / (at_high - at_low)
         if not solve_within(links, c, k, rate):
             return 0.0 * low
         now = left_of_slips(c, k)
-        if abs(now) <= ON_EDGE or high - low <= ON_EDGE * high:
+        if abs(now) <= AT_EDGE or high - low <= AT_EDGE * high:
             break
         if now < 0.0:
             low, at_low, at_high, side = rate, now, at_high * (0.5 if side < 0 else 1.0), -1

@@ -101,17 +101,22 @@ BREAKING_AWAY = limit(
     "BREAKING_AWAY", 1e-9, "s", "in which a slip that begins takes its direction where the integrator chooses its steps"
 )
 SHORTEST_GROWTH = limit("SHORTEST_GROWTH", 1e-8, "s", "no step is halved further because forces multiply")
-TIME_STEP_SPAN = limit("TIME_STEP_SPAN", 2e-5, "s", "length of a step at the level of impulses among modes")
+TIME_STEP_SPAN = limit(
+    "TIME_STEP_SPAN",
+    2e-5,
+    "s",
+    "length of a step of impulses among modes; no step is halved further because contacts sink",
+)
 OWN_STEP = limit("OWN_STEP", 1e-3, "s", "discs see an integrator that chooses its steps as if they were so long")
 
 # Steps that are divided.
-FAST = limit("FAST", 25.0, "rad/s", "a joint that turns faster turns by no more than LARGEST_TURN in a part of a step")
-LARGEST_TURN = limit("LARGEST_TURN", 0.025, "rad", "by which rk4 leaves the energy of a body that tumbles to 1e-9")
-MOST_GROWTH = limit(
-    "MOST_GROWTH", 2.0, "1", "forces that multiply by more in a step, and are HIGH, have it taken again in halves"
+FAST = limit("FAST", 12.5, "rad/s", "a joint that turns faster turns by no more than LARGEST_TURN in a part of a step")
+LARGEST_TURN = limit("LARGEST_TURN", 0.0125, "rad", "so rk4 leaves the energy of what tumbles to 1e-9")
+QUARTER = limit(
+    "QUARTER", 0.25, "1", "of both while contacts are closed; of a step, the last of a slip; of slips that turn"
 )
+MOST_GROWTH = limit("MOST_GROWTH", 2.0, "1", "forces that multiply by more, and are HIGH, have a step taken in halves")
 HIGH = limit("HIGH", 30.0, "1", "as a multiple of the load: near Painlevé's paradox forces have no bound")
-LAST = limit("LAST", 0.25, "1", "of a step: the last before slips end has constant forces and is no longer")
 MOST_OF = limit("MOST_OF", 0.9, "1", "of what is left until slips end: until then steps are no longer")
 FADED = limit(
     "FADED", 0.5, "1", "a slip that begins below STICK_SPEED ends if it falls in a step to less than this share"

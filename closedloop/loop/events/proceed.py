@@ -149,7 +149,7 @@ def proceed(
         w.search.value = event_function(w, constants, state)
         todo = check_step(w, w.tip.drift_c[0], state)
         if todo == BEGIN_SUBSTEP:
-            todo = take_in_halves(w, state, todo)
+            todo = take_in_halves(w, constants, state, todo)
         if todo == BEGIN_SUBSTEP and phase == PART_END:
             commit_work(w)
             w.length = state.row * constants.h - w.time
@@ -177,7 +177,7 @@ def proceed(
         if state.coupled != 0 and w.contacts.margin <= NO_FORCES:
             todo = end_before_stage(w, state)
         elif todo == ADVANCE:
-            todo = take_in_halves(w, state, todo)
+            todo = take_in_halves(w, constants, state, todo)
     elif phase == TRIAL_END:
         w.search.value = event_function(w, constants, state)
         todo = refine_bracket(w, state)

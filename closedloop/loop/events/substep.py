@@ -30,7 +30,7 @@ from closedloop.loop.events.phases import (
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
-from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, force_over_load
+from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, closed_depth, force_over_load, slips_turn
 from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.joint_friction import advance_joint_friction
@@ -51,9 +51,12 @@ from closedloop.mechanics.limits import (
     MAX_IN_STEP,
     MOST_GROWTH,
     MOST_HALVINGS,
+    OFF_SURFACE,
+    QUARTER,
     RAPID,
     RESTING,
     SHORTEST_GROWTH,
+    TIME_STEP_SPAN,
     TOUCHING,
 )
 from closedloop.mechanics.loops.memory import loops_at, tree_at
@@ -104,28 +107,33 @@ def save_slip(w: Work, constants: Constants, state: State) -> None:
 
 @kernel
 def divide_step(w: Work, constants: Constants, state: State) -> bool:
-    """Shorten a substep in which joints would turn by too much, or slips end; note it.
+    """Shorten a substep in which joints would turn, or change how fast they turn, by too much, or slips end; note it.
 
     Joints that slide do not count: nothing turns with them. Returns false where the motion diverges: a joint would be
     beyond SPEED_LIMIT before the step ends, and its substep is shorter than that of a joint at this limit.
     """
-    reached, left = 0.0, w.length
+    fastest, change, left = 0.0, 0.0, w.length
+    share = 1.0 if state.coupled == 0 or state.settings.stages == 1 else QUARTER
+    fast, most = share * FAST, share * LARGEST_TURN
     links, c = contacts_at(state.contacts.at)
     tree = tree_at(loops_at(links.rows)[0])
     wheels = links.shapes != 0 and not some_stand(links, c)  # nothing turns with a wheel, unless its feet stand
     for j in range(w.q.shape[0]):
         turns = tree.links[REVOLUTE * tree.n + j] != SLIDES
         if turns and not (wheels and shapes_at(links.shapes).spins[j] != 0.0):
-            reached = max(reached, abs(w.v[j]) + abs(w.qdd[j]) * left)
+            fastest, change = max(fastest, abs(w.v[j])), max(change, abs(w.qdd[j]))
     state.divided = 1 if left < state.row * constants.h - w.time - INSTANT else 0
     if state.settings.adaptive != 0:
         return True
-    parts = reached * left / LARGEST_TURN if reached > FAST else 1.0
+    parts = fastest * left / most if fastest > fast else 1.0
+    reached = fastest + change * left
+    if reached > FAST:
+        parts = max(parts, change * left / (2.0 * LARGEST_TURN * max(fastest, FAST)))
     if parts > 1.0:
         w.length, state.divided = left / np.ceil(parts), 1
     if state.coupled != 0 and c.step.span < w.length:
         w.length, state.divided = c.step.span, 1
-    if not (reached > SPEED_LIMIT and left * SPEED_LIMIT < parts * LARGEST_TURN):
+    if not (reached > SPEED_LIMIT and left * SPEED_LIMIT < parts * most):
         return True
     for j in range(w.q.shape[0]):
         w.v[j] += left * w.qdd[j]  # the error names the fastest
@@ -139,17 +147,23 @@ def nothing_earlier(state: State) -> bool:
 
 
 @kernel
-def take_in_halves(w: Work, state: State, todo: int) -> int:
-    """Return RETRY_SUBSTEP, with half the length, if the forces of contacts multiply in it; else `todo`.
+def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> int:
+    """Return RETRY_SUBSTEP, with half the length, if contacts sink, slips turn or forces multiply in it; else `todo`.
 
-    Where they do after all halvings a time step goes on.
+    At a stage, where `todo` is not BEGIN_SUBSTEP, only slips and forces count. Without a stabiliser contacts sink all
+    the time, which does not count. Where forces multiply after all halvings a time step goes on.
     """
     if state.coupled == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
         return todo
     links, c = contacts_at(state.contacts.at)
-    if links.shapes != 0 or links.stepped != 0 or w.search.tau <= SHORTEST_GROWTH:
+    if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
         return todo
-    if force_over_load(links, c) <= max(HIGH, MOST_GROWTH * w.start.force_over_load):
+    ends = todo == BEGIN_SUBSTEP
+    sinks = ends and constants.s_p > 0.0 and closed_depth(links, c) < w.start.depth - OFF_SURFACE
+    turns = not ends and slips_turn(links, c, state.stage)
+    grown = force_over_load(links, c) > max(HIGH, MOST_GROWTH * w.start.force_over_load)
+    multiplies = links.stepped == 0 and grown
+    if not ((sinks or turns or multiplies) and w.search.tau > (SHORTEST_GROWTH if multiplies else TIME_STEP_SPAN)):
         return todo
     state.trial.purpose = NO_TRIAL
     if state.trial.halvings < MOST_HALVINGS:
@@ -157,6 +171,8 @@ def take_in_halves(w: Work, state: State, todo: int) -> int:
         w.length = 0.5 * w.search.tau
         w.search.tau, state.divided = w.length, 1
         return RETRY_SUBSTEP
+    if not multiplies:
+        return todo
     restore_state(w, state)
     w.time = w.start.time
     links.undecided, links.chattering, state.striking = 1, 2, -1

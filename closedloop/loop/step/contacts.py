@@ -63,12 +63,13 @@ from closedloop.mechanics.limits import (
     CLOSED,
     FADED,
     HOVERING,
-    LAST,
     MOST_OF,
+    QUARTER,
     RESTING,
     STICK_SPEED,
     STILL,
     TOUCHING,
+    TURNED,
     WEDGED,
 )
 
@@ -112,7 +113,7 @@ def contacts_in_step(address: int, what: int) -> int:
         c.step.begun = 1.0 * links.stepped
         if state.settings.time_stepping == 0:
             save_contacts(links, c)
-            w.start.force_over_load = force_over_load(links, c)
+            w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])
     elif what == PLACE:
@@ -257,7 +258,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
         c.margin = margin_of(links, c, k, STICK_SPEED, rest, resolution(constants, state))
         if begins and fixed and status == OK and c.margin >= 0.0:
             left = stop_slips(links, c, constants.h)
-            if left <= (LAST * constants.h if state.settings.stages > 1 else constants.h):
+            if left <= (QUARTER * constants.h if state.settings.stages > 1 else constants.h):
                 links.stepped, c.step.end, c.margin = 1, w.time + left, left
                 for i in range(3 * k):
                     c.F[i] = c.rigid[i] = c.step.force[i]
@@ -410,6 +411,16 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
 
 
 @kernel
+def closed_depth(links: ContactLinks, c: Contacts) -> float:
+    """Return the least gap of the rigid contacts that are closed, m, zero if none is below its surface."""
+    least = 0.0
+    for i in range(links.points + links.stops):
+        if c.mode[i] != FREE and c.soft[i] == 0.0:
+            least = min(least, c.located[3 * i])
+    return float(least)
+
+
+@kernel
 def force_over_load(links: ContactLinks, c: Contacts) -> float:
     """Return the largest force of rigid contacts that are closed, over that which would stop their accelerations.
 
@@ -423,6 +434,23 @@ def force_over_load(links: ContactLinks, c: Contacts) -> float:
         if c.mode[i] == PRESSED and c.mu[i] > 0.0:
             slides = 1.0
     return float(slides * largest * most / asked) if asked > 0.0 else 0.0
+
+
+@kernel
+def slips_turn(links: ContactLinks, c: Contacts, stage: int) -> bool:
+    """Whether the slips at both stages of rk4 in the middle of a substep differ by a share of themselves.
+
+    The friction of slow slips turns them faster than a long step resolves. The first stage is kept for the second.
+    """
+    turns = False
+    for i in range(links.points if stage <= 2 and links.stepped == 0 else 0):
+        u1, u2 = c.u[3 * i + 1], c.u[3 * i + 2]
+        if stage == 2 and c.mode[i] == PRESSED and c.mu[i] > 0.0 and c.soft[i] == 0.0:
+            before1, before2 = c.friction.stage_u[i, 0], c.friction.stage_u[i, 1]
+            speed = max(math.hypot(u1, u2), math.hypot(before1, before2), TURNED)
+            turns = turns or math.hypot(u1 - before1, u2 - before2) > QUARTER * speed
+        c.friction.stage_u[i, 0], c.friction.stage_u[i, 1] = u1, u2
+    return turns
 
 
 @kernel

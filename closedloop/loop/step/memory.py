@@ -174,6 +174,7 @@ class Start(Block, sizes=("n", "k")):
     rate: float  # of the gap, m/s
     gap: float
     slip_speed: float
+    depth: float  # least gap of the closed contacts of links, m
     force_over_load: float  # of the contacts of links, see `closedloop.loop.step.contacts.force_over_load`
     contact_margin: float  # see `LinkContacts.margin`
     slip: Annotated[Array, 2]  # velocity

@@ -62,7 +62,7 @@ def open_margin(c: Contacts, i: int) -> float:
         return float(HOVERING - c.inside[i]) if back else math.inf
     if c.gaps.cleared[i] != 0.0:
         return float(c.located[3 * i] - c.gaps.floor[i] + CLOSED_GAP)
-    return float(c.located[3 * i] - min(-HOVERING, c.gaps.floor[i] - TOUCHING))
+    return float(c.located[3 * i] - (c.gaps.floor[i] - HOVERING))
 
 
 @kernel

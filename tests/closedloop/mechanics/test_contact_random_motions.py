@@ -46,18 +46,19 @@ QUICK = {1084, 20261340, 20261660, 20261771, 20262102, 20261770, 20261838, 20261
 
 @pytest.mark.parametrize("seed", [pytest.param(s, marks=() if s in QUICK else pytest.mark.slow) for s in MENDED])
 def test_a_mended_motion_stays_on_its_surfaces(tmp_path, seed):
-    """No gap is below twenty nanometres, and no step gains more than a few 1e-9 of the energy, but after time steps."""
+    """No gap is below a nanometre, and no step gains more than a few 1e-9 of the energy, but after time steps."""
     text, known = motions.draw(seed, tmp_path)
     (tmp_path / "scenario.toml").write_text(text)
-    # At 1 ms the path of 1131 has an error of its own: 3.4e-6 of the energy; at 0.5 ms none. That of 20261783 gains
-    # 1.9e-5 of its energy in one step in which a slip ends, 7.6e-8 at 0.5 ms, and none at 0.25 ms.
+    # At 1 ms the path of 1131 has an error of its own: -5.3e-9 m, 3.4e-6 of the energy; at 0.5 ms -1.1e-9 m, and none.
+    # So has that of 20261842, wedged with 2e5 N: -1.5e-9 m; and that of 20261783 gains 1.9e-5 of its energy in one step
+    # in which a slip ends, 7.6e-8 at 0.5 ms, and none at 0.25 ms.
     step = {"time.step": {20261783: 2.5e-4}.get(seed, 5e-4)} if seed in (1131, 20261783, 20261842) else {}
     run = cl.simulate(cl.load_scenario(str(tmp_path / "scenario.toml"), step), law=no_torque, engine="compiled")
     wrong = examine(run, known["mu"], rests=False)
     # Contacts that are wedged are compliant: time steps press them in, and put that back, as where boxes are dropped
     # flat. 20261488 is wedged for half of its run.
-    wedged = {20283149: -5e-8, 20261488: -5e-7}
-    assert wrong.pop("gap", 0.0) > wedged.get(seed, -2e-8)
+    wedged = {1131: -1.2e-9, 20283149: -5e-8, 20261842: -5e-9, 20261488: -5e-7}
+    assert wrong.pop("gap", 0.0) > wedged.get(seed, -1.01e-9)
     # A time step presses contacts in by some 1e-8 m, and what puts them back lifts the bodies: 6.6e-8 of the energy. A
     # contact of 20263588 parts from 8e-10 m inside, beside one that carries 47 N. Forces of wedged bodies, 2e5 N in
     # 20261842, gain what a gap within the bound above is worth.

@@ -34,6 +34,9 @@ VANISHING = limit("VANISHING", 1e-11, "1", "a sum that is less, of its terms, is
 DEPENDENT = limit(
     "DEPENDENT", 1e-10, "1", "a row with less beyond the span of others depends on them; a force that is less is none"
 )
+BESIDE_EDGE = limit(
+    "BESIDE_EDGE", 1e-8, "1", "by which share of 1/τ before the end of a slip its derivatives are taken"
+)
 FOUND = limit("FOUND", 1e-9, "1", "equations are solved well enough to go on")
 SLIGHT = limit(
     "SLIGHT",

@@ -23,7 +23,7 @@ from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, St
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import STILL
-from closedloop.mechanics.limits import AT_EDGE, CLOSED_GAP, INSTANT, SMALL
+from closedloop.mechanics.limits import AT_EDGE, CLOSED_GAP, INSTANT, SLIGHT, SMALL
 
 # An event function that at a stage is no more than a slip that has no direction has jumped: in mm/s at the tip, in m/s
 # at contacts of links.
@@ -83,7 +83,7 @@ def choose_trial(w: Work, state: State) -> None:
     low, high, a, b = w.search.low, w.search.high, w.search.at_low, w.search.at_high
     share, of_low = 0.5, w.search.tau == low  # of the bracket, from its newer end
     if state.trial.steps == 0:
-        if a > 0.0 > b and a > 1e-6 * -b:
+        if a > 0.0 > b and a > SLIGHT * -b:
             share = a / (a - b) if of_low else b / (b - a)
     else:
         x, y = (low, a) if of_low else (high, b)

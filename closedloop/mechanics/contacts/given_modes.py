@@ -51,11 +51,13 @@ from closedloop.mechanics.contacts.resistance import (
 )
 from closedloop.mechanics.contacts.soft import write_shared
 from closedloop.mechanics.limits import (
+    AT_EDGE,
     DEPENDENT,
     EXACT,
     FOUND,
     REFINEMENTS,
     SAME_DIRECTION,
+    SLIGHT,
     SMALL,
     SOME_ROUNDING,
     STICK_SPEED,
@@ -133,7 +135,7 @@ def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
 @kernel
 def rounding_of(c: Contacts, k: int, asked: float) -> float:
     """Return the force below which there is none, of those in `rigid` and the force that is asked for, N."""
-    return 1e-10 * max(asked, force_size(c.rigid[: 3 * k]))
+    return DEPENDENT * max(asked, force_size(c.rigid[: 3 * k]))
 
 
 @kernel
@@ -161,7 +163,7 @@ def list_unknowns(links: ContactLinks, c: Contacts, most: float) -> int:
         if not stuck:
             last = 1
         for j in range(first, last):
-            if c.S[i, j, j] > IMMOBILE * 1e-6 * most:
+            if c.S[i, j, j] > IMMOBILE * SLIGHT * most:
                 square = 1.0
                 if not stuck:
                     along = row_of(c.problem.along, i)
@@ -490,7 +492,7 @@ def pulled_in(c: Contacts, i: int) -> bool:
         for j in range(first, end if turns_with(c, s) else first):
             turned = c.X[3 * s + 1, j] * c.problem.along[s, 0] + c.X[3 * s + 2, j] * c.problem.along[s, 1]
             own -= row[j] * turned
-    return bool(c.problem.form[i] == RAY and not own > 1e-12 * (S[0, 0] + S[1, 1] + S[2, 2]))
+    return bool(c.problem.form[i] == RAY and not own > AT_EDGE * (S[0, 0] + S[1, 1] + S[2, 2]))
 
 
 @kernel
@@ -545,7 +547,7 @@ def energy_gained(c: Contacts, k: int) -> float:
     for i in range(3 * k):
         gained += 0.5 * c.F[i] * (c.before[i] + c.problem.after[i])
         size += abs(c.F[i]) * (abs(c.before[i]) + abs(c.problem.after[i]))
-    return gained if abs(gained) > 1e-13 * size else 0.0
+    return gained if abs(gained) > EXACT * size else 0.0
 
 
 @kernel

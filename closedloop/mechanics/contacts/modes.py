@@ -32,6 +32,7 @@ from closedloop.mechanics.contacts.unknown_modes import solve_contacts
 from closedloop.mechanics.limits import (
     BEYOND_EDGE,
     CLOSED_GAP,
+    FOUND,
     HOVERING,
     PARTING,
     RESTING,
@@ -139,7 +140,7 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
         u1, u2 = c.u[at + 1], c.u[at + 2]
         speed = math.hypot(u1, u2)
         turned = c.mode[i] == PRESSED and u1 * c.direction[i, 0] + u2 * c.direction[i, 1] <= 0.0
-        band = slow if speed > c.friction.capture[i] else c.friction.capture[i] * (1.0 + 1e-9)
+        band = slow if speed > c.friction.capture[i] else c.friction.capture[i] * (1.0 + FOUND)
         c.problem.form[i] = LINE if pulls else RAY
         if c.friction.sticks[i] == SPRING_STICK:
             hold_by_spring(links, c, i, speed <= slow, turned and speed <= TURNED)

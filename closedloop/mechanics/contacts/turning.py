@@ -43,6 +43,7 @@ from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
 from closedloop.mechanics.limits import (
     AT_EDGE,
+    BESIDE_EDGE,
     EXACT,
     FIRST_RHO,
     HOVERING,
@@ -293,10 +294,6 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     change = math.hypot(share * x1 - c.problem.along[i, 0], share * x2 - c.problem.along[i, 1])
     c.problem.along[i, 0], c.problem.along[i, 1] = share * x1, share * x2
     return 0.0 * size if shared else float(change / level)  # with f known it is found at once
-
-
-# By which share of 1/τ before it derivatives are taken.
-BESIDE_EDGE = 1e-8
 
 
 @kernel

@@ -23,7 +23,7 @@ import numpy as np
 
 import closedloop as cl
 from closedloop.figures import STYLE
-from closedloop.figures.friction_laws import draw
+from closedloop.mechanics.friction.contact import Contact, surface_contact
 from closedloop.scenario.load import load_scenario
 from validation.studies import controllers as study
 
@@ -37,15 +37,55 @@ plt.rcParams["figure.dpi"] = 110
 # the two apart. Each is drawn by what sets it apart: force against slip speed; for Dahl and LuGre, which never rest,
 # slow cycles over a tenth of a millimetre; for the seven-parameter law how friction at rest grows with the time there.
 
+
 # %%
+def curve(contact, load):
+    """Return slip speeds, mm/s, and the force of steady slip at each, N."""
+    speeds, force = np.linspace(1e-9, 0.05, 200), []
+    for speed in speeds:
+        contact.rested()
+        contact.advance(np.array([speed]), 1e9)  # bristles have settled
+        c, w = contact.slide(np.array([speed]))
+        force.append(load * c[0] + w[0])
+    return np.concatenate([-1e3 * speeds[::-1], 1e3 * speeds]), np.concatenate([-np.array(force)[::-1], force])
+
+
+def cycles(contact, load, amplitude=5e-5):
+    """Return displacement, mm, and force, N, of slow cycles."""
+    x, force = amplitude * np.sin(np.linspace(0.0, 4.5 * np.pi, 1801)), [0.0]
+    contact.rested()
+    for step in np.diff(x):
+        contact.advance(np.array([step / 1e6]), 1e6)
+        force.append(load * contact.slide(np.array([step / 1e6]))[0][0])
+    return 1e3 * x, force
+
+
+def rise(contact, load):
+    """Return times at rest, s, and the force at break-away after each, N."""
+    times, force = np.linspace(0.0, 5.0, 300), []
+    for time in times:
+        contact.states[:] = 0.0
+        contact.advance(np.zeros(1), time, stuck=True)
+        force.append(load * contact.stick_limit)
+    return times, force
+
+
 figure, grid = plt.subplots(2, 4, figsize=(12.0, 5.6), layout="constrained")
 for axes, (name, settings) in zip(grid.ravel(), list(study.FRICTIONS.items())[1:], strict=False):
     section = load_scenario("wam_slide", {f"friction.{key}": value for key, value in settings.items()}).friction
-    draw(section, axes, load=10.0)
+    contact = Contact(type(section), surface_contact(section).par, 1)
+    draw, across = (
+        (rise, "time at rest [s]") if section.sticks == "spring"
+        else (cycles, "displacement [mm]") if section.slip_states else (curve, "slip speed [mm/s]")
+    )  # fmt: skip
+    axes.plot(*draw(contact, 10.0))
     axes.set_title(name, fontsize=10)
-    axes.set_ylabel("")
-    if axes.get_legend():
-        axes.get_legend().remove()
+    axes.set_xlabel(across)
+    if draw is rise:
+        axes.set_ylim(0.0)
+    if draw is curve:  # what sticking resists
+        contact.rested()
+        axes.plot([0.0, 0.0], [-10.0 * contact.stick_limit, 10.0 * contact.stick_limit], "o-", alpha=0.5)
 grid[0, 0].set_ylabel("friction at f = 10 N [N]")
 grid[1, 0].set_ylabel("friction at f = 10 N [N]")
 grid[1, 3].axis("off")

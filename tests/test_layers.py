@@ -170,7 +170,7 @@ def test_only_jit_imports_the_inside_of_numba():
 
 
 def test_validation_is_named_by_the_table_of_commands_alone():
-    """`closedloop validate` and `study` start the harness by its name; no other text names a module of it."""
+    """`validate`, `study` and `robots --check` start the harness by its name; no other text names a module of it."""
     naming = {
         (name, node.value)
         for name, file in modules("closedloop").items()
@@ -178,7 +178,7 @@ def test_validation_is_named_by_the_table_of_commands_alone():
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
         and re.fullmatch(r"validation[.:][\w.:]+", node.value)
     }  # fmt: skip
-    starts = {"validation.run:main", "validation.studies.__main__:main"}
+    starts = {"validation.run:main", "validation.studies.__main__:main", "validation.robot_check:said"}
     assert naming == {("closedloop.command.table", start) for start in starts}
 
 

@@ -167,18 +167,16 @@ def _members() -> Iterable[tuple[str, Any]]:
 def compile_these(names: Sequence[str]) -> None:
     """Compile these kernels, in this order."""
     from closedloop.jit import cache_folder
-    from closedloop.jit.drafts import written_first
 
     cache_folder.make_folders, known = False, [*_kernels()]
     if any(name.startswith("entry_of_") for name in names):
         known += _laws()
-    with written_first():
-        for name in names:
-            for piece in known:
-                if piece.kernel == name:
-                    piece.compile()
-        if any(name.endswith(FORM) for name in names):
-            _duals(names)
+    for name in names:
+        for piece in known:
+            if piece.kernel == name:
+                piece.compile()
+    if any(name.endswith(FORM) for name in names):
+        _duals(names)
 
 
 def _duals(names: Collection[str]) -> None:

@@ -9,20 +9,17 @@ SIGTERM: the same command goes on from there, as after a cluster was lost.
 from __future__ import annotations
 
 import os
-import signal
 import sys
-import threading
 import time as clock
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from closedloop.base.errors import printable
 from closedloop.base.files import what_was_written
-from closedloop.base.interrupts import Terminated, exit_status, word_for
+from closedloop.base.interrupts import word_for
 
 # What takes time to import is imported below, once signals are answered.
 if TYPE_CHECKING:
@@ -49,53 +46,16 @@ def _main(words: list[str]) -> int:
     try:
         return _plot(words[1:]) if words[:1] == ["plot"] else _sweep(words)
     except KeyboardInterrupt as stop:
-        raise type(stop)(_last_words(stop, words)) from None
+        then = "nothing was drawn" if words[:1] == ["plot"] else "the same command goes on from here"
+        raise type(stop)(f"{word_for(stop)}; {then}") from None
 
 
 @wraps(_main, assigned=())  # whose parser the completion of a shell asks for
 def as_process(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line as all that this process does, and return the exit status.
-
-    Signals are answered from the first moment on, and a run that was abandoned keeps nobody waiting.
-    """
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    with _ended_at_once_by_a_signal(words):
-        status = main(words)
+    """Run the command line as all that this process does: a run that was abandoned keeps nobody waiting."""
+    status = main(arguments)
     _leave_if_still_at_work(status)
     return status
-
-
-def _last_words(stop: KeyboardInterrupt, words: Sequence[str]) -> str:
-    """Return what is said when a signal has ended it."""
-    then = "nothing was drawn" if words[:1] == ["plot"] else "the same command goes on from here"
-    return f"{word_for(stop)}; {then}"
-
-
-@contextmanager
-def _signals_raise() -> Iterator[None]:
-    """Raise `KeyboardInterrupt` in here at Ctrl-C, and `Terminated` at SIGTERM."""
-
-    def end(signum: int, frame: FrameType | None) -> NoReturn:
-        if signum == signal.SIGINT:
-            signal.default_int_handler(signum, frame)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it is on its way out
-        raise Terminated
-
-    with _answered_by(end):
-        yield
-
-
-@contextmanager
-def _answered_by(end: Callable[[int, FrameType | None], NoReturn]) -> Iterator[None]:
-    """Let a handler answer Ctrl-C and SIGTERM, unless they are ignored, as in the background."""
-    here = threading.current_thread() is threading.main_thread()
-    heeded = [s for s in (signal.SIGINT, signal.SIGTERM) if here and signal.getsignal(s) is not signal.SIG_IGN]
-    before = {signum: signal.signal(signum, end) for signum in heeded}
-    try:
-        yield
-    finally:
-        for signum, handler in before.items():
-            signal.signal(signum, signal.SIG_DFL if handler is None else handler)
 
 
 def _sweep(arguments: list[str]) -> int:
@@ -130,11 +90,10 @@ def _sweep(arguments: list[str]) -> int:
             done.append((runs, total)) if not done else done.__setitem__(slice(1, None), [(runs, total)])
             show(runs, total)
 
-        with _signals_raise():
-            result = run_sweep(
-                sweep, out, workers=options.workers, scheduler=options.scheduler, progress=progress,
-                overwrite=options.overwrite,
-            )  # fmt: skip
+        result = run_sweep(
+            sweep, out, workers=options.workers, scheduler=options.scheduler, progress=progress,
+            overwrite=options.overwrite,
+        )  # fmt: skip
     seconds = clock.monotonic() - began
     runs = done[-1][0] - done[0][0] if done else 0
     before = len(design) - runs
@@ -272,23 +231,6 @@ def _plot(arguments: list[str]) -> int:
         path = sweep_plot(options.table, of or None, x=options.x, y=options.y, out=options.out)
     print(what_was_written(path))
     return DONE
-
-
-@contextmanager
-def _ended_at_once_by_a_signal(words: Sequence[str]) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the process, as long as no sweep is running: there is nothing to clean up.
-
-    An exception in the middle of the import of a large package would come out as whatever that package makes of it.
-    """
-
-    def end(signum: int, frame: FrameType | None) -> NoReturn:
-        stop = KeyboardInterrupt() if signum == signal.SIGINT else Terminated()
-        with suppress(OSError):
-            os.write(2, f"closedloop sweep: {_last_words(stop, words)}\n".encode())
-        os._exit(exit_status(stop))
-
-    with _answered_by(end):
-        yield
 
 
 def _leave_if_still_at_work(status: int) -> None:

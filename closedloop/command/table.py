@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Command(NamedTuple):
@@ -47,13 +47,22 @@ COMMANDS = (
 )
 
 
+# What compares a robot's mechanics with other programs', for ``closedloop robots --check``.
+ROBOT_CHECK = "validation.robot_check:said"
+
+
 # Commands that are spelled otherwise in American English.
 AMERICAN = {"analyse": "analyze"}
 
 
 def imported(command: Command) -> Callable[[list[str]], int]:
     """Import the module of a command and return its function."""
-    module, _, function = command.main.partition(":")
+    return function_called(command.main)
+
+
+def function_called(name: str) -> Callable[..., Any]:
+    """Import MODULE:FUNCTION."""
+    module, _, function = name.partition(":")
     return getattr(import_module(module), function)
 
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from closedloop.base.second_process import cores
 from closedloop.jit.cache_folder import MARKER, SECOND_LOCK, cache_folder, claim, why_not_kept
-from closedloop.jit.kernel import jit_disabled, needs_compiling
+from closedloop.jit.kernel import jit_disabled, needs_compiling, plain_numba
 
 try:
     import fcntl
@@ -63,7 +63,6 @@ TAKES_LONG = {
     "along_path": Long("loops along a path", 3.0),
 }
 BRIEF, VERY_LONG = 1.5, 10.0  # s, of the others, and of those that are shared first
-DRAFT = 0.7  # the share of its time after which a kernel has a draft, see `closedloop.jit.drafts`
 OF_A_CORE = 0.6  # what a process has of one while another interprets, with two
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
@@ -105,18 +104,13 @@ def refused() -> str:
     """Return why no process may compile in the background; "" if one may."""
     if os.environ.get(VARIABLE, "").strip().lower() in ("0", "no", "off", "false"):
         return f"{VARIABLE} refuses it"
-    if jit_disabled():
-        return "NUMBA_DISABLE_JIT is set"
+    if jit_disabled() or plain_numba():
+        return "NUMBA_DISABLE_JIT or CLOSEDLOOP_PLAIN_NUMBA is set"
     if fcntl is None or not hasattr(os, "fork"):
         return "this system has no locks that end with their process"
     if not Path(sys.executable or "").name.startswith("python"):
         return "Python is part of another program"
     return ""
-
-
-def compiled(function: Callable[..., Any]) -> bool:
-    """Whether calling a kernel needs no compiler."""
-    return not needs_compiling(function)
 
 
 # Whether another process sees to it, such as the one that this is a copy of.
@@ -186,43 +180,29 @@ def make_ready(*functions: Callable[..., Any]) -> None:
     Each function is waited for once, and no longer than four times what compiling it takes on a quiet machine: the
     other process may be stopped.
     """
-    if not awaited(functions):
-        names = [function.__name__ for function in functions if needs_compiling(function)]
-        if not TAKES_LONG.keys().isdisjoint(names):
-            _say(f"{_HERE}: {_named(names)}", compiling_notice(names))
-
-
-def awaited(functions: Sequence[Callable[..., Any]], there: Callable[[Any], bool] = compiled) -> bool:
-    """Wait for a process in the background that has these functions sooner, as `make_ready` says.
-
-    Returns whether they are `there`.
-    """
-    missing = [function for function in functions if not there(function)]
-    new = [function for function in missing if function.__name__ not in _waited_for]
-    if not new or seconds_left(missing) >= WORTH_WAITING * seconds_of(missing) or refused() or why_not_kept():
-        return not missing
-    if not _at_work(new):
-        return False
+    missing = list(filter(needs_compiling, functions))
     names = [function.__name__ for function in missing]
-    _waited_for.update(names)
-    if not TAKES_LONG.keys().isdisjoint(names):
-        _say(_WAITING, f"compiling {_named(names)}: waiting for the process that does it in the background ...")
-    wait_until_done(missing, PATIENT * seconds_of(new), there)
-    return all(map(there, missing))
+    long = not TAKES_LONG.keys().isdisjoint(names)
+    new = [function for function in missing if function.__name__ not in _waited_for]
+    soon = bool(new) and seconds_left(missing) < WORTH_WAITING * seconds_of(missing)
+    if soon and not refused() and not why_not_kept() and _at_work(new):
+        _waited_for.update(names)
+        if long:
+            _say(_WAITING, f"compiling {_named(names)}: waiting for the process that does it in the background ...")
+        if wait_until_done(missing, PATIENT * seconds_of(new)):
+            return
+    if long:
+        _say(f"{_HERE}: {_named(names)}", compiling_notice(names))
 
 
-def wait_until_done(
-    functions: Sequence[Callable[..., Any]] = (),
-    patience: float = PATIENCE,
-    there: Callable[[Any], bool] = compiled,
-) -> bool:
+def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: float = PATIENCE) -> bool:
     """Wait for the processes in the background, if there are any, so many seconds at most, or until these are there.
 
     Returns whether there were any functions, and they are.
     """
     until = clock.monotonic() + patience
     while True:
-        missing = [function for function in functions if not there(function)]
+        missing = list(filter(needs_compiling, functions))
         done = bool(functions) and not missing
         if done or clock.monotonic() > until or not _at_work(missing):
             return done
@@ -239,18 +219,16 @@ def seconds_to_compile(functions: Iterable[Callable[..., Any]]) -> float:
     return seconds_of(filter(needs_compiling, functions))
 
 
-def seconds_left(functions: Collection[Callable[..., Any]], share: float = 1.0) -> float:
+def seconds_left(functions: Iterable[Callable[..., Any]]) -> float:
     """Return how long, about, s, it takes until these entry kernels are compiled in the background, if one waits.
 
-    Who waits leaves a core to each process, which compiles in its order; of the last one a share of the time may do.
-    Until now a process has had part of a core.
+    Who waits leaves a core to each process, which compiles in its order. Until now a process has had part of a core.
     """
     missing, times = list(filter(needs_compiling, functions)), [0.0]
     for _, asked, began in _asked:
         wanted = [place for place, function in enumerate(asked) if function in missing]
         if wanted:
-            needed = seconds_of(asked[: wanted[-1]]) + share * seconds_of([asked[wanted[-1]]])
-            times.append(needed - OF_A_CORE * (clock.monotonic() - began))
+            times.append(seconds_of(asked[: wanted[-1] + 1]) - OF_A_CORE * (clock.monotonic() - began))
             missing = [function for function in missing if function not in asked]
     return max(seconds_of(missing), *times)
 

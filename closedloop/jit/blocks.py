@@ -14,7 +14,7 @@ A block is a class whose annotations name its fields in order: single numbers, a
     arm = Arm(np.zeros(Arm.count(4)), 4)
 
 In compiled code a tuple of forty arrays would be passed as three hundred words in every call. A block is passed as its
-address and its sizes, and an array view is made where a field is read: see `closedloop.jit.numba_blocks`.
+address and its sizes, and an array view is made where a field is read: see `closedloop.jit.inside.blocks`.
 """
 
 from __future__ import annotations

@@ -3,8 +3,7 @@
     ROOT/closedloop-0123456789abcdef/       a digest of the text of all kernel files, of compiler and processor
         closedloop-cache                    the marker: we made this folder; its time stamp is that of the last use
         closedloop-called                   empty; locked while what a step calls is compiled in the background
-        step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.jit.compile_cache`
-        step.run-<32 hex>.draft             the same before it is optimised, see `closedloop.jit.drafts`
+        step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.jit.inside.compile_cache`
 
 Folders of other versions of the source are kept for a month after their last use. Before one is removed, the folder's
 name, the marker, the owner, and the name and the end of every file in it are checked; no link is followed, and a folder
@@ -18,7 +17,6 @@ import logging
 import os
 import re
 import stat
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -26,8 +24,6 @@ from contextlib import suppress
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from closedloop.jit.uninterrupted import compiler_at_work
 
@@ -40,22 +36,14 @@ MARKS = (
     b"\n@long_loops_entry",
     b"@lower_builtin",
 )
-COMPILERS = (
-    "kernel.py", "inline_once.py", "lower_directly.py", "typing_once.py", "blocks.py", "parameters.py",
-    "dual.py", "dual8.py", "numba_dual8.py",
-)  # fmt: skip
-
-# numba's settings, each an environment variable, that change what it compiles.
-SETTINGS = (
-    "OPT", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "DISABLE_INTEL_SVML",
-    "DEBUG_NRT", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS", "EXTEND_VARIABLE_LIFETIMES",
-)  # fmt: skip
+COMPILERS = "kernel.py", "parameters.py", "dual.py", "blocks.py", "dual8.py", "inside"  # files and a folder
 
 MARKER, SECOND_LOCK = "closedloop-cache", "closedloop-called"
 MAGIC = b"closedloop code 1\n"  # the end of every file
 FOLDER_NAME = re.compile(r"closedloop-[0-9a-f]{16}")
-OPTIMISED, DRAFT = ".nbc", ".draft"
-FILE_NAME = re.compile(rf"[\w.]+-[0-9a-f]{{32}}(?:{OPTIMISED}|{DRAFT})(\.tmp\.[0-9a-f]{{16}})?")
+CODE = ".nbc"
+# Drafts were written by an earlier version.
+FILE_NAME = re.compile(rf"[\w.]+-[0-9a-f]{{32}}(?:{CODE}|\.draft)(\.tmp\.[0-9a-f]{{16}})?")
 # Folders of other versions go when they have not been used for so long, s; of more than so many, after a shorter time.
 UNUSED, MOST_KEPT, UNUSED_OF_MANY = 30 * 86400.0, 16, 86400.0
 
@@ -73,6 +61,9 @@ def cache_folder() -> Path:
     And of this compiler and processor: what is in the folder can be used. Where other users could have put code there
     a line says so, and the next folder is taken; the last one can never be made.
     """
+    with compiler_at_work():
+        from closedloop.jit.inside.machine import compiler_and_processor
+
     digest = hashlib.sha256(repr(compiler_and_processor()).encode())
     for text in source_texts(Path(__file__).parent.parent):
         digest.update(hashlib.sha256(text).digest())
@@ -100,7 +91,11 @@ def source_texts(package: Path) -> list[bytes]:
     for path in sorted(package.rglob("*.py")):
         with suppress(OSError):  # an editor's lock is a link that leads nowhere
             texts[path] = path.read_bytes()
-    found = {path for path, text in texts.items() if path.name in COMPILERS or any(mark in text for mark in MARKS)}
+    found = {
+        path
+        for path, text in texts.items()
+        if {path.name, path.parent.name} & {*COMPILERS} or any(mark in text for mark in MARKS)
+    }
     new = set(found)
     while new:
         named = {
@@ -112,27 +107,6 @@ def source_texts(package: Path) -> list[bytes]:
         new = {file for at in named for file in (at.with_suffix(".py"), at / "__init__.py") if file in texts} - found
         found |= new
     return [texts[path] for path in sorted(found)]
-
-
-@lru_cache(maxsize=1)
-def compiler_and_processor() -> tuple[Any, ...]:
-    """Return what compiled code depends on beside its source: versions, and the processor, which may be one's wish."""
-    with compiler_at_work():
-        import llvmlite
-        import llvmlite.binding as llvm
-        import numba
-        from numba.core import config
-
-        numba_settings: Any = config  # its attributes are made at run time, which type checkers cannot see
-        python = (sys.implementation.cache_tag, *sys.version_info[:3], getattr(sys, "abiflags", ""), sys.flags.optimize)
-        versions = (numba.__version__, llvmlite.__version__, np.__version__, *python)
-        name = numba_settings.CPU_NAME or llvm.get_host_cpu_name()
-        features = numba_settings.CPU_FEATURES
-        if features is None:
-            features = "" if numba_settings.CPU_NAME else llvm.get_host_cpu_features().flatten()
-        triple = llvm.get_process_triple()
-        settings = tuple(str(getattr(numba_settings, setting, None)) for setting in SETTINGS)
-    return (*versions, triple, name, features, *settings)
 
 
 def _cache_roots() -> Iterator[Path]:
@@ -220,18 +194,18 @@ def trusted_content(file: Path) -> bytes | None:
 _BINARY = getattr(os, "O_BINARY", 0)
 
 
-def is_kept(function: Callable[..., Any], form: str = OPTIMISED) -> bool:
-    """Whether some compiled form of an entry kernel is in the folder, OPTIMISED or a DRAFT."""
+def is_kept(function: Callable[..., Any]) -> bool:
+    """Whether some compiled form of an entry kernel is in the folder."""
     folder = cache_folder()
-    what = folder, function.__name__, form
+    what = folder, function.__name__
     if what not in _kept:  # it is asked before each run
         with suppress(OSError):
-            if any(folder.glob(f"*.{function.__name__}-*{form}")):
+            if any(folder.glob(f"*.{function.__name__}-*{CODE}")):
                 _kept.add(what)
     return what in _kept
 
 
-_kept: set[tuple[Path, str, str]] = set()
+_kept: set[tuple[Path, str]] = set()
 
 
 def why_not_kept() -> str:

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array, IntArray
+from closedloop.jit import plain_numba
 from closedloop.jit.uninterrupted import compiler_at_work
 
 # Views kept for an interpreted loop, which makes the same few at every step. They own no memory, so a view stays valid
@@ -86,6 +87,7 @@ _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _interpreted: dict[int, Entry] = {}
 _numbers = count(-1, -1)
 _addresses: WeakKeyDictionary[Any, int] = WeakKeyDictionary()  # of machine code, by the entries that keep it
+_plain: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()  # what keeps it, see `closedloop.jit.plain_numba`
 
 
 def call_at(address: int, loop: int, what: int) -> int:
@@ -118,10 +120,16 @@ def compiled_address(entry: Any) -> int:
     """
     if entry not in _addresses:
         with compiler_at_work():
-            from numba import types
+            from numba import cfunc, types
 
-            compiled = entry.get_compile_result(types.int64(types.int64, types.int64))
-            _addresses[entry] = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name))
+            kind = types.int64(types.int64, types.int64)
+            if plain_numba():
+                _plain[entry] = cfunc(kind, **entry.targetoptions)(entry.py_func)
+                _addresses[entry] = _plain[entry].address
+            else:
+                from closedloop.jit.inside.machine import address_of_compiled
+
+                _addresses[entry] = address_of_compiled(entry.get_compile_result(kind))
     return _addresses[entry]
 
 

@@ -32,11 +32,11 @@ class NotCompiledError(NotDualError):
 @contextmanager
 def refused_as_one_line() -> Iterator[None]:
     """Turn numba's error about a function that it cannot compile into one line."""
-    from numba.core.errors import NumbaError
+    import numba
 
     try:
         yield
-    except NumbaError as error:
+    except numba.errors.NumbaError as error:
         raise NotCompiledError(str(error).splitlines()[0]) from error
 
 
@@ -80,7 +80,7 @@ _twins = Twins(_twin_value)
 
 @cache
 def _in_place_of() -> dict[int, Any]:
-    from closedloop.jit.numba_dual8 import dual_fortran_at, dual_matrix_at, dual_vector_at
+    from closedloop.jit.inside.dual8 import dual_fortran_at, dual_matrix_at, dual_vector_at
 
     pairs = (
         (np, _NUMPY), (vector_at, dual_vector_at), (matrix_at, dual_matrix_at), (fortran_at, dual_fortran_at),

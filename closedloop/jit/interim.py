@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit import background
-from closedloop.jit.calls import Entry, entry_address, function_at
-from closedloop.jit.drafts import at_hand as has_draft
-from closedloop.jit.drafts import draft_address
+from closedloop.jit.calls import Entry, entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.jit.kernel import direct, needs_compiling
 
@@ -33,8 +31,7 @@ class Interim:
 
     After the first calls, and at each look, it is known what is sooner. Where compiling is, it is waited for; else a
     process in the background does it (`closedloop.jit.background`), and this one goes over to the compiled form as
-    soon as that is on the disk, and before it to a draft (`closedloop.jit.drafts`). Each call begins from what the
-    last one left, so nothing depends on when that is.
+    soon as that is on the disk. Each call begins from what the last one left, so nothing depends on when that is.
 
     Parameters
     ----------
@@ -50,8 +47,8 @@ class Interim:
         Called before the compiled form is, for the first time.
     called : sequence of callables
         What of this it calls by address.
-    on_draft : callable, optional
-        Called with whether the kernel itself has a draft, before drafts of these are used; without it none are.
+    on_called_compiled : callable
+        Called once these are compiled, though the kernel itself is not: from then on it may call them so.
     share_done : callable, optional
         Returns which share of all work is done; of the calls, if left out.
     later : sequence of callables
@@ -72,15 +69,14 @@ class Interim:
         on_compiled: Callable[[], None] = lambda: None,
         later: Sequence[Callable[..., Any]] = (),
         called: Sequence[Callable[..., Any]] = (),
-        on_draft: Callable[[bool], None] | None = None,
+        on_called_compiled: Callable[[], None] = lambda: None,
         share_done: Callable[[], float] | None = None,
     ) -> None:
         self._function, self._twin, self._written = function, interpreted(function), written
         self._calls, self._with_it = calls, (function, *with_it)
         self._later = later
-        self._on_compiled, self._on_draft, self._called, self._calls_drafts = on_compiled, on_draft, called, not called
+        self._on_compiled, self._on_called_compiled, self._called = on_compiled, on_called_compiled, called
         self._compiled: Callable[..., Any] | None = None
-        self._draft: Callable[..., Any] | None = None
         self._done, self._look_at = 0, 0.0
         self._share_done = share_done or (lambda: self._done / self._calls)
         # What was done at the last look, and the time of calls since, s.
@@ -101,9 +97,6 @@ class Interim:
             self._look_at = began + BETWEEN_LOOKS
             if self._is_to_be_compiled():
                 return self._compile(arguments)(*arguments)
-        if self._draft is not None:
-            self._done += 1
-            return self._draft(*arguments)
         before = _copies(self._written)
         busy = clock.thread_time()  # of the processor: on a loaded machine compiling takes longer by as much
         try:
@@ -134,38 +127,18 @@ class Interim:
         if self._done < PROBE and not _so_far[self._function.__name__] >= PROBE > self._calls:
             return False
         background.start([function for function in (*self._with_it, *self._later) if needs_compiling(function)])
-        if self._draft is not None:
-            return False
         share = self._share_done()
         gained = share - self._share or (self._done - self._done_then) / self._calls  # where work halts, by calls
         left = (1.0 - share) * self._seconds_since / gained if gained > 0.0 else 0.0
         self._share, self._seconds_since, self._done_then = share, 0.0, self._done
-        if self._takes_drafts():
+        wait = background.seconds_left(self._with_it)
+        if self._called and not any(map(needs_compiling, self._called)):
+            self._called = ()
+            self._on_called_compiled()
             return False
-        if self._on_draft is None:
-            return left > WORTH_WAITING * background.seconds_left(self._with_it)
-        needed = (self._function, *self._called)
-        wait = background.seconds_left(needed, background.DRAFT)
-        soon = not self._calls_drafts and background.seconds_left(self._called, background.DRAFT) < MUCH_SOONER * wait
-        if soon or left <= WORTH_WAITING * wait:
+        if self._called and background.seconds_left(self._called) < MUCH_SOONER * wait:
             return False
-        began = clock.perf_counter()
-        background.awaited(needed, has_draft)
-        self.compiling += clock.perf_counter() - began
-        return not self._takes_drafts()
-
-    def _takes_drafts(self) -> bool:
-        """Go over to drafts of what the kernel calls, once all are there, and to its own; whether that is new."""
-        if self._on_draft is None or not all(map(has_draft, self._called)):
-            return False
-        own = has_draft(self._function)
-        if not own and self._calls_drafts:
-            return False
-        self._on_draft(own)
-        self._calls_drafts = True
-        if own:
-            self._draft = function_at(draft_address(self._function))
-        return True
+        return left > WORTH_WAITING * wait
 
     def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         began = clock.perf_counter()

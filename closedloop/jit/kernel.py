@@ -15,6 +15,7 @@ from collections.abc import Callable
 from functools import cache, update_wrapper
 from typing import Any, TypeVar, cast
 
+from closedloop.jit import plain_numba as plain_numba
 from closedloop.jit.uninterrupted import compiler_at_work
 from robot_models.cached import cached_property
 
@@ -87,7 +88,7 @@ def _typeof(value: Any) -> Any:
 @cache
 def numba_ready() -> None:
     """Import numba, and teach it what is ours."""
-    from closedloop.jit import numba_blocks, numba_dual8, numba_simd8  # noqa: F401
+    from closedloop.jit.inside import blocks, dual8, simd8  # noqa: F401
 
 
 def _made(function: F, make: Callable[[Callable[..., Any]], Any]) -> F:
@@ -104,7 +105,9 @@ def kernel(function: F) -> F:
 
 
 def _nested(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    from closedloop.jit.inline_once import NestedFunction
+    if plain_numba():
+        return _njit(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
+    from closedloop.jit.inside.inline_once import NestedFunction
 
     def ordinary() -> Any:
         return _kept(function, _njit(function, **options))
@@ -115,19 +118,20 @@ def _nested(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 def _njit(function: Callable[..., Any], long_loops: bool = False, **options: Any) -> Any:
     import numba
 
-    from closedloop.jit.inline_once import EntryCompiler, LongLoopsCompiler
-
     decorate: Any = numba.njit  # its annotations do not know all that it takes
-    return decorate(pipeline_class=LongLoopsCompiler if long_loops else EntryCompiler, **options)(function)
+    if not plain_numba():
+        from closedloop.jit.inside.inline_once import EntryCompiler, LongLoopsCompiler
+
+        options["pipeline_class"] = LongLoopsCompiler if long_loops else EntryCompiler
+    return decorate(**options)(function)
 
 
 def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> Any:
     """Let what numba compiles for Python to call be kept on disk, and Ctrl-C wait until it is compiled."""
-    from closedloop.jit.compile_cache import KernelCache
+    if os.path.isfile(function.__code__.co_filename) and not plain_numba():
+        from closedloop.jit.inside.compile_cache import KernelCache
 
-    if os.path.isfile(function.__code__.co_filename):
-        kept: Any = function
-        kept.kept_by = compiled._cache = KernelCache(function, identity)
+        compiled._cache = KernelCache(function, identity)
     compile_now = compiled.compile
 
     def compile_uninterrupted(signature: Any) -> Any:
@@ -214,6 +218,8 @@ def needs_compiling(function: Callable[..., Any]) -> bool:
     dispatcher: Any = vars(function).get("dispatcher") if isinstance(function, Kernel) else function
     if getattr(dispatcher, "overloads", None) or jit_disabled():
         return False
+    if plain_numba():
+        return True
     from closedloop.jit.cache_folder import is_kept
 
     return not is_kept(function)

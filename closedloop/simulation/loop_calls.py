@@ -20,7 +20,6 @@ from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, start, takes_long
 from closedloop.jit.blocks import arrays_of
 from closedloop.jit.calls import address_of
-from closedloop.jit.drafts import draft_address
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead, compiles_ahead
 from closedloop.jit.kernel import direct
 from closedloop.loop.events.impacts import collide
@@ -311,14 +310,10 @@ def begun(
     waited_for = [*kernels, *filter(takes_long, called)]
     if not all(map(at_hand, waited_for)):
         calls = problem.steps * problem.integrator.stages
-
-        def connect_drafts(of_loop: bool) -> None:
-            connect(machine=draft_address, loop_compiled=of_loop)
-
         return Interim(
-            kernels[0], loop.written, calls, with_it, connect, once, called,
-            None if engine == COMPILED else connect_drafts,
-            lambda: float(loop.state.row) / problem.steps,
+            kernels[0], loop.written, calls, with_it, connect, once,
+            called=() if engine == COMPILED else called, on_called_compiled=lambda: connect(loop_compiled=False),
+            share_done=lambda: float(loop.state.row) / problem.steps,
         )  # fmt: skip
     make_ready(*waited_for)
     start([function for function in (*with_it, *once) if not at_hand(function)])

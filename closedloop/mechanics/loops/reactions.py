@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array, Mask
-from closedloop.jit.background import awaited
+from closedloop.jit.background import make_ready
 from closedloop.jit.calls import vector_at
 from closedloop.jit.interim import call_now
 from closedloop.jit.interpreted import interpreted
@@ -255,7 +255,7 @@ def loop_rows(robot: Robot, q: Array, v: Array, time: Array | None = None) -> tu
         frames[k] = memory.placed
     written = memory.rows.memory, memory.links.memory, rows, errors
     if count > FEW_STATES:
-        awaited((rows_along,))
+        make_ready(rows_along)
     call_now(rows_along, written, memory.address, *states, frames, rows, errors)
     return rows, errors
 

@@ -15,8 +15,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.law import LawInput
 from closedloop.jit.calls import is_compiled
-from closedloop.jit.inline_once import NestedFunction
-from closedloop.jit.kernel import numba_ready
+from closedloop.jit.kernel import numba_ready, plain_numba
 from closedloop.jit.uninterrupted import compiler_at_work
 from closedloop.jit.user_code import why_not_compiled
 from closedloop.loop.step.entries import TORQUE, law_input
@@ -107,10 +106,11 @@ with compiler_at_work():
 def _inner(function: Any) -> Any:
     """Compile a part of an entry: only compiled code calls it, so it is optimised once, in the entry."""
 
-    def ordinary() -> Any:
+    if plain_numba():
         return numba.njit(function)
+    from closedloop.jit.inside.inline_once import NestedFunction
 
-    return NestedFunction(function, {}, ordinary)
+    return NestedFunction(function, {}, lambda: numba.njit(function))
 
 
 def _entry_of(law: Any, ways: Arguments) -> Any:

@@ -11,8 +11,8 @@ from typing import Any
 
 from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.calls import call_at, integers_at, matrix_at
+from closedloop.jit.inside.simd8 import lane, lane_at, put_at, with_lane
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.jit.numba_simd8 import lane, lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE, every, select
 from closedloop.loop.events.locate import slip_margin
 from closedloop.loop.events.substep import save_slip

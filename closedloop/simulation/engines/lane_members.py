@@ -13,8 +13,8 @@ from closedloop.base.arrays import Array, IntArray
 from closedloop.control.reference.table import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, row_of, vector_at
+from closedloop.jit.inside.simd8 import lane, lane_at, put_at, with_lane
 from closedloop.jit.kernel import kernel
-from closedloop.jit.numba_simd8 import lane, lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, NO_TRIAL, STEP_END, TERMS, request_terms
 from closedloop.loop.step.memory import Constants, N, State, Work, loop_at

@@ -21,8 +21,8 @@ from closedloop.control.reference.table import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import address_of, entry_address, integers_at, matrix_at, vector_at
+from closedloop.jit.inside.simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain
-from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.simd8 import WIDE, aligned, every
 from closedloop.loop.events.phases import INITIAL_EVENTS
 from closedloop.loop.events.table import EVENT_WIDTH

@@ -242,7 +242,7 @@ class Problem(ScenarioNumbers):
         form : callable
             Returns the form of an entry that is called, see `closedloop.jit.dual.dual`.
         machine : callable
-            Returns the address of an entry's machine code, see `closedloop.jit.drafts`.
+            Returns the address of an entry's machine code.
         loop_compiled : bool
             Whether the loop itself is machine code too; interpreted, it can call what is.
         """

@@ -21,8 +21,8 @@ from closedloop.base.arrays import Array
 from closedloop.control.reference.table import TableRow
 from closedloop.control.sensor import SensorParameters, bias_at, sense, sensor_rates, signal_of
 from closedloop.jit.calls import address_of, call_at, entry_address, integers_at, matrix_at, row_of, vector_at
+from closedloop.jit.inside.simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel, kernel_inlined, plain
-from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.simd8 import WIDE, aligned, every, select
 from closedloop.loop.events.locate import slip_margin
 from closedloop.loop.events.substep import save_slip

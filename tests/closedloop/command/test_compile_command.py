@@ -17,7 +17,7 @@ from closedloop.command import compile_all
 from closedloop.command.compile_all import pieces
 from closedloop.control.law import COMPENSATIONS, LAWS
 from closedloop.jit.cache_folder import cache_folder
-from closedloop.jit.compile_cache import KernelCache
+from closedloop.jit.inside.compile_cache import KernelCache
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
 from closedloop.mechanics.surface.motion import MOTIONS
 from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES
@@ -108,7 +108,7 @@ def test_without_a_compiler():
 # Asks each piece for what it compiles, and notes what it has asked the cache for so far.
 ASKED = """
 from closedloop.command.compile_all import pieces
-from closedloop.jit.compile_cache import KernelCache
+from closedloop.jit.inside.compile_cache import KernelCache
 asked, load = set(), KernelCache.load_overload
 def noted(self, *rest):
     asked.add(self._function.__name__)

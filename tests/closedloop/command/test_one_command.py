@@ -13,12 +13,13 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.command.robots import checks, names
+from closedloop.command.robots import names
 from closedloop.command.table import COMMANDS, overview
 from closedloop.control.law import LAWS, ControlLaw
 from closedloop.mechanics.loops import reactions
 from closedloop.scenario.overrides import toml_value
 from validation.loops.mechanisms import MECHANISMS
+from validation.robot_check import checks
 
 ROOT = Path(cl.__file__).parent.parent
 

@@ -19,8 +19,8 @@ from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.tip_space import motion_along_normal, pseudo_inverse, surface_mobility
 from closedloop.jit.calls import address_of, matrix_of
+from closedloop.jit.inside.dual8 import dual_vector_at
 from closedloop.jit.kernel import numba_ready, plain
-from closedloop.jit.numba_dual8 import dual_vector_at
 from closedloop.jit.simd8 import WIDE, aligned
 from closedloop.simulation.engines.scenario_numbers import pack_law
 

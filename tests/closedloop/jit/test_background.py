@@ -133,7 +133,6 @@ def test_how_long_it_still_takes(folder, monkeypatch):
     contacts, step, brief = (background.seconds_of([each]) for each in (contacts_in_step, proceed_at, collide))
     assert background.seconds_left([contacts_in_step, proceed_at]) == max(contacts, step)
     assert background.seconds_left([collide]) == step + brief
-    assert background.seconds_left([contacts_in_step], background.DRAFT) == background.DRAFT * contacts
     clock.sleep(5.0)
     assert background.seconds_left([contacts_in_step]) == pytest.approx(contacts - 5.0 * background.OF_A_CORE)
     clock.sleep(100.0)

@@ -11,8 +11,8 @@ import pytest
 from numba import float64, int64
 
 import closedloop as cl
-from closedloop.jit import compile_cache
 from closedloop.jit.cache_folder import MARKER
+from closedloop.jit.inside import compile_cache
 
 ROOT = Path(cl.__file__).parent.parent
 SOURCE = """

@@ -9,8 +9,8 @@ import pytest
 
 from closedloop.jit import dual8
 from closedloop.jit.calls import address_of
+from closedloop.jit.inside.dual8 import dual_vector_at
 from closedloop.jit.kernel import numba_ready
-from closedloop.jit.numba_dual8 import dual_vector_at
 from closedloop.jit.simd8 import WIDE, aligned, nearest, select
 
 numba_ready()

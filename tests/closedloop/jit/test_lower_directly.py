@@ -13,8 +13,8 @@ from numba.core.registry import cpu_target
 from numba.core.runtime import _nrt_python, rtsys
 from numba.core.targetconfig import ConfigStack
 
+from closedloop.jit.inside.typing_once import call_type
 from closedloop.jit.kernel import kernel
-from closedloop.jit.typing_once import call_type
 
 
 def _elements(x, m, f, every_second, whole, flags, last):
@@ -118,7 +118,7 @@ def test_an_answer_that_is_compiled_serves_callers_with_the_same_flags():
 
 def test_memory_of_a_user_is_released():
     """A law that numba compiles may own memory: its parts of ours count references, and leave none."""
-    from closedloop.jit.inline_once import NestedFunction
+    from closedloop.jit.inside.inline_once import NestedFunction
 
     def twice(x):
         def sum_of(y):  # a function within the function

@@ -9,7 +9,7 @@ import pytest
 from numba.core.errors import TypingError
 
 from closedloop.jit.calls import address_of
-from closedloop.jit.numba_simd8 import float64x8_at, lane, lane_at, put_at, with_lane
+from closedloop.jit.inside.simd8 import float64x8_at, lane, lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE, aligned, every, nearest, select
 
 compiled = numba.njit(error_model="numpy")

@@ -11,7 +11,7 @@ from budget import budget
 
 import closedloop as cl
 from closedloop.control.reference.follow import follow
-from closedloop.jit import background, cache_folder, calls, compile_cache, drafts, interim
+from closedloop.jit import background, calls, interim
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interim import PROBE, Interim
 from closedloop.jit.interpreted import interpreted
@@ -251,61 +251,49 @@ def test_it_is_judged_again(monkeypatch):
     assert waited == [6]
 
 
-def test_a_draft_serves_until_the_compiled_form_is_there(monkeypatch):
-    """It is called once the kernel and what that calls have one, the latter before, and until all is compiled."""
+def test_what_a_kernel_calls_is_used_as_soon_as_it_is_compiled(monkeypatch):
+    """Once, before the kernel itself is, which goes on interpreted until then."""
     ready, done, out = {}, [], np.zeros(2)
-
-    def drafted(*arguments):
-        done.append("draft")
-        return over.py_func(*arguments)
-
     monkeypatch.setattr(interim, "PROBE", 2)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.0)
-    monkeypatch.setattr(interim, "has_draft", lambda function: ready["draft" if function is over else "called"])
-    monkeypatch.setattr(interim, "draft_address", lambda function: 1 if function is over else pytest.fail("another"))
-    monkeypatch.setattr(interim, "function_at", lambda address: drafted if address == 1 else pytest.fail("another"))
-    monkeypatch.setattr(interim, "needs_compiling", lambda function: not ready["compiled"])
+    monkeypatch.setattr(interim, "needs_compiling", lambda function: not ready["all" if function is over else "called"])
     monkeypatch.setattr(interim, "direct", lambda function, *arguments: function.py_func)
     monkeypatch.setattr(background, "start", lambda functions: None)
-    monkeypatch.setattr(background, "seconds_left", lambda functions, share=1.0: 1e9)
-    kernel = Interim(over, (out,), 12, called=(collide,), on_draft=done.append)
+    monkeypatch.setattr(background, "make_ready", lambda *functions: None)
+    monkeypatch.setattr(background, "seconds_left", lambda functions: 1e9)
+    kernel = Interim(
+        over, (out,), 12, called=(collide,), on_called_compiled=lambda: done.append("called"),
+        on_compiled=lambda: done.append("all"),
+    )  # fmt: skip
     for call in range(12):
-        ready.update(called=call >= 3, draft=call >= 5, compiled=call >= 8)
+        ready.update(called=call >= 3, all=call >= 8)
         kernel(2.0, out)
-    assert done == [False, True, *["draft"] * 3]
+    assert done == ["called", "all"]
     assert out[0] == 12.0
     assert not kernel.interpreting
 
 
-DRAFTED = budget(("an observer, a sensor", "loops"), ("an observer, a sensor", "loops", "contacts of links"))
+CALLED = budget(("an observer, a sensor", "loops"), ("an observer, a sensor", "loops", "contacts of links"))
 
 
 @pytest.mark.slow
-def test_a_run_on_drafts_is_the_compiled_one_to_the_last_bit(tmp_path, monkeypatch):
-    """The step, loops, laws of friction and of compensation, before they are optimised; in full contacts of links."""
-    scenarios = [cl.load_scenario(name, SHORT | more) for name, more in map(CASES.get, DRAFTED)]
-    sound = [bits(cl.simulate(scenario)) for scenario in scenarios]
-    mine = tmp_path / "closedloop-0123456789abcdef"
-    for module in (cache_folder, compile_cache):
-        monkeypatch.setattr(module, "cache_folder", lambda: mine)
-    cache_folder.claim(mine)
-    problems = list(map(prepare, scenarios))
-    entries = {entry for problem in problems for entry in problem.called(problem.loop())} | {proceed_at}
-    with drafts.written_first(), monkeypatch.context() as unfinished:
-        unfinished.setattr(compile_cache.KernelCache, "save_overload", lambda *_: None)
-        for entry in entries:  # anew, as nobody has compiled it yet
-            calls.entry_address(type(entry)(entry.py_func, entry.make))
-    assert len(list(mine.glob("*.draft"))) == len(entries)
+@pytest.mark.parametrize("name", CALLED)
+def test_an_interpreted_loop_calls_what_is_compiled(name, monkeypatch):
+    """What it calls by address may be there before it: the same bits, and none of it is interpreted any more."""
+    scenario = cl.load_scenario(CASES[name][0], SHORT | CASES[name][1])
+    sound, called = bits(cl.simulate(scenario)), set()
+    function_at = calls.function_at
+    monkeypatch.setattr(calls, "function_at", lambda address: called.add(address) or function_at(address))
     monkeypatch.setattr(background, "refused", lambda: "")
     monkeypatch.setattr(background, "start", lambda functions: None)
+    monkeypatch.setattr(background, "seconds_left", lambda functions: 1e9)
     monkeypatch.setattr(interim, "PROBE", 3)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.0)
-    for module in (interim, background, drafts):
-        monkeypatch.setattr(module, "needs_compiling", lambda function: function in entries)
+    monkeypatch.setattr(interim, "needs_compiling", lambda function: function is proceed_at)
     monkeypatch.setattr(interim, "direct", lambda function, *_: pytest.fail(f"{function.__name__} is compiled"))
-    for scenario, expected in zip(scenarios, sound, strict=True):
-        assert bits(prepare(scenario).run()) == expected
-    assert set(drafts._loaded) >= entries
+    problem = prepare(scenario)
+    assert bits(problem.run()) == sound
+    assert called >= {calls.entry_address(entry) for entry in problem.called(problem.loop())}
 
 
 def test_a_run_asks_again_until_its_loop_is_compiled(monkeypatch):
@@ -363,12 +351,11 @@ def test_the_same_run_goes_over_to_the_compiled_form(monkeypatch):
     monkeypatch.setattr(background, "start", lambda functions: None)
     monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.01)
     lacking = lambda function: function is proceed_at and not (loops and loops[0]._done >= 2 * PROBE)  # noqa: E731
-    for module in (interim, drafts):
-        monkeypatch.setattr(module, "needs_compiling", lacking)
+    monkeypatch.setattr(interim, "needs_compiling", lacking)
     init = Interim.__init__
 
-    def noted(self, *arguments):
-        init(self, *arguments)
+    def noted(self, *arguments, **named):
+        init(self, *arguments, **named)
         loops.append(self)
 
     monkeypatch.setattr(Interim, "__init__", noted)

@@ -25,8 +25,8 @@ from numba.core.typed_passes import IRLegalization, NativeLowering, NopythonRewr
 from numba.core.types import unliteral
 from numba.core.untyped_passes import InlineClosureLikes, TranslateByteCode
 
-from closedloop.jit.lower_directly import LowerDirectly
-from closedloop.jit.typing_once import InferOnce
+from closedloop.jit.inside.lower_directly import LowerDirectly
+from closedloop.jit.inside.typing_once import InferOnce
 from robot_models.cached import cached_property
 
 
@@ -100,15 +100,11 @@ class EntryLibrary(KernelLibrary):
     """
 
     vectorised = False
-    write_draft: Callable[[Any], None] | None = None  # see `closedloop.jit.drafts`
-    called_as, kept_by = "", (None, ())  # the name by which it is called by address; its cache, and types of arguments
 
     def finalize(self) -> None:
         """Link all that this code calls, and optimise it."""
         _link(self, self._final_module)
         self._linking_libraries = []
-        if EntryLibrary.write_draft is not None:
-            EntryLibrary.write_draft(self)
         super().finalize()
 
     def _optimize_final_module(self) -> None:
@@ -147,7 +143,6 @@ class MakeEntry(AnalysisPass):
     def run_pass(self, state: Any) -> bool:
         """Make the library before numba would make an ordinary one."""
         library = state["library"] = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
-        library.kept_by = getattr(state.func_id.func, "kept_by", None), state.args
         library.enable_object_caching()
         return False
 

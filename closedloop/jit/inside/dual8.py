@@ -16,7 +16,7 @@ from numba.core.typing.templates import signature
 from numba.extending import intrinsic, lower_cast
 
 from closedloop.jit.dual8 import MANY, along, has_derivatives, settled, slope_of, sought
-from closedloop.jit.numba_simd8 import DOUBLES, LANE, Vector, made_of, repeated, teach, vectors_at
+from closedloop.jit.inside.simd8 import DOUBLES, LANE, Vector, made_of, repeated, teach, vectors_at
 from closedloop.jit.simd8 import WIDE
 
 _intrinsic: Any = intrinsic

@@ -18,8 +18,8 @@ from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
 from numba.np.arrayobj import load_item, store_item
 
-from closedloop.jit.numba_blocks import array_part
-from closedloop.jit.typing_once import call_type
+from closedloop.jit.inside.blocks import array_part
+from closedloop.jit.inside.typing_once import call_type
 
 # Of these, numba has forms for a whole number that is known when compiling.
 _WITH_KNOWN_NUMBERS = operator.pow, operator.ipow
@@ -97,11 +97,6 @@ class DirectLower(Lower):
         number = self.context.cast(self.builder, self.loadvar(value.name), self.typeof(value.name), kind.dtype)
         store_item(self.context, self.builder, kind, number, pointer)
         return self.context.get_dummy_value()
-
-    def create_cfunc_wrapper(self) -> None:
-        """Write the function that is called by address, and note its name."""
-        super().create_cfunc_wrapper()
-        self.library.called_as = self.fndesc.llvm_cfunc_wrapper_name
 
     def _ours(self) -> bool:
         """Whether the function is of this package: none of its indices counts from the end."""

@@ -16,7 +16,7 @@ from numba.core.compiler_machinery import register_pass
 from numba.core.targetconfig import ConfigStack
 from numba.core.typed_passes import NopythonTypeInference
 
-# The types of which the answer is kept; `closedloop.jit.numba_simd8` adds its own.
+# The types of which the answer is kept; `closedloop.jit.inside.simd8` adds its own.
 plain: list[type[types.Type]] = [types.Number, types.Boolean, types.Array, types.UniTuple, types.SliceType]
 
 # Flags that functions are compiled with, each once; and those asked for last, with their place among them.

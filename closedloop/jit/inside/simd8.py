@@ -4,7 +4,7 @@ Numbers of eight lanes in compiled code: what `float64x8` and `dual8` share.
 
 Both are a register of eight float64. They differ in what each operation does with the lanes: each lane for itself
 (`float64x8`, see `closedloop.jit.simd8`), or lane 0 the value and the others its derivatives
-(`closedloop.jit.numba_dual8`).
+(`closedloop.jit.inside.dual8`).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, overlo
 from numba.np.arrayobj import make_array
 
 from closedloop.jit.dual8 import has_derivatives, sought
-from closedloop.jit.numba_blocks import array_on
+from closedloop.jit.inside.blocks import array_on
+from closedloop.jit.inside.typing_once import plain
 from closedloop.jit.simd8 import MANY_TURNS, WIDE, every, nearest, select
-from closedloop.jit.typing_once import plain
 
 DOUBLES = ir.VectorType(ir.DoubleType(), WIDE)
 LANE = ir.IntType(32)

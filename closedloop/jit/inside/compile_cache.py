@@ -11,30 +11,41 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import sys
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from numba.core.caching import IndexDataCacheFile, _Cache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from closedloop.jit.cache_folder import (
-    DRAFT,
-    MAGIC,
-    OPTIMISED,
-    cache_folder,
-    claim,
-    compiler_and_processor,
-    forget_old_caches,
-    trusted_content,
-)
+from closedloop.jit.cache_folder import CODE, MAGIC, cache_folder, claim, forget_old_caches, trusted_content
 from closedloop.jit.depends import users_text
-from closedloop.jit.scipy_later import import_array_functions
+from closedloop.jit.inside.machine import compiler_and_processor
 from robot_models.cached import cached_property
+
+BLAS = "scipy.linalg.cython_blas"
+
+
+def import_array_functions() -> None:
+    """Import numba's array functions, if they are not there yet, as if scipy's BLAS were imported already.
+
+    numba does so when it loads or compiles its first function, and imports all of scipy.linalg to detect BLAS: 0.3 s of
+    processor time, for functions that no kernel here calls. Code that uses BLAS imports it before it is compiled.
+    """
+    if "numba.np.arraymath" in sys.modules or "scipy.linalg" in sys.modules or find_spec("scipy") is None:
+        return
+    sys.modules[BLAS] = ModuleType(BLAS)
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        del sys.modules[BLAS]
 
 
 class KernelCache(_Cache):
@@ -71,7 +82,7 @@ class KernelCache(_Cache):
         target_context.refresh()
         codegen = target_context.codegen()
         try:
-            form = self._load(sig, codegen, OPTIMISED)
+            form = self._load(sig, codegen)
             found = form and CompileResult._rebuild(target_context, *form)
         except Exception:  # as it was written, but by another version of some package: anything may be missing
             return None
@@ -86,22 +97,11 @@ class KernelCache(_Cache):
         if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
             return
         with suppress(OSError):
-            self._save(sig, data.codegen, OPTIMISED, data._reduce())
-            self._file(sig, data.codegen, DRAFT).unlink(missing_ok=True)
+            self._save(sig, data.codegen, data._reduce())
             _forget_once()
 
-    def save_draft(self, sig: Any, codegen: Any, draft: tuple[str, bytes]) -> None:
-        """Keep a draft, see `closedloop.jit.drafts`, until there is a compiled form: its name, its machine code."""
-        with suppress(OSError):
-            self._save(sig, codegen, DRAFT, draft)
-
-    def load_draft(self, sig: Any, codegen: Any) -> Any:
-        """Return what `save_draft` has kept, or None if it is not there as it was written."""
-        with suppress(Exception):
-            return self._load(sig, codegen, DRAFT)
-
-    def _load(self, sig: Any, codegen: Any, form: str) -> Any:
-        file = self._file(sig, codegen, form)
+    def _load(self, sig: Any, codegen: Any) -> Any:
+        file = self._file(sig, codegen)
         content = trusted_content(file)
         if content is None:
             return None
@@ -111,9 +111,9 @@ class KernelCache(_Cache):
         key, found = IndexDataCacheFile(str(file.parent), "", None)._load_data(file.name)
         return found if key == self._key(sig, codegen) else None
 
-    def _save(self, sig: Any, codegen: Any, form: str, data: Any) -> None:
+    def _save(self, sig: Any, codegen: Any, data: Any) -> None:
         code = dumps((self._key(sig, codegen), data))
-        file = self._file(sig, codegen, form)
+        file = self._file(sig, codegen)
         unfinished = file.with_name(f"{file.name}.tmp.{uuid.uuid4().hex[:16]}")
         claim(file.parent)
         try:
@@ -149,11 +149,11 @@ class KernelCache(_Cache):
         where = (self._function.__module__, os.path.basename(code.co_filename), code.co_firstlineno, self._identity)
         return repr((str(_arguments(sig)), codegen.magic_tuple(), compiler_and_processor(), where))
 
-    def _file(self, sig: Any, codegen: Any, form: str = OPTIMISED) -> Path:
+    def _file(self, sig: Any, codegen: Any) -> Path:
         function = self._function
         name = re.sub(r"[^\w.]", "", f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}")
         digest = hashlib.sha256(self._place(sig, codegen).encode(errors="surrogatepass")).hexdigest()
-        return cache_folder() / f"{name}-{digest[:32]}{form}"
+        return cache_folder() / f"{name}-{digest[:32]}{CODE}"
 
 
 def _arguments(sig: Any) -> Any:

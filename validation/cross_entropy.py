@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from closedloop.base.arrays import Array
-from closedloop.gym.policy import LinearPolicy
 from closedloop.gym.task import TASKS, Task
 from closedloop.gym.vector import ContactVectorEnv
+from validation.policy import LinearPolicy
 
 # Cost of an episode that could not be simulated to its end, N²: worse than any that could.
 STOPPED = 1e4

@@ -21,8 +21,8 @@ import closedloop as cl
 from closedloop.base.arrays import Array
 from closedloop.base.files import write_whole
 from closedloop.gym import TASKS
-from closedloop.gym.policy import LinearPolicy
 from validation.cross_entropy import Episodes, learn_to_press
+from validation.policy import LinearPolicy
 
 PRESS = str(TASKS["press"].scenario)
 SECONDS, SETTLED = 1.5, 0.5

@@ -15,7 +15,7 @@ from closedloop.base.arrays import plain
 from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.command.border import DONE, Parser, as_command
-from closedloop.command.shared_options import add_figure_options, drawn_as, formats_of
+from closedloop.command.shared_options import add_figure_options, drawn_as, formats_of, parsed
 
 if TYPE_CHECKING:
     from closedloop.studies.analysis.stability import Range, Stability
@@ -28,11 +28,7 @@ POINTS, TRIED = 60, (0.25, 0.5, 0.75)
 def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
     from closedloop.scenario.load import load_scenario
-    from closedloop.scenario.overrides import split_overrides
-    from closedloop.scenario.user_module import name_members
 
-    overrides, rest = split_overrides(words)
-    name_members(overrides.items())
     parser = Parser(
         prog="closedloop analyse",
         description="Linearise the force loop about its motion: margins, poles, and where it becomes unstable.",
@@ -49,7 +45,7 @@ def main(words: list[str]) -> int:
     )  # fmt: skip
     parser.add_argument("--no-runs", action="store_true", help="do not try whole runs beside the limits")
     add_figure_options(parser)
-    options = parser.parse_args(rest)
+    options, overrides = parsed(parser, words)
     formats_of(options)
     style = drawn_as(options)
     if len(options.vary) > 2:
@@ -83,11 +79,12 @@ def _analyse(study: Stability, ranges: list[tuple[Range, int]], folder: Path | N
     else:
         print("\n".join([*page.lines(), *lines]))
     if folder is not None:
-        from closedloop.studies.analysis.figures import draw_page, written
+        from closedloop.figures.files import write_figure
+        from closedloop.studies.analysis.figures import draw_page
 
         paths = [write_whole(folder / "analysis.json", (json.dumps(report, indent=2) + "\n").encode())]
         paths += draw_page(page, folder, formats_of(options))
-        paths += [written(figure, folder / name, formats_of(options)) for name, figure in drawn]
+        paths += [write_figure(figure, folder / name, formats_of(options)) for name, figure in drawn]
         if not options.json:
             print(what_was_written(*paths))
 

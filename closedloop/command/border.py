@@ -99,8 +99,8 @@ def run_command(
         sys.stdout.reconfigure(errors="backslashreplace")
     with _quiet_libraries(), _notices():
         status, lines = _run(main, words, stopped)
-        if failure := _failure_of_output():
-            lines, status = lines or (failure,), status or BAD_INPUT
+        if (failure := _failure_of_output()) and status in (DONE, BAD_INPUT):
+            lines, status = (failure,), BAD_INPUT
         with suppress(OSError):
             for said in lines:
                 print(f"{name}: {one_line(said)}", file=sys.stderr)

@@ -5,11 +5,9 @@ Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the
 
 from __future__ import annotations
 
-import json
-
-from closedloop.base.errors import printable
 from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.command.border import DONE, Parser, as_command
+from closedloop.command.shared_options import parsed, print_outcome
 
 
 @as_command()
@@ -17,10 +15,7 @@ def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
     from closedloop.command.identify import mapped
     from closedloop.scenario.load import load_scenario
-    from closedloop.scenario.overrides import split_overrides
-    from closedloop.scenario.user_module import name_members
 
-    overrides, rest = split_overrides(words)
     parser = Parser(
         prog="closedloop compare",
         description="Compare a log of a robot, or a saved run, with a scenario. The log is aligned in time. The output "
@@ -42,8 +37,7 @@ def main(words: list[str]) -> int:
     parser.add_argument("--cutoff", type=float, metavar="HZ", help="cut-off of the filters in the audit of the force")
     parser.add_argument("--out", metavar="DIR", help="where comparison.json and comparison.svg go (default: nowhere)")
     parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
-    options = parser.parse_args(rest)
-    name_members(overrides.items())
+    options, overrides = parsed(parser, words)
     folder = made_folder(options.out) if options.out else None
 
     from closedloop.simulation.prepare import load_model
@@ -56,15 +50,12 @@ def main(words: list[str]) -> int:
         options.log, robot, columns=dict(options.columns), degrees=options.degrees, gain=options.gain
     )
     found = compare_log(recording, scenario, shift=options.shift, cutoff=options.cutoff)
-    report = json.dumps(found.as_dict(), indent=2, allow_nan=False)
-    print(report if options.json else "\n".join(map(printable, found.lines())))
+    report = print_outcome(found, options.json)
     if folder is not None:
-        import io
+        from closedloop.figures.files import write_figure
 
-        image = io.BytesIO()
-        found.figure().savefig(image, format="svg")
         write_whole(folder / "comparison.json", f"{report}\n".encode())
-        write_whole(folder / "comparison.svg", image.getvalue())
+        write_figure(found.figure(), folder / "comparison", (".svg",))
         if not options.json:
             print(what_was_written("comparison.json", "comparison.svg", folder=folder))
     return DONE

@@ -59,6 +59,8 @@ def pieces() -> tuple[Piece, ...]:
 
 
 def _kernels() -> tuple[Piece, ...]:
+    from closedloop.simulation.engines.lanes import FEWEST
+
     return (
         Piece("walk", "inverse kinematics of a path", _problem),
         Piece("sample_spline", "a path of joints", _problem),
@@ -66,8 +68,8 @@ def _kernels() -> tuple[Piece, ...]:
         Piece("complete_record", "the end of a record", _record),
         Piece("collide", "impacts", _impacts),
         Piece("run_compiled", "the compiled engine's terms", _compiled_engine, "proceed_at"),
-        Piece("measure_rows", "values of a batch's runs", _measures, "run_compiled"),
-        Piece("run_in_lanes", "eight runs of a batch at a time", _batch, "measure_rows"),
+        Piece("measure_rows", "values of a batch's runs", lambda: _batch(1), "run_compiled"),
+        Piece("run_in_lanes", "eight runs of a batch at a time", lambda: _batch(FEWEST), "measure_rows"),
         Piece("_impact", "a single impact", _impact),
         Piece("put_on_surface", "a path on a surface", lambda: _path("put_on_surface")),
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
@@ -230,10 +232,8 @@ def _energies() -> None:
     import numpy as np
 
     from closedloop.mechanics.robot.tree import potential_energies, work_size
-    from closedloop.scenario.load import load_scenario
-    from closedloop.simulation.prepare import prepare
 
-    robot = prepare(load_scenario("planar2_slide", {"time.duration": 0.002})).robot
+    robot = _problem().robot
     potential_energies(robot.tree, np.zeros((1, robot.n)), np.zeros(int(work_size(robot.n))), np.zeros(1))
 
 
@@ -265,22 +265,12 @@ def _impact() -> None:
     two_phase_impact(np.eye(3), np.array([-1.0, 0.0, 0.0]), 0.5, friction=0.1)
 
 
-def _measures() -> None:
+def _batch(runs: int) -> None:
     if find_spec("pyarrow") is None:  # without it there are no batches, which alone need this
         return
-    from closedloop.scenario.load import load_scenario
     from closedloop.simulation.batch.simulate_batch import simulate_batch
 
-    simulate_batch(load_scenario("planar2_slide", {"time.duration": 0.002}), {"law.force": [10.0]}, workers=1)
-
-
-def _batch() -> None:
-    from closedloop.scenario.load import load_scenario
-    from closedloop.simulation.batch.simulate_batch import simulate_batch
-    from closedloop.simulation.engines.lanes import FEWEST
-
-    scenario = load_scenario("planar2_slide", {"time.duration": 0.002})
-    simulate_batch(scenario, {"law.force": [10.0 + i for i in range(FEWEST)]}, workers=1)
+    simulate_batch(_problem().scenario, {"law.force": [10.0 + i for i in range(runs)]}, workers=1)
 
 
 MOST_WORKERS = 8  # more would wait for what is compiled one after the other

@@ -175,11 +175,6 @@ def held(name: str) -> RobotModel:
     return robot_models.load(name, lock=dict(model.locked) | stand)
 
 
-def has_limits(robot: Robot) -> bool:
-    """Whether a joint has a limit."""
-    return bool(np.isfinite([robot.model.position_lower, robot.model.position_upper]).any())
-
-
 def _postures(robot: Robot, normal: tuple[float, float, float], faults: Faults) -> Iterator[Posture]:
     """Return the postures that will do if the joints are strong enough, and note why others do not."""
     model, rng = robot.model, np.random.default_rng(SEED)
@@ -354,11 +349,12 @@ def _with_gains(
             "kind": "line", "direction": list(direction), "speed": speed, "start": BEGIN, "stop": END,
             "timing": "minimum_jerk",
         }  # fmt: skip
+    bounded = bool(np.isfinite([robot.model.position_lower, robot.model.position_upper]).any())
     frequency = np.minimum(FREQUENCY, MOST_DAMPING / np.maximum(damping, MOST_DAMPING / FREQUENCY))
     while True:
-        kp, kd = ([_rounded(x) for x in gain * inertia] for gain in (frequency * frequency, 2.0 * frequency))
+        kp, kd = ([float(f"{x:.2g}") for x in gain * inertia] for gain in (frequency * frequency, 2.0 * frequency))
         data: dict[str, Any] = {
-            "robot": {"model": name, "tip": robot.tip, "stops": has_limits(robot)}
+            "robot": {"model": name, "tip": robot.tip, "stops": bounded}
             | ({"lock": dict(robot.model.locked)} if robot.model.locked else {}),
             "start": {"q": q.tolist()} | ({"assemble": True} if robot.model.loops else {}),
             "surface": {"kind": "plane", "normal": list(normal)},
@@ -370,10 +366,6 @@ def _with_gains(
         if np.max(frequency) < 1.0 or not _fault_of_gains(scenario, robot):
             return scenario
         frequency *= 0.7
-
-
-def _rounded(x: float) -> float:
-    return float(f"{x:.2g}")
 
 
 def _fault_of_gains(scenario: Scenario, robot: Robot) -> str:

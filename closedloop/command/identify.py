@@ -57,10 +57,10 @@ def _contact(
     folder: Path,
 ) -> int:  # fmt: skip
     """Identify the contact of the tip with a plane, from one log."""
-    import io
     import json
 
     from closedloop.base.files import what_was_written, write_whole
+    from closedloop.figures.files import write_figure
     from closedloop.studies.comparison.recording import read_recording
     from closedloop.studies.identify.contact.identify_contact import contact_recording, identify_contact
     from closedloop.studies.identify.read import run_of
@@ -78,10 +78,8 @@ def _contact(
         recording = read_recording(path, robot, columns=mapped, degrees=options.degrees, gain=gain)
     found = identify_contact(recording, robot, normal=normal, delay=options.delay, cutoff=options.cutoff)
     print("\n".join(map(printable, found.lines())))
-    image = io.BytesIO()
-    found.figure().savefig(image)
     write_whole(folder / "contact.json", f"{json.dumps(found.summary(), indent=2, allow_nan=False)}\n".encode())
-    write_whole(folder / "contact.png", image.getvalue())
+    write_figure(found.figure(), folder / "contact", (".png",))
     print("\n" + what_was_written("contact.json", "contact.png", folder=folder))
     return DONE
 

@@ -11,9 +11,9 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.interrupts import Terminated
 from closedloop.base.loopback import is_loopback
 from closedloop.command.border import DONE, Parser, as_command
+from closedloop.command.shared_options import parsed
 from closedloop.lab.start import NEEDS, lab, open_in_browser
-from closedloop.scenario.overrides import split_overrides
-from closedloop.scenario.user_module import import_law, name_members
+from closedloop.scenario.user_module import import_law
 
 if TYPE_CHECKING:
     from closedloop.lab.app import Lab
@@ -25,11 +25,9 @@ ANSWERED = 0.5
 @as_command()
 def main(arguments: list[str]) -> int:
     """Open the lab, wait for Ctrl-C, and return the exit status."""
-    overrides, rest = split_overrides(arguments)
-    options = _parser().parse_args(rest)
+    options, overrides = parsed(_parser(), arguments)
     if find_spec("websockets") is None:
         raise ScenarioError(NEEDS)
-    name_members(overrides.items())
     law = import_law(options.law) if options.law else None
     opened = lab(
         options.scenario, overrides, law=law, host=options.host, port=options.port, dark=options.dark, show=False

@@ -14,9 +14,9 @@ from closedloop.base.interrupts import Terminated
 from closedloop.base.loopback import is_loopback
 from closedloop.command.border import DONE, Parser, as_command
 from closedloop.command.results import Results, first_free
+from closedloop.command.shared_options import parsed
 from closedloop.lab.start import NEEDS
-from closedloop.scenario.overrides import split_overrides
-from closedloop.scenario.user_module import member_digests, name_members
+from closedloop.scenario.user_module import member_digests
 from closedloop.serve.serve import INTERFACES, Served, serve
 from closedloop.serve.watch import Watch
 
@@ -27,11 +27,9 @@ ANSWERED = 0.5
 @as_command()
 def main(arguments: list[str]) -> int:
     """Serve a scenario until Ctrl-C, save the record, and return the exit status."""
-    overrides, rest = split_overrides(arguments)
-    options = _parser().parse_args(rest)
+    options, overrides = parsed(_parser(), arguments)
     if options.lab and find_spec("websockets") is None:
         raise ScenarioError(NEEDS)
-    name_members(overrides.items())
     served = serve(
         options.scenario, options.interface, overrides=overrides, lock_step=options.lock_step, host=options.host,
         port=options.port, limits=options.limits, say=_say,

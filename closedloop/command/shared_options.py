@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import textwrap
 from argparse import Namespace
@@ -10,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NoReturn
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ScenarioError, printable
 from closedloop.command.border import Parser
 
 # Column at which an option's meaning begins, so that most take one line.
@@ -95,6 +96,24 @@ def _print_topic(option: str, word: str) -> None:
         print(explain_key(word.removeprefix("--")))
     except ScenarioError as error:
         raise ScenarioError(f"command line: {option}: {error}") from None
+
+
+def parsed(parser: Parser, words: list[str]) -> tuple[Namespace, dict[str, Any]]:
+    """Return a command's options, and the overrides among its words, whose users' classes are known from then on."""
+    from closedloop.scenario.overrides import split_overrides
+    from closedloop.scenario.user_module import name_members
+
+    overrides, rest = split_overrides(words)
+    options = parser.parse_args(rest)
+    name_members(overrides.items())
+    return options, overrides
+
+
+def print_outcome(found: Any, as_json: bool) -> str:
+    """Print the lines of a study's outcome, or its JSON, and return the latter."""
+    report = json.dumps(found.as_dict(), indent=2, allow_nan=False)
+    print(report if as_json else "\n".join(map(printable, found.lines())))
+    return report
 
 
 FORMATS = ("png", "svg", "pdf")

@@ -62,14 +62,11 @@ def _sweep(arguments: list[str]) -> int:
     from closedloop.base.errors import ScenarioError
     from closedloop.base.progress import count
     from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, STOPPED
-    from closedloop.scenario.overrides import split_overrides
-    from closedloop.scenario.user_module import name_members
+    from closedloop.command.shared_options import parsed
     from closedloop.studies.sweep.store import why_no_place
     from closedloop.studies.sweep.sweep import run_sweep
 
-    overrides, rest = split_overrides(arguments)
-    name_members(overrides.items())
-    options = _sweep_parser().parse_args(rest)
+    options, overrides = parsed(_sweep_parser(), arguments)
     if options.debug:
         import logging
 

@@ -5,25 +5,21 @@ Exit status: 0 done; 2 the input is at fault; 3 no point that was tried meets th
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
-from closedloop.base.errors import ScenarioError, printable
+from closedloop.base.errors import ScenarioError
 from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.command.border import DONE, STOPPED, Parser, as_command
+from closedloop.command.shared_options import parsed, print_outcome
 
 
 @as_command()
 def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
     from closedloop.scenario.load import load_scenario
-    from closedloop.scenario.overrides import split_overrides
-    from closedloop.scenario.user_module import name_members
     from closedloop.studies.sweep.design import parse_range
 
-    overrides, rest = split_overrides(words)
-    name_members(overrides.items())
-    options = _parser().parse_args(rest)
+    options, overrides = parsed(_parser(), words)
     if not options.vary:
         raise ScenarioError("command line: name what varies, such as --vary law.kd=5:200")
     scenario = load_scenario(options.scenario, overrides)
@@ -36,16 +32,15 @@ def main(words: list[str]) -> int:
         over=dict(map(_variation, options.over)), robust=options.robust, log=[axis.key for axis in ranges if axis.log],
         starts=options.starts, seed=options.seed, kept=folder / "runs.jsonl" if folder else None, progress=True,
     )  # fmt: skip
-    report = json.dumps(tuning.as_dict(), indent=2, allow_nan=False)
-    print(report if options.json else "\n".join(map(printable, tuning.lines())))
+    report = print_outcome(tuning, options.json)
     if folder is not None:
-        from closedloop.studies.analysis.figures import written
+        from closedloop.figures.files import write_figure
 
         head = "# " + "\n# ".join(tuning.lines()[:1]) + "\n"
         paths = [
             write_whole(folder / "tuned.toml", (head + tuning.scenario.to_toml()).encode()),
             write_whole(folder / "tune.json", (report + "\n").encode()),
-            written(tuning.figure(), folder / "tune"),
+            write_figure(tuning.figure(), folder / "tune"),
         ]
         if not options.json:
             print(what_was_written(*paths))

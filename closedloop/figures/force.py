@@ -172,14 +172,9 @@ def contact_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     return figure
 
 
-def is_measured(run: Run) -> bool:
-    """Tell whether a force sensor says anything else than the force itself."""
-    return bool(np.any(run.measured_force != run.contact_force))
-
-
 def draw_measured(axes: Axes, run: Run, measured: NDArray[np.float64]) -> None:
     """Draw what the force sensor says (N,), N, behind the force, if that is anything else."""
-    if is_measured(run):
+    if np.any(run.measured_force != run.contact_force):
         axes.plot(run.time, measured, color="0.65", linewidth=0.7, label="measured", zorder=1.5)
 
 

@@ -106,7 +106,7 @@ def kernel(function: F) -> F:
 
 def _nested(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     if plain_numba():
-        return _njit(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
+        return _njit(function, **options)
     from closedloop.jit.inside.inline_once import NestedFunction
 
     def ordinary() -> Any:

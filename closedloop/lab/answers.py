@@ -88,7 +88,7 @@ class Answers:
             run = error.run if error.run is not None and len(error.run) else None
             return took(run, stopped=one_line(str(error)))
         except ClosedLoopError as error:
-            return took(None, fault=_without_name(one_line(str(error)), self._history.base.name))
+            return took(None, fault=one_line(str(error)).removeprefix(f"{self._history.base.name}: "))
         except MemoryError:
             return took(None, fault="out of memory: ask for fewer steps")
 
@@ -183,7 +183,3 @@ def _kinds(scenario: Scenario) -> tuple[str, ...]:
     """Return the kinds of a scenario's sections: they decide which loop runs."""
     sections = (getattr(scenario, name) for name in type(scenario).model_fields)
     return (scenario.surface.contact, *(str(getattr(section, "kind", "")) for section in sections))
-
-
-def _without_name(message: str, name: str) -> str:
-    return message.removeprefix(f"{name}: ")

@@ -166,11 +166,8 @@ def quoted(word: str) -> str:
     if word.isprintable():
         return shlex.quote(word)
     plain = word.replace("\\", "\\\\").replace("'", "\\'")
-    return "$'" + "".join(c if c.isprintable() else _octal(c) for c in plain) + "'"
-
-
-def _octal(c: str) -> str:
-    return "".join(f"\\{byte:03o}" for byte in c.encode("utf-8", "surrogateescape"))
+    octal = ("".join(f"\\{byte:03o}" for byte in c.encode("utf-8", "surrogateescape")) for c in plain)
+    return "$'" + "".join(c if c.isprintable() else its for c, its in zip(plain, octal, strict=True)) + "'"
 
 
 def in_words(scenario: Scenario) -> tuple[str, Changes]:

@@ -150,15 +150,10 @@ def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
             value = next(words, "--")
             if value.startswith("--"):
                 raise ScenarioError(f"command line: {word} needs a value, such as --law.force 15")
-        if not _is_text(word + value):
+        if any("\ud800" <= character <= "\udfff" for character in word + value):  # half a character
             raise ScenarioError(f"command line: --{key}: its value must be text in the encoding of this locale")
         overrides[key] = toml_value(value)
     return overrides, rest
-
-
-def _is_text(word: str) -> bool:
-    """Whether a word can be written into a file: what the locale does not know comes as half a character."""
-    return not any("\ud800" <= character <= "\udfff" for character in word)
 
 
 def _listed(text: str) -> Any:

@@ -124,10 +124,7 @@ OUTPUTS = [
     Case("comparison | true", COMPARED, "| true", rare=True),
     Case("list to a full device", "{run} --list", ">/dev/full", status=2, says=one_of_ours(NO_SPACE), quick=True),
     Case("run to a full device", SHORT, ">/dev/full", status=2, says=one_of_ours(NO_SPACE), check=saved),
-    Case("stopped to a full device", f"{SHORT} --start.q '[0, 0]' --surface.normal '[1, 0, 0]'", ">/dev/full", status=3,
-         says=one_of_ours("stopped at.*")),
     Case("sweep to a full device", SWEPT, ">/dev/full", status=2, says=one_of_ours(NO_SPACE)),
-    Case("refusal to a full device", "{run} nosuch", "2>/dev/full", status=2),
     Case("output closed", SHORT, ">&-", check=saved),
     Case("input closed", SHORT, "<&-", check=saved, rare=True),
 ]  # fmt: skip

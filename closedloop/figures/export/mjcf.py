@@ -51,11 +51,9 @@ def element(into: ElementTree.Element, tag: str, **attributes: Any) -> ElementTr
 
 def numbers(values: ArrayLike, digits: int = 17) -> str:
     """Return a number, or those of an array in their order, as text with so many digits."""
-    return " ".join(repr(x) if digits > 16 or isinstance(x, int) else f"{x:.{digits}g}" for x in _listed(values))
-
-
-def _listed(values: ArrayLike) -> list[Any]:
-    return np.asarray(values).ravel().tolist()
+    return " ".join(
+        repr(x) if digits > 16 or isinstance(x, int) else f"{x:.{digits}g}" for x in np.ravel(values).tolist()
+    )
 
 
 def quaternion(axes: NDArray[np.float64]) -> NDArray[np.float64]:

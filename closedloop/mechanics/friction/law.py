@@ -73,17 +73,9 @@ def _each(value: Figure, least: float, cure: str) -> Figure:
     return value
 
 
-def _none_negative(value: Figure) -> Figure:
-    return _each(value, 0.0, "must not be negative")
-
-
-def _all_positive(value: Figure) -> Figure:
-    return _each(value, 5e-324, "must be greater than 0")
-
-
 EXPONENT = Size(1e3, "", "the curve is a step", 1e-3, "the curve is flat")
-JointNotNegative = Annotated[Gain, AfterValidator(_none_negative)]
-JointPositive = Annotated[Gain, AfterValidator(_all_positive)]
+JointNotNegative = Annotated[Gain, AfterValidator(lambda value: _each(value, 0.0, "must not be negative"))]
+JointPositive = Annotated[Gain, AfterValidator(lambda value: _each(value, 5e-324, "must be greater than 0"))]
 
 Coefficient = Annotated[NotNegative, COEFFICIENT]
 # Of a law with one level: the functions of the law have it as `kinetic`, as a joint's.

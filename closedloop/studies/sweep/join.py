@@ -182,9 +182,6 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
         raise OutputError(f"--out {out}: exists and is not a sweep, but a folder or a device; name another file")
     kept = out.with_suffix(".nc") if identity["keep"] else None
     try:
-        for path in (out, kept):
-            if path is not None and path.is_symlink() and not path.exists():
-                raise OutputError(f"--out {out}: {path} is a link to nothing; nothing was overwritten; remove it")
         if not out.exists():
             if kept is not None and kept.exists():
                 check_identity(_of_netcdf(kept), identity, kept)

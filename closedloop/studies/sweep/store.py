@@ -223,8 +223,6 @@ class Store:
         return self
 
     def _open(self) -> None:
-        if self.folder.is_symlink():
-            raise OutputError(f"--out {self.out}: {self.folder} is a link, and nothing is written through it")
         description = self.folder / DESCRIPTION
         while self._lock is None:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -237,19 +235,15 @@ class Store:
                         f"--out {self.out}: another process is at work on this sweep; wait for it, or end it"
                     )
         remove_unfinished(self.folder)  # of those that were killed
-        if self.overwrite and description.is_file() and self._of_another(description):
-            self._remove_parts()
+        if self.overwrite and description.is_file():
+            try:
+                check_identity(_described(description), self.identity, self.out)
+            except OccupiedError:
+                self._remove_parts()
         if not description.exists():
             text = json.dumps({"format": FORMAT, "identity": self.identity}, indent=1)
             write_whole(description, text.encode())
         check_identity(_described(description), self.identity, self.out)
-
-    def _of_another(self, description: Path) -> bool:
-        try:
-            check_identity(_described(description), self.identity, self.out)
-        except OccupiedError:
-            return True
-        return False
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

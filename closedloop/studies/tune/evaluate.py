@@ -15,6 +15,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -330,18 +331,18 @@ class Runs:
         if not text.strip():
             return self._keep([json.dumps({"tuning": mine})])
         first, *lines = text.splitlines()
-        begun = _parsed(first)
-        theirs = begun.get("tuning") if isinstance(begun, dict) else None
-        if not isinstance(theirs, dict):
-            raise OutputError(f"{kept}: exists and holds no tuning; name another folder, or remove the file")
+        try:
+            theirs = json.loads(first)["tuning"]
+        except (ValueError, LookupError, TypeError):
+            raise OutputError(f"{kept}: exists and holds no tuning; name another folder, or remove the file") from None
         if different := [key for key in mine | theirs if theirs.get(key) != mine.get(key)]:
             raise OutputError(
                 f"{kept}: is of another tuning: {difference(different, NAMES_OF_ALL, theirs, mine)}; name another "
                 "folder, or remove the file"
             )
         for line in lines:
-            if self._is_record(record := _parsed(line)):
-                self._known[record[0]] = record[1]
+            with suppress(ValueError, TypeError, RecursionError):  # damaged
+                self._known |= dict([json.loads(line)])
         if not text.endswith("\n"):  # cut off where it was interrupted
             self._keep([""])
         return None
@@ -356,18 +357,6 @@ class Runs:
         except OSError as error:
             raise OutputError(f"{self._kept}: cannot be written: {error.strerror or error}") from None
 
-    def _is_record(self, record: Any) -> bool:
-        """Return whether this is what is kept of a point: its key, and for each variation each value, or None."""
-        match record:
-            case [str(), list(rows)] if len(rows) == len(self.variations):
-                return all(
-                    isinstance(row, list)
-                    and len(row) == len(self.names)
-                    and all(v is None or (type(v) in (int, float) and math.isfinite(v)) for v in row)
-                    for row in rows
-                )
-        return False
-
     def _identity(self) -> dict[str, Any]:
         """Return what the values depend on."""
         over = {key: [row[key] for row in self.variations] for key in (self.variations or [{}])[0]}
@@ -375,14 +364,6 @@ class Runs:
             "vary": [(each.name, each.low, each.high, each.log) for each in self.some],
             "names": self.names, "over": self.variations,
         }  # fmt: skip
-
-
-def _parsed(line: str) -> Any:
-    """Return what a line of JSON says, None if it is none."""
-    try:
-        return json.loads(line)
-    except (ValueError, RecursionError):
-        return None
 
 
 def _is_number(text: str) -> bool:

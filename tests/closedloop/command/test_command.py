@@ -80,9 +80,7 @@ def test_output_that_no_one_takes(monkeypatch, capsys):
     with open(writer, "w", encoding="ascii") as stream:
         monkeypatch.setattr(sys, "stdout", stream)
         assert run_command("x", lambda words: print("ζ") or 0, []) == 0
-        assert (
-            run_command("x", lambda words: print("x" * 100_000, flush=True) or 0, []) == 0
-        )  # which goes nowhere by now
+        assert run_command("x", lambda words: print("x" * 100_000, flush=True) or 0, []) == 0  # to nowhere by now
     assert capsys.readouterr().err == ""
 
 

@@ -17,10 +17,10 @@ from gymnasium.vector import AutoresetMode
 import closedloop as cl
 import closedloop.gym as clgym
 from closedloop.gym.env import ContactEnv
-from closedloop.gym.policy import LinearPolicy
 from closedloop.gym.vector import ContactVectorEnv
 from closedloop.loop.step.record_row import Row
 from validation.cross_entropy import Episodes, cross_entropy, learn_to_press
+from validation.policy import LinearPolicy
 
 IDS = {**{name: {} for name in clgym.TASKS}, "scenario": {"scenario": "wam_touchdown"}}
 FORTH = {"overrides": {"time.duration": 0.3}}

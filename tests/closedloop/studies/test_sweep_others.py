@@ -86,24 +86,6 @@ def test_what_is_somebody_elses_stays(capsys, tmp_path):
     assert {path.name for path in folder.iterdir()} == left
 
 
-def test_links_are_not_written_through(tmp_path):
-    """A folder, a lock, a table that is a link to somewhere: refused, and what it leads to is as it was."""
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    out = tmp_path / "a" / "t.parquet"
-    out.parent.mkdir()
-    folder = tmp_path / "a" / "t.parquet.parts"
-    folder.symlink_to(elsewhere)
-    with pytest.raises(cl.OutputError, match="is a link, and nothing is written through it"):
-        run_sweep(small(), out)
-    folder.unlink()
-    out.symlink_to(elsewhere / "table")
-    with pytest.raises(cl.OutputError, match="is a link to nothing; nothing was overwritten"):
-        run_sweep(small(), out)
-    out.unlink()
-    assert list(elsewhere.iterdir()) == []
-
-
 def test_pipes_and_folders_where_a_table_or_a_part_should_be(tmp_path):
     """None is waited for: a pipe as the table or its description is refused, as a part it is said."""
     out, folder = tmp_path / "t.parquet", tmp_path / "t.parquet.parts"

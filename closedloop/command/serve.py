@@ -86,7 +86,7 @@ def _results(served: Served, out: str | None, overwrite: bool) -> Results:
     from closedloop.record.save import question
     from closedloop.simulation.simulator import FROM_OUTSIDE
 
-    simulator = served.session.simulator
+    simulator = served.session
     scenario = simulator.problem.scenario
     digest = "" if out else uuid.uuid4().hex  # the record depends on the client: no earlier run is the same
     inputs = question(

@@ -1,15 +1,8 @@
 """Parts of an environment that a task names: observations, rewards, endings, and the ranges of what differs.
 
-What rewards and endings are computed from: the state of all environments at a control instant.
-
-The parts of an observation: what a controller can know at a control instant, and what a critic may besides.
-
-Named terms of a reward, and the reasons for which an episode ends: functions of `closedloop.gym.terms.Now`.
-
-A term returns (N,) numbers, an ending (N,) truths. Those that ship are zero or negative, so that an episode that ends
-early gains nothing by it: what it would have cost at most is then due at once (`failed`).
-
-What differs from episode to episode: declared ranges of keys of the scenario, and what is drawn from them.
+Rewards and endings are functions of `Now`, the state of all environments at a control instant: a term returns (N,)
+numbers, an ending (N,) truths. Terms that ship are zero or negative, so that an episode that ends early gains nothing
+by it: what it would have cost at most is then due at once (`failed`).
 """
 
 from __future__ import annotations

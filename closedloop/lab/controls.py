@@ -1,6 +1,4 @@
-"""The controls of a scenario, and their kinds.
-
-Values to begin with when another kind is chosen whose keys have no defaults, such as the radius of a circle.
+"""The controls of a scenario, and values to begin with of a kind whose keys have no defaults.
 
 A control knows how to turn what it shows into a value of the scenario and back. Its bounds, unit and hint are those of
 the key's field; the span of a slider starts from the value that the scenario has.

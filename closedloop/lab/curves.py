@@ -1,9 +1,7 @@
-"""What the lab draws over time: curves, spans and strips.
+"""What the lab draws of a run, as data: spans of sliders, tiles of the strip, and panels of curves over time.
 
 A tile has a name, a value in words, and whether it is good where a verdict or a bound says so. Beside it stands how it
 differs from the run that it is compared with, and whether that is better.
-
-The curves of a run against time, as data: panels of traces, with as few points as a screen can show.
 
 A panel's curves share their times. A reduced panel keeps, of each trace, the least and the greatest value in each part
 of the time shown, so that an overshoot of one row stays visible.

@@ -1,12 +1,8 @@
-"""The runs of the lab: the one that is shown, those before, and what is pinned.
-
-What was changed in the lab, step by step: the keys of a scenario that differ from where it began.
+"""What was changed in the lab, step by step, and the runs that are kept beside the one that changes.
 
 history = History(scenario, "wam_slide")
 history.change("law.force", 12.0)
 history.command()                   # closedloop wam_slide --law.force 12.0
-
-Runs that are kept beside the one that changes: up to four, and a table of their values side by side.
 """
 
 from __future__ import annotations

@@ -1,11 +1,4 @@
-"""The server of the lab's page, and where it is shown: below a notebook's cell, or in the browser.
-
-Work of which only the newest matters: a thread that computes the latest request and drops those between.
-
-newest = Newest(compute, show)
-newest.ask(1), newest.ask(2), newest.ask(3)      # computes 1, perhaps, and 3; shows them in this order
-
-The server of the lab's page: on a free port of this computer, for its own page alone.
+"""The server of the lab's page, on a free port, for its own page alone; and work of which only the newest matters.
 
 Whoever reaches the port could move the controls and save files, other users of this computer too: they are let in with
 the token alone, a random word in the page's address, ``http://127.0.0.1:8080/?token=0123...``. The page is sent on to

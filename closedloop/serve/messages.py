@@ -34,6 +34,8 @@ LONGEST = 65_536
 DESCRIBE, RESET, STATE, TORQUE, STEP, WRENCH, EVENTS = REQUESTS = (
     "describe", "reset", "state", "torque", "step", "wrench", "events",
 )  # fmt: skip
+# What answers what cannot be done.
+FAULT = "error"
 # The kinds of binary answers: a state or a wrench as doubles, a text in JSON, an error as text.
 NUMBERS, TEXT, ERROR = range(3)
 
@@ -66,7 +68,7 @@ class States:
     """
 
     def __init__(self, session: Session) -> None:
-        model = session.simulator.problem.robot.model
+        model = session.problem.robot.model
         sizes = {"n": model.n, "nq": len(model.coordinate_names)}
         self.names, self.n = model.joint_names, model.n
         self.places: dict[str, slice] = {}
@@ -94,6 +96,16 @@ class States:
             found[self._q] = state.q
         return found
 
+    def torque(self, found: Any) -> Request | str:
+        """Return the request of a torque (n,) from what a client sent, or what is wrong with it."""
+        try:
+            torque = np.asarray(found, dtype=np.float64)
+            if torque.shape == (self.n,) and all(map(math.isfinite, torque.tolist())):
+                return Request(TORQUE, torque)
+        except (TypeError, ValueError, OverflowError):
+            pass
+        return f"torque: must be {self.n} finite numbers, one for each of {', '.join(self.names)}"
+
 
 def wrench(state: StepState, radius: float) -> Array:
     """Return the force of the surface on the tip and its moment about the base's origin (6,), N and N m, base axes.
@@ -105,8 +117,8 @@ def wrench(state: StepState, radius: float) -> Array:
     return np.concatenate((force, np.cross(state.position - radius * normal, force)))
 
 
-class Codec:
-    """How messages are written; `JsonLines` and `Binary` are the two."""
+class JsonLines:
+    """One JSON object a line; what is not finite is null."""
 
     def __init__(self, states: States) -> None:
         self.states = states
@@ -119,45 +131,6 @@ class Codec:
         Gone
             If what follows cannot be told apart from it.
         """
-        raise NotImplementedError
-
-    def state(self, found: Array) -> bytes | bytearray:
-        """Return the answer that is the latest of `states`."""
-        raise NotImplementedError
-
-    def wrench(self, found: Array) -> bytes:
-        """Return the answer that is a wrench."""
-        raise NotImplementedError
-
-    def text(self, kind: str, found: Any) -> bytes:
-        """Return the answer that is a description or events, which JSON can hold."""
-        raise NotImplementedError
-
-    def error(self, why: str) -> bytes:
-        """Return the answer to what cannot be done."""
-        raise NotImplementedError
-
-    def torque(self, found: Any) -> Array | str:
-        """Return a torque (n,) from what a client sent, or what is wrong with it."""
-        n = self.states.n
-        try:
-            torque = np.asarray(found, dtype=np.float64)
-            if torque.shape == (n,) and all(map(math.isfinite, torque.tolist())):
-                return torque
-        except (TypeError, ValueError, OverflowError):
-            pass
-        return f"torque: must be {n} finite numbers, one for each of {', '.join(self.states.names)}"
-
-
-def _too_long(length: int) -> Gone:
-    return Gone(f"sent a message of {length} bytes, longer than {LONGEST}: the connection is closed")
-
-
-class JsonLines(Codec):
-    """One JSON object a line; what is not finite is null."""
-
-    def request(self, client: Client) -> Request | str | None:
-        """See `Codec`."""
         end = client.received.find(b"\n")
         if max(end, 0 if end >= 0 else len(client.received)) > LONGEST:
             raise _too_long(len(client.received))
@@ -174,41 +147,32 @@ class JsonLines(Codec):
         unknown = set(found) - {"do", TORQUE} if kind == TORQUE else set(found) - {"do"}
         if unknown:
             return f'"{kind}" takes nothing named {", ".join(sorted(unknown))}'
-        if kind != TORQUE:
-            return Request(kind)
-        torque = self.torque(found.get(TORQUE))
-        return torque if isinstance(torque, str) else Request(TORQUE, torque)
+        return self.states.torque(found.get(TORQUE)) if kind == TORQUE else Request(kind)
 
-    def wrench(self, found: Array) -> bytes:
-        """See `Codec`."""
-        return self._line({WRENCH: found.tolist()})
+    def answer(self, kind: str, found: Any) -> bytes:
+        """Return an answer: `found` is the latest of `states`, a wrench (6,), a description, events, or an error."""
+        if kind == STATE:
+            found = self._state(found)
+        elif kind == WRENCH:
+            found = found.tolist()
+        return json.dumps(found if isinstance(found, dict) else {kind: found}, allow_nan=False).encode() + b"\n"
 
-    def state(self, found: Array) -> bytes:
-        """See `Codec`."""
+    def _state(self, found: Array) -> dict[str, Any]:
         values = [value if math.isfinite(value) else None for value in found.tolist()]
         state: dict[str, Any] = {}
         for (name, size), place in zip(FIELDS, self.states.places.values(), strict=True):
             state[name] = values[place.start] if size == 1 else values[place]
-        state |= {"row": int(state["row"]), "done": bool(state["done"]), "mode": int(state["mode"])}
-        return self._line(state)
-
-    def text(self, kind: str, found: Any) -> bytes:
-        """See `Codec`."""
-        return self._line(found if isinstance(found, dict) else {kind: found})
-
-    def error(self, why: str) -> bytes:
-        """See `Codec`."""
-        return self._line({"error": why})
-
-    def _line(self, found: dict[str, Any]) -> bytes:
-        return json.dumps(found, allow_nan=False).encode() + b"\n"
+        return state | {"row": int(state["row"]), "done": bool(state["done"]), "mode": int(state["mode"])}
 
 
-class Binary(Codec):
-    """A kind, a length, and the bytes."""
+class Binary:
+    """A kind, a length, and the bytes; methods as those of `JsonLines`."""
+
+    def __init__(self, states: States) -> None:
+        self.states = states
 
     def request(self, client: Client) -> Request | str | None:
-        """See `Codec`."""
+        """See `JsonLines`."""
         if len(client.received) < HEAD.size:
             return None
         kind, length = HEAD.unpack_from(client.received)
@@ -220,31 +184,29 @@ class Binary(Codec):
         if kind >= len(REQUESTS):
             return f"kind {kind}: must be from 0 to {len(REQUESTS) - 1}"
         name = REQUESTS[kind]
-        if name == TORQUE and length == 8 * self.states.n:
-            torque = self.torque(np.frombuffer(message, DOUBLES, -1, HEAD.size))
-            return torque if isinstance(torque, str) else Request(name, torque)
-        if name == TORQUE or length:
-            wanted = 8 * self.states.n if name == TORQUE else 0
+        wanted = 8 * self.states.n if name == TORQUE else 0
+        if length != wanted:
             return f"{name}: has {length} bytes, must have {wanted}"
-        return Request(name)
+        return self.states.torque(np.frombuffer(message, DOUBLES, -1, HEAD.size)) if wanted else Request(name)
 
-    def wrench(self, found: Array) -> bytes:
-        """See `Codec`."""
-        return HEAD.pack(NUMBERS, 8 * len(found)) + found.astype(DOUBLES, copy=False).tobytes()
+    def answer(self, kind: str, found: Any) -> bytes | bytearray:
+        """See `JsonLines`."""
+        if kind == STATE:
+            return self.states.message
+        if kind == WRENCH:
+            code, body = NUMBERS, found.astype(DOUBLES, copy=False).tobytes()
+        elif kind == FAULT:
+            code, body = ERROR, found.encode()
+        else:
+            code, body = TEXT, json.dumps(found, allow_nan=False).encode()
+        return HEAD.pack(code, len(body)) + body
 
-    def state(self, found: Array) -> bytearray:
-        """See `Codec`."""
-        return self.states.message
 
-    def text(self, kind: str, found: Any) -> bytes:
-        """See `Codec`."""
-        body = json.dumps(found, allow_nan=False).encode()
-        return HEAD.pack(TEXT, len(body)) + body
+def _too_long(length: int) -> Gone:
+    return Gone(f"sent a message of {length} bytes, longer than {LONGEST}: the connection is closed")
 
-    def error(self, why: str) -> bytes:
-        """See `Codec`."""
-        body = why.encode()
-        return HEAD.pack(ERROR, len(body)) + body
+
+Codec = JsonLines | Binary
 
 
 def codec_of(client: Client, states: States) -> Codec | None:
@@ -303,7 +265,7 @@ class Plain(Interface):
     def _talk(self, client: Client) -> None:
         """Answer a client until it is gone."""
         session, waiting = self.session, self.waiting
-        clock = Clock(session.period)
+        clock = Clock(session.problem.h)
         codec: Codec | None = None
         running, fresh, waits = False, False, False  # the clock; a command since the last instant; an answer is owed
         held: Array | None = None
@@ -318,12 +280,12 @@ class Plain(Interface):
                 if codec is None or request is None:
                     break
                 if not isinstance(request, Request):
-                    client.send(codec.error(request))
+                    client.send(codec.answer(FAULT, request))
                 elif request.kind not in (TORQUE, STEP):
                     client.send(self._answer(codec, request.kind))
                     running = running and request.kind != RESET
                 elif session.done:
-                    client.send(codec.error(f"{request.kind}: the scenario is at its end; reset begins anew"))
+                    client.send(codec.answer(FAULT, f"{request.kind}: the scenario is at its end; reset begins anew"))
                 elif self.lock_step:
                     session.cycles += 1
                     self._step(request.torque)
@@ -351,18 +313,18 @@ class Plain(Interface):
 
     def _state(self, codec: Codec) -> bytes | bytearray:
         session = self.session
-        return codec.state(self._states.numbers(session.state, session.done))
+        return codec.answer(STATE, self._states.numbers(session.state, session.done))
 
     def _answer(self, codec: Codec, kind: str) -> bytes | bytearray:
         session = self.session
         if kind == DESCRIBE:
-            return codec.text(kind, self._description())
+            return codec.answer(kind, self._description())
         if kind == EVENTS:
             events, self._events = self._events, []
-            return codec.text(kind, events)
+            return codec.answer(kind, events)
         if kind == WRENCH:
-            radius = session.simulator.problem.scenario.tool.radius
-            return codec.wrench(wrench(session.state, radius))
+            radius = session.problem.scenario.tool.radius
+            return codec.answer(kind, wrench(session.state, radius))
         if kind == RESET:
             session.reset()
             self._events = []
@@ -370,7 +332,7 @@ class Plain(Interface):
 
     def _description(self) -> dict[str, Any]:
         """Return what a client needs to know before it begins."""
-        problem = self.session.simulator.problem
+        problem = self.session.problem
         return {
             "scenario": problem.scenario.name,
             "robot": problem.robot.model.name,

@@ -9,10 +9,8 @@ from __future__ import annotations
 import time
 from typing import ClassVar
 
-from closedloop.base.arrays import Array
 from closedloop.jit.kernel import direct
 from closedloop.loop.events.impacts import collide
-from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.serve.sockets import Port, Ports, Say
 from closedloop.simulation.simulator import Simulator
@@ -56,13 +54,11 @@ class Clock:
             self._next += skipped * self.period
 
 
-class Session:
+class Session(Simulator):
     """A simulation that clients drive one after the other, and how many of its cycles had a command.
 
     Attributes
     ----------
-    simulator : Simulator
-        The simulation; `simulator.problem` is the scenario, prepared.
     cycles, lost : int
         Steps since the last reset during which a client drove, and those of them for which no command came in time.
     late : int
@@ -70,34 +66,14 @@ class Session:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.simulator = Simulator(scenario)
-        self.period = self.simulator.problem.h
-        self.cycles = self.lost = self.late = 0
+        super().__init__(scenario)
         direct(collide, 0)  # compile it now: an impact must not while a client waits
-        self.simulator.reset()
-
-    @property
-    def state(self) -> StepState:
-        """The present state."""
-        return self.simulator.state
-
-    @property
-    def done(self) -> bool:
-        """Whether the end of the scenario is reached."""
-        return self.simulator.done
+        self.reset()
 
     def reset(self) -> StepState:
         """Begin anew; the record of what was before is dropped."""
         self.cycles = self.lost = self.late = 0
-        return self.simulator.reset()
-
-    def step(self, torque: Array | None) -> StepState:
-        """Advance by one step with a torque (n,), N m, or with None by the scenario's own law."""
-        return self.simulator.step(torque)
-
-    def run(self) -> Run:
-        """Return the record so far."""
-        return self.simulator.run()
+        return super().reset()
 
 
 class Interface:

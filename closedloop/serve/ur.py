@@ -98,7 +98,7 @@ class Ur(Interface):
             raise
 
     def _prepare(self) -> None:
-        problem = self.session.simulator.problem
+        problem = self.session.problem
         tool = problem.scenario.tool
         self._robot, self._radius = problem.robot, tool.radius
         self._tool = {

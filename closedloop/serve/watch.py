@@ -43,7 +43,7 @@ class Watch:
     """
 
     def __init__(self, session: Session, *, port: int = FIRST_PORT) -> None:
-        self._session, problem = session, session.simulator.problem
+        self._session, problem = session, session.problem
         self._rows = max(2, round(LATEST / problem.h))
         self._run: Run | None = None
         self._count, self._done = 0, False
@@ -73,7 +73,7 @@ class Watch:
         """Show the latest rows again and again, where somebody looks and there are others than before."""
         took, last = 0.0, (-1.0, -1)
         while not self._ended.wait(max(OFTEN, (SHARE - 1.0) * took)):
-            run = self._session.simulator.latest(self._rows) if self._page.watched else None
+            run = self._session.latest(self._rows) if self._page.watched else None
             if run is None or (float(run.time[-1]), len(run)) == last:
                 continue
             began, last, loaded = time.thread_time(), (float(run.time[-1]), len(run)), self._run is not None

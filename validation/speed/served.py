@@ -85,7 +85,7 @@ def served(name: str, steps: int, interface: str, client: str, what: str) -> Ite
     """Yield the same steps for a client of an interface, in lock-step."""
     port = 0 if interface == "json" else None
     with cl.serve(name, interface, overrides=LONG, lock_step=True, port=port) as server:
-        n = server.session.simulator.problem.robot.n
+        n = server.session.problem.robot.n
         with asked(client, server.port, "127.0.0.1", name, n, steps, what) as contestant:
             yield contestant
 

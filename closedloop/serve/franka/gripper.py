@@ -56,7 +56,7 @@ class Gripper:
 
     def __init__(self, session: Session, fingers: int, udp: socket.socket) -> None:
         self._session, self._fingers, self._udp = session, fingers, udp
-        problem = session.simulator.problem
+        problem = session.problem
         model = problem.robot.model
         self._h = problem.h
         self._held = sum(value for name, value in model.locked.items() if "finger" in name)

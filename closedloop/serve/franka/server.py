@@ -55,7 +55,7 @@ class Franka(Interface):
             raise
 
     def _prepare(self, host: str) -> None:
-        problem = self.session.simulator.problem
+        problem = self.session.problem
         self._substeps = round(PERIOD / problem.h)
         if self._substeps < 1 or abs(self._substeps * problem.h - PERIOD) > 1e-9:
             raise ScenarioError(f"time.step = {problem.h:g}: must be 0.001, or a whole share of it, for as franka")

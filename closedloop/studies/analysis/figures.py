@@ -34,10 +34,15 @@ SLOWEST = 10
 def draw_page(page: Page, folder: Path, formats: Sequence[str] = IMAGES) -> list[Path]:
     """Draw Bode's and Nyquist's diagrams, the poles, and the sensitivity; return the paths of the first format."""
     drawn = {"bode": bode, "nyquist": nyquist, "poles": poles, "sensitivity": sensitivity}
-    return [write_figure(figure(page), folder / f"analysis_{name}", formats) for name, figure in drawn.items()]
+    return [written(figure(page), folder / f"analysis_{name}", formats) for name, figure in drawn.items()]
 
 
 @styled()
+def written(figure: Figure, path: Path, formats: Sequence[str] = IMAGES) -> Path:
+    """Write a figure, and return the path of its first format."""
+    return write_figure(figure, path, formats)
+
+
 def _unless_unstable(margins: Margins, said: str, otherwise: str = "the loop is unstable") -> str:
     """Return what is said of the margins; those of an unstable loop are no distance from instability."""
     return said if margins.stable else otherwise

@@ -118,7 +118,7 @@ def test_nothing_is_written_but_whole():
     own_way = {
         "closedloop/base/files.py",
         "closedloop/jit/cache_folder.py",
-        "closedloop/jit/compile_cache.py",
+        "closedloop/jit/inside/compile_cache.py",
         "closedloop/studies/tune/evaluate.py",
     }  # a tuning's runs, a line for each: a line cut off is left out
     nothing = {

@@ -8,15 +8,11 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 import closedloop as cl
-from closedloop.figures.friction_laws import draw
 from closedloop.jit.parameters import pack_each_joint
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, joint_parameters, surface_parameters
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
-from closedloop.mechanics.friction.laws.dahl import JointDahl
 from closedloop.mechanics.friction.laws.lugre import JointLuGre, SurfaceLuGre, passive_damping_speed, passive_viscous
-from closedloop.mechanics.friction.laws.none import NoFriction
-from closedloop.mechanics.friction.laws.seven_parameter import JointSevenParameter
 from closedloop.mechanics.friction.laws.stribeck import JointStribeck, SurfaceStribeck
 
 # A unit stands between commas or at the end; 1 is that of numbers without.
@@ -183,50 +179,3 @@ def test_energy_fault_names_the_joint():
     """Of several joints the first that may gain energy is named."""
     joints = JointLuGre(kinetic=[0.2, 0.2], static=[0.2, 0.3], stribeck_speed=0.01, stiffness=1e3, damping=1.0)
     assert "lugre of joint 1 may add energy" in joints.energy_fault(n=2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("family", "section"), families())
-def test_every_law_is_drawn(family, section, tmp_path):
-    """Every section is drawn into a file, and on axes given."""
-    from matplotlib.figure import Figure
-
-    draw(example(section), tmp_path / "law.png", load=1.0 if family == "joint" else 10.0)
-    assert (tmp_path / "law.png").stat().st_size > 5000
-    axes = Figure().add_subplot()
-    draw(example(section), axes)
-    assert axes.lines
-    assert axes.get_title().startswith(section.member_name())
-    for line in axes.lines:
-        values = np.asarray(line.get_ydata(), dtype=float)
-        assert np.any(np.isfinite(values))
-
-
-def test_joints_that_differ_are_drawn_apart():
-    """Joints of different figures have a line each, with their number."""
-    from matplotlib.figure import Figure
-
-    for section in (
-        JointDahl(kinetic=[0.2, 0.5, 0.3], stiffness=1e3),
-        JointSevenParameter(
-            kinetic=0.2,
-            static_excess=(0.1, 0.2, 0.3),
-            stribeck_speed=0.1,
-            stiffness=1e3,
-            memory_delay=0.0,
-            rise_time=1.0,
-        ),
-        JointCoulombViscous(kinetic=(0.1, 0.2, 0.3), viscous=0.1),
-    ):
-        axes = Figure().add_subplot()
-        draw(section, axes)
-        labels = {text.get_text() for text in axes.get_legend().get_texts()}
-        assert {"joint 0", "joint 1", "joint 2"} <= labels
-
-
-def test_file_that_cannot_be_written(tmp_path):
-    """A folder that is not there, or a kind of file unknown, is one line."""
-    for name in ("missing/law.png", "law.xyz"):
-        with pytest.raises(cl.OutputError, match="cannot be written") as caught:
-            draw(NoFriction(), tmp_path / name)
-        assert "\n" not in str(caught.value)

@@ -1,11 +1,8 @@
 """Files given as scenarios: read if they are one, refused at once and in one line whatever else they are."""
 
-import os
-
 import pytest
 
 import closedloop as cl
-from closedloop.scenario.load import MOST_BYTES
 
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"
 
@@ -18,39 +15,9 @@ def refused(path):
     return str(caught.value)
 
 
-def test_pipe_is_refused_without_being_opened(tmp_path):
-    """A FIFO without a writer would be waited on for ever."""
-    pipe = tmp_path / "pipe.toml"
-    os.mkfifo(pipe)
-    assert "is a device, pipe or socket" in refused(pipe)
-    link = tmp_path / "link.toml"
-    link.symlink_to(pipe)
-    assert "is a device, pipe or socket" in refused(str(link))
-
-
-@pytest.mark.parametrize("device", ["/dev/zero", "/dev/null", "/dev/stdin"])
-def test_device_is_refused(device, tmp_path):
-    """A device may never end; a link makes its name end in .toml."""
-    link = tmp_path / "device.toml"
-    link.symlink_to(device)
-    if link.is_file():
-        pytest.skip(f"{device} is a file here")
-    assert "device, pipe or socket" in refused(link)
-
-
 def test_folder_is_refused(tmp_path):
     """A folder is named as one."""
     assert "is a folder" in refused(tmp_path)
-
-
-def test_large_file_is_refused_by_its_size(tmp_path):
-    """A file beyond the bound is not read, one within it is; a sparse one shows that no byte is looked at."""
-    file = tmp_path / "large.toml"
-    with file.open("wb") as stream:
-        stream.truncate(400_000_000)
-    assert "is 400 MB; a scenario is a TOML file of at most 4 MB" in refused(file)
-    file.write_text(MINIMAL + "#" * (MOST_BYTES - len(MINIMAL)))
-    assert cl.load_scenario(file).law.kp == 1.0
 
 
 def test_byte_order_mark_is_no_part_of_the_text(tmp_path):

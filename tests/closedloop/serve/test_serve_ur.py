@@ -127,7 +127,7 @@ def test_the_raw_wrench_is_that_at_the_flange(scenario):
         arm.ask("S")
         arm.file.flush()
         size, _, _, *found = struct.unpack(">HBB28d", arm.file.read(4 + 28 * 8))
-        robot = served.session.simulator.problem.robot
+        robot = served.session.problem.robot
     assert size == 4 + 28 * 8
     pressed, raw, q, load = (np.array(part) for part in (found[:6], found[6:12], found[12:18], found[18:]))
     assert load == pytest.approx([2.0, *tool["tool.centre"], *tool["tool.offset"], 0.0, 0.0, 0.0])

@@ -7,6 +7,7 @@ the token alone, a random word in the page's address, ``http://127.0.0.1:8080/?t
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import logging
@@ -17,6 +18,7 @@ import socket
 import sys
 import threading
 import time as clock
+from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from http import HTTPStatus
@@ -161,7 +163,8 @@ FIRST_PORT, LAST_PORT, PORTS = 8080, 65535, 100  # how many are tried, one after
 RUN, FORGOTTEN = "run", 5.0
 LONGEST = 1_000_000  # bytes of what a page says
 PING = 20.0  # s, after so long a page without news is asked whether it is still there
-PATIENCE = 5.0  # s, that a socket may take to ask for something
+# Pages that may be open; sockets that have not asked for anything yet, and how long, s, they may take to.
+PAGES, HALF_OPEN, PATIENCE = 32, 16, 5.0
 # A script or a style that is not the server's own does not run in the page, which loads nothing and asks nobody else.
 POLICY = (
     "default-src 'none'; script-src 'nonce-{0}'; style-src 'nonce-{0}'; img-src data:; connect-src 'self'; "
@@ -271,7 +274,8 @@ class Server:
     ) -> None:  # fmt: skip
         from websockets.sync.server import serve
 
-        self._framed = framed
+        self._framed, self._half_open, self._pages = framed, deque[socket.socket](), 0
+        self._lock = threading.Lock()
         self.host, self.port = host, _free_port(host, port)
         self._page, self._opened, self._said, self._closed = page, opened, said, closed
         # Jupyter's server passes on the name by which the browser knows it: there the token alone lets in
@@ -279,6 +283,7 @@ class Server:
         self._server = serve(
             self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, close_timeout=1.0,
             ping_interval=PING, logger=_quiet(), server_header=None, open_timeout=PATIENCE,
+            create_connection=self._connection,  # type: ignore[arg-type]  # it is called, and nothing more
         )  # fmt: skip
         threading.Thread(target=self._server.serve_forever, name="closedloop-server", daemon=True).start()
 
@@ -286,8 +291,22 @@ class Server:
         """Stop listening."""
         self._server.shutdown()
 
+    def _connection(self, sock: socket.socket, *given: Any, **more: Any) -> Any:
+        """Return a connection that is half open; where there are too many the oldest of them is closed."""
+        from websockets.sync.server import ServerConnection
+
+        with self._lock:
+            self._half_open.append(sock)
+            oldest = self._half_open.popleft() if len(self._half_open) > HALF_OPEN else None
+        if oldest is not None:
+            with contextlib.suppress(OSError):  # it was closed already
+                oldest.shutdown(socket.SHUT_RDWR)
+        return ServerConnection(sock, *given, **more)
+
     def _checked_answer(self, loopback: bool, token: str, connection: Any, request: Any) -> Any:
         """Return the answer to a request, with what a browser is to know of it; None for one that opens the socket."""
+        with self._lock, contextlib.suppress(ValueError):
+            self._half_open.remove(connection.socket)
         nonce = secrets.token_urlsafe(16)
         try:
             found = self._answer(loopback, token, nonce, connection, request)
@@ -314,6 +333,9 @@ class Server:
         if path is None:
             line = "the lab's address has a token, as it was printed: http://HOST:PORT/?token=...\n"
             return connection.respond(HTTPStatus.FORBIDDEN, line)
+        if self._pages >= PAGES:
+            line = f"{PAGES} pages of the lab are open, and no more may be: close one\n"
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, line)
         if request.headers.get("Upgrade") is not None:
             return None
         if not path:
@@ -328,6 +350,8 @@ class Server:
         return found
 
     def _talk(self, connection: Any) -> None:
+        with self._lock:
+            self._pages += 1
         client = Client(connection)
         try:
             self._opened(client)
@@ -338,6 +362,8 @@ class Server:
                     message = None
                 self._said(client, message if isinstance(message, dict) else {})
         finally:
+            with self._lock:
+                self._pages -= 1
             client.close()
             self._closed(client)
 

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from closedloop.__main__ import main
 from closedloop.base.loopback import is_loopback
 from closedloop.figures.export.mcap_file import write_mcap
 from closedloop.lab import server
-from closedloop.lab.server import PATIENCE, Server, without_token
+from closedloop.lab.server import HALF_OPEN, PATIENCE, Server, without_token
 from closedloop.lab.start import open_in_browser
 
 
@@ -146,6 +147,32 @@ def test_what_is_no_request_leaves_the_socket_open(said, served):
         for text in (said, '{"do": "x"}'):
             page.send(text)
             assert page.recv(30.0) == b"heard"
+
+
+def test_clients_are_bounded_in_number_and_in_time(served, monkeypatch):
+    """Sockets that ask for nothing give way to newer ones; of pages that are open there are so many at most."""
+    sockets = pytest.importorskip("websockets.sync.client")
+    silent = [socket.create_connection(("127.0.0.1", served), 30.0) for _ in range(60)]
+    assert asked_for(served, f"/{TOKEN}", socketed=False, origin=None).startswith("HTTP/1.1 200")
+    assert [each.recv(1) for each in silent[: 60 - HALF_OPEN]] == (60 - HALF_OPEN) * [b""]
+    assert threading.active_count() < 2 * HALF_OPEN + 20
+    for each in silent:
+        each.close()
+    monkeypatch.setattr("closedloop.lab.server.PAGES", 2)
+    url = f"ws://127.0.0.1:{served}/{TOKEN}"
+    with sockets.connect(url) as one, sockets.connect(url) as other:
+        for page in (one, other):
+            page.send("{}")
+            page.recv(30.0)
+        answer = asked_for(served, f"/{TOKEN}", socketed=False, origin=None, whole=True)
+        assert answer.startswith("HTTP/1.1 503")
+        assert answer.endswith("2 pages of the lab are open, and no more may be: close one\n")
+        assert asked_for(served, f"/{TOKEN}").startswith("HTTP/1.1 503")
+    for _ in range(100):  # until the server knows that they are gone
+        if (status := asked_for(served, f"/{TOKEN}", socketed=False, origin=None)).startswith("HTTP/1.1 200"):
+            break
+        time.sleep(0.1)
+    assert status.startswith("HTTP/1.1 200")
 
 
 @pytest.mark.slow

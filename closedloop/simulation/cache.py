@@ -1,8 +1,9 @@
-"""A cache of what several scenarios share: robots, paths, reference tables.
+"""What several scenarios share: the parts of a problem that the keys in which they differ do not change.
 
-Of the 3 ms in which a scenario becomes a `Problem` the reference table takes 1.5, the inverse kinematics of its path
-0.5 and the robot 0.2 (4 more if it is read from a user's file), and most keys of a scenario affect none of the three.
-The key of an entry is the text of all that it is computed from, so a cached entry equals a new one to the last bit.
+`Parts` follows each part of a problem to the sections of the scenario that it was made of; all but what is other is
+taken over from the scenario before. `Cache` has, besides, robots, paths and reference tables of earlier scenarios: they
+take most of the 3 ms in which a scenario becomes a `Problem`. The key of an entry is the text of all that it is made
+of. So what is taken over equals what would be made anew to the last bit.
 """
 
 from __future__ import annotations
@@ -32,21 +33,6 @@ MOST_TEXTS = 500
 MOST_CACHES = 2
 
 
-class Key:
-    """A long key that is part of many: its hash is worked out once."""
-
-    __slots__ = ("_hash", "_key")
-
-    def __init__(self, key: Hashable) -> None:
-        self._key, self._hash = key, hash(key)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Key) and self._key == other._key)
-
-
 class Watched:
     """A scenario that notes which of its sections are read, by what it is given to."""
 
@@ -66,6 +52,90 @@ class Watched:
         return self._scenario.model_copy(update=update)
 
 
+class Parts:
+    """What is made of a scenario, part by part: a part is made anew where a section that it has read says other things.
+
+    So a key of the scenario that changes becomes a change of the parts that follow from it, and all others are taken
+    over: by a batch's next run, by a prepared problem with other values or from another start, by the next episode.
+    """
+
+    def __init__(self) -> None:
+        self._made: dict[str, tuple[Any, tuple[Any, ...], set[str]]] = {}
+        self._within: list[set[str]] = []  # of the parts that are being made, one within another: sections they read
+        self._readers: dict[str, set[str]] = {}  # by section: which parts have read it
+        self._sections: dict[str, Any] = {}
+        self._tuples: dict[str, tuple[Any, ...]] = {}
+        self._numbers: dict[str, Any] = {}
+        self._scenario: Any = None
+
+    def turn_to(self, scenario: Scenario) -> None:
+        """Go to another scenario: what is made of sections that say other things there is dropped."""
+        known, self._scenario = self._sections, scenario
+        for name, part in vars(scenario).items():
+            if known.get(name) is not part:
+                if name in known and not says_the_same(known[name], part):
+                    for reader in self._readers.get(name, ()):
+                        self._made.pop(reader, None)
+                known[name] = part
+
+    def follow(self, name: str, make: Callable[[Any], T], *others: Any) -> T:
+        """Return what is made of the scenario and of others: as it was, where both are as they were.
+
+        The others must be the same objects. A part may be made of parts that are followed: it has then read what they
+        have.
+        """
+        found = self._made.get(name)
+        if found is None or not all(map(is_, others, found[1])):
+            watched, own = Watched(self._scenario), set[str]()
+            self._within.append(own)
+            try:
+                new = make(watched)
+            finally:
+                self._within.pop()
+            own.update(watched.read)
+            for section in own:
+                self._readers.setdefault(section, set()).add(name)
+            found = self._made[name] = new, others, own
+        if self._within:
+            self._within[-1].update(found[2])
+        return cast(T, found[0])
+
+    def same(self, name: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return a tuple of parts: the one that has had this name, if it is of the same objects."""
+        before = self._tuples.get(name, ())
+        if len(before) == len(parts) and all(map(is_, before, parts)):
+            return before
+        self._tuples[name] = parts
+        return parts
+
+    def number(self, name: str, x: T) -> T:
+        """Return a number: the object that has had this name, if that is equal."""
+        before = self._numbers.get(name)
+        if before != x:
+            self._numbers[name] = before = x
+        return cast(T, before)
+
+    def forget(self, *names: str) -> None:
+        """Let what has these names be made anew."""
+        for name in names:
+            self._made.pop(name, None)
+
+
+def says_the_same(one: Any, other: Any) -> bool:
+    """Whether two sections, or lists of them, say the same to the bit: 0 is equal to −0, and its text is not."""
+    if not (type(one) is type(other) and one == other):
+        return False
+    if isinstance(one, tuple):
+        return all(map(says_the_same, one, other))
+    return not isinstance(one, Section) or text_of(one) == text_of(other)
+
+
+def text_of(section: Section) -> tuple[Hashable, ...]:
+    """Return all that a section says: its type, those of its members that a user may have made, and its text."""
+    types = (type(part) for part in vars(section).values() if isinstance(part, Section))
+    return type(section), *types, section.model_dump_json()
+
+
 class Cache:
     """The entries used last, up to a limit of memory. Not for use by several threads, but for `get_shared`.
 
@@ -75,16 +145,25 @@ class Cache:
         Bytes that may be kept; an entry larger than that is kept until the next.
     shared : Cache, optional
         A cache of several threads, for entries that are only read, such as paths.
+
+    Attributes
+    ----------
+    given, whole : Parts
+        What is made of the scenario as it was given, and as its run has it.
+    spare : dict
+        What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Calls`.
+    last : (Scenario, Problem) or None
+        What was prepared last, whose table is still its own.
     """
 
     def __init__(self, limit: int = LIMIT, shared: Cache | None = None) -> None:
         self._limit, self._shared, self._lock = limit, shared, threading.Lock()
         self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
-        self._followed: dict[str, tuple[Any, dict[str, Any], tuple[Any, ...]]] = {}
         self._texts: dict[int, tuple[Section, tuple[Hashable, ...]]] = {}  # by the identity of what is kept
-        self.newest: dict[str, Any] = {}  # what steps the scenario whose numbers were made last, by engine
-        self.last: tuple[Scenario, Problem] | None = None  # what was prepared last, whose table is still its own
+        self.given, self.whole = Parts(), Parts()
+        self.spare: dict[str, Any] = {}
+        self.last: tuple[Scenario, Problem] | None = None
 
     def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
         """Return the entry with this key, made now if it is not there; `size` gives its bytes, about."""
@@ -98,31 +177,13 @@ class Cache:
             self._bytes -= self._entries.popitem(last=False)[1][1]
         return entry
 
-    def follow(self, name: str, scenario: Scenario, make: Callable[[Any], T], *others: Any) -> T:
-        """Return what is made of a scenario and of others: what it was for the last scenario, if that has the same.
-
-        Its sections that `make` has read must be the same objects, and so must be the others. In scenarios that differ
-        from one another in a few keys, those are that none of the keys is of.
-        """
-        found = self._followed.get(name)
-        if found is not None:
-            made, read, before = found
-            parts = vars(scenario)
-            if all(parts[k] is part for k, part in read.items()) and all(map(is_, others, before)):
-                return cast(T, made)
-        watched = Watched(scenario)
-        new = make(watched)
-        self._followed[name] = new, watched.read, others
-        return new
-
     def text(self, section: Section) -> tuple[Hashable, ...]:
-        """Return all that a section says: its type, those of its members that a user may have made, and its text."""
+        """Return `text_of` a section."""
         known = self._texts.get(id(section))
         if known is None or known[0] is not section:
             if len(self._texts) >= MOST_TEXTS:
                 self._texts.clear()
-            types = (type(part) for part in vars(section).values() if isinstance(part, Section))
-            known = self._texts[id(section)] = section, (type(section), *types, section.model_dump_json())
+            known = self._texts[id(section)] = section, text_of(section)
         return known[1]
 
     def texts(self, scenario: Scenario, of: Sequence[str] = (), but: str = "") -> tuple[Hashable, ...]:
@@ -137,7 +198,7 @@ class Cache:
     def clear(self) -> None:
         """Remove all entries of this thread; those shared with others stay."""
         self._entries.clear()
-        self._followed.clear()
+        self.given, self.whole = Parts(), Parts()
         self._bytes, self.last = 0, None
 
     def get_shared(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
@@ -145,16 +206,6 @@ class Cache:
         shared = self._shared or self
         with shared._lock:
             return shared.get(key, make, size)
-
-
-class NoCache(Cache):
-    """What makes everything anew: for what is hardly asked for twice."""
-
-    def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
-        """Return what is made."""
-        return make()
-
-    get_shared = get
 
 
 class _Kept(threading.local):

@@ -57,8 +57,6 @@ from robot_models import RobotModel
 # What calls the loop so many times, each with new terms, as long as nothing else is requested.
 Provide = Callable[[int], int]
 Arrays = tuple[Array, Array, Array, Array]  # the table of what is desired, the tableau, the rows, the events
-# Where the memory of a loop is, among what is spare, that nothing steps any more.
-MEMORY = "memory"
 
 # What a run calls once or twice before and after its loop, interpreted where it is not compiled yet; and with loops.
 USED_ONCE, WITH_LOOPS = (potential_energies, walk, sample_spline), (rows_along, along_path, closed_to)
@@ -202,9 +200,9 @@ class Driver:
             make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = kept and law is None and not isinstance(self.kernel, Interim)
-        self._before = (
-            [(array, array.copy()) for array in arrays_of(loop) if array.flags.writeable] if self.may_be_kept else []
-        )
+        self._of, self._new = (problem.form, problem.robot), True
+        self._settled = self._last = problem.settled
+        self._before = unwritten(loop) if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
         arrays = problem.table if table is None else table, problem.integrator.tableau(), rows, self.answers.events
         provide = (self._compiled if engine == COMPILED else self._pinocchios)(problem, arrays, tree)
@@ -255,10 +253,20 @@ class Driver:
         self.again = partial(call, *given, 1)
         return partial(call, *given)
 
+    def fits(self, problem: Problem) -> bool:
+        """Whether these calls may step a problem: it differs in numbers alone from what they stepped before."""
+        form, robot = self._of
+        return robot is problem.robot and form == problem.form
+
     def begin(self, problem: Problem, rows: Array) -> None:
-        """Go to the start of a problem, which differs in that alone from what was stepped before."""
-        for array, before in self._before:
-            array[...] = before
+        """Go to the start of a problem that it fits."""
+        if not self._new:
+            for array, before in self._before:
+                array[...] = before
+            if not problem.settled is self._settled is self._last:
+                problem.write(self.loop)
+                self._last = problem.settled
+        self._new = False
         self.answers.begin(problem)
         set_rows(self._addresses, problem.table, rows)
         problem.begin(self.loop)
@@ -276,6 +284,12 @@ class Driver:
         """Release the user's law."""
         if self.user_law is not None:
             self.user_law.close()
+
+
+def unwritten(loop: Loop) -> list[tuple[Array, Array]]:
+    """Return the arrays of a loop's memory that runs change, and copies of them."""
+    changing = [each for each in arrays_of(loop) if each.flags.writeable and each is not loop.constants.memory]
+    return [(array, array.copy()) for array in changing]
 
 
 def have_compiled(scenario: Scenario, model: RobotModel) -> None:

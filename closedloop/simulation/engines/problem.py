@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.base.families import is_users
 from closedloop.base.upwards import called
@@ -83,27 +84,39 @@ class Problem(ScenarioNumbers):
         """
         start = {key: value for key, value in (("start.q", q), ("start.v", v)) if value is not None}
         changes = {**(changes or {}), **start}
-        scenario, elsewhere = self.scenario, changes.keys() <= START
-        if elsewhere and changes:
+        scenario = self.scenario
+        if changes and changes.keys() <= START:
             scenario = replaced(scenario, changes)
         elif changes:
             keys = tuple(changes)
             if keys not in self._variants:
                 self._variants[keys] = Variants(scenario, keys)
             scenario = self._variants[keys].scenario(tuple(changes.values()))
-        return called("run", scenario, self, law, progress, engine, record, elsewhere)
+        kept = START.isdisjoint(changes)  # hardly any start is asked for twice
+        return called("run", scenario, self, law, progress, engine, record, kept)
 
     @cached_property
     def _variants(self) -> dict[tuple[str, ...], Variants]:
         return {}
 
-    # What does not depend on where it starts, see `closedloop.simulation.prepare.Settled`.
-    settled: ClassVar[Any] = None
-
     @cached_property
     def of_thread(self) -> dict[int, Any]:
-        """What `settled` is of each thread that steps the problem from other starts: it has a robot of its own."""
+        """Of each thread what it has made of the scenario with other values and from other starts: a robot of its own.
+
+        See `closedloop.simulation.prepare.borrowed`.
+        """
         return {}
+
+    @classmethod
+    def of(cls, numbers: dict[str, Any]) -> Self:
+        """Return the problem of its attributes, and of what else is known of it."""
+        made = object.__new__(cls)
+        vars(made).update(numbers)
+        return made
+
+    def with_table(self, table: Array) -> Self:
+        """Return the same problem with another table."""
+        return type(self).of({**vars(self), "table": table})
 
     def loop(self, user_law: bool = False, into: Loop | None = None) -> Loop:
         """Return the loop's memory at t = 0; see `make_loop` for `into`."""
@@ -133,7 +146,7 @@ class Problem(ScenarioNumbers):
         state = loop.state
         state.law.states, state.law_states = own, both
         state.friction.states, state.joint_friction.states, state.sensor.states = surface, joints, self.sensor.states
-        write_settings(self, state)
+        self.write(loop)
         loop.w.decays.first[:] = self.integrator.first_tableau()
         if not self.surface.fixed_plane:
             memory = self.surface.memory()
@@ -163,7 +176,6 @@ class Problem(ScenarioNumbers):
             perceived = step_memory(self.robot)
             state.loops.perceived_at, perceived.links.loop = perceived.address, state.address
             loop.w.keep_alive(perceived_loops=perceived)
-        write_constants(self, loop.constants)
         if contacts is not None:
             state.contacts.at, contacts.links.loop = contacts.address, state.address
             points = len(self.scenario.contact or ())
@@ -172,8 +184,13 @@ class Problem(ScenarioNumbers):
             loop.w.keep_alive(contacts=contacts)
         return loop
 
+    def write(self, loop: Loop) -> None:
+        """Write settings and constants into a loop's memory, which may have those of another problem of this form."""
+        write_settings(self, loop.state)
+        write_constants(self, loop.constants)
+
     def begin(self, loop: Loop) -> None:
-        """Write where the run starts into a loop's memory, which is as `memory` returned it."""
+        """Write where the run starts into a loop's memory, which is as `memory` and `write` returned it."""
         state, kept = loop.state, loop.w.kept
         for name, place in (("surface", self.surface), ("believed", self.believed)):
             if name in kept and place is not None:
@@ -190,12 +207,11 @@ class Problem(ScenarioNumbers):
         if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:
             read_encoders(loop, self.table)
 
-    def constants(self) -> Constants:
-        """Return the constants of the loop's memory, by themselves."""
+    def constants(self, into: Constants | None = None) -> Constants:
+        """Return the constants of the loop's memory, by themselves; `into` is that of another problem of this form."""
         sizes = self.robot.n, *self.sizes.values()
-        constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
+        constants = Constants(np.zeros(Constants.count(*sizes)), *sizes) if into is None else into
         write_constants(self, constants)
-        write_places(self, constants)
         return constants
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:

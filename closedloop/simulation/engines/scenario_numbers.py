@@ -40,7 +40,7 @@ from closedloop.mechanics.surface.placed import PlacedSurface, Plane
 from closedloop.mechanics.surface.surface import Compliance
 from closedloop.record.columns.derived import StatesOf, recorded_states, state_columns
 from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
-from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of
+from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of, stop_limits, without_tools
 from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
@@ -172,6 +172,31 @@ def _moved(place: int | slice, by: int) -> int | slice:
     return slice(place.start + by, place.stop + by) if isinstance(place, slice) else place + by
 
 
+class Layout(NamedTuple):
+    """What the kinds of a scenario's members say of the loop and of its record."""
+
+    general: bool  # whether the law is called by address
+    row_width: int  # numbers in a recorded row
+    row_states: int  # how many of them are states of the law and its compensation, the last
+    record: RecordLayout
+    entries: tuple[Any, ...]  # what the loop calls of the members
+
+    @classmethod
+    def of(cls, scenario: Scenario, model: RobotModel) -> Layout:
+        """Return that of a scenario with a robot."""
+        sections, states, n = (
+            scenario.contact or (),
+            StatesOf.of(scenario, len(model.joint_names)),
+            len(model.joint_names),
+        )
+        resists, arm, of_law = any(each.resists for each in sections), arm_columns(scenario), recorded_states(states)
+        return cls(
+            calls_law(scenario, model), row_width(n, bool(arm), len(sections), of_law), of_law,
+            record_layout(states, len(sections), resists, arm, scenario.has_surface),
+            tuple(entries_of(scenario, model).values()),
+        )  # fmt: skip
+
+
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
     """Return the columns beyond `closedloop.loop.step.record_row.RECORDED` that a run of a scenario has."""
     drives = ("torque_limited",) if scenario.drives != _DRIVES else ()
@@ -297,28 +322,48 @@ class ScenarioNumbers:
         return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
 
     @cached_property
+    def layout(self) -> Layout:
+        """What the kinds of the scenario's members say of the loop and of its record."""
+        return Layout.of(self.scenario, self.robot.model)
+
+    @property
     def general(self) -> bool:
         """Whether the law is called by address."""
-        return calls_law(self.scenario, self.robot.model)
+        return self.layout.general
 
-    @cached_property
+    @property
     def row_width(self) -> int:
         """Numbers in a recorded row."""
-        contacts = len(self.scenario.contact or ())
-        return row_width(self.robot.n, bool(arm_columns(self.scenario)), contacts, self.row_states)
+        return self.layout.row_width
 
-    @cached_property
+    @property
     def row_states(self) -> int:
         """How many of them are states of the law and its compensation, the last."""
-        return recorded_states(StatesOf.of(self.scenario, self.robot.n))
+        return self.layout.row_states
 
-    @cached_property
+    @property
     def record(self) -> RecordLayout:
         """What its record has."""
-        scenario, sections = self.scenario, self.scenario.contact or ()
-        resists = any(section.resists for section in sections)
-        states = StatesOf.of(scenario, self.robot.n)
-        return record_layout(states, len(sections), resists, arm_columns(scenario), scenario.has_surface)
+        return self.layout.record
+
+    @cached_property
+    def beside(self) -> object:
+        """The same object for problems whose loops have the same memory beside their constants."""
+        return object()
+
+    @cached_property
+    def settled(self) -> Any:
+        """The same object for problems that differ in where they start, and in their law, alone."""
+        return object()
+
+    @cached_property
+    def form(self) -> tuple[Any, ...]:
+        """What must be equal of two problems for one loop's memory to be filled with the numbers of either."""
+        laws = self.law, self.compensation, self.friction, self.joint_friction
+        return (
+            self.beside, self.layout, self.integrator, self.scenario.transmission.elastic, self.sensor.states,
+            self.sensor.ring, *(law.states for law in laws), *self.sizes.values(),
+        )  # fmt: skip
 
     @cached_property
     def member_digests(self) -> dict[str, str]:
@@ -338,6 +383,21 @@ class ScenarioNumbers:
     def tendons(self) -> Array:
         """What rubs along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`."""
         return acting_tendons(self.scenario, self.robot.model)
+
+    @cached_property
+    def stops(self) -> tuple[Array, Array]:
+        """Where the joints have hard stops, lower and upper, (n,)."""
+        return stop_limits(self.scenario, self.robot.model)
+
+    @cached_property
+    def bare(self) -> RobotModel:
+        """The robot's model without what the scenario puts on it."""
+        return without_tools(self.robot.model)
+
+    @cached_property
+    def model_given(self) -> RobotModel | None:
+        """The model that was given in place of that which the scenario names."""
+        return self.bare
 
     @cached_property
     def spare(self) -> dict[str, Any]:

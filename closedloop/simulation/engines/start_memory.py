@@ -40,7 +40,6 @@ from closedloop.mechanics.loops.memory import POSITION, LoopMemory, bound_points
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.scenario.arm import stop_limits
 from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import placed_on_link
@@ -121,46 +120,104 @@ STICK_SPEED = 1e-7
 
 
 def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
-    """Write the constants of a run, but for `write_places`."""
-    robot, impact = problem.robot, problem.scenario.impact
+    """Write the constants of a run; of a memory that has those of another of the same form, what differs."""
+    written, scenario = constants.written, problem.scenario
+    now = {
+        "robot": problem.robot, "stops": problem.stops, "stabiliser": problem.stabiliser, "sensor": problem.sensor,
+        "compensation": problem.compensation, "compliance": problem.compliance, "tendons": problem.tendons,
+        "friction": problem.friction, "joint_friction": problem.joint_friction, "drives": problem.drives,
+        "transmission": problem.transmission, "encoder": problem.encoder, "model_error": scenario.model_error,
+    }  # fmt: skip
     constants.h, constants.node = problem.h, problem.h / problem.nodes
-    constants.s_v, constants.s_p = problem.stabiliser
+    constants.rest_speed = scenario.impact.rest_speed
+    write_places(problem, constants)
+    for name, value in now.items():
+        if written.get(name) is not value:
+            _WRITERS[name](problem, constants)
+            written[name] = value
+
+
+def write_places(problem: ScenarioNumbers, constants: Constants) -> None:
+    """Write those constants that may be others where a run starts elsewhere, or that a run changes."""
+    constants.offset, constants.law[:] = problem.surface.offset, problem.law.numbers
+    constants.restitution = problem.scenario.impact.restitution
+
+
+def _write_robot(problem: ScenarioNumbers, constants: Constants) -> None:
+    robot, model = problem.robot, problem.robot.model
     constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
-    constants.lower_stop[:], constants.upper_stop[:] = stop_limits(problem.scenario, robot.model)
-    constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
-    constants.sensor[:], constants.support[:], constants.stick_speed = (
-        problem.sensor.par.memory, robot.support, STICK_SPEED,
-    )  # fmt: skip
+    constants.support[:], constants.stick_speed = robot.support, STICK_SPEED
+    constants.armature[:] = model.rigid_armature
+    constants.undriven[:], constants.turns[:] = 0.0, 0.0
+    constants.undriven[: len(model.undriven)] = model.undriven
+    constants.turns[list(model.balls)] = 1.0
+    constants.measured[:] = model.measured
+
+
+def _write_stops(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.lower_stop[:], constants.upper_stop[:] = problem.stops
+
+
+def _write_stabiliser(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.s_v, constants.s_p = problem.stabiliser
+
+
+def _write_sensor(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.sensor[:] = problem.sensor.par.memory
+
+
+def _write_compensation(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.compensation[:] = problem.compensation.numbers
-    wrong = problem.scenario.model_error
-    constants.mass_factor, constants.unknown_payload = wrong.masses, wrong.payload
-    constants.armature[:] = robot.model.rigid_armature
-    constants.undriven[: len(robot.model.undriven)] = robot.model.undriven
-    constants.turns[list(robot.model.balls)] = 1.0
-    constants.measured[:] = robot.model.measured
+
+
+def _write_compliance(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.compliance[:] = problem.compliance.numbers
+
+
+def _write_tendons(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.tendons[:] = problem.tendons
+
+
+def _write_drives(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.torque_limit[:], constants.torque_change[:] = problem.drives
+
+
+def _write_transmission(problem: ScenarioNumbers, constants: Constants) -> None:
     gears = constants.gears
     gears.stiffness[:], gears.damping[:], gears.motor_inertia[:], gears.play[:], gears.load_friction[:] = (
         problem.transmission
     )
-    constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
-    constants.torque_limit[:], constants.torque_change[:] = problem.drives
-    constants.compliance[:], constants.tendons[:] = problem.compliance.numbers, problem.tendons
-    constants.friction[:], constants.joint_friction[:] = problem.friction.numbers, problem.joint_friction.numbers
+
+
+def _write_encoder(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.encoder[:] = problem.encoder
+
+
+def _write_model_error(problem: ScenarioNumbers, constants: Constants) -> None:
+    wrong = problem.scenario.model_error
+    constants.mass_factor, constants.unknown_payload = wrong.masses, wrong.payload
+    constants.tilt[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt()
+
+
+def _write_friction(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.friction[:] = problem.friction.numbers
     if problem.friction.member is not NoFriction:  # whose numbers are zero, as the memory is
         tip = tip_contact(problem)
         with of_users(problem.friction.member, "friction.kind"):
             constants.impact_friction = tip.kinetic_level
             constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
+
+
+def _write_joint_friction(problem: ScenarioNumbers, constants: Constants) -> None:
+    constants.joint_friction[:] = problem.joint_friction.numbers
     if problem.joint_friction.member is not NoFriction:
         with of_users(problem.joint_friction.member, "joint_friction.kind"):
-            constants.bearings[:] = ~robot.model.of_bodies
+            constants.bearings[:] = ~problem.robot.model.of_bodies
             for j, joint in enumerate(joint_contacts(problem)):
                 constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
 
-def write_places(problem: ScenarioNumbers, constants: Constants) -> None:
-    """Write those constants that may be others where a run starts elsewhere."""
-    constants.offset, constants.law[:] = problem.surface.offset, problem.law.numbers
+_WRITERS = {name.removeprefix("_write_"): write for name, write in globals().items() if name.startswith("_write_")}
 
 
 def write_settings(problem: ScenarioNumbers, state: State) -> None:

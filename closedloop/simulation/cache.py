@@ -72,11 +72,11 @@ class Parts:
         """Go to another scenario: what is made of sections that say other things there is dropped."""
         known, self._scenario = self._sections, scenario
         for name, part in vars(scenario).items():
-            if known.get(name) is not part:
-                if name in known and not says_the_same(known[name], part):
-                    for reader in self._readers.get(name, ()):
-                        self._made.pop(reader, None)
-                known[name] = part
+            before = known.get(name, part)
+            known[name] = part
+            if before is not part and not says_the_same(before, part):
+                for reader in self._readers.get(name, ()):
+                    self._made.pop(reader, None)
 
     def follow(self, name: str, make: Callable[[Any], T], *others: Any) -> T:
         """Return what is made of the scenario and of others: as it was, where both are as they were.

@@ -200,7 +200,7 @@ class Driver:
             make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = kept and law is None and not isinstance(self.kernel, Interim)
-        self._of, self._new = (problem.form, problem.robot), True
+        self._of = problem.form, problem.robot
         self._settled = self._last = problem.settled
         self._before = unwritten(loop) if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
@@ -260,13 +260,11 @@ class Driver:
 
     def begin(self, problem: Problem, rows: Array) -> None:
         """Go to the start of a problem that it fits."""
-        if not self._new:
-            for array, before in self._before:
-                array[...] = before
-            if not problem.settled is self._settled is self._last:
-                problem.write(self.loop)
-                self._last = problem.settled
-        self._new = False
+        for array, before in self._before:
+            array[...] = before
+        if not problem.settled is self._settled is self._last:
+            problem.write(self.loop)
+            self._last = problem.settled
         self.answers.begin(problem)
         set_rows(self._addresses, problem.table, rows)
         problem.begin(self.loop)

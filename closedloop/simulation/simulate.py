@@ -365,7 +365,8 @@ def run_loop(
     if driver is None or not driver.fits(problem):
         memory = driver.loop if driver else None
         driver = Driver(problem, rows, engine, law=law, interim=interim, tree=tree, into=memory, kept=True)
-    driver.begin(problem, rows)
+    else:
+        driver.begin(problem, rows)
     kernel, answers, once, many = driver.kernel, driver.answers, driver.once, driver.many
     loop, (state, _, w) = driver.loop, driver.loop
 

@@ -1,4 +1,4 @@
-"""Driver one after the other, of which a later one reuses what an earlier one has made."""
+"""Calls one after the other, of which a later one reuses what an earlier one has made."""
 
 import gc
 import pickle

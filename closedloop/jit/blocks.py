@@ -206,11 +206,6 @@ class Block:
         """The objects that are kept with this block, by their names."""
         return self.__dict__.setdefault("_kept", {})
 
-    @property
-    def written(self) -> dict[str, Any]:
-        """What its numbers were written from, by name: whoever writes other numbers writes those of what is other."""
-        return self.__dict__.setdefault("_written", {})
-
     def keep_alive(self, **others: Any) -> None:
         """Keep objects, by a name, as long as this block is kept: those to whose memory it has addresses."""
         self.kept.update(others)

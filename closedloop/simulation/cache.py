@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from operator import is_
 from typing import Any, TypeVar, cast
 
 from closedloop.base.sections import Section
@@ -20,120 +19,17 @@ from closedloop.scenario.load import is_users_file
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import members_of_users
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.parts import SECTIONS, Parts, text_of
 from robot_models import RobotModel
 
 T = TypeVar("T")
 
-SECTIONS = dict(Scenario.model_fields)  # looking up that attribute takes longer than reading a section
 # Bytes of one thread's cache: the reference tables of two dozen runs of 8001 rows.
 LIMIT = 32_000_000
 # As many sections are kept with their texts.
 MOST_TEXTS = 500
 # Of so many models, as calls of two prepared problems in turns have them, a thread keeps the caches.
 MOST_CACHES = 2
-
-
-class Watched:
-    """A scenario that notes which of its sections are read, by what it is given to."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
-        self.read: dict[str, Any] = {}
-
-    def __getattr__(self, name: str) -> Any:
-        if name in SECTIONS:
-            part = self.read[name] = getattr(self._scenario, name)
-            return part
-        return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
-
-    def model_copy(self, *, update: Mapping[str, Any]) -> Scenario:
-        """Return a changed copy of the scenario, which depends on all of it."""
-        self.read.update(vars(self._scenario))
-        return self._scenario.model_copy(update=update)
-
-
-class Parts:
-    """What is made of a scenario, part by part: a part is made anew where a section that it has read says other things.
-
-    So a key of the scenario that changes becomes a change of the parts that follow from it, and all others are taken
-    over: by a batch's next run, by a prepared problem with other values or from another start, by the next episode.
-    """
-
-    def __init__(self) -> None:
-        self._made: dict[str, tuple[Any, tuple[Any, ...], set[str]]] = {}
-        self._within: list[set[str]] = []  # of the parts that are being made, one within another: sections they read
-        self._readers: dict[str, set[str]] = {}  # by section: which parts have read it
-        self._sections: dict[str, Any] = {}
-        self._tuples: dict[str, tuple[Any, ...]] = {}
-        self._numbers: dict[str, Any] = {}
-        self._scenario: Any = None
-
-    def turn_to(self, scenario: Scenario) -> None:
-        """Go to another scenario: what is made of sections that say other things there is dropped."""
-        known, self._scenario = self._sections, scenario
-        for name, part in vars(scenario).items():
-            before = known.get(name, part)
-            known[name] = part
-            if before is not part and not says_the_same(before, part):
-                for reader in self._readers.get(name, ()):
-                    self._made.pop(reader, None)
-
-    def follow(self, name: str, make: Callable[[Any], T], *others: Any) -> T:
-        """Return what is made of the scenario and of others: as it was, where both are as they were.
-
-        The others must be the same objects. A part may be made of parts that are followed: it has then read what they
-        have.
-        """
-        found = self._made.get(name)
-        if found is None or not all(map(is_, others, found[1])):
-            watched, own = Watched(self._scenario), set[str]()
-            self._within.append(own)
-            try:
-                new = make(watched)
-            finally:
-                self._within.pop()
-            own.update(watched.read)
-            for section in own:
-                self._readers.setdefault(section, set()).add(name)
-            found = self._made[name] = new, others, own
-        if self._within:
-            self._within[-1].update(found[2])
-        return cast(T, found[0])
-
-    def same(self, name: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return a tuple of parts: the one that has had this name, if it is of the same objects."""
-        before = self._tuples.get(name, ())
-        if len(before) == len(parts) and all(map(is_, before, parts)):
-            return before
-        self._tuples[name] = parts
-        return parts
-
-    def number(self, name: str, x: T) -> T:
-        """Return a number: the object that has had this name, if that is equal."""
-        before = self._numbers.get(name)
-        if before != x:
-            self._numbers[name] = before = x
-        return cast(T, before)
-
-    def forget(self, *names: str) -> None:
-        """Let what has these names be made anew."""
-        for name in names:
-            self._made.pop(name, None)
-
-
-def says_the_same(one: Any, other: Any) -> bool:
-    """Whether two sections, or lists of them, say the same to the bit: 0 is equal to −0, and its text is not."""
-    if not (type(one) is type(other) and one == other):
-        return False
-    if isinstance(one, tuple):
-        return all(map(says_the_same, one, other))
-    return not isinstance(one, Section) or text_of(one) == text_of(other)
-
-
-def text_of(section: Section) -> tuple[Hashable, ...]:
-    """Return all that a section says: its type, those of its members that a user may have made, and its text."""
-    types = (type(part) for part in vars(section).values() if isinstance(part, Section))
-    return type(section), *types, section.model_dump_json()
 
 
 class Cache:

@@ -200,8 +200,7 @@ class Driver:
             make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = kept and law is None and not isinstance(self.kernel, Interim)
-        self._of = problem.form, problem.robot
-        self._settled = self._last = problem.settled
+        self._robot = problem.robot
         self._before = unwritten(loop) if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
         arrays = problem.table if table is None else table, problem.integrator.tableau(), rows, self.answers.events
@@ -255,16 +254,12 @@ class Driver:
 
     def fits(self, problem: Problem) -> bool:
         """Whether these calls may step a problem: it differs in numbers alone from what they stepped before."""
-        form, robot = self._of
-        return robot is problem.robot and form == problem.form
+        return self._robot is problem.robot and problem.fits(self.loop)
 
     def begin(self, problem: Problem, rows: Array) -> None:
         """Go to the start of a problem that it fits."""
         for array, before in self._before:
             array[...] = before
-        if not problem.settled is self._settled is self._last:
-            problem.write(self.loop)
-            self._last = problem.settled
         self.answers.begin(problem)
         set_rows(self._addresses, problem.table, rows)
         problem.begin(self.loop)

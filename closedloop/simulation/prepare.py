@@ -60,12 +60,13 @@ from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.all_entries import with_all_entries
-from closedloop.simulation.cache import Cache, Watched
-from closedloop.simulation.engines.bind_contacts import placed_contacts
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.scenario_numbers import Layout, PackedLaw, pack_compliance, pack_friction, pack_law
 from closedloop.simulation.engines.start_memory import STICK_SPEED
 from closedloop.simulation.loop_calls import have_compiled
+from closedloop.simulation.parts import Watched
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
@@ -307,21 +308,16 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept:
     digests = first.follow("digests", member_digests)
     bare: RobotModel = first.follow("model", lambda s: _model(s, cache)) if model is None else model
     robot: Robot = first.follow("robot", lambda s: _robot(s, bare, cache), bare)
-    arm: Any = first.follow("arm", lambda s: first.same("arm parts", robot.model.without_tools), robot)
+    arm: Any = first.follow("arm", lambda s: robot.model.without_tools, robot)
     done = first.follow("completed", lambda s: _completed(s, robot.model), arm)
     given, scenario = scenario, scenario if done is None else done
     cache.whole.turn_to(scenario)
     follow = cache.whole.follow
     follow("start", lambda s: start_state(s, robot.model), arm)  # what is wrong with it is said first
-
-    def settled(s: Any) -> dict[str, Any]:
-        told = s.surface, s.reference, s.drives, s.belief, s.model_error, s.impact  # which settings depend on, too
-        return _settled(scenario, robot, arm, cache) if told else {}
-
-    numbers = follow("settled", settled, robot, arm)
+    numbers = follow("settled", lambda s: _settled(scenario, robot, arm, cache), robot, arm)
     problem = Problem.of({
         **numbers, **_started(scenario, numbers, arm, cache, kept), "scenario": scenario, "member_digests": digests,
-        "bare": bare, "model_given": model, "spare": cache.spare, "settled": numbers,
+        "bare": bare, "model_given": model, "spare": cache.spare,
     })  # fmt: skip
     cache.last = (given, problem) if kept else None
     return problem
@@ -341,12 +337,11 @@ def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[s
     joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model), arm)
     integrator, tolerance = follow("integrator", lambda s: integrator_of(s, joint_friction), joint_friction)
     follow("load friction", lambda s: _refuse_load_friction(s, joint_friction), joint_friction)
-    steps, hold = map(cache.whole.number, ("steps", "hold"), follow("steps", lambda s: steps_and_hold(s, n), arm))
+    steps, hold = follow("steps", lambda s: steps_and_hold(s, n), arm)
     compensation = follow("believed compensation", _believed_compensation)
     follow("sampling", lambda s: _check_compensation(s, compensation), compensation)
     layout = follow("layout", lambda s: Layout.of(s, model), arm)
-    entries = cache.whole.same("entries", layout.entries)
-    follow("compiled", lambda s: have_compiled(scenario, model), arm, entries)
+    follow("compiled", lambda s: have_compiled(scenario, model), arm, layout)
     return {
         "robot": robot, "integrator": integrator, "tolerance": tolerance,
         "h": follow("step", lambda s: s.time.step), "steps": steps, "hold": hold, "nodes": integrator.parts,
@@ -384,33 +379,21 @@ def _started(scenario: Scenario, of: dict[str, Any], arm: Any, cache: Cache, kep
     there = follow("surface", lambda s: PlacedSurface.of(s.surface, s.surface_motion, ORIGIN, 0.0, s.tool.radius))
     place = follow("place", lambda s: _placed(s, robot, q, v, there, of["tolerance"]), robot, q, v, there, arm)
     surface, now, mode, believed = place
-    placed = follow(
-        "contacts", lambda s: placed_contacts(s, robot, q) if s.contact or has_stops(s, model) else None, robot, q
-    )
+    on = follow("contact rows", lambda s: contact_rows(s, robot) if s.contact or has_stops(s, model) else None, robot)
+    placed = None if on is None else follow("contacts", lambda s: placed_contacts(s, robot, on, q), robot, on, q)
     taken = surface if believed is None else believed
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = _reference(scenario, of, taken, q, cache, kept)
-    start = cache.whole.number("pd_start", follow("pd_start", lambda s: _pd_start(s, wanted), wanted.tip))
+    start = follow("pd_start", lambda s: _pd_start(s, wanted), wanted.tip)
     law = follow("law", lambda s: _packed_law(s, start, model), start, arm)
     if mode == PRESSED and friction.member.sticks != "elastic":
         u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
-    apart = robot if model.loops or any((scenario.contact, scenario.external_force, scenario.tool.radius)) else arm
     return {
         "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
         "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed, "law": law,
-        "beside": follow("beside", lambda s: _beside(s, surface.fixed_plane), apart, there),
+        "there": there,
     }  # fmt: skip
-
-
-def _beside(scenario: Scenario, fixed_plane: bool) -> object:
-    """Return an object that is another where something is that the loop's memory has beside its constants."""
-    sections: list[Any] = [scenario.belief, scenario.tool, scenario.external_force, scenario.contact, scenario.mocap]
-    if not fixed_plane:
-        sections += [scenario.surface, scenario.surface_motion]
-    if scenario.belief.normal_noise > 0.0:
-        sections.append(scenario.time)
-    return object()
 
 
 def _placed(

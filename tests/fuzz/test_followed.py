@@ -14,8 +14,9 @@ from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.scenario.load import scenario_of, shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache, Parts
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.ensemble.ensemble import Ensemble
+from closedloop.simulation.parts import Watched
 from closedloop.simulation.prepare import problem_of
 from closedloop.simulation.simulate import as_run, run_loop
 
@@ -88,7 +89,7 @@ class Followed:
             rows, events, failure, _ = run_loop(problem, engine=engine)
             run = as_run(problem, rows, events, 0.0, engine)
             found = {name: np.array(run[name]) for name in run.columns}
-            constants = problem.constants(self._constants.get(sizes := tuple(problem.sizes.values())))
+            constants = problem.constants(self._constants.get(sizes := (problem.robot.n, *problem.shape.sizes)))
             self._constants[sizes] = constants
             found |= {"table": problem.table.copy(), "constants": constants.memory.copy(), "failure": [str(failure)]}
             if problem.tolerance is None:
@@ -138,7 +139,33 @@ def walk(name, of=lambda k: True):
         ran += not isinstance(alone, str)
         wrong += [f"{what}: {', '.join(found[:5])}" for found in (differences(again, alone),) if found]
     return ran, wrong
-if __name__ == "__main__":
-    import sys, time
-    for name in sys.argv[1:]:
-        t = time.perf_counter(); r = walk(name); print(name, r[0], time.perf_counter()-t); print("\n".join(r[1]))
+
+
+def parameters():
+    """Return scenarios with every eighth of their variations, each with others, and in the slow suite all of them."""
+    more = [name for name in shipped_scenarios() if name not in NAMES]
+    slow = [(name, 1) for name in budget(NAMES, (*NAMES, *more))]
+    return [*((name, 8) for name in NAMES), *(pytest.param(*each, marks=pytest.mark.slow) for each in slow)]
+
+
+@pytest.mark.parametrize(("name", "every"), parameters())
+def test_what_is_taken_over_from_other_scenarios_is_what_a_fresh_call_makes(name, every):
+    """To the bit, for any key that changes: the table, the constants, each column of the run, and what is refused."""
+    first = NAMES.index(name) if name in NAMES else 0
+    ran, wrong = walk(name, lambda k: k % every == first % every)
+    assert not wrong, "\n".join(wrong)
+    assert ran >= 120 / every
+
+
+@pytest.mark.parametrize("forgotten", ["law", "sensor", "encoder", "external_force"])
+def test_a_section_that_is_read_and_not_noted_would_show(forgotten, monkeypatch):
+    """With a planted fault the walk finds it."""
+    noted = Watched.__getattr__
+
+    def forgets(scenario, name):
+        found = noted(scenario, name)
+        scenario.read.pop(forgotten, None)
+        return found
+
+    monkeypatch.setattr(Watched, "__getattr__", forgets)
+    assert walk("wam_slide")[1]

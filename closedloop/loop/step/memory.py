@@ -540,7 +540,6 @@ def make_loop(
         for block in into:
             block.memory[:] = 0
             block.kept.clear()
-            block.written.clear()
     else:
         state = State(np.zeros(STATE_COUNT, dtype=np.int64))
         constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)

@@ -37,16 +37,16 @@ from closedloop.record.run import Run
 from closedloop.scenario.overrides import START, Variants, replaced
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
 from closedloop.simulation.engines.proceed import proceed_at
-from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, entries_of
+from closedloop.simulation.engines.scenario_numbers import SIZES, ScenarioNumbers, entries_of
 from closedloop.simulation.engines.start_memory import (
     ball_memory,
     external_memory,
     read_encoders,
     write_constants,
-    write_places,
     write_settings,
     write_start,
 )
+from closedloop.simulation.parts import asking
 from robot_models.cached import cached_property
 
 # The members of a placed surface, by the names of its entries.
@@ -125,31 +125,37 @@ class Problem(ScenarioNumbers):
         return loop
 
     def memory(self, user_law: bool = False, into: Loop | None = None) -> Loop:
-        """Return the loop's memory with all that does not depend on where the run starts; see `begin`."""
-        n, law, compensation = self.robot.n, self.law, self.compensation
-        own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
-        surface, joints = self.friction.states, self.joint_friction.states
+        """Return the loop's memory with all that does not depend on where the run starts; see `begin` and `fits`."""
+        loop, asked = asking(self, Problem._memory, user_law, into)
+        loop.w.keep_alive(asked=asked)
+        return loop
+
+    def fits(self, loop: Loop) -> bool:
+        """Whether `memory` would return one like this: constants and the start are all in which it may differ."""
+        found: bool = loop.w.kept["asked"].stands_for(self)
+        return found
+
+    def _memory(self, user_law: bool, into: Loop | None) -> Loop:
+        """Return the memory without constants, of a problem that notes what is read of it."""
+        (law, compensation, surface, joints), (_, sensor, ring, _), _, sizes = self.shape
+        n, own = self.n, 0 if user_law else law
+        both = 0 if user_law else law + compensation
         motors = 2 * n if self.scenario.transmission.elastic else 0
-        before = both + self.sensor.states + surface + n * joints
-        contacts = contact_memory(self.scenario, self.robot, self.placed) if self.placed else None
-        tip = both + self.sensor.states
+        tip, before = both + sensor, both + sensor + surface + n * joints
+        rows = self.contact_rows
+        contacts = None if rows is None else contact_memory(self.scenario, self.robot, rows)
         extra = (before if contacts is None else place_states(contacts.contacts, tip, before)) + motors
         loop = make_loop(
-            n,
-            **self.sizes,
-            extra=extra,
-            stages=self.integrator.stages,
-            ring=self.sensor.ring,
-            ends=self.robot.tree.ends,
-            into=into,
-        )
+            n, **dict(zip(SIZES, sizes, strict=True)), extra=extra, stages=self.integrator.stages, ring=ring,
+            ends=np.array(self.ends), into=into,
+        )  # fmt: skip
         state = loop.state
         state.law.states, state.law_states = own, both
-        state.friction.states, state.joint_friction.states, state.sensor.states = surface, joints, self.sensor.states
-        self.write(loop)
+        state.friction.states, state.joint_friction.states = surface, joints
+        write_settings(self, state)
         loop.w.decays.first[:] = self.integrator.first_tableau()
-        if not self.surface.fixed_plane:
-            memory = self.surface.memory()
+        if not self.there.fixed_plane:
+            memory = self.there.memory()
             state.surface.at = memory.address
             loop.w.keep_alive(surface=memory)
         if self.believed is not None:
@@ -161,41 +167,36 @@ class Problem(ScenarioNumbers):
             state.surface.noise = address_of(noise)
             loop.w.keep_alive(noise=noise)
         if self.scenario.tool.radius > 0.0 and self.scenario.has_surface:
-            ball = ball_memory(self.robot, self.surface, self.scenario.tool.radius, state.address)
+            ball = ball_memory(self.robot, self.there, self.scenario.tool.radius, state.address)
             state.ball.at = ball.links.address
             loop.w.keep_alive(ball=ball)
         if self.scenario.external_force:
             external = external_memory(self.scenario, self.robot)
             state.external.at, external.links.loop = external.address, state.address
             loop.w.keep_alive(external=external)
-        if self.robot.model.loops:
+        if self.has_loops:
             loops = step_memory(self.robot)
             state.loops.at, loops.links.loop, state.loops.frames = loops.address, state.address, len(self.robot.moved)
             loop.w.keep_alive(loops=loops)
-        if self.robot.model.loops and state.settings.perceived != 0:
+        if self.has_loops and state.settings.perceived != 0:
             perceived = step_memory(self.robot)
             state.loops.perceived_at, perceived.links.loop = perceived.address, state.address
             loop.w.keep_alive(perceived_loops=perceived)
         if contacts is not None:
             state.contacts.at, contacts.links.loop = contacts.address, state.address
             points = len(self.scenario.contact or ())
-            contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(points)
+            contacts.links.record_at = self.layout.row_width - self.layout.row_states - ContactRow.count(points)
             contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
             loop.w.keep_alive(contacts=contacts)
         return loop
 
-    def write(self, loop: Loop) -> None:
-        """Write settings and constants into a loop's memory, which may have those of another problem of this form."""
-        write_settings(self, loop.state)
-        write_constants(self, loop.constants)
-
     def begin(self, loop: Loop) -> None:
-        """Write where the run starts into a loop's memory, which is as `memory` and `write` returned it."""
+        """Write where the run starts into a loop's memory, which is as `memory` returned it: of this or one like it."""
         state, kept = loop.state, loop.w.kept
+        write_constants(self, loop.constants)
         for name, place in (("surface", self.surface), ("believed", self.believed)):
             if name in kept and place is not None:
                 place_at(kept[name].ask, place.origin)
-        write_places(self, loop.constants)
         write_start(self, state, loop.w)
         if self.placed is not None:
             contacts = kept["contacts"]
@@ -209,7 +210,7 @@ class Problem(ScenarioNumbers):
 
     def constants(self, into: Constants | None = None) -> Constants:
         """Return the constants of the loop's memory, by themselves; `into` is that of another problem of this form."""
-        sizes = self.robot.n, *self.sizes.values()
+        sizes = self.robot.n, *self.shape.sizes
         constants = Constants(np.zeros(Constants.count(*sizes)), *sizes) if into is None else into
         write_constants(self, constants)
         return constants

@@ -28,10 +28,12 @@ from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_bl
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
+from closedloop.loop.step.perceived import MOTORS_MEASURED
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, ArmRow, ContactRow, Row, row_width
 from closedloop.loop.step.solve_contact import compliance_entry
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.single import RESTITUTIONS, Restitution
 from closedloop.mechanics.integrators import Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -45,7 +47,7 @@ from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.scenario.user_module import member_digests
-from closedloop.simulation.engines.bind_contacts import ContactPlaces
+from closedloop.simulation.engines.bind_contacts import ContactPlaces, ContactRows
 from robot_models import RobotModel
 from robot_models.cached import cached_property
 
@@ -179,22 +181,50 @@ class Layout(NamedTuple):
     row_width: int  # numbers in a recorded row
     row_states: int  # how many of them are states of the law and its compensation, the last
     record: RecordLayout
-    entries: tuple[Any, ...]  # what the loop calls of the members
+    entries: tuple[tuple[str, Any], ...]  # what the loop calls of the members, see `entries_of`
+    settings: tuple[tuple[str, int], ...]  # of `closedloop.loop.step.memory.Settings`
 
     @classmethod
     def of(cls, scenario: Scenario, model: RobotModel) -> Layout:
         """Return that of a scenario with a robot."""
-        sections, states, n = (
-            scenario.contact or (),
-            StatesOf.of(scenario, len(model.joint_names)),
-            len(model.joint_names),
-        )
-        resists, arm, of_law = any(each.resists for each in sections), arm_columns(scenario), recorded_states(states)
+        n, sections = len(model.joint_names), scenario.contact or ()
+        states, arm = StatesOf.of(scenario, n), arm_columns(scenario)
+        resists, of_law = any(each.resists for each in sections), recorded_states(states)
         return cls(
             calls_law(scenario, model), row_width(n, bool(arm), len(sections), of_law), of_law,
             record_layout(states, len(sections), resists, arm, scenario.has_surface),
-            tuple(entries_of(scenario, model).values()),
+            tuple(entries_of(scenario, model).items()), tuple(settings_of(scenario, model).items()),
         )  # fmt: skip
+
+
+def settings_of(scenario: Scenario, model: RobotModel) -> dict[str, int]:
+    """Return what sections say of the loop beside numbers, by the names of `Settings`."""
+    transmission, belief, wrong = scenario.transmission, scenario.belief, scenario.model_error
+    to = {
+        "unilateral": scenario.surface.contact == "unilateral",
+        "impact_law": RATIOS[RESTITUTIONS[scenario.impact.law].ratio_of],
+        "feed_forward": scenario.reference.orientation != "free",
+        "elastic": MOTORS_MEASURED if transmission.on_motors else transmission.elastic,
+        "encoder": reading_kind(scenario), "balls": len(model.balls), "undriven": len(model.undriven),
+        "drives": scenario.drives != _DRIVES, "model_error": wrong != _MODEL_ERROR,
+        "misjudged": belief.differs or wrong.normal != 0.0 or belief.normal_noise > 0.0,
+        "arm_at": Row.count(len(model.joint_names)) if arm_columns(scenario) else 0,
+    }  # fmt: skip
+    to["perceived"] = any(to[name] for name in ("model_error", "misjudged", "elastic", "encoder"))
+    return {name: int(value) for name, value in to.items()}
+
+
+# The members that have parameters, in the order of `Constants`, and the tendons.
+SIZES = "law", "compensation", "friction", "joint_friction", "compliance", "tendons"
+
+
+class Shape(NamedTuple):
+    """How many numbers there are of what is called."""
+
+    states: tuple[int, int, int, int]  # of the law, its compensation, friction, friction in each joint
+    sensor: tuple[int, int, int, int]  # axes, states, ring, sampled, see `PackedSensor`
+    sticking: tuple[int, int]  # of friction, and of that in joints, see `closedloop.loop.step.memory`
+    sizes: tuple[int, ...]  # how many numbers the parameters are of each of `SIZES`
 
 
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
@@ -327,6 +357,31 @@ class ScenarioNumbers:
         return Layout.of(self.scenario, self.robot.model)
 
     @property
+    def contact_rows(self) -> ContactRows | None:
+        """The rows of the contacts of [[contact]] on the links; None without any."""
+        return None if self.placed is None else self.placed.rows
+
+    @cached_property
+    def there(self) -> PlacedSurface:
+        """The surface for a tip somewhere, see `PlacedSurface.below`."""
+        return self.surface
+
+    @property
+    def n(self) -> int:
+        """Joints."""
+        return self.robot.n
+
+    @property
+    def ends(self) -> tuple[int, ...]:
+        """Where the groups of joints end, see `closedloop.mechanics.robot.tree.group_ends`."""
+        return tuple(self.robot.tree.ends.tolist())
+
+    @property
+    def has_loops(self) -> bool:
+        """Whether the robot has loop joints."""
+        return bool(self.robot.model.loops)
+
+    @property
     def general(self) -> bool:
         """Whether the law is called by address."""
         return self.layout.general
@@ -347,37 +402,21 @@ class ScenarioNumbers:
         return self.layout.record
 
     @cached_property
-    def beside(self) -> object:
-        """The same object for problems whose loops have the same memory beside their constants."""
-        return object()
-
-    @cached_property
-    def settled(self) -> Any:
-        """The same object for problems that differ in where they start, and in their law, alone."""
-        return object()
-
-    @cached_property
-    def form(self) -> tuple[Any, ...]:
-        """What must be equal of two problems for one loop's memory to be filled with the numbers of either."""
-        laws = self.law, self.compensation, self.friction, self.joint_friction
-        return (
-            self.beside, self.layout, self.integrator, self.scenario.transmission.elastic, self.sensor.states,
-            self.sensor.ring, *(law.states for law in laws), *self.sizes.values(),
-        )  # fmt: skip
-
-    @cached_property
     def member_digests(self) -> dict[str, str]:
         """See `closedloop.scenario.user_module.member_digests`."""
         return member_digests(self.scenario)
 
     @cached_property
-    def sizes(self) -> dict[str, int]:
-        """How many numbers the parameters of each member are, in the order of `Constants`."""
-        return {
-            "law": self.law.numbers.size, "compensation": self.compensation.numbers.size,
-            "friction": self.friction.numbers.size, "joint_friction": self.joint_friction.numbers.shape[1],
-            "compliance": self.compliance.numbers.size, "tendons": len(self.tendons),
-        }  # fmt: skip
+    def shape(self) -> Shape:
+        """How many numbers there are of what is called."""
+        law, compensation, friction, joints = self.law, self.compensation, self.friction, self.joint_friction
+        sizes = (
+            law.numbers.size, compensation.numbers.size, friction.numbers.size, joints.numbers.shape[1],
+            self.compliance.numbers.size, len(self.tendons),
+        )  # fmt: skip
+        states = law.states, compensation.states, friction.states, joints.states
+        sensor = self.sensor.axes, self.sensor.states, self.sensor.ring, int(self.sensor.sampled)
+        return Shape(states, sensor, (sticking(friction), sticking(joints)), sizes)
 
     @cached_property
     def tendons(self) -> Array:

@@ -43,7 +43,8 @@ from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import placed_on_link
-from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, arm_columns, reading_kind, sticking
+from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
+from closedloop.simulation.parts import asking
 from robot_models.errors import shown
 
 
@@ -120,21 +121,46 @@ STICK_SPEED = 1e-7
 
 
 def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
-    """Write the constants of a run; of a memory that has those of another of the same form, what differs."""
-    written, scenario = constants.written, problem.scenario
-    now = {
-        "robot": problem.robot, "stops": problem.stops, "stabiliser": problem.stabiliser, "sensor": problem.sensor,
-        "compensation": problem.compensation, "compliance": problem.compliance, "tendons": problem.tendons,
-        "friction": problem.friction, "joint_friction": problem.joint_friction, "drives": problem.drives,
-        "transmission": problem.transmission, "encoder": problem.encoder, "model_error": scenario.model_error,
-    }  # fmt: skip
-    constants.h, constants.node = problem.h, problem.h / problem.nodes
-    constants.rest_speed = scenario.impact.rest_speed
+    """Write the constants of a run, unless they are there: those of a problem that says the same."""
+    there = constants.kept.get("asked")
+    if there is None or not there.stands_for(problem):
+        constants.memory[:] = 0.0
+        constants.keep_alive(asked=asking(problem, _write_constants, constants)[1])
     write_places(problem, constants)
-    for name, value in now.items():
-        if written.get(name) is not value:
-            _WRITERS[name](problem, constants)
-            written[name] = value
+
+
+def _write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
+    robot, wrong = problem.robot, problem.scenario.model_error
+    constants.h, constants.node = problem.h, problem.h / problem.nodes
+    constants.rest_speed = problem.scenario.impact.rest_speed
+    constants.s_v, constants.s_p = problem.stabiliser
+    constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
+    constants.support[:], constants.stick_speed = robot.support, STICK_SPEED
+    constants.lower_stop[:], constants.upper_stop[:] = problem.stops
+    constants.sensor[:], constants.compensation[:] = problem.sensor.par.memory, problem.compensation.numbers
+    constants.mass_factor, constants.unknown_payload = wrong.masses, wrong.payload
+    constants.armature[:] = robot.model.rigid_armature
+    constants.undriven[: len(robot.model.undriven)] = robot.model.undriven
+    constants.turns[list(robot.model.balls)] = 1.0
+    constants.measured[:] = robot.model.measured
+    gears = constants.gears
+    gears.stiffness[:], gears.damping[:], gears.motor_inertia[:], gears.play[:], gears.load_friction[:] = (
+        problem.transmission
+    )
+    constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
+    constants.torque_limit[:], constants.torque_change[:] = problem.drives
+    constants.compliance[:], constants.tendons[:] = problem.compliance.numbers, problem.tendons
+    constants.friction[:], constants.joint_friction[:] = problem.friction.numbers, problem.joint_friction.numbers
+    if problem.friction.member is not NoFriction:  # whose numbers are zero, as the memory is
+        tip = tip_contact(problem)
+        with of_users(problem.friction.member, "friction.kind"):
+            constants.impact_friction = tip.kinetic_level
+            constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
+    if problem.joint_friction.member is not NoFriction:
+        with of_users(problem.joint_friction.member, "joint_friction.kind"):
+            constants.bearings[:] = ~robot.model.of_bodies
+            for j, joint in enumerate(joint_contacts(problem)):
+                constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
 
 def write_places(problem: ScenarioNumbers, constants: Constants) -> None:
@@ -143,112 +169,18 @@ def write_places(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.restitution = problem.scenario.impact.restitution
 
 
-def _write_robot(problem: ScenarioNumbers, constants: Constants) -> None:
-    robot, model = problem.robot, problem.robot.model
-    constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
-    constants.support[:], constants.stick_speed = robot.support, STICK_SPEED
-    constants.armature[:] = model.rigid_armature
-    constants.undriven[:], constants.turns[:] = 0.0, 0.0
-    constants.undriven[: len(model.undriven)] = model.undriven
-    constants.turns[list(model.balls)] = 1.0
-    constants.measured[:] = model.measured
-
-
-def _write_stops(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.lower_stop[:], constants.upper_stop[:] = problem.stops
-
-
-def _write_stabiliser(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.s_v, constants.s_p = problem.stabiliser
-
-
-def _write_sensor(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.sensor[:] = problem.sensor.par.memory
-
-
-def _write_compensation(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.compensation[:] = problem.compensation.numbers
-
-
-def _write_compliance(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.compliance[:] = problem.compliance.numbers
-
-
-def _write_tendons(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.tendons[:] = problem.tendons
-
-
-def _write_drives(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.torque_limit[:], constants.torque_change[:] = problem.drives
-
-
-def _write_transmission(problem: ScenarioNumbers, constants: Constants) -> None:
-    gears = constants.gears
-    gears.stiffness[:], gears.damping[:], gears.motor_inertia[:], gears.play[:], gears.load_friction[:] = (
-        problem.transmission
-    )
-
-
-def _write_encoder(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.encoder[:] = problem.encoder
-
-
-def _write_model_error(problem: ScenarioNumbers, constants: Constants) -> None:
-    wrong = problem.scenario.model_error
-    constants.mass_factor, constants.unknown_payload = wrong.masses, wrong.payload
-    constants.tilt[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt()
-
-
-def _write_friction(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.friction[:] = problem.friction.numbers
-    if problem.friction.member is not NoFriction:  # whose numbers are zero, as the memory is
-        tip = tip_contact(problem)
-        with of_users(problem.friction.member, "friction.kind"):
-            constants.impact_friction = tip.kinetic_level
-            constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
-
-
-def _write_joint_friction(problem: ScenarioNumbers, constants: Constants) -> None:
-    constants.joint_friction[:] = problem.joint_friction.numbers
-    if problem.joint_friction.member is not NoFriction:
-        with of_users(problem.joint_friction.member, "joint_friction.kind"):
-            constants.bearings[:] = ~problem.robot.model.of_bodies
-            for j, joint in enumerate(joint_contacts(problem)):
-                constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
-
-
-_WRITERS = {name.removeprefix("_write_"): write for name, write in globals().items() if name.startswith("_write_")}
-
-
 def write_settings(problem: ScenarioNumbers, state: State) -> None:
     """Write the settings of a run."""
-    to = state.settings
-    to.steps, to.hold, to.nodes_per_step = problem.steps, problem.hold, problem.nodes
-    to.general, to.project, to.semi_implicit = problem.general, problem.project, problem.integrator.semi_implicit
+    to, law = state.settings, problem.layout
+    for name, value in law.settings:
+        setattr(to, name, value)
+    to.steps, to.hold, to.nodes_per_step, to.general = problem.steps, problem.hold, problem.nodes, law.general
+    to.project, to.semi_implicit = problem.project, problem.integrator.semi_implicit
     to.time_stepping = problem.integrator.time_stepping
-    to.unilateral = problem.scenario.surface.contact == "unilateral"
-    to.impact_law = RATIOS[problem.restitution.ratio_of]
-    state.friction.sticking, state.joint_friction.sticking = (
-        sticking(problem.friction),
-        sticking(problem.joint_friction),
-    )
-    to.feed_forward = problem.scenario.reference.orientation != "free"
-    state.sensor.sampled, state.sensor.axes = problem.sensor.sampled, problem.sensor.axes
-    transmission = problem.scenario.transmission
-    to.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
-    to.encoder = reading_kind(problem.scenario)
-    to.balls, to.undriven = len(problem.robot.model.balls), len(problem.robot.model.undriven)
-    to.drives = problem.scenario.drives != DrivesSection()
-    to.arm_at = Row.count(problem.robot.n) if arm_columns(problem.scenario) else 0
-    states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
-    to.states_at = problem.row_width - states if states > 0 else 0
-    to.model_error = problem.scenario.model_error != ModelErrorSection()
-    to.misjudged = (
-        problem.believed is not None
-        or problem.scenario.model_error.normal != 0.0
-        or problem.scenario.belief.normal_noise > 0.0
-    )
-    to.perceived = to.model_error or to.misjudged or to.elastic or to.encoder
+    state.friction.sticking, state.joint_friction.sticking = problem.shape.sticking
+    state.sensor.axes, state.sensor.states, _, state.sensor.sampled = problem.shape.sensor
+    states = law.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
+    to.states_at = law.row_width - states if states > 0 else 0
 
 
 def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:

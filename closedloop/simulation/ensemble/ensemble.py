@@ -27,7 +27,6 @@ from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree
 from closedloop.simulation.engines.loops import COMPILED, kernels_of
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import addresses_of, set_events, set_rows
-from closedloop.simulation.engines.start_memory import write_constants
 from closedloop.simulation.ensemble.lane_steps import Lanes, may_step_in_lanes, step_in_lanes
 from closedloop.simulation.ensemble.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
 from closedloop.simulation.loop_calls import Answers, drive, unwritten
@@ -44,9 +43,8 @@ class _One:
         problem.connect(self.loop)
         self._before = unwritten(self.loop)
         self.answers = Answers(problem, self.loop)
-        self._form, self._keep = problem.form, rows_kept(problem, self.loop)
-        n = problem.robot.n
-        self._window = window = np.zeros((self._keep + steps + SPARE, problem.row_width))
+        n, self._beside = problem.robot.n, steps + SPARE
+        self._window = window = np.zeros((self._beside + BATCH, problem.row_width))
         H, C, scratch = compiled_terms(compiled_work(n), n)
         tableau = np.ascontiguousarray(problem.integrator.tableau())
         self.addresses = addresses_of((H, C), self.loop, problem.table, tableau, window, self.answers.events)
@@ -69,7 +67,6 @@ class _One:
         self.member = m = Member(own)
         m.addresses, m.scratch, m.scratch_size = address_of(self.addresses.memory), address_of(scratch), scratch.size
         m.copied, m.copied_count, m.boundary = address_of(copied), len(copied), address_of(boundary)
-        m.window, m.room, m.keep = address_of(window), len(window), self._keep
         m.held, m.steps, m.request = held, steps, TERMS
         m.reading = address_of(marks[2][reading - after.start :])
         m.keep_alive(scratch=scratch, copied=copied, marks=marks, boundary=boundary, H=H, C=C)
@@ -77,21 +74,25 @@ class _One:
 
     def fits(self, problem: Problem) -> bool:
         """Whether it may be of a problem: it differs in numbers alone from the one before."""
-        return self._form == problem.form and self._keep == rows_kept(problem, self.loop)
+        return problem.fits(self.loop)
 
     def begin(self, problem: Problem, tree: Tree) -> None:
         """Go to the start of a problem that it fits."""
         self.problem, m = problem, self.member
         for array, before in self._before:
             array[...] = before
-        problem.write(self.loop)
         problem.begin(self.loop)
         self.answers.begin(problem)
+        lag = max(float(self.loop.constants.lag), float(np.max(self.loop.constants.joint_lag, initial=0.0)))
+        keep = max(BATCH, int(lag / problem.h) + 3)  # rows before that a step may read or write
+        if len(self._window) != keep + self._beside:
+            self._window = np.empty((keep + self._beside, problem.row_width))
         self._window.fill(0.0)
         set_rows(self.addresses, problem.table, self._window)
         set_events(self.addresses, self.answers.events)
         self.addresses.row_count = problem.steps + 1  # the window stands for all of them, see `make_room`
         m.memory[:] = self._fresh
+        m.window, m.room, m.keep = address_of(self._window), len(self._window), keep
         m.links, m.constants, m.constants_size = address_of(tree.links), address_of(tree.constants), tree.constants.size
         m.blocks, m.once, m.carrier, m.serial, m.balls = tree.blocks, tree.once, tree.carrier, tree.serial, tree.balls
         m.begins = MEASURED if self.loop.state.settings.encoder else STEP_END
@@ -100,13 +101,6 @@ class _One:
             problem.set_restitution(self.loop)
             m.strike = entry_address(strike)
         m.keep_alive(tree=tree)
-
-
-def rows_kept(problem: Problem, loop: Loop) -> int:
-    """Return how many earlier rows a step may read or write; the loop has the problem's constants then."""
-    write_constants(problem, loop.constants)
-    lag = max(float(loop.constants.lag), float(np.max(loop.constants.joint_lag, initial=0.0)))
-    return max(BATCH, int(lag / problem.h) + 3)
 
 
 def _shares(count: int, threads: int) -> list[int]:

@@ -50,7 +50,7 @@ from closedloop.simulation.engines.proceed import (
     set_events,
     set_rows,
 )
-from closedloop.simulation.engines.scenario_numbers import entries_of
+from closedloop.simulation.engines.scenario_numbers import calls_law, entries_of
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 
@@ -295,7 +295,7 @@ def have_compiled(scenario: Scenario, model: RobotModel) -> None:
     surface = PlacedSurface(scenario.surface, scenario.surface_motion, np.eye(3), np.zeros(3), below_start=False)
     called = [*surface.entries().values(), *([] if surface.fixed_plane else (put_on_surface, normals_on_surface))]
     called += [closed_loops] if model.loops else []
-    called += entries_of(scenario, model).values()
+    called += entries_of(scenario, model, calls_law(scenario, model)).values()
     if scenario.contact or has_stops(scenario, model):
         with suppress(ScenarioError):  # which is said in its turn
             called += entries_of_contacts(scenario)

@@ -15,6 +15,7 @@ from closedloop.scenario.scenario import Scenario
 
 T = TypeVar("T")
 
+NOTHING = object()
 SECTIONS = dict(Scenario.model_fields)  # looking up that attribute takes longer than reading a section
 
 
@@ -90,10 +91,10 @@ class Parts:
         """Go to another scenario: what is made of sections that say other things there is to be made anew."""
         known, self._scenario = self._sections, scenario
         for name, section in vars(scenario).items():
-            before = known.get(name, section)
-            known[name] = section
-            if before is not section and not says_the_same(before, section):
-                self._stale |= self._readers.get(name, set())
+            if (before := known.get(name, NOTHING)) is not section:
+                known[name] = section
+                if before is not NOTHING and not says_the_same(before, section):
+                    self._stale |= self._readers.get(name, set())
 
     def follow(self, name: str, make: Callable[[Any], T], *others: Any) -> T:
         """Return what is made of the scenario and of others: as it was, where both are as they were.
@@ -110,7 +111,7 @@ class Parts:
             finally:
                 self._within.pop()
             own.update(watched.read)
-            for section in own:
+            for section in own if found is None else own - found.read:
                 self._readers.setdefault(section, set()).add(name)
             found = Part(found.made if found and alike(new, found.made) else new, others, own)
             self._parts[name] = found
@@ -125,13 +126,15 @@ class Parts:
 
 
 def alike(one: Any, other: Any) -> bool:
-    """Whether two objects are the same, or are equal words and whole numbers, alone or in tuples."""
+    """Whether two objects are the same, or are equal words and numbers, alone or in tuples."""
     if one is other:
         return True
     if type(one) is not type(other):
         return False
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(alike, one, other))
+    if isinstance(one, float):
+        return one.hex() == other.hex()  # 0 is equal to −0
     return isinstance(one, int | str) and one == other
 
 

@@ -58,12 +58,19 @@ from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import member_digests
+from closedloop.scenario.user_module import member_digests, members_of_users
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.scenario_numbers import Layout, PackedLaw, pack_compliance, pack_friction, pack_law
+from closedloop.simulation.engines.scenario_numbers import (
+    Layout,
+    PackedLaw,
+    Shape,
+    pack_compliance,
+    pack_friction,
+    pack_law,
+)
 from closedloop.simulation.engines.start_memory import STICK_SPEED
 from closedloop.simulation.loop_calls import have_compiled
 from closedloop.simulation.parts import Watched
@@ -305,7 +312,7 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept:
         return cache.last[1]
     cache.last, first = None, cache.given
     first.turn_to(scenario)
-    digests = first.follow("digests", member_digests)
+    digests = first.follow("digests", member_digests) if members_of_users(scenario) else {}
     bare: RobotModel = first.follow("model", lambda s: _model(s, cache)) if model is None else model
     robot: Robot = first.follow("robot", lambda s: _robot(s, bare, cache), bare)
     arm: Any = first.follow("arm", lambda s: robot.model.without_tools, robot)
@@ -337,10 +344,13 @@ def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[s
     joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model), arm)
     integrator, tolerance = follow("integrator", lambda s: integrator_of(s, joint_friction), joint_friction)
     follow("load friction", lambda s: _refuse_load_friction(s, joint_friction), joint_friction)
-    steps, hold = follow("steps", lambda s: steps_and_hold(s, n), arm)
+    layout, period = (
+        follow("layout", lambda s: Layout.of(s, model), arm),
+        follow("period", lambda s: s.law.sample_period),
+    )
+    steps, hold = follow("steps", lambda s: steps_and_hold(s, period, layout.row_width), period, layout)
     compensation = follow("believed compensation", _believed_compensation)
     follow("sampling", lambda s: _check_compensation(s, compensation), compensation)
-    layout = follow("layout", lambda s: Layout.of(s, model), arm)
     follow("compiled", lambda s: have_compiled(scenario, model), arm, layout)
     return {
         "robot": robot, "integrator": integrator, "tolerance": tolerance,
@@ -358,12 +368,13 @@ def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[s
         "encoder": follow("encoder", lambda s: _encoder(s, model), arm),
         "transmission": follow("transmission", lambda s: transmission_constants(s.transmission, model), arm),
         "drives": follow("drives", lambda s: np.stack(
-            [torque_limits(s.drives, model), torque_steps(s.drives, model, s.law.sample_period)]
-        ), arm),
+            [torque_limits(s.drives, model), torque_steps(s.drives, model, period)]
+        ), arm, period),
         "stabiliser": follow("stabiliser", lambda s: np.array(stabiliser_gains(s))),
         "project": follow("project", lambda s: s.stabiliser.kind in ("projection", "both") and _is_rigid(s)),
         "tendons": follow("tendons", lambda s: acting_tendons(s, model), arm),
         "stops": follow("stops", lambda s: stop_limits(s, model), arm),
+        "ends": follow("ends", lambda s: tuple(robot.tree.ends.tolist()), robot), "has_loops": bool(model.loops),
     }  # fmt: skip
 
 
@@ -389,7 +400,9 @@ def _started(scenario: Scenario, of: dict[str, Any], arm: Any, cache: Cache, kep
     if mode == PRESSED and friction.member.sticks != "elastic":
         u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
+    called = (*map(of.get, ("compensation", "friction", "joint_friction", "compliance", "sensor", "tendons")),)
     return {
+        "shape": follow("shape", lambda s: Shape.of(law, *called), law, *called),
         "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
         "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed, "law": law,
         "there": there,

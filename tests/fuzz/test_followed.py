@@ -61,7 +61,9 @@ def variations(name):
                 dotted = f"{section}.{key}"
                 if key == "kind" or dotted in FIXED - {"start.q", "time.duration"}:
                     continue
-                value = draw.choice(WITHIN[dotted]) if dotted in WITHIN else value_of(draw, dotted, field, table.get(key))
+                value = (
+                    draw.choice(WITHIN[dotted]) if dotted in WITHIN else value_of(draw, dotted, field, table.get(key))
+                )
                 if dotted == "start.q":
                     value = [x + 1e-3 for x in table.get(key) or []]
                 yield f"{dotted} = {value}", given | {section: table | {key: value}}

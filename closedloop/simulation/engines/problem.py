@@ -217,7 +217,7 @@ class Problem(ScenarioNumbers):
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:
         """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
-        return self.surface.entries() | entries_of(self.scenario, self.robot.model, user_law)
+        return self.surface.entries() | entries_of(self.scenario, self.robot.model, self.general and not user_law)
 
     def believed_entries(self) -> dict[str, Any]:
         """Return what is called of the surface that the controller believes in, by the keys of [belief]."""

@@ -117,10 +117,13 @@ def calls_law(scenario: Scenario, model: RobotModel) -> bool:
     return needs_general_form(scenario) or has_stops(scenario, model) or undriven
 
 
-def entries_of(scenario: Scenario, model: RobotModel, user_law: bool = False) -> dict[str, Any]:
-    """Return what the loop calls by address of the members of a scenario, by the names that `State` has for it."""
+def entries_of(scenario: Scenario, model: RobotModel, law: bool) -> dict[str, Any]:
+    """Return what the loop calls by address of the members of a scenario, by the names that `State` has for it.
+
+    `law` says whether it calls the scenario's law, see `calls_law`.
+    """
     found: dict[str, Any] = {}
-    if calls_law(scenario, model) and not user_law:
+    if law:
         found["law"] = law_entry(type(scenario.law))
         if not isinstance(scenario.compensation, NoCompensation):
             found["compensation"] = law_entry(type(scenario.compensation))
@@ -190,15 +193,16 @@ class Layout(NamedTuple):
         n, sections = len(model.joint_names), scenario.contact or ()
         states, arm = StatesOf.of(scenario, n), arm_columns(scenario)
         resists, of_law = any(each.resists for each in sections), recorded_states(states)
+        general = calls_law(scenario, model)
         return cls(
-            calls_law(scenario, model), row_width(n, bool(arm), len(sections), of_law), of_law,
+            general, row_width(n, bool(arm), len(sections), of_law), of_law,
             record_layout(states, len(sections), resists, arm, scenario.has_surface),
-            tuple(entries_of(scenario, model).items()), tuple(settings_of(scenario, model).items()),
+            tuple(entries_of(scenario, model, general).items()), tuple(settings_of(scenario, model, arm).items()),
         )  # fmt: skip
 
 
-def settings_of(scenario: Scenario, model: RobotModel) -> dict[str, int]:
-    """Return what sections say of the loop beside numbers, by the names of `Settings`."""
+def settings_of(scenario: Scenario, model: RobotModel, arm: tuple[str, ...]) -> dict[str, int]:
+    """Return what sections say of the loop beside numbers, by the names of `Settings`; `arm` as of `arm_columns`."""
     transmission, belief, wrong = scenario.transmission, scenario.belief, scenario.model_error
     to = {
         "unilateral": scenario.surface.contact == "unilateral",
@@ -208,7 +212,7 @@ def settings_of(scenario: Scenario, model: RobotModel) -> dict[str, int]:
         "encoder": reading_kind(scenario), "balls": len(model.balls), "undriven": len(model.undriven),
         "drives": scenario.drives != _DRIVES, "model_error": wrong != _MODEL_ERROR,
         "misjudged": belief.differs or wrong.normal != 0.0 or belief.normal_noise > 0.0,
-        "arm_at": Row.count(len(model.joint_names)) if arm_columns(scenario) else 0,
+        "arm_at": Row.count(len(model.joint_names)) if arm else 0,
     }  # fmt: skip
     to["perceived"] = any(to[name] for name in ("model_error", "misjudged", "elastic", "encoder"))
     return {name: int(value) for name, value in to.items()}
@@ -225,6 +229,20 @@ class Shape(NamedTuple):
     sensor: tuple[int, int, int, int]  # axes, states, ring, sampled, see `PackedSensor`
     sticking: tuple[int, int]  # of friction, and of that in joints, see `closedloop.loop.step.memory`
     sizes: tuple[int, ...]  # how many numbers the parameters are of each of `SIZES`
+
+    @classmethod
+    def of(
+        cls, law: PackedLaw, compensation: PackedLaw, friction: PackedLaw, joints: PackedLaw, compliance: PackedLaw,
+        sensor: PackedSensor, tendons: Array,
+    ) -> Shape:  # fmt: skip
+        """Return that of what is called."""
+        sizes = (
+            law.numbers.size, compensation.numbers.size, friction.numbers.size, joints.numbers.shape[1],
+            compliance.numbers.size, len(tendons),
+        )  # fmt: skip
+        states = law.states, compensation.states, friction.states, joints.states
+        of_sensor = sensor.axes, sensor.states, sensor.ring, int(sensor.sampled)
+        return cls(states, of_sensor, (sticking(friction), sticking(joints)), sizes)
 
 
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
@@ -371,12 +389,12 @@ class ScenarioNumbers:
         """Joints."""
         return self.robot.n
 
-    @property
+    @cached_property
     def ends(self) -> tuple[int, ...]:
         """Where the groups of joints end, see `closedloop.mechanics.robot.tree.group_ends`."""
         return tuple(self.robot.tree.ends.tolist())
 
-    @property
+    @cached_property
     def has_loops(self) -> bool:
         """Whether the robot has loop joints."""
         return bool(self.robot.model.loops)
@@ -409,14 +427,8 @@ class ScenarioNumbers:
     @cached_property
     def shape(self) -> Shape:
         """How many numbers there are of what is called."""
-        law, compensation, friction, joints = self.law, self.compensation, self.friction, self.joint_friction
-        sizes = (
-            law.numbers.size, compensation.numbers.size, friction.numbers.size, joints.numbers.shape[1],
-            self.compliance.numbers.size, len(self.tendons),
-        )  # fmt: skip
-        states = law.states, compensation.states, friction.states, joints.states
-        sensor = self.sensor.axes, self.sensor.states, self.sensor.ring, int(self.sensor.sampled)
-        return Shape(states, sensor, (sticking(friction), sticking(joints)), sizes)
+        laws = self.law, self.compensation, self.friction, self.joint_friction
+        return Shape.of(*laws, self.compliance, self.sensor, self.tendons)
 
     @cached_property
     def tendons(self) -> Array:

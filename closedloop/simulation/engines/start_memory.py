@@ -15,7 +15,6 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.drives import DrivesSection
 from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import start_sensor
 from closedloop.jit.calls import address_of
@@ -26,13 +25,11 @@ from closedloop.loop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHI
 from closedloop.loop.step.external import BEGIN, END, FELT, SHARE
 from closedloop.loop.step.locate import BALL_TIP, BallTip
 from closedloop.loop.step.memory import SPRING_STICK, Constants, Loop, State, Work
-from closedloop.loop.step.perceived import MOTORS_MEASURED, read_joints
-from closedloop.loop.step.record_row import Row
+from closedloop.loop.step.perceived import read_joints
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.rolling import RADIUS, SHAPE, make_shape_memory
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.laws.none import NoFriction
-from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.close import close_state, factor_rows
 from closedloop.mechanics.loops.drives import torque_of_drives
@@ -40,7 +37,6 @@ from closedloop.mechanics.loops.memory import POSITION, LoopMemory, bound_points
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import placed_on_link
 from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers

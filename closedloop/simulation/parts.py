@@ -50,10 +50,14 @@ class Asked:
 
     def stands_for(self, problem: Any) -> bool:
         """Whether another problem says the same to all that was read."""
+        for name, part in self._read.items():
+            if (now := getattr(problem, name)) is not part and not alike(part, now):
+                return False
         sections = vars(problem.scenario)
-        return all(alike(part, getattr(problem, name)) for name, part in self._read.items()) and all(
-            says_the_same(part, sections[name]) for name, part in self.scenario.read.items()
-        )
+        for name, part in self.scenario.read.items():
+            if (now := sections[name]) is not part and not says_the_same(part, now):
+                return False
+        return True
 
 
 def asking(problem: Any, make: Callable[..., T], *others: Any) -> tuple[T, Asked]:

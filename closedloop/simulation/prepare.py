@@ -5,7 +5,7 @@ Where the tip is to the surface at the start: on it, off it, or refused.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from threading import get_ident
@@ -282,7 +282,6 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         return problem_of(scenario, model, cache)
     own = Cache()
     problem = problem_of(scenario, model, own, kept=False)
-    own.whole.forget("table")  # which is the problem's
     problem.of_thread[get_ident()] = own
     return problem
 
@@ -388,13 +387,14 @@ def _started(scenario: Scenario, of: dict[str, Any], arm: Any, cache: Cache, kep
             "closed start", lambda s: closed_start(robot, q, v, s.start.assemble or s.start.q is None), robot, q, v
         )
     there = follow("surface", lambda s: PlacedSurface.of(s.surface, s.surface_motion, ORIGIN, 0.0, s.tool.radius))
-    place = follow("place", lambda s: _placed(s, robot, q, v, there, of["tolerance"]), robot, q, v, there, arm)
+    following = follow if kept else _made_of(scenario)
+    place = following("place", lambda s: _placed(s, robot, q, v, there, of["tolerance"]), robot, q, v, there, arm)
     surface, now, mode, believed = place
     on = follow("contact rows", lambda s: contact_rows(s, robot) if s.contact or has_stops(s, model) else None, robot)
     placed = None if on is None else follow("contacts", lambda s: placed_contacts(s, robot, on, q), robot, on, q)
     taken = surface if believed is None else believed
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
-        wanted, table = _reference(scenario, of, taken, q, cache, kept)
+        wanted, table = _reference(of, taken, q, cache, kept, following)
     start = follow("pd_start", lambda s: _pd_start(s, wanted), wanted.tip)
     law = follow("law", lambda s: _packed_law(s, start, model), start, arm)
     if mode == PRESSED and friction.member.sticks != "elastic":
@@ -523,8 +523,13 @@ def _believed_compensation(scenario: Scenario) -> Compensation:
 BEYOND = 1.001
 
 
+def _made_of(scenario: Scenario) -> Callable[..., Any]:
+    """Return what makes parts as `Parts.follow` does, but for keeping them: of a start that none follows."""
+    return lambda name, make, *others: make(scenario)
+
+
 def _reference(
-    scenario: Scenario, of: dict[str, Any], surface: PlacedSurface, q: Array, cache: Cache, kept: bool
+    of: dict[str, Any], surface: PlacedSurface, q: Array, cache: Cache, kept: bool, following: Callable[..., Any]
 ) -> tuple[Desired, Array]:
     """Return what is desired on a surface, and the table of it, with what sensors draw behind each row."""
     follow, robot, steps, nodes = cache.whole.follow, of["robot"], of["steps"], of["nodes"]
@@ -551,7 +556,7 @@ def _reference(
         key = cache.texts(s, of=("robot", "tool", "reference")), q.tobytes(), _path_key(s, surface)
         return cache.get_shared(("desired", *key), found, lambda made: 3 * made.joints.q.nbytes), key
 
-    motion, key = follow("path", path, robot, surface, q)
+    motion, key = following("path", path, robot, surface, q)
 
     def made(s: Any) -> Array:
         spare = (DrawnRow if reads else TableRow).count(n) - Reference.count(n)
@@ -573,9 +578,10 @@ def _reference(
         if reads:
             table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(s.encoder, steps + 1, n)
 
-    table = follow("table", made, motion, instants, drawn, reads)
-    follow("draws", draw, table)
-    return follow("force", force, motion, table), table
+    table = following("table", made, motion, instants, drawn, reads)
+    following("draws", draw, table)
+    wanted: Desired = following("force", force, motion, table)
+    return wanted, table
 
 
 def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:

@@ -146,11 +146,13 @@ def says_the_same(one: Any, other: Any) -> bool:
     """Whether two sections, or lists of them, say the same to the bit: 0 is equal to −0, and its text is not."""
     if one is other:
         return True
-    if not (type(one) is type(other) and one == other):
+    if type(one) is not type(other):
         return False
+    if isinstance(one, Section):
+        return vars(one) == vars(other) and text_of(one) == text_of(other)
     if isinstance(one, tuple):
-        return all(map(says_the_same, one, other))
-    return not isinstance(one, Section) or text_of(one) == text_of(other)
+        return len(one) == len(other) and all(map(says_the_same, one, other))
+    return bool(one == other)
 
 
 def text_of(section: Section) -> tuple[Hashable, ...]:

@@ -400,7 +400,7 @@ def _started(scenario: Scenario, of: dict[str, Any], arm: Any, cache: Cache, kep
     if mode == PRESSED and friction.member.sticks != "elastic":
         u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
-    called = (*map(of.get, ("compensation", "friction", "joint_friction", "compliance", "sensor", "tendons")),)
+    called = [of[name] for name in ("compensation", "friction", "joint_friction", "compliance", "sensor", "tendons")]
     return {
         "shape": follow("shape", lambda s: Shape.of(law, *called), law, *called),
         "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,

@@ -156,8 +156,6 @@ class Core:
             raise ScenarioError(
                 "options: the arm, time.step and time.duration of an environment cannot be changed: make another"
             )
-        if elsewhere:  # actions write to its table
-            self._cache.whole.forget("table")
         # The cache's table is overwritten for the next scenario of the same path.
         return problem if self.task.worlds is None or elsewhere else problem.with_table(problem.table.copy())
 

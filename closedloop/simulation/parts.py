@@ -124,10 +124,6 @@ class Parts:
             self._within[-1].update(found.read)
         return cast(T, found.made)
 
-    def forget(self, *names: str) -> None:
-        """Let what has these names be made anew."""
-        self._stale.update(names)
-
 
 def alike(one: Any, other: Any) -> bool:
     """Whether two objects are the same, or are equal words and numbers, alone or in tuples."""

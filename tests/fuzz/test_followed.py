@@ -159,9 +159,9 @@ def test_what_is_taken_over_from_other_scenarios_is_what_a_fresh_call_makes(name
     assert ran >= 120 / every
 
 
-@pytest.mark.parametrize("forgotten", ["law", "sensor", "encoder", "external_force"])
+@pytest.mark.parametrize("forgotten", ["model_error", "stabiliser", "force_profile"])
 def test_a_section_that_is_read_and_not_noted_would_show(forgotten, monkeypatch):
-    """With a planted fault the walk finds it."""
+    """With a planted fault the walk finds it; the section says nothing of how much memory there is to be."""
     noted = Watched.__getattr__
 
     def forgets(scenario, name):

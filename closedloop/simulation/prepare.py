@@ -31,9 +31,9 @@ from closedloop.control.stability import check_sampling
 from closedloop.control.transmission import transmission_constants
 from closedloop.jit.parameters import lists_per_joint, pack
 from closedloop.jit.user_code import of_users
-from closedloop.loop.events.phases import RESTING, TOUCHING
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.friction.law import JointFriction
+from closedloop.mechanics.limits import RESTING, TOUCHING
 from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid

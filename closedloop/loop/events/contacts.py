@@ -19,7 +19,6 @@ from closedloop.loop.events.phases import (
     ENLARGE_TABLE,
     FAIL,
     IMPULSES_KNOWN,
-    MAX_RAPID,
     NEED_TERMS,
     PROJECTION,
     SOLVE_IMPACT,
@@ -29,20 +28,18 @@ from closedloop.loop.events.substep import count_event, resume_step, too_many_ev
 from closedloop.loop.events.table import EDGE, LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.loop.step.closed_loops import impulse_of_frames
 from closedloop.loop.step.contact_rows import resolution
-from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED
+from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE
 from closedloop.loop.step.entries import RESTART
 from closedloop.loop.step.evaluate import call_law
 from closedloop.loop.step.memory import Constants, State, Work, ask_contacts
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
-from closedloop.mechanics.contacts.friction import STILL, stops_slipping
+from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
-from closedloop.mechanics.contacts.modes import TOUCHING, open_margin, touches
+from closedloop.mechanics.contacts.modes import open_margin, touches
 from closedloop.mechanics.contacts.rolling import leave_seats
 from closedloop.mechanics.contacts.soft import stored_in
-
-# A contact that is further off its surface after an event is put onto it, m.
-OFF_SURFACE = 1e-10
+from closedloop.mechanics.limits import MAX_RAPID, OFF_SURFACE, STICK_SPEED, STILL, TOUCHING
 
 
 @kernel

@@ -7,7 +7,6 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.loop.events.phases import MAX_RAPID
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN, write_event
 from closedloop.loop.step.closed_loops import impulse_of_frames
 from closedloop.loop.step.entries import RESTART
@@ -21,6 +20,7 @@ from closedloop.mechanics.contacts.impact import own_rest_speed
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.impact import CUT as ENERGY_CUT
 from closedloop.mechanics.impact import ImpactWork, energy_lost, impact
+from closedloop.mechanics.limits import MAX_RAPID
 
 
 @kernel

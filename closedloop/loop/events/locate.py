@@ -12,28 +12,22 @@ from closedloop.jit.kernel import kernel
 from closedloop.jit.simd8 import select
 from closedloop.loop.events.phases import (
     CHECK_STAGE,
-    INSTANT,
     LOCATE_EVENT,
     LOCATE_MINIMUM,
     NO_TRIAL,
     REACH_EVENT,
     RETRY_SUBSTEP,
-    SHALLOW,
     STAGE_CHECKED,
 )
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import STILL
+from closedloop.mechanics.limits import AT_EDGE, CLOSED_GAP, INSTANT, SLIGHT, SMALL
 
-# Where slip ends, the spring of a law that sticks by one pulls exactly at its limit: up to this share above it the tip
-# still sticks, so that rounding does not let it go again.
-AT_LIMIT = 1e-12
-
-# An event function that at a stage is less than this share of what it is at the end of the step, which ends at an
-# instant that was found, has jumped. So has one that at a stage is no more than a slip that has no direction: in mm/s
-# at the tip, in m/s at contacts of links, whose slip has none below 1e-9 m/s.
-JUMP, AT_REST = 1e-3, 1.001e3 * STILL
+# An event function that at a stage is no more than a slip that has no direction has jumped: in mm/s at the tip, in m/s
+# at contacts of links.
+AT_REST = 1.001e3 * STILL
 
 
 @kernel
@@ -64,7 +58,7 @@ def cone_margin(w: Work, state: State) -> float:
     call_at(state.friction.entry, state.address, LIMIT)
     limit = w.friction.stick_limit * abs(w.tip.F[0])
     if state.friction.sticking == SPRING_STICK:
-        limit += AT_LIMIT * limit
+        limit += AT_EDGE * limit
     return float(limit - np.hypot(w.tip.F[1], w.tip.F[2]))
 
 
@@ -89,7 +83,7 @@ def choose_trial(w: Work, state: State) -> None:
     low, high, a, b = w.search.low, w.search.high, w.search.at_low, w.search.at_high
     share, of_low = 0.5, w.search.tau == low  # of the bracket, from its newer end
     if state.trial.steps == 0:
-        if a > 0.0 > b and a > 1e-6 * -b:
+        if a > 0.0 > b and a > SLIGHT * -b:
             share = a / (a - b) if of_low else b / (b - a)
     else:
         x, y = (low, a) if of_low else (high, b)
@@ -117,7 +111,7 @@ def refine_bracket(w: Work, state: State) -> int:
             w.search.tau = w.length
             return RETRY_SUBSTEP
     if state.trial.purpose == LOCATE_MINIMUM:
-        if w.tip.gap < -SHALLOW:  # the tip penetrates: locate the crossing before
+        if w.tip.gap < -CLOSED_GAP:  # the tip penetrates: locate the crossing before
             state.trial.purpose = LOCATE_EVENT
             w.search.low, w.search.at_low = 0.0, max(w.start.gap, 0.0)
         else:
@@ -163,7 +157,7 @@ def settle_instant(w: Work, state: State) -> None:
     small as where slip has no direction.
     """
     value = w.search.value
-    if state.settings.stages > 1 and abs(w.search.at_stage) < max(JUMP * abs(value), AT_REST) < abs(value):
+    if state.settings.stages > 1 and abs(w.search.at_stage) < max(SMALL * abs(value), AT_REST) < abs(value):
         value = w.search.at_stage
     if state.trial.settling == 1:
         w.search.at_low, w.search.tau = slope_of(value), sought(w.search.tau)

@@ -28,45 +28,8 @@ NO_TRIAL, STAGE_CHECKED, CHECK_STAGE, LOCATE_EVENT, LOCATE_MINIMUM, REACH_EVENT 
     SOLVE_IMPACT,
 ) = range(10)
 
-# An event is located to this, s; nearer than that to a row it happens at the row.
-INSTANT = 1e-14
-# Within this gap the tip is on the surface, m: the rounding of n·r − d is a few 1e-16, of a located touch 1e-14.
-TOUCHING = 1e-12
-# A negative gap down to −SHALLOW is rounding, m. After liftoff the gap grows with the cube of time at first, no faster
-# than the error of an integrator: until it has exceeded LEAVING, m, more than a stabiliser leaves of e, plus the error
-# of a step of first order, h² nᵀJ̇ᵣq̇, that sum is the tolerance.
-SHALLOW, LEAVING = 1e-13, 1e-9
-# A closure rate this small is the rounding of a velocity that was set to zero, m/s.
-RESTING = 1e-11
-# After so many events in a row within `RAPID`, s, of each other a bounce ends in contact, whatever its speed. Events of
-# any kind are counted, and each row takes `OUTPACED` off the count: more than MAX_IN_STEP end the run. A bounce that
-# comes to rest within a step has some hundreds (900 at a restitution of 0.99), once; what has more than OUTPACED in
-# every step changes its mode faster than the step resolves, and no row shows it.
-RAPID, MAX_RAPID = 1e-12, 20
-MAX_IN_STEP = 2000
-OUTPACED = 100
-# In runs with contacts of links a step is divided where a joint turns faster than the first, rad/s, and would turn by
-# more than the second in it, rad: a body on three revolute joints turns them fast where two of their axes are
-# nearly parallel, and rk4 is to leave its energy to 1e-9. While a contact of a link is closed the gap is to stay within
-# 1e-9 m too, of an error that grows with the fourth power of the turn: a quarter of both. Near such a pose a speed
-# changes by a multiple of itself in a step: a fast joint's by no more than the last, a share.
-FAST, LARGEST_TURN = 12.5, 0.0125
-FAST_CLOSED, TURN_CLOSED = 3.3, 0.0033
-LARGEST_CHANGE = 0.025
-# A step of several stages at whose end a closed contact is deeper than the first, m, and by more than the second deeper
-# than at its beginning, is taken again in halves, down to the third, s: what it has done there is its own error.
-DEEP, DEEPENS, SHORTEST_HALF = 4e-10, 5e-11, 1e-5
-# So is one in which the forces of contacts multiply by more than the first and come to more than the second, as a
-# multiple of the load, down to the third, s: near Painlevé's paradox they have no bound. Where they jump, from one
-# solution to another, no halving helps: there are at most so many in a step.
-MOST_GROWTH, HIGH, SHORTEST_GROWTH, MOST_HALVINGS = 2.0, 30.0, 1e-8, 200
-# And one in which slips turn, for which there are at most so many.
-MOST_TURNS = 50
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
-# Moves of a projection: Newton's method converges quadratically, from the nanometres or micrometres after a step in one
-# move; five are for a start a millimetre off.
-MAX_MOVES = 5
 
 
 @kernel_inlined

@@ -49,7 +49,6 @@ from closedloop.loop.events.phases import (
     IMPULSES_KNOWN,
     MEASURED,
     NEED_TERMS,
-    OUTPACED,
     PART_END,
     PROJECT,
     PROJECTION,
@@ -89,6 +88,7 @@ from closedloop.loop.step.perceived import back_to_true, read_joints
 from closedloop.loop.step.record_row import record
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.limits import OUTPACED
 
 
 @inlined_kernel

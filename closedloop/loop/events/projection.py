@@ -5,15 +5,16 @@ from __future__ import annotations
 from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import kernel
-from closedloop.loop.events.phases import AFTER_EVENT, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
+from closedloop.loop.events.phases import AFTER_EVENT, FAIL, NEED_TERMS, PROJECTION, request_terms
 from closedloop.loop.step.advance import move
 from closedloop.loop.step.closed_loops import factorise_tip
-from closedloop.loop.step.contacts import CLOSE_GAPS, CLOSE_RATES, CLOSED
+from closedloop.loop.step.contacts import CLOSE_GAPS, CLOSE_RATES
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts
 from closedloop.mechanics.closure.contact_force import STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.memory import OFF, ContactLinks, Contacts, contacts_at
+from closedloop.mechanics.limits import CLOSED, REFINEMENTS
 
 # A projection after an event moves no joint further than this share of the largest gap, rad/m: levers of a centimetre.
 FARTHEST = 100.0
@@ -42,7 +43,7 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
             if stuck:
                 w.tip.a[i] = off_anchor(w, state, i) if level == 0 else w.tip.u[i]
                 size = max(size, abs(w.tip.a[i]))
-        if level == 0 and (size <= CLOSED or state.projection.moves >= MAX_MOVES):
+        if level == 0 and (size <= CLOSED or state.projection.moves >= REFINEMENTS):
             if not has_derivatives(size) or state.projection.moves >= MOVED_ALONG:
                 continue
             state.projection.moves = MOVED_ALONG  # the value stays: the derivatives are moved onto the closure
@@ -82,7 +83,7 @@ def project_contacts(w: Work, constants: Constants, state: State) -> int:
     after_event = state.projection.next_phase == AFTER_EVENT  # whose velocities obey the modes already
     if after_event and too_far(links, c, w):
         links.moved = 0
-    if links.moved != 0 and state.projection.moves < MAX_MOVES:
+    if links.moved != 0 and state.projection.moves < REFINEMENTS:
         if state.settings.balls == 0:
             for j in range(n):
                 w.q[j] += w.scratch.column[j]

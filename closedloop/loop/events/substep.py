@@ -15,38 +15,18 @@ from closedloop.loop.events.phases import (
     AT_EVENT,
     BEGIN_SUBSTEP,
     CHECK_STAGE,
-    DEEP,
-    DEEPENS,
-    FAST,
-    FAST_CLOSED,
-    HIGH,
-    INSTANT,
-    LARGEST_CHANGE,
-    LARGEST_TURN,
-    LEAVING,
     LOCATE_EVENT,
     LOCATE_MINIMUM,
-    MAX_IN_STEP,
-    MOST_GROWTH,
-    MOST_HALVINGS,
-    MOST_TURNS,
     NEED_TERMS,
     NO_TRIAL,
     PART_END,
     PROJECTION,
-    RAPID,
     REACH_EVENT,
-    RESTING,
     RETRY_SUBSTEP,
-    SHALLOW,
-    SHORTEST_GROWTH,
-    SHORTEST_HALF,
     STAGE,
     STAGE_CHECKED,
     STEP_END,
-    TOUCHING,
     TRIAL_END,
-    TURN_CLOSED,
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
@@ -61,6 +41,24 @@ from closedloop.mechanics.closure.solve import CHATTER, CROWDED, DIVERGED, OK, R
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
 from closedloop.mechanics.friction.answers import ADVANCE_STATES
+from closedloop.mechanics.limits import (
+    CLOSED_GAP,
+    FAST,
+    HIGH,
+    HOVERING,
+    INSTANT,
+    LARGEST_TURN,
+    MAX_IN_STEP,
+    MOST_GROWTH,
+    MOST_HALVINGS,
+    OFF_SURFACE,
+    QUARTER,
+    RAPID,
+    RESTING,
+    SHORTEST_GROWTH,
+    TIME_STEP_SPAN,
+    TOUCHING,
+)
 from closedloop.mechanics.loops.memory import loops_at, tree_at
 from closedloop.mechanics.robot.tree.layout import REVOLUTE, SLIDES
 
@@ -115,9 +113,8 @@ def divide_step(w: Work, constants: Constants, state: State) -> bool:
     beyond SPEED_LIMIT before the step ends, and its substep is shorter than that of a joint at this limit.
     """
     fastest, change, left = 0.0, 0.0, w.length
-    fast, most = (
-        (FAST, LARGEST_TURN) if state.coupled == 0 or state.settings.stages == 1 else (FAST_CLOSED, TURN_CLOSED)
-    )
+    share = 1.0 if state.coupled == 0 or state.settings.stages == 1 else QUARTER
+    fast, most = share * FAST, share * LARGEST_TURN
     links, c = contacts_at(state.contacts.at)
     tree = tree_at(loops_at(links.rows)[0])
     wheels = links.shapes != 0 and not some_stand(links, c)  # nothing turns with a wheel, unless its feet stand
@@ -131,10 +128,9 @@ def divide_step(w: Work, constants: Constants, state: State) -> bool:
     parts = fastest * left / most if fastest > fast else 1.0
     reached = fastest + change * left
     if reached > FAST:
-        parts = max(parts, change * left / (LARGEST_CHANGE * max(fastest, FAST)))
+        parts = max(parts, change * left / (2.0 * LARGEST_TURN * max(fastest, FAST)))
     if parts > 1.0:
-        w.length = left / np.ceil(parts)
-        state.divided = 1
+        w.length, state.divided = left / np.ceil(parts), 1
     if state.coupled != 0 and c.step.span < w.length:
         w.length, state.divided = c.step.span, 1
     if not (reached > SPEED_LIMIT and left * SPEED_LIMIT < parts * most):
@@ -162,12 +158,12 @@ def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> in
     links, c = contacts_at(state.contacts.at)
     if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
         return todo
-    ends, depth, force = todo == BEGIN_SUBSTEP, closed_depth(links, c), force_over_load(links, c)
-    sinks = ends and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
-    turns = not ends and slips_turn(links, c, state.stage) and state.trial.halvings < MOST_TURNS
-    multiplies = links.stepped == 0 and force > max(HIGH, MOST_GROWTH * w.start.force_over_load)
-    shortest = SHORTEST_GROWTH if multiplies else SHORTEST_HALF
-    if not ((sinks or turns or multiplies) and w.search.tau > shortest):
+    ends = todo == BEGIN_SUBSTEP
+    sinks = ends and constants.s_p > 0.0 and closed_depth(links, c) < w.start.depth - OFF_SURFACE
+    turns = not ends and slips_turn(links, c, state.stage)
+    grown = force_over_load(links, c) > max(HIGH, MOST_GROWTH * w.start.force_over_load)
+    multiplies = links.stepped == 0 and grown
+    if not ((sinks or turns or multiplies) and w.search.tau > (SHORTEST_GROWTH if multiplies else TIME_STEP_SPAN)):
         return todo
     state.trial.purpose = NO_TRIAL
     if state.trial.halvings < MOST_HALVINGS:
@@ -324,14 +320,14 @@ def check_step(w: Work, drift: float, state: State) -> int:
         if w.search.value < 0.0:
             trial = REACH_EVENT if here else LOCATE_EVENT
     elif state.settings.unilateral != 0:
-        leaving = LEAVING + (w.length * w.length * abs(drift) if state.settings.stages == 1 else 0.0)
+        leaving = HOVERING + (w.length * w.length * abs(drift) if state.settings.stages == 1 else 0.0)
         if state.past_edge != 0:
             if w.tip.gap > leaving:
                 state.past_edge = 0
         elif here:
             if w.tip.gap <= TOUCHING and w.tip.rate < -RESTING:
                 trial = REACH_EVENT
-        elif w.tip.gap < -(SHALLOW if state.cleared != 0 else leaving):
+        elif w.tip.gap < -(CLOSED_GAP if state.cleared != 0 else leaving):
             trial = LOCATE_EVENT
         elif state.cleared != 0 and w.start.rate < -RESTING and w.tip.rate > 0.0:
             trial = LOCATE_MINIMUM  # down and up again: locate the lowest point

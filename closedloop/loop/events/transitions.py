@@ -22,13 +22,9 @@ from closedloop.loop.events.phases import (
     ENLARGE_TABLE,
     FAIL,
     IMPULSES_KNOWN,
-    MAX_IN_STEP,
-    MAX_RAPID,
     NEED_TERMS,
     PROJECT,
-    RESTING,
     SOLVE_IMPACT,
-    TOUCHING,
     request_terms,
 )
 from closedloop.loop.events.substep import count_event, resume_step, too_many_events
@@ -51,9 +47,7 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.friction.answers import LIMIT, SLIDE
 from closedloop.mechanics.friction.answers import STICK as END_OF_SLIP
 from closedloop.mechanics.impact import energy_lost
-
-# A surface from which the tip can lift off holds no tip that it would have to pull at with more than this, N: rounding.
-LEAST_PULL = 1e-9
+from closedloop.mechanics.limits import FOUND, LEAST_PULL, MAX_IN_STEP, MAX_RAPID, RESTING, TOUCHING
 
 
 @kernel_inlined
@@ -169,7 +163,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
             w.start.slip_speed = 0.0  # that of the substep before was such an error, and judges this slip no more
     else:
         speed = np.hypot(w.tip.u[1], w.tip.u[2])
-        slow = speed <= max(2.0 * constants.stick_speed, constants.capture_speed * (1.0 + 1e-9))
+        slow = speed <= max(2.0 * constants.stick_speed, constants.capture_speed * (1.0 + FOUND))
         if state.friction.sticking == SPRING_STICK:
             w.friction.delayed_slip = delayed_speed(w, constants, state, rows, constants.lag, speed)
             w.search.value = 0.0

@@ -26,7 +26,6 @@ from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.resistance_rows import write_resistances
 from closedloop.mechanics.contacts.rolling import (
     APART,
-    OWN_STEP,
     has_edge,
     is_idle,
     roll_on_plane,
@@ -35,6 +34,7 @@ from closedloop.mechanics.contacts.rolling import (
     shapes_at,
 )
 from closedloop.mechanics.contacts.soft import write_soft_forces
+from closedloop.mechanics.limits import OWN_STEP
 from closedloop.mechanics.loops.memory import LoopRows, loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.mechanics.loops.solve import leave_free

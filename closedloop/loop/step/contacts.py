@@ -28,14 +28,7 @@ from closedloop.loop.step.tendons import add_along
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
 from closedloop.mechanics.contacts.closed import solve_closed
-from closedloop.mechanics.contacts.friction import (
-    STILL,
-    advance_states,
-    cone_limit,
-    give_states,
-    stops_slipping,
-    write_rates,
-)
+from closedloop.mechanics.contacts.friction import advance_states, cone_limit, give_states, stops_slipping, write_rates
 from closedloop.mechanics.contacts.given_modes import (
     keep_in_cones,
     kinds_of_modes,
@@ -47,7 +40,6 @@ from closedloop.mechanics.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STA
 from closedloop.mechanics.contacts.memory import (
     CONE,
     DOUBLE,
-    HOVERING,
     LINE,
     OFF,
     RAY,
@@ -58,15 +50,28 @@ from closedloop.mechanics.contacts.memory import (
     joints_of,
     joints_rub,
 )
-from closedloop.mechanics.contacts.modes import RESTING, decide, open_margin, touches
+from closedloop.mechanics.contacts.modes import decide, open_margin, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.rolling import longest_roll, rest_on_feet, rim_margin, rolls, shapes_at
 from closedloop.mechanics.contacts.soft import let_friction_rise, soft_margin
 from closedloop.mechanics.contacts.stepping import begin_step, look_ahead
 from closedloop.mechanics.contacts.time_step import begin_time_step
-from closedloop.mechanics.contacts.turning import BREAKING_AWAY, stop_slips, turn_and_solve
-from closedloop.mechanics.contacts.unknown_modes import WEDGED
+from closedloop.mechanics.contacts.turning import stop_slips, turn_and_solve
 from closedloop.mechanics.impact import energy_lost
+from closedloop.mechanics.limits import (
+    BREAKING_AWAY,
+    CLOSED,
+    FADED,
+    HOVERING,
+    MOST_OF,
+    QUARTER,
+    RESTING,
+    STICK_SPEED,
+    STILL,
+    TOUCHING,
+    TURNED,
+    WEDGED,
+)
 
 # What the contacts are asked for.
 FORCE, WATCH, SAVE, PLACE, IMPULSE, DECIDE = range(6)
@@ -253,7 +258,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
         c.margin = margin_of(links, c, k, STICK_SPEED, rest, resolution(constants, state))
         if begins and fixed and status == OK and c.margin >= 0.0:
             left = stop_slips(links, c, constants.h)
-            if left <= (LAST * constants.h if state.settings.stages > 1 else constants.h):
+            if left <= (QUARTER * constants.h if state.settings.stages > 1 else constants.h):
                 links.stepped, c.step.end, c.margin = 1, w.time + left, left
                 for i in range(3 * k):
                     c.F[i] = c.rigid[i] = c.step.force[i]
@@ -310,19 +315,8 @@ def step_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants,
     return int(status)
 
 
-# An error below this is rounding, m: e = n·r − d is a sum of a few products of the order of a metre; or a rate, m/s.
-CLOSED = 2e-15
-# The last step before slips end has constant forces. Of an integrator of several stages it is no longer than the first,
-# of the step; until then its steps are no longer than the second, of what is left.
-LAST, MOST_OF = 1.0 / 4.0, 0.9
-# Slips at two stages in the middle of a substep may differ by the first, a share; slower ones count as the second, m/s.
-MOST_TURN, UNTURNED = 0.25, 1e-6
 # The margin where no forces go with the modes.
 NO_FORCES = -1e30
-# A joint this near to its stop is at it, rad (m).
-AT_STOP = 1e-12
-# The speed of slip below which it is none, m/s: it ends if it becomes less, in a step, by more than to this share.
-STICK_SPEED, FADED = 1e-7, 0.5
 
 
 @kernel
@@ -453,8 +447,8 @@ def slips_turn(links: ContactLinks, c: Contacts, stage: int) -> bool:
         u1, u2 = c.u[3 * i + 1], c.u[3 * i + 2]
         if stage == 2 and c.mode[i] == PRESSED and c.mu[i] > 0.0 and c.soft[i] == 0.0:
             before1, before2 = c.friction.stage_u[i, 0], c.friction.stage_u[i, 1]
-            speed = max(math.hypot(u1, u2), math.hypot(before1, before2), UNTURNED)
-            turns = turns or math.hypot(u1 - before1, u2 - before2) > MOST_TURN * speed
+            speed = max(math.hypot(u1, u2), math.hypot(before1, before2), TURNED)
+            turns = turns or math.hypot(u1 - before1, u2 - before2) > QUARTER * speed
         c.friction.stage_u[i, 0], c.friction.stage_u[i, 1] = u1, u2
     return turns
 
@@ -472,7 +466,7 @@ def put_at_stops(links: ContactLinks, c: Contacts, w: Work, constants: Constants
     """Put joints that are at their stops, but for the rounding of an instant, exactly there."""
     for i in range(links.points, links.points + links.stops):
         j = int(c.joint[i])
-        if j < links.n and c.mode[i] != FREE and abs(c.located[3 * i]) <= AT_STOP:
+        if j < links.n and c.mode[i] != FREE and abs(c.located[3 * i]) <= TOUCHING:
             w.q[j] = constants.lower_stop[j] if c.side[i] > 0.0 else constants.upper_stop[j]
 
 

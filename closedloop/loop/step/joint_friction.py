@@ -37,12 +37,8 @@ from closedloop.mechanics.closure.contact_force import (
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.friction.answers import ADVANCE_STATES, LIMIT, SLIDE
 from closedloop.mechanics.friction.answers import STICK as END_OF_SLIP
+from closedloop.mechanics.limits import AT_EDGE, EXACT, SWEEPS
 from robot_models.tendon import DAMPING
-
-# Sweeps of Gauss-Seidel at most, and the change of a torque, as a share of its limit, after which there is no other.
-MOST_SWEEPS, SETTLED = 500, 1e-14
-# A torque that moves its joint by less than this share of what it would without contacts and loops does not move it.
-HELD = 1e-12
 
 
 @kernel
@@ -145,9 +141,9 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
         answer = row_of(w.joint_friction.gain, r)
         accelerate(w.L, w.tip.X, y, F, answer, integers_at(state.addresses.group_ends, state.n))
         own = rate_along(constants, r, answer)
-        if own > HELD * alone:
+        if own > AT_EDGE * alone:
             w.joint_friction.mobility[r] = own
-    for _ in range(MOST_SWEEPS):
+    for _ in range(SWEEPS):
         change = 0.0
         for r in range(n + state.tendons):
             own = w.joint_friction.mobility[r]
@@ -160,7 +156,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             change = max(change, abs(moved) / limit[r])
             for i in range(n):
                 w.qdd[i] += w.joint_friction.gain[r, i] * moved
-        if change <= SETTLED:
+        if change <= EXACT:
             break
     for r in range(n + state.tendons):
         add_along(constants, r, dry[r], w.joint_friction.torque)

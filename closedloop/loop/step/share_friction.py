@@ -21,11 +21,10 @@ from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, Constants, State, W
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import AT_REST
+from closedloop.mechanics.limits import AT_EDGE, EXACT, ITERATIONS, SWEEPS
 
-# Sweeps over the joints' limits at most, and the torque, N m, after which there is no more to change.
-SWEEPS, UNCHANGED = 300, 1e-13
-# The weight of F_t at most, halvings of its logarithm, and the share of the cone that is kept from its rim.
-HEAVIEST, HALVINGS, RIM = 1e8, 40, 1e-12
+# The weight of F_t at most.
+HEAVIEST = 1e8
 
 
 @kernel
@@ -69,7 +68,7 @@ def share_friction(w: Work, constants: Constants, state: State) -> None:
         low, high = 0.0, math.log(HEAVIEST)
         if not weigh(w, d, HEAVIEST, first, count, inverse, multipliers, change) or not in_cone(w, change):
             return  # it cannot stick, or f would have to be another: what the joints have found stays
-        for _ in range(HALVINGS):
+        for _ in range(ITERATIONS):
             middle = 0.5 * (low + high)
             if weigh(w, d, math.exp(middle), first, count, inverse, multipliers, trial) and in_cone(w, trial):
                 high = middle
@@ -84,7 +83,7 @@ def share_friction(w: Work, constants: Constants, state: State) -> None:
 def in_cone(w: Work, change: Array) -> bool:
     """Return whether F with this change is in the cone of friction of a tip that sticks."""
     size = math.hypot(w.tip.F[1] + change[1], w.tip.F[2] + change[2])
-    return bool(size <= (1.0 - RIM) * w.friction.stick_limit * (w.tip.F[0] + change[0]))
+    return bool(size <= (1.0 - AT_EDGE) * w.friction.stick_limit * (w.tip.F[0] + change[0]))
 
 
 @kernel
@@ -139,7 +138,7 @@ def weigh(
                     change[i] -= inverse[3 * i + k] * w.tip.A[k, j] * (new - multipliers[j])
             most = max(most, abs(new - multipliers[j]) * gain)
             multipliers[j] = new
-        if most <= UNCHANGED:
+        if most <= EXACT:
             return True
     return False
 

@@ -28,13 +28,8 @@ from closedloop.jit.simd8 import every
 from closedloop.loop.step.memory import Constants, N, State, Work
 from closedloop.mechanics.closure.contact_force import accelerate
 from closedloop.mechanics.closure.solve import OK, PUSHED, SINGULAR, SINGULAR_MOBILITY, forward_substitute
+from closedloop.mechanics.limits import NEAR, SMALL
 
-# Share of the tip's mobility below which the way to a singular pose is remembered: within 0.01 rad of it.
-NEAR = 1e-4
-# The largest limit of g, and the largest acceleration of the tip along n, that count as none: this share of what the
-# torques and the weight do to the arm. So 1e-3 rad from the pose f is off by no more than these loads would need at the
-# tip, and what is left out of q̈ in the pose acts for one stage of a step.
-NO_PUSH = 1e-3
 # Of the tip's position, as a share of the arm's reach.
 ROUNDING = 2.0**-52
 # A tip that has not left the pose after so many times the time which the way to it foretells stays there.
@@ -189,7 +184,7 @@ def no_push(C: Array, w: Work, constants: Constants, rate: float) -> float:
         x[j] = w.v[j] / w.L[j, j]  # the diagonal holds reciprocals
         for i in range(j + 1, n):
             x[j] += w.L[i, j] * w.v[i]
-    return NO_PUSH * (total + length(x) * rate / math.sqrt(trace))
+    return SMALL * (total + length(x) * rate / math.sqrt(trace))
 
 
 @kernel

@@ -43,6 +43,7 @@ from closedloop.mechanics.closure.contact_force import (
 )
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, PUSHED, SINGULAR
 from closedloop.mechanics.contacts.soft import AS_FORCE
+from closedloop.mechanics.limits import AT_EDGE, ITERATIONS
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 
 
@@ -118,11 +119,6 @@ def spring_energy(w: Work, constants: Constants, state: State) -> float:
     return float(stored)
 
 
-# f and the direction of a slow slip depend on each other: they are solved in turn, so often at most, until f changes by
-# this share of itself. Unsolved, at each stage by another error, they let a Runge-Kutta scheme throw the tip about.
-TURNS, SETTLED = 40, 1e-12
-
-
 @kernel_inlined
 def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
@@ -188,12 +184,12 @@ def slide_slowly(b: float, share: float, w: Work, h: float) -> tuple[int, float]
     In: F of the friction as it is, and the stabiliser's share of it, N. Returns a status and the share.
     """
     status = OK
-    for _ in range(TURNS):
+    for _ in range(ITERATIONS):
         before = w.tip.F[0]
         if not turn_with_slip(w, h):
             break
         status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)
-        if status != OK or abs(w.tip.F[0] - before) <= SETTLED * abs(before):
+        if status != OK or abs(w.tip.F[0] - before) <= AT_EDGE * abs(before):
             break
     return status, share
 

@@ -9,6 +9,7 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.given_modes import solve_modes
 from closedloop.mechanics.contacts.memory import OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.packed import is_known
+from closedloop.mechanics.limits import DEPENDENT
 
 
 @kernel
@@ -49,5 +50,5 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
         asked = max(asked, c.size[r] + abs(c.b[r]))
     for j in range(3):
         size, most = max(size, abs(rigid[j])), max(most, S[j, j])
-    c.problem.rounding = 1e-10 * max(size, asked / most)
+    c.problem.rounding = DEPENDENT * max(size, asked / most)
     return True

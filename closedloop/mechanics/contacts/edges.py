@@ -27,6 +27,7 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.rolling import EDGE, EDGE_2, OF_EDGE_2, Shapes, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.limits import BEYOND_EDGE, LEAN, LEVER, PARALLEL
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import carry_direction, locate_point
 
@@ -36,14 +37,6 @@ from closedloop.mechanics.loops.rows import carry_direction, locate_point
 E1, L1, SIDES1, ROUND1, ROUND2, LAST, COUNT, PARTNER, DEEP = 0, 3, 4, 10, 11, 12, 13, 14, 15
 # And of each edge 2: p2, e2, L2, and its sides.
 P2, E2, L2, SIDES2 = 0, 3, 6, 7
-# Edges whose directions differ by less than the sine do not cross; and n may lean out of the faces by this sine, for
-# faces that lie on each other make it lean by rounding to either side.
-PARALLEL, LEAN = 0.02, 0.05
-# How far from its end an edge is for one that n leans, m.
-LEVER = 0.1
-# How far beyond its ends an edge still crosses, m: where boxes lie flush on each other edges cross at their ends, and
-# rounding would end the contact again and again.
-PAST_END = 1e-8
 # In `chosen`: no other edge is near.
 NONE = -1.0
 # The gap of edges none of which crosses, m; and how many edges a box has, four along each of its axes in turn.
@@ -99,14 +92,14 @@ def inside_end(length: float, s: float, e: Array, side1: Array, side2: Array, n0
     """Return how far inside the nearer end of an edge a crossing is, m, and n between the sides of the other edge.
 
     Where the edge ends at the other one it rests on the face that n is nearest to, if it lies over it: it crosses then
-    until it is PAST_END beyond. Otherwise it comes from beside that face, or stands on it: it does not cross yet.
+    until it is BEYOND_EDGE beyond. Otherwise it comes from beside that face, or stands on it: it does not cross yet.
     """
     inside = length - abs(s)
     if not is_sharp(side1):
-        return inside + PAST_END
+        return inside + BEYOND_EDGE
     out1, out2 = dot(side1, n0, n1, n2), dot(side2, n0, n1, n2)
     leaves = math.copysign(1.0, s) * dot(side2 if out1 >= out2 else side1, e[0], e[1], e[2])
-    inside += PAST_END if leaves >= 0.0 else -PAST_END
+    inside += BEYOND_EDGE if leaves >= 0.0 else -BEYOND_EDGE
     return float(min(inside, LEVER * (out1 + LEAN), LEVER * (out2 + LEAN)))
 
 

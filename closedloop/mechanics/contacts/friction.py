@@ -37,12 +37,9 @@ from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import Slip, SurfaceFriction, length_of
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.limits import AT_EDGE, STILL
 
 STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
-# Where slip ends, a spring pulls exactly at its limit: up to this share above it, it still holds.
-AT_LIMIT = 1e-12
-# Below this a slip has no direction of its own, m/s: it is rounding.
-STILL = 1e-9
 
 
 class FrictionQuery(Block, sizes=("states", "par")):
@@ -182,7 +179,7 @@ def stops_slipping(c: Contacts, i: int) -> bool:
 @kernel
 def cone_limit(c: Contacts, i: int) -> float:
     """Return the largest |F_t|/f that contact i holds while it sticks."""
-    return float(c.friction.limit[i] * (1.0 + AT_LIMIT) if c.friction.sticks[i] == SPRING_STICK else c.mu[i])
+    return float(c.friction.limit[i] * (1.0 + AT_EDGE) if c.friction.sticks[i] == SPRING_STICK else c.mu[i])
 
 
 @kernel

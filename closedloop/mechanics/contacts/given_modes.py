@@ -50,20 +50,20 @@ from closedloop.mechanics.contacts.resistance import (
     turns_with,
 )
 from closedloop.mechanics.contacts.soft import write_shared
+from closedloop.mechanics.limits import (
+    AT_EDGE,
+    DEPENDENT,
+    EXACT,
+    FOUND,
+    REFINEMENTS,
+    SAME_DIRECTION,
+    SLIGHT,
+    SMALL,
+    SOME_ROUNDING,
+    STICK_SPEED,
+    STIFF,
+)
 from closedloop.mechanics.loops.solve import orthonormal_basis
-
-# A pivot below this share of its diagonal is rounding: rows depend on each other; so does one of which less than the
-# second share is beyond their span. Rows that ask for more than the third beyond what the others give contradict them:
-# points of one body that stick contradict each other by the square of what a step's error leaves of their velocity.
-SAME_ROW, SAME_DIRECTION, CONTRADICTS = 1e-10, 1e-5, 1e-3
-# How often equations are solved for what is left of them; the share at which they are, and that which may be left.
-REFINEMENTS, EXACT, NEARLY_EXACT = 5, 1e-13, 1e-9
-# What is outside its cone by no more than this share of `rounding` is at its edge; by no more than so many times
-# `rounding` it is neither outside nor pulls.
-ON_EDGE, NEARLY = 1e-3, 10.0
-# Impulses so many times those that are asked for are none: contacts are wedged, but for rounding. Speeds below the
-# second, m/s, may be left to the stabiliser.
-MOST_IMPULSE, NEGLIGIBLE = 1e3, 1e-7
 
 
 @kernel
@@ -135,7 +135,7 @@ def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
 @kernel
 def rounding_of(c: Contacts, k: int, asked: float) -> float:
     """Return the force below which there is none, of those in `rigid` and the force that is asked for, N."""
-    return 1e-10 * max(asked, force_size(c.rigid[: 3 * k]))
+    return DEPENDENT * max(asked, force_size(c.rigid[: 3 * k]))
 
 
 @kernel
@@ -163,7 +163,7 @@ def list_unknowns(links: ContactLinks, c: Contacts, most: float) -> int:
         if not stuck:
             last = 1
         for j in range(first, last):
-            if c.S[i, j, j] > IMMOBILE * 1e-6 * most:
+            if c.S[i, j, j] > IMMOBILE * SLIGHT * most:
                 square = 1.0
                 if not stuck:
                     along = row_of(c.problem.along, i)
@@ -257,7 +257,7 @@ def factor(g: GivenModes, M: Array, A: Array, p: int, n: int, weighted: bool) ->
         square = whole = of[j]
         for t in range(int(g.begins[j]), j):
             square -= of[t] * of[t]
-        if not square > SAME_ROW * whole:
+        if not square > DEPENDENT * whole:
             return False
         of[j] = 1.0 / math.sqrt(square)
         for i in range(j + 1, int(g.until[j])):
@@ -323,7 +323,7 @@ def moved_joints(c: Contacts, p: int, asked: float) -> bool:
         worst = max(worst_a, worst_b)
         if (worst_a <= EXACT * size_a and worst_b <= EXACT * size_b) or 0.5 * before < worst <= before:
             break  # or they contradict each other, by as much
-    return bool(worst <= CONTRADICTS * asked)
+    return bool(worst <= SMALL * asked)
 
 
 @kernel
@@ -373,7 +373,7 @@ def spread(c: Contacts, p: int) -> bool:
         worst = max(worst_a / size_a if size_a > 0.0 else worst_a, worst_b / size_b if size_b > 0.0 else worst_b)
         if worst <= EXACT:
             break
-    return bool(worst <= NEARLY_EXACT)
+    return bool(worst <= FOUND)
 
 
 @kernel
@@ -466,17 +466,17 @@ def share_inside(c: Contacts, i: int) -> float:
     n, mu = 3 * i, c.mu[i]
     f, grown = c.rigid[n], c.F[n] - c.rigid[n]
     if f < -c.problem.rounding:
-        return 0.0 if f > -NEARLY * c.problem.rounding else 1.0
+        return 0.0 if f > -SOME_ROUNDING * c.problem.rounding else 1.0
     share = 1.0 if c.F[n] >= 0.0 else max(0.0, f) / (max(0.0, f) - c.F[n])
     # The shortest of forces that are not unique is often at the cone's edge, but for rounding.
-    if c.problem.form[i] == RAY or mu * c.F[n] + ON_EDGE * c.problem.rounding >= math.hypot(c.F[n + 1], c.F[n + 2]):
+    if c.problem.form[i] == RAY or mu * c.F[n] + SMALL * c.problem.rounding >= math.hypot(c.F[n + 1], c.F[n + 2]):
         return share
     r1, r2, d1, d2 = c.rigid[n + 1], c.rigid[n + 2], c.F[n + 1] - c.rigid[n + 1], c.F[n + 2] - c.rigid[n + 2]
     # The first root of (μ (f + s df))² − |F_t + s dF_t|², a parabola in s that is positive at 0.
     a, half = (mu * grown) * (mu * grown) - d1 * d1 - d2 * d2, mu * mu * f * grown - r1 * d1 - r2 * d2
     inside = (mu * f) * (mu * f) - r1 * r1 - r2 * r2
     if not inside > 0.0:
-        return 0.0 if math.hypot(r1, r2) <= mu * f + NEARLY * c.problem.rounding else 1.0
+        return 0.0 if math.hypot(r1, r2) <= mu * f + SOME_ROUNDING * c.problem.rounding else 1.0
     below = math.sqrt(max(0.0, half * half - a * inside)) - half
     return min(share, inside / below) if below > 0.0 else share
 
@@ -492,7 +492,7 @@ def pulled_in(c: Contacts, i: int) -> bool:
         for j in range(first, end if turns_with(c, s) else first):
             turned = c.X[3 * s + 1, j] * c.problem.along[s, 0] + c.X[3 * s + 2, j] * c.problem.along[s, 1]
             own -= row[j] * turned
-    return bool(c.problem.form[i] == RAY and not own > 1e-12 * (S[0, 0] + S[1, 1] + S[2, 2]))
+    return bool(c.problem.form[i] == RAY and not own > AT_EDGE * (S[0, 0] + S[1, 1] + S[2, 2]))
 
 
 @kernel
@@ -529,7 +529,7 @@ def stop(links: ContactLinks, c: Contacts) -> bool:
                 moves, root = max(moves, abs(c.before[r])), math.sqrt(c.S[i, r % 3, r % 3])
                 before = max(before, abs(c.before[r]) / root if root > 0.0 else 0.0)
                 most = max(most, abs(c.F[r]) * root)
-    return bool(links.shapes == 0 or moves > NEGLIGIBLE or most <= MOST_IMPULSE * before)
+    return bool(links.shapes == 0 or moves > STICK_SPEED or most <= STIFF * before)
 
 
 @kernel
@@ -547,7 +547,7 @@ def energy_gained(c: Contacts, k: int) -> float:
     for i in range(3 * k):
         gained += 0.5 * c.F[i] * (c.before[i] + c.problem.after[i])
         size += abs(c.F[i]) * (abs(c.before[i]) + abs(c.problem.after[i]))
-    return gained if abs(gained) > 1e-13 * size else 0.0
+    return gained if abs(gained) > EXACT * size else 0.0
 
 
 @kernel

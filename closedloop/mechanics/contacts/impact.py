@@ -18,19 +18,13 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import cone_limit, take_kinetic
-from closedloop.mechanics.contacts.given_modes import MOST_IMPULSE, energy_gained, stop, write_after
+from closedloop.mechanics.contacts.given_modes import energy_gained, stop, write_after
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, SMOOTH, ContactLinks, Contacts
-from closedloop.mechanics.contacts.modes import RESTING, touches
+from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.unknown_modes import solve_contacts, solve_impulses
+from closedloop.mechanics.limits import MOST_MISSING, RESTING, SHAPES_RESTING, SLOWEST_REBOUND, SMALL, STIFF
 
-# Contacts of shapes come together faster than this, m/s: their rows hardly differ, and impulses leave as much.
-SHAPES_RESTING = 1e-10
-# The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
-# is tried in the search for the largest factor, for they take long.
-LEAST_SHARE, MOST_MISSING = 1e-3, 10
-# A rebound from a stop that is slower than this, rad/s (m/s), is none: the joint stays at its stop.
-SLOWEST_REBOUND = 1e-4
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
 
@@ -129,7 +123,7 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
     restitution.
     """
     low, high, missing = 0.0, 1.0, 0
-    if not solve_with(links, c, LEAST_SHARE, rest_speed):
+    if not solve_with(links, c, SMALL, rest_speed):
         return 0.0
     for _ in range(40):
         middle = 0.5 * (low + high)
@@ -155,7 +149,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
         if c.event.struck[i] != 0.0 and links.chattering == 0 and bounce >= slowest_rebound(links, c, i, rest_speed):
             c.problem.q[3 * i] -= bounce
     if share > 0.0:
-        found = solve_contacts(links, c, 0.0, MOST_IMPULSE)
+        found = solve_contacts(links, c, 0.0, STIFF)
     else:
         solve_impulses(links, c, 0.0)
     write_after(c, k)

@@ -20,6 +20,23 @@ from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
+from closedloop.mechanics.limits import (
+    DERIVATIVES,
+    EXACT,
+    FIRST_RHO,
+    FOUND,
+    HALVINGS,
+    ITERATIONS,
+    NEAR,
+    SLIGHT,
+    SMALL,
+    STEPS,
+    STIFF,
+    STIFFEST_RHO,
+    TENTH,
+    VANISHING,
+    WIDENING,
+)
 
 N, K = Count.of("n"), Count.of("k")
 
@@ -28,23 +45,6 @@ N, K = Count.of("n"), Count.of("k")
 PUSHES, HOLDS, GIVEN, OWNED = range(4)
 # Those along the surface: in Coulomb's cone; in a known direction, P_t = −along P_n; and what sticks with any force.
 IN_CONE, ALONG, STICKS = range(3)
-# ρ in the inverse of a contact's mobility: in the first round, what it grows by in each, and in the last ones.
-FIRST, GROWTH, MOST = 10.0, 4.0, 1e3
-# Rounds at most, steps of Newton's method in each, and halvings of a step.
-ROUNDS, NEWTON_STEPS, HALVINGS = 40, 30, 12
-# The residual, as a share of the largest velocity that is asked for, at which impulses are found; rounding leaves MOST
-# times its own share. What a round may leave of its equations, as a share of the residual before it.
-# Where rows hardly differ it falls slowly: then the second is enough, and after all rounds the third.
-FOUND, SLOW, NEAR, LEFT, LEFT_EXACTLY = 1e-9, 1e-6, 1e-4, 0.1, 1e-3
-# Rounds that give what is found its derivatives.
-DERIVATIVES = 4
-# The same residual where impulses are found but for rounding.
-EXACT = 1e-13
-# What makes the equations of the shortest impulses regular where some directions are free; what may be left of them.
-REGULAR, NEARLY = 1e-11, 1e-11
-# Steps from the associated problem, which is convex, to that of Coulomb's friction, the more where few do not do; and ρ
-# in each, and where rounds lessen the residual slowly.
-STEPS, STIFFEST = (20, 100), 1e4
 
 
 class JointSpace(Block, sizes=("n", "k")):
@@ -247,7 +247,7 @@ def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> No
         x[j] = -s.off[j]
         for m in range(n):
             M[j, m] = 0.0
-        M[j, j] = 1.0 if s.held == 0.0 else REGULAR
+        M[j, j] = 1.0 if s.held == 0.0 else VANISHING
     for i in range(a):
         add_rows(s, i, i, rho_of(s, i, stiffness))
         if s.normal[i] == OWNED:
@@ -320,15 +320,15 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: fl
     Rounds end at the residual `wanted`, or when they no longer lessen it.
     """
     stiffness, before = first, math.inf
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         s.residual = residual_of(s, a, n)
-        if s.residual <= wanted or 0.5 * before < s.residual <= (SLOW if wanted == FOUND else 10.0 * EXACT):
+        if s.residual <= wanted or 0.5 * before < s.residual <= (SLIGHT if wanted == FOUND else 10.0 * EXACT):
             return True
-        slow, before = s.residual > max(0.5 * before, MOST * EXACT), s.residual
+        slow, before = s.residual > max(0.5 * before, STIFF * EXACT), s.residual
         if not s.residual < math.inf:
             return False
-        do_round(s, a, n, stiffness, LEFT if wanted == FOUND else LEFT_EXACTLY)
-        stiffness = min(GROWTH * stiffness, STIFFEST if slow and wanted == EXACT else MOST)
+        do_round(s, a, n, stiffness, TENTH if wanted == FOUND else SMALL)
+        stiffness = min(WIDENING * stiffness, STIFFEST_RHO if slow and wanted == EXACT else STIFF)
     s.residual = residual_of(s, a, n)
     return bool(s.residual <= (NEAR if wanted == FOUND else FOUND))
 
@@ -343,17 +343,17 @@ def find_exactly(s: JointSpace, a: int, n: int) -> bool:
     s.associated, s.alike = 0.0, 1.0
     for attempt in range(2):
         start_at_rest(s, a, n)
-        if solve_in_joint_space(s, a, n, FIRST if attempt == 0 else 1.0, EXACT):
+        if solve_in_joint_space(s, a, n, FIRST_RHO if attempt == 0 else 1.0, EXACT):
             return True
         s.alike = 0.0
     for steps in STEPS:
         start_at_rest(s, a, n)
         s.associated = 1.0
-        solve_in_joint_space(s, a, n, FIRST, FOUND)
+        solve_in_joint_space(s, a, n, FIRST_RHO, FOUND)
         for i in range(steps):
             s.associated = 1.0 - (i + 1.0) / steps
             s.residual = residual_of(s, a, n)
-            do_round(s, a, n, STIFFEST)
+            do_round(s, a, n, STIFFEST_RHO)
         if solve_in_joint_space(s, a, n, 1.0, EXACT):
             return True
     return False
@@ -373,23 +373,23 @@ def find_least(s: JointSpace, a: int, n: int) -> bool:
     for r in range(3 * a):
         s.P[r], s.q[r] = 0.0, 0.0
     s.residual, s.asked = FOUND, math.sqrt(size * s.largest)
-    do_round(s, a, n, 1.0, LEFT_EXACTLY * LEFT_EXACTLY)
+    do_round(s, a, n, 1.0, SMALL * SMALL)
     left = 0.0
     for j in range(n):
         left += s.off[j] * s.off[j]
     s.held = 0.0
-    return bool(left <= NEARLY * NEARLY * size)
+    return bool(left <= VANISHING * VANISHING * size)
 
 
 @kernel
 def differentiate(s: JointSpace, a: int, n: int) -> None:
     """Give the P that is found, and u, its derivatives: each round leaves a share of what they are off."""
     for _ in range(DERIVATIVES):
-        write_off(s, a, n, MOST, s.y)
-        newton_step_of_joints(s, a, n, MOST)
+        write_off(s, a, n, STIFF, s.y)
+        newton_step_of_joints(s, a, n, STIFF)
         for j in range(n):
             s.y[j] += s.step[j]
-        write_off(s, a, n, MOST, s.y)
+        write_off(s, a, n, STIFF, s.y)
         for r in range(3 * a):
             s.P[r] = s.trial[r]
     residual_of(s, a, n)
@@ -405,7 +405,7 @@ def start_at_rest(s: JointSpace, a: int, n: int) -> None:
 
 
 @kernel
-def is_wedged(s: JointSpace, a: int, most: float = MOST) -> bool:
+def is_wedged(s: JointSpace, a: int, most: float = STIFF) -> bool:
     """Whether impulses are so many times those that are asked for: by default larger than `solve_softly` finds.
 
     Those of contacts that are wedged have no bound, and are in balance only where the bodies are.
@@ -432,7 +432,7 @@ def solve_softly(s: JointSpace, a: int, n: int, rounds: int = 1) -> bool:
             break
         for r in range(3 * a):
             s.before[r] = s.P[r]
-        do_round(s, a, n, MOST)
+        do_round(s, a, n, STIFF)
     if is_wedged(s, a):
         for r in range(3 * a):
             s.P[r] = s.before[r]
@@ -441,14 +441,14 @@ def solve_softly(s: JointSpace, a: int, n: int, rounds: int = 1) -> bool:
 
 
 @kernel
-def do_round(s: JointSpace, a: int, n: int, stiffness: float, leaves: float = LEFT) -> None:
+def do_round(s: JointSpace, a: int, n: int, stiffness: float, leaves: float = TENTH) -> None:
     """Do a round of the proximal point method: write the P that is nearest, from P, and y and u of it."""
     most = 0.0
     for i in range(a):
         most = max(most, s.mobility[i])
     left = leaves * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
     square = write_off(s, a, n, stiffness, s.y)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(ITERATIONS):
         if square <= left * left:
             break
         newton_step_of_joints(s, a, n, stiffness)

@@ -19,6 +19,7 @@ from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, integers_at, vector_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.contacts.joint_space import JointSpace
+from closedloop.mechanics.limits import HOVERING, SLIGHT
 from closedloop.mechanics.loops.memory import LoopMemory
 
 N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
@@ -26,12 +27,8 @@ N, K, PAST = Count.of("n"), Count.of("k"), Count.of("past")
 # Kinds of a contact in a problem: without force; that slides in a known direction, F = f (1, −μ d) with f >= 0; inside
 # Coulomb's cone; and of those that also pull one with F = f (1, −c), and one with |F_t| <= μ|f|.
 OFF, RAY, CONE, LINE, DOUBLE = range(5)
-# A contact whose gap is less may be about to close, m.
-HOVERING = 1e-9
 # Friction below this share of its limit is inside the cone.
-INSIDE = 1.0 - 1e-6
-# What a step at the level of impulses puts back of the depth of a contact below its surface.
-PUT_BACK = 0.1
+INSIDE = 1.0 - SLIGHT
 # How a law of friction sticks: not, there being none; with u = 0 as a constraint; and see `FrictionLaw.sticks`.
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 

@@ -13,11 +13,10 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.friction import has_law, slide, stick_as_spring, stops_slipping, write_limits
-from closedloop.mechanics.contacts.given_modes import NEGLIGIBLE, energy_gained, stop
+from closedloop.mechanics.contacts.given_modes import energy_gained, stop
 from closedloop.mechanics.contacts.memory import (
     CONE,
     DOUBLE,
-    HOVERING,
     INSIDE,
     LINE,
     OFF,
@@ -30,25 +29,20 @@ from closedloop.mechanics.contacts.mobility import added, write_motion
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.soft import soft_gap, write_shared
 from closedloop.mechanics.contacts.unknown_modes import solve_contacts
+from closedloop.mechanics.limits import (
+    BEYOND_EDGE,
+    CLOSED_GAP,
+    FOUND,
+    HOVERING,
+    PARTING,
+    RESTING,
+    SHAPE_ROUNDING,
+    STICK_SPEED,
+    TOUCHING,
+    TURNED,
+    VANISHING,
+)
 
-# Within the first gap a contact touches, m; after it has parted, until it has been clear by the second. At the start
-# the second counts: a posture is given in few digits.
-TOUCHING, CLOSED_GAP = 1e-12, 1e-13
-# Until it has been clear a contact touches again when it is the first length below where it has parted, m, or at the
-# depth of the second, or, where it has parted deeper than that, the third below: else it would sink each time.
-SINKING, SUNK, DEEPER = 8e-10, 9.8e-10, 1e-11
-# What is beyond the edge of its surface comes back onto it so far inside, m, no deeper than the second.
-ONTO, DEEPEST = 1e-9, 1e-8
-# Contacts that come together slower than this do not, m/s.
-RESTING = 1e-11
-# A contact that parts slower than this does not, m/s. A slip that has turned round is none below the second, m/s.
-PARTING, TURNED = 1e-8, 1e-6
-# A slip that was no faster when the substep began, m/s, has only just begun, where its law sticks as a spring.
-STICKING_AGAIN = 1e-7
-# An acceleration below this share of the terms that it is made of is none.
-NO_ACCELERATION = 1e-11
-# Where shapes touch, whose rows hardly differ, up to so many times that may be what a solution is off.
-SHAPE_ROUNDING = 1e5
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 CAME, LEFT, STUCK_NOW, SLIPPED, TURNED_ROUND = 2.0, 3.0, 4.0, 5.0, 6.0
 
@@ -65,11 +59,11 @@ def touches(links: ContactLinks, c: Contacts, i: int) -> bool:
 def open_margin(c: Contacts, i: int) -> float:
     """Return what is left until contact i, which is open, closes, m; beside its surface until it comes back onto it."""
     if c.past_edge[i] != 0.0:
-        back = c.located[3 * i] >= -DEEPEST and c.inside[i] < math.inf
-        return float(ONTO - c.inside[i]) if back else math.inf
+        back = c.located[3 * i] >= -BEYOND_EDGE and c.inside[i] < math.inf
+        return float(HOVERING - c.inside[i]) if back else math.inf
     if c.gaps.cleared[i] != 0.0:
         return float(c.located[3 * i] - c.gaps.floor[i] + CLOSED_GAP)
-    return float(c.located[3 * i] - max(c.gaps.floor[i] - SINKING, min(-SUNK, c.gaps.floor[i] - DEEPER)))
+    return float(c.located[3 * i] - (c.gaps.floor[i] - HOVERING))
 
 
 @kernel
@@ -105,7 +99,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
             margin = SHAPE_ROUNDING if links.shapes != 0 else 1.0
-            mode = mode_after(c, i, NO_ACCELERATION * size, links.chattering != 0, margin)
+            mode = mode_after(c, i, VANISHING * size, links.chattering != 0, margin)
             if is_resistance(c, i):
                 mode = FREE if mode_of_resistance(c, i) == FREE else mode
             elif carries_nothing(links, c, i):
@@ -146,7 +140,7 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
         u1, u2 = c.u[at + 1], c.u[at + 2]
         speed = math.hypot(u1, u2)
         turned = c.mode[i] == PRESSED and u1 * c.direction[i, 0] + u2 * c.direction[i, 1] <= 0.0
-        band = slow if speed > c.friction.capture[i] else c.friction.capture[i] * (1.0 + 1e-9)
+        band = slow if speed > c.friction.capture[i] else c.friction.capture[i] * (1.0 + FOUND)
         c.problem.form[i] = LINE if pulls else RAY
         if c.friction.sticks[i] == SPRING_STICK:
             hold_by_spring(links, c, i, speed <= slow, turned and speed <= TURNED)
@@ -173,7 +167,7 @@ def hold_by_spring(links: ContactLinks, c: Contacts, i: int, slow: bool, turned:
         c.friction.held[i] = 1.0 if c.event.outside[i] == 0.0 else 0.0
     elif c.mode[i] == FREE:
         c.friction.held[i] = 1.0 if slow else 0.0
-    elif turned or (slow and c.friction.start_slip[i] > STICKING_AGAIN):
+    elif turned or (slow and c.friction.start_slip[i] > STICK_SPEED):
         stick_as_spring(links, c, i)
         c.friction.held[i] = 1.0
     slide(links, c, i, c.friction.held[i] != 0.0)
@@ -263,7 +257,7 @@ def remove_motion(links: ContactLinks, c: Contacts, k: int) -> int:
     stopped = stop(links, c)
     for i in range(k if links.shapes != 0 else 0):  # those that part are not pressed in
         parts = c.problem.form[i] == OFF and c.near[i] != 0.0 and c.located[3 * i] <= TOUCHING and c.past_edge[i] == 0.0
-        stopped = stopped and not (parts and -NEGLIGIBLE < c.problem.after[3 * i] < -RESTING <= c.before[3 * i])
+        stopped = stopped and not (parts and -STICK_SPEED < c.problem.after[3 * i] < -RESTING <= c.before[3 * i])
     for r in range(0 if stopped else 3 * k):
         c.F[r], c.problem.after[r] = 0.0, c.before[r]
     c.event.energy_lost = c.event.energy_rested = -energy_gained(c, k)

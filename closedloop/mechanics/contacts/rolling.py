@@ -46,9 +46,23 @@ from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.contacts.memory import HOVERING, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import CAME
 from closedloop.mechanics.contacts.sections import THIN, ContactSection
+from closedloop.mechanics.limits import (
+    AGAIN,
+    BEYOND,
+    FAR,
+    FOUND,
+    HOVERING,
+    NEAR,
+    OFF_SURFACE,
+    RESOLVED,
+    SHARE_DEEPER,
+    SLIGHT,
+    SURELY,
+    TENTH,
+)
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import ALONG, turn_direction
 from closedloop.mechanics.robot.tree import Tree
@@ -63,8 +77,6 @@ RADIUS = 6
 # Numbers of a contact of edges, see `closedloop.mechanics.contacts.edges`: of its own edge, and of 12 others.
 EDGE_2, OF_EDGE_2, COUNT_OF_EDGES = 16, 13, 13
 EDGE = EDGE_2 + 12 * OF_EDGE_2
-# A disc whose axis is tilted from the normal by less than this, rad, lies flat: its edge has no lowest point.
-FLAT = 1e-9
 
 
 class ShapeLinks(Block):
@@ -201,7 +213,7 @@ def lowest_point(shape: Array, axes: Array, n: Array, r: Array) -> float:
     p2 = shape[2] * m0 + shape[4] * m1 + shape[5] * m2
     square = m0 * p0 + m1 * p1 + m2 * p2
     widest = shape[0] + shape[3] + shape[5]
-    s = math.sqrt(square) if square > FLAT * FLAT * widest else 0.0
+    s = math.sqrt(square) if square > FOUND * FOUND * widest else 0.0
     share = 1.0 / s if s > 0.0 else 0.0
     for i in range(3):
         r[i] = -share * (axes[i, 0] * p0 + axes[i, 1] * p1 + axes[i, 2] * p2) - shape[RADIUS] * n[i]
@@ -236,16 +248,6 @@ def wandering(shape: Array, axes: Array, n: Array, s: float, r: Array, spin: Arr
         rate[i] += turned / s + (r[i] + radius * n[i]) * along / (s * s)
 
 
-# X: t may change by this share of itself in a step; a step is divided so that it changes by no more than the second.
-RESOLVED, IN_A_PART = 0.8, 0.1
-# t0: what is tilted less is flat, but for rounding. What stands rolls again from so many times the limit on, where the
-# lowest point is no further than this share of R |t| below that which it stands on; from the third on, wherever it is.
-LEAST_TILT, AGAIN, NEAR, SURELY = 1e-6, 2.0, 1e-4, 8.0
-# Of an integrator that chooses its steps: as if they were so long, s.
-OWN_STEP = 1e-3
-# How deep another point of the edge may be, as a share of R |t|, and beside it, m: a polygon of some 31 corners. The
-# next corner is beyond the lowest point by this share of the angle of the last; from further away, the lowest point.
-SHARE_DEEPER, DEEPER, BEYOND, FAR = 0.005, 1e-10, 0.95, 0.9
 # A foot that is no contact is so far, m.
 APART = 1.0
 
@@ -290,7 +292,7 @@ def take_seat(shapes: Shapes, i: int, r: Array) -> None:
 @kernel
 def left_of_rolling(shapes: Shapes, i: int, h: float) -> float:
     """Return what is left of the tilt until contact i cannot roll in steps of h, s: negative where it cannot."""
-    return float(RESOLVED * (shapes.rim.tilt[i] - LEAST_TILT) - h * shapes.rim.tilt_rate[i])
+    return float(RESOLVED * (shapes.rim.tilt[i] - SLIGHT) - h * shapes.rim.tilt_rate[i])
 
 
 @kernel
@@ -312,9 +314,9 @@ def left_of_standing(shapes: Shapes, c: Contacts, i: int, h: float) -> float:
     if c.soft[i] != 0.0 and stands_on_feet(shapes, c, i):
         return APART
     size, deeper = rim.radius[i] * rim.tilt[i], rim.radius[i] * rim.tilt[i] * (1.0 - rim.apart[i])
-    limit, tilt = h * rim.tilt_rate[i] + RESOLVED * LEAST_TILT, RESOLVED * rim.tilt[i]
-    rolls = max(AGAIN * limit - tilt, deeper - NEAR * size - DEEPER)
-    return float(min(rolls, SURELY * limit - tilt, DEEPER + SHARE_DEEPER * size - deeper))
+    limit, tilt = h * rim.tilt_rate[i] + RESOLVED * SLIGHT, RESOLVED * rim.tilt[i]
+    rolls = max(AGAIN * limit - tilt, deeper - NEAR * size - OFF_SURFACE)
+    return float(min(rolls, SURELY * limit - tilt, OFF_SURFACE + SHARE_DEEPER * size - deeper))
 
 
 @kernel
@@ -354,7 +356,7 @@ def longest_roll(links: ContactLinks, c: Contacts) -> float:
     for i in range(1, links.points):
         turns = shapes.rim.radius[i] > 0.0 and c.mode[i] != FREE and shapes.rim.stands[i] == 0.0
         if turns and shapes.rim.tilt_rate[i] > 0.0:
-            longest = min(longest, IN_A_PART * shapes.rim.tilt[i] / shapes.rim.tilt_rate[i])
+            longest = min(longest, TENTH * shapes.rim.tilt[i] / shapes.rim.tilt_rate[i])
     return float(longest)
 
 
@@ -372,7 +374,7 @@ def leave_seats(links: ContactLinks, c: Contacts, h: float) -> bool:
         left = True
         size = rim.radius[i] * rim.tilt[i]
         deeper = (1.0 - rim.apart[i]) * size
-        on = DEEPER + SHARE_DEEPER * size < deeper
+        on = OFF_SURFACE + SHARE_DEEPER * size < deeper
         if c.soft[i] != 0.0 and not (on and rim.apart[i] > FAR):
             c.gaps.unloaded[i] -= deeper
         if on:

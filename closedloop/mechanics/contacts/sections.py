@@ -22,6 +22,7 @@ from closedloop.base.sections import (
 )
 from closedloop.mechanics.friction.law import SURFACE_LAWS, SurfaceFriction
 from closedloop.mechanics.impact.single import RESTITUTIONS
+from closedloop.mechanics.limits import SLIGHT
 from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import COMPLIANCES, SURFACES, Compliance, Surface
 
@@ -47,7 +48,7 @@ ARM = Size(10.0, "m", "no contact is so wide", 1e-9, "smaller ones are rounding"
 # What `at` says of all collision shapes of the link.
 COLLISION = "collision"
 # A shape thinner than this share of its largest half axis has one half axis less.
-THIN = 1e-6
+THIN = SLIGHT
 HalfAxis = tuple[Coordinate, Coordinate, Coordinate]
 
 

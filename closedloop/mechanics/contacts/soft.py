@@ -39,6 +39,7 @@ from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, C
 from closedloop.mechanics.contacts.mobility import added
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.surfaces import Called
+from closedloop.mechanics.limits import AT_EDGE, SMALL, STICK_SPEED
 from closedloop.mechanics.loops.solve import orthonormal_basis
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 
@@ -171,13 +172,6 @@ def soft_margin(c: Contacts, i: int) -> float:
     return float(left if c.u[3 * i] > 0.0 else max(left, 0.0))
 
 
-# v_c, m/s (rad/s of a resistance).
-CREEPING = 1e-7
-# Friction is at its limit within the first share. Motions that move contacts along their surfaces by less than the
-# second, of others, are none.
-AT_EDGE, SPANNED = 1e-9, 1e-3
-
-
 @kernel
 def write_shared(links: ContactLinks, c: Contacts) -> None:
     """Write of each soft contact beside other closed ones the largest |F_t|/f, as `along` has it, or μ.
@@ -217,7 +211,9 @@ def let_friction_rise(c: Contacts, k: int) -> None:
     for i in range(k):
         speed = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2])
         if c.friction.shared[i] > 0.0 and c.problem.form[i] in (RAY, LINE):
-            level = c.friction.shared[i] * (math.tanh(speed / CREEPING) / speed if speed > 0.0 else 1.0 / CREEPING)
+            level = c.friction.shared[i] * (
+                math.tanh(speed / STICK_SPEED) / speed if speed > 0.0 else 1.0 / STICK_SPEED
+            )
             c.problem.along[i, 0], c.problem.along[i, 1] = level * c.u[3 * i + 1], level * c.u[3 * i + 2]
 
 
@@ -257,7 +253,7 @@ def drop_contradictions(c: Contacts, k: int) -> None:
                 for m in range(int(s.first[i]), int(s.end[i])):
                     S[m, p] = s.X[r, m] / scale[p]
                 p += 1
-    rank = orthonormal_basis(S, n, p, SPANNED)
+    rank = orthonormal_basis(S, n, p, SMALL)
     if rank == p:
         return
     moved, M, x, joints = c.scratch.moved, c.scratch.system, c.scratch.solution, c.scratch.sum

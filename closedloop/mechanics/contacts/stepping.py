@@ -25,11 +25,9 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.joint_space import (
-    FIRST,
     GIVEN,
     HOLDS,
     IN_CONE,
-    MOST,
     OWNED,
     PUSHES,
     JointSpace,
@@ -37,14 +35,10 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_in_joint_space,
     solve_softly,
 )
-from closedloop.mechanics.contacts.memory import HOVERING, INSIDE, PUT_BACK, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-
-# By which speed, m/s, the slope of a soft contact's force is found.
-FASTER = 1e-6
-# Contacts that may close within a step: those nearer than so many times what the fastest of them would go in it.
-AHEAD = 2.0
+from closedloop.mechanics.limits import AHEAD, FIRST_RHO, HOVERING, STIFF, TENTH, TURNED
 
 
 @kernel
@@ -71,16 +65,16 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         Below which contacts without one of their own do not rebound, m/s.
     """
     s, n = c.stepping, links.n
-    a = write_problem(links, c, load, h, PUT_BACK, rest_speed)
+    a = write_problem(links, c, load, h, TENTH, rest_speed)
     s.associated = s.alike = 0.0
-    found = a == 0 or solve_in_joint_space(s, a, n, MOST)
+    found = a == 0 or solve_in_joint_space(s, a, n, STIFF)
     for attempt in range(3):
         if not found:  # contacts that are inside each other may not all part at once
             s.associated = 1.0 if attempt == 2 else 0.0
-            write_problem(links, c, load, h, PUT_BACK if attempt == 0 else 0.0, rest_speed)
+            write_problem(links, c, load, h, TENTH if attempt == 0 else 0.0, rest_speed)
             for r in range(3 * a):
                 s.P[r] = 0.0
-            found = solve_in_joint_space(s, a, n, FIRST)
+            found = solve_in_joint_space(s, a, n, FIRST_RHO)
     found = found and not is_wedged(s, a)
     if not (found or solve_softly(s, a, n)):
         return PAINLEVE
@@ -163,7 +157,7 @@ def write_softness(links: ContactLinks, c: Contacts, i: int, s: JointSpace, a: i
     f = force_at(links, i, -gap - h * u, -u)
     if not f > 0.0:
         return False
-    s.falls[a] = h * max(f - force_at(links, i, -gap - h * (u + FASTER), -u - FASTER), 0.0) / FASTER
+    s.falls[a] = h * max(f - force_at(links, i, -gap - h * (u + TURNED), -u - TURNED), 0.0) / TURNED
     s.given[a] = h * f + s.falls[a] * u
     return True
 

@@ -24,19 +24,16 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.friction import take_kinetic
 from closedloop.mechanics.contacts.given_modes import energy_gained
-from closedloop.mechanics.contacts.joint_space import EXACT, find_exactly, solve_in_joint_space
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, PUT_BACK, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.joint_space import find_exactly, solve_in_joint_space
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches, write_before
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.unknown_modes import solve_impulses
+from closedloop.mechanics.limits import EXACT, SMALL, TENTH, TIME_STEP_SPAN
 
 # Speeds at which contacts come together in the problems near it, of the largest speed.
-COMING = (0.1, 0.01)
-# The first ρ from there, small enough to stay near.
-NEARBY = 0.1
-# What changes velocities by a smaller share of the largest is no impact.
-LEAST_CHANGE = 1e-3
+COMING = (TENTH, TENTH * TENTH)
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 TANGENTIAL_IMPACT = 11.0
 
@@ -79,16 +76,14 @@ def from_impact(links: ContactLinks, c: Contacts, coming: float) -> bool:
     for i in range(a):
         s.q[3 * i] += coming * fastest
     s.alike = 1.0
-    found = found and solve_in_joint_space(s, a, links.n, NEARBY, EXACT)
+    found = found and solve_in_joint_space(s, a, links.n, TENTH, EXACT)
     unpack_contacts(links, c, a)
     for i in range(3 * k):
         if c.problem.form[i // 3] != OFF:
             change = max(change, abs(c.problem.after[i] - c.before[i]))
-    return bool(found and change > LEAST_CHANGE * fastest)
+    return bool(found and change > SMALL * fastest)
 
 
-# Length of the step, s.
-SPAN = 2e-5
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 TIME_STEP = 10.0
 
@@ -109,17 +104,17 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> None:
         c.step.at_once, c.step.struck = 1.0, time
         return
     for r in range(3 * k):
-        c.problem.q[r], c.before[r] = c.before[r] + SPAN * c.a[r], c.u[r]
+        c.problem.q[r], c.before[r] = c.before[r] + TIME_STEP_SPAN * c.a[r], c.u[r]
     for i in range(links.points + links.stops):  # a compliant one sinks in
         if c.soft[i] == 0.0 and c.problem.form[i] != OFF:
-            c.problem.q[3 * i] += PUT_BACK * min(c.located[3 * i], 0.0) / SPAN
-    solve_impulses(links, c, SPAN)
-    links.stepped, c.step.end = 1, time + SPAN
+            c.problem.q[3 * i] += TENTH * min(c.located[3 * i], 0.0) / TIME_STEP_SPAN
+    solve_impulses(links, c, TIME_STEP_SPAN)
+    links.stepped, c.step.end = 1, time + TIME_STEP_SPAN
     told = False
     for i in range(k):
         at = 3 * i
         for r in range(at, at + 3):
-            c.step.force[r] = c.F[r] / SPAN
+            c.step.force[r] = c.F[r] / TIME_STEP_SPAN
         c.event.happened[i], c.friction.start_slip[i] = 0.0, 0.0
         if c.friction.pulls[i] != 0.0:
             continue

@@ -27,11 +27,8 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.closed import solve_closed
-from closedloop.mechanics.contacts.friction import STILL, stops_slipping
+from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.contacts.joint_space import (
-    EXACT,
-    FIRST,
-    MOST,
     OWNED,
     STICKS,
     JointSpace,
@@ -39,22 +36,24 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_in_joint_space,
     start_at_rest,
 )
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, HOVERING, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts
-from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
-from closedloop.mechanics.contacts.modes import PARTING
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.mobility import added, write_motion
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
-
-# The time in which a slip that begins takes its direction where the integrator chooses its steps, s. What pulls a
-# rolling contact may turn faster than its slip grows: friction against the direction of the break-away alone would let
-# the slip go aside.
-BREAKING_AWAY = 1e-9
-# Solutions at most in which the friction of slow slips is turned; the change of its direction at which it agrees, and
-# how often it may be no less than before: where forces are not unique it need not become less.
-TURNS, SETTLED, STALLED = 20, 1e-11, 2
-# Forces that are so many times those with friction against the slip as it is have multiplied.
-MOST_GROWTH = 30.0
+from closedloop.mechanics.limits import (
+    AT_EDGE,
+    BESIDE_EDGE,
+    EXACT,
+    FIRST_RHO,
+    HOVERING,
+    ITERATIONS,
+    PARTING,
+    STIFF,
+    STILL,
+    VANISHING,
+    WIDENING,
+)
 
 
 @kernel
@@ -63,8 +62,7 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
 
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
-    that is turned round with the force would drive the slip. Nor is it turned where forces would multiply: near
-    Painlevé's paradox they turn the slip faster than the step resolves. Shapes wander, not only `points`, and their
+    that is turned round with the force would drive the slip. Shapes wander, not only `points`, and their
     rows depend on each other; a contact of theirs that has just parted would come back at once, again and again:
     friction is not turned until it has. `ends` says whether a slip ends within the step, `begins` is whether the step
     begins here.
@@ -79,17 +77,14 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     c.problem.points = 1.0 if points else 0.0
-    last, stalled, most = math.inf, 0, MOST_GROWTH * force_size(c.rigid)
-    for _ in range(TURNS):
+    for _ in range(ITERATIONS):
         change = turn_slips(links, c, h, begins)
-        if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k) or force_size(c.rigid) > most:
+        if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k):
             break
         if begins and not points and presses_in(c, k):
             break
-        stalled += 1 if change >= last else 0
-        if change <= SETTLED or stalled == STALLED or not some_slip_slowly(c, k, h):
+        if change <= VANISHING or not some_slip_slowly(c, k, h):
             return int(OK)
-        last = float(change)
     else:
         return int(OK)
     c.problem.ends = c.problem.ends if points else 0.0
@@ -242,9 +237,9 @@ def solve_within(links: ContactLinks, c: Contacts, k: int, rate: float) -> bool:
     s.associated, s.alike = 0.0, 1.0
     if c.problem.points > 0.0:
         start_at_rest(s, k, n)
-    if not solve_in_joint_space(s, k, n, FIRST if c.problem.points > 0.0 else MOST, EXACT):
+    if not solve_in_joint_space(s, k, n, FIRST_RHO if c.problem.points > 0.0 else STIFF, EXACT):
         s.alike = 0.0
-        if not solve_in_joint_space(s, k, n, FIRST, EXACT):
+        if not solve_in_joint_space(s, k, n, FIRST_RHO, EXACT):
             return False
     if has_derivatives(s.y[0]):
         differentiate(s, k, n)
@@ -301,11 +296,6 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     return 0.0 * size if shared else float(change / level)  # with f known it is found at once
 
 
-# Of the search for τ: evaluations on each side, the factor of the first, how near to its edge friction is found then;
-# and by which share of 1/τ before it derivatives are taken.
-SEARCHES, WIDER, ON_EDGE, BESIDE_EDGE = 30, 4.0, 1e-12, 1e-8
-
-
 @kernel
 def stop_slips(links: ContactLinks, c: Contacts, h: float) -> float:
     """Return the time after which the first of several slow slips ends, s, if in this step; else infinity.
@@ -351,8 +341,8 @@ def shorten(links: ContactLinks, c: Contacts, k: int, h: float) -> float:
     if not at_low < 0.0:
         return 0.0 * low
     high, at_high = low, at_low
-    for _ in range(SEARCHES):
-        high *= WIDER
+    for _ in range(ITERATIONS):
+        high *= WIDENING
         if not solve_within(links, c, k, high):
             return 0.0 * low
         at_high = left_of_slips(c, k)
@@ -362,12 +352,12 @@ def shorten(links: ContactLinks, c: Contacts, k: int, h: float) -> float:
     if not at_high >= 0.0:
         return 0.0 * low
     rate, side = high, 0
-    for _ in range(SEARCHES if at_high > ON_EDGE else 0):  # the method of Illinois
+    for _ in range(ITERATIONS if at_high > AT_EDGE else 0):  # the method of Illinois
         rate = (low * at_high - high * at_low) / (at_high - at_low)
         if not solve_within(links, c, k, rate):
             return 0.0 * low
         now = left_of_slips(c, k)
-        if abs(now) <= ON_EDGE or high - low <= ON_EDGE * high:
+        if abs(now) <= AT_EDGE or high - low <= AT_EDGE * high:
             break
         if now < 0.0:
             low, at_low, at_high, side = rate, now, at_high * (0.5 if side < 0 else 1.0), -1

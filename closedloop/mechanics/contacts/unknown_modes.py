@@ -13,13 +13,10 @@ have a direction: F = f (1, −μ d), f >= 0, u_n >= 0, f u_n = 0. `closedloop.m
 from __future__ import annotations
 
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.contacts.given_modes import MOST_IMPULSE
-from closedloop.mechanics.contacts.joint_space import ROUNDS, find_exactly, is_wedged, solve_softly
+from closedloop.mechanics.contacts.joint_space import find_exactly, is_wedged, solve_softly
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
-
-# Forces so many times those that are asked for are none: those of contacts that are wedged have no bound.
-WEDGED = 1e6
+from closedloop.mechanics.limits import ITERATIONS, STIFF, WEDGED
 
 
 @kernel
@@ -38,7 +35,7 @@ def solve_contacts(links: ContactLinks, c: Contacts, share: float = 1.0, most: f
 @kernel
 def solve_impulses(links: ContactLinks, c: Contacts, span: float) -> None:
     """Do `solve_contacts` for impulses of a time, s: there always are; those of compliant contacts if none is found."""
-    if not solve_contacts(links, c, span, MOST_IMPULSE):
+    if not solve_contacts(links, c, span, STIFF):
         a = pack_contacts(links, c, span)
-        solve_softly(c.stepping, a, links.n, ROUNDS)
+        solve_softly(c.stepping, a, links.n, ITERATIONS)
         unpack_contacts(links, c, a)

@@ -29,14 +29,8 @@ from closedloop.mechanics.impact.begin import (
     to_extremum,
 )
 from closedloop.mechanics.impact.taylor import ORDER, ImpactWork, first_reach, value
+from closedloop.mechanics.limits import AT_EDGE, EXACT, FOUND
 
-# Normal mobility below this share of S_nn is none: the tip is wedged (as
-# `closedloop.mechanics.closure.solve.SINGULAR_MOBILITY`).
-FLAT = 1e-12
-# What of a normal velocity may be left, as a share of the tip's speed, where a wedged tip comes to rest.
-RESIDUE = 1e-9
-# Newton's law is cut where it would create more than this share of the energy of compression: less is rounding.
-GAIN = 1e-13
 # An approach, m/s, or a restitution below this is none: its square, in the work, would underflow.
 TINY = 1e-150
 # Random impacts need less than a tenth of it; more is that of a velocity that no tip with this S can have.
@@ -148,13 +142,13 @@ def _collide(
         if kind == TURNING:
             end = GOES_ON
             length = to_extremum(S, mu, length, c)
-        elif c.un[1] > FLAT * S[0, 0]:
+        elif c.un[1] > AT_EDGE * S[0, 0]:
             enough = _enough(compressing, law, rebound, owed, c)
             if enough < length:
                 length, end = enough, GOES_ON
         elif end == GOES_ON:
             # The normal velocity stays what it is, whatever the impulse.
-            if abs(c.un[0]) > RESIDUE * speed:
+            if abs(c.un[0]) > FOUND * speed:
                 return -1
             happened |= WEDGE
             end, length = ENDS, max(owed, 0.0) if law == POISSON else 0.0
@@ -231,7 +225,7 @@ def _end_piece(
         return 0.0, ENDS, 0
     if value(row, degree, length) >= level:
         length, end = first_reach(row, degree, level, length), ENDS
-    if law == NEWTON and energy < 0.0 and energy + value(c.energy, degree, length) > -GAIN * energy:
+    if law == NEWTON and energy < 0.0 and energy + value(c.energy, degree, length) > -EXACT * energy:
         return first_reach(c.energy, degree, -energy, length), ENDS, CUT
     return length, end, 0
 

@@ -33,6 +33,7 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.impact.begin import MODE_NAMES, RATIOS
 from closedloop.mechanics.impact.phases import impact
 from closedloop.mechanics.impact.taylor import ImpactWork
+from closedloop.mechanics.limits import FOUND
 
 
 class Restitution(Member):
@@ -72,10 +73,6 @@ def coefficient_at(law: type[Restitution], restitution: float, speed: float, key
                 f"{key} = {law.member_name()}: its coefficient at {speed:g} m/s is {given:g}: must be from 0 to 1"
             )
         return given
-
-
-# S may miss symmetry and definiteness by the rounding of A H⁻¹Aᵀ, as a share of its trace.
-ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +142,9 @@ def two_phase_impact(
     if before[0] > 0.0:
         raise ScenarioError(f"u[0] = {before[0]:g} m/s: the tip moves off the surface; must not be positive")
     trace = float(np.trace(mobility))
-    if np.max(np.abs(mobility - mobility.T)) > ROUNDING * trace:
+    if np.max(np.abs(mobility - mobility.T)) > FOUND * trace:
         raise ScenarioError("S is not symmetric: must be A H^-1 A^T in the order (n, t1, t2)")
-    if np.linalg.eigvalsh(mobility)[0] < -ROUNDING * trace:
+    if np.linalg.eigvalsh(mobility)[0] < -FOUND * trace:
         raise ScenarioError("S has a negative eigenvalue: must be A H^-1 A^T with a positive definite H")
     if not mobility[0, 0] > 0.0:
         raise ScenarioError(

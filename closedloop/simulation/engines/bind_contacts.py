@@ -25,8 +25,7 @@ from closedloop.mechanics.contacts.friction import (
     law_at,
     plain_friction,
 )
-from closedloop.mechanics.contacts.memory import HOVERING, ContactMemory, Contacts, make_contact_memory
-from closedloop.mechanics.contacts.modes import CLOSED_GAP
+from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
 from closedloop.mechanics.contacts.rolling import (
     EDGE,
     SHAPE,
@@ -44,6 +43,7 @@ from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.limits import CLOSED_GAP, HOVERING
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows

@@ -24,7 +24,6 @@ from closedloop.base.families import is_users
 from closedloop.base.interrupts import word_for
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.user_code import of_users
-from closedloop.loop.events.phases import MAX_IN_STEP, OUTPACED
 from closedloop.loop.step.entries import CALLS
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.memory import Loop
@@ -42,6 +41,7 @@ from closedloop.mechanics.closure.solve import (
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.friction.law import surface_parameters
 from closedloop.mechanics.friction.laws.lugre import LuGre, is_passive, passive_damping_speed
+from closedloop.mechanics.limits import MAX_IN_STEP, OUTPACED
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.verdict import DIVERGES
 from closedloop.scenario.gains import feedbacks, gains_fault

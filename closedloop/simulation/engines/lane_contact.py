@@ -15,12 +15,10 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.numba_simd8 import lane, lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE, every, select
 from closedloop.loop.events.locate import slip_margin
-from closedloop.loop.events.phases import LEAVING, RESTING
 from closedloop.loop.events.substep import save_slip
 from closedloop.loop.step.locate import locate_on_plane, locate_on_surface, off_anchor, take_answer
 from closedloop.loop.step.memory import SMOOTH, Constants, Start, State, TipContact, Work
 from closedloop.loop.step.record_row import Row, write_columns
-from closedloop.loop.step.singular import NEAR
 from closedloop.loop.step.solve_contact import slide_slowly
 from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import (
@@ -32,6 +30,7 @@ from closedloop.mechanics.closure.contact_force import (
     stuck_force,
 )
 from closedloop.mechanics.closure.solve import OK, closure_residual
+from closedloop.mechanics.limits import HOVERING, NEAR, RESTING
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at
 from closedloop.simulation.engines.lane_members import WINDOW, Kept, alone_at
 from closedloop.simulation.engines.proceed import ADDRESSES, Addresses
@@ -231,7 +230,7 @@ def passed_rows(w: Work, constants: Constants, state: State, kept: Kept, h: floa
     if state.surface.entry != 0:
         goes_on = select(tip.inside > 0.0, goes_on, 0.0)
     if not every(touching):
-        leaving = LEAVING + (h * h * abs(tip.drift_c[0]) if state.settings.stages == 1 else 0.0 * h)
+        leaving = HOVERING + (h * h * abs(tip.drift_c[0]) if state.settings.stages == 1 else 0.0 * h)
         turns = (w.start.rate < -RESTING) & (tip.rate > 0.0)
         goes_on = select(touching, goes_on, select((tip.gap > leaving), select(turns, 0.0 * F[0], 1.0), 0.0))
     return goes_on

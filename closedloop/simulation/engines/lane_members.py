@@ -16,11 +16,12 @@ from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, ro
 from closedloop.jit.kernel import kernel
 from closedloop.jit.numba_simd8 import lane, lane_at, put_at, with_lane
 from closedloop.jit.simd8 import WIDE
-from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, NO_TRIAL, OUTPACED, STEP_END, TERMS, request_terms
+from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, NO_TRIAL, STEP_END, TERMS, request_terms
 from closedloop.loop.step.memory import Constants, N, State, Work, loop_at
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import STUCK
 from closedloop.mechanics.friction.answers import LIMIT
+from closedloop.mechanics.limits import OUTPACED
 from closedloop.mechanics.robot.tree import Tree, tree_terms
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
 

@@ -21,7 +21,7 @@ from closedloop.jit.calls import address_of
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.parameters import one_joint_block, parameter_block
 from closedloop.jit.user_code import of_users
-from closedloop.loop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHING
+from closedloop.loop.events.phases import MEASURED, PROJECTION, STEP_END
 from closedloop.loop.step.external import BEGIN, END, FELT, SHARE
 from closedloop.loop.step.locate import BALL_TIP, BallTip
 from closedloop.loop.step.memory import SPRING_STICK, Constants, Loop, State, Work
@@ -30,6 +30,7 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.rolling import RADIUS, SHAPE, make_shape_memory
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.limits import TOUCHING
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.close import close_state, factor_rows
 from closedloop.mechanics.loops.drives import torque_of_drives

@@ -25,7 +25,6 @@ from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel, kernel_inl
 from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.simd8 import WIDE, aligned, every, select
 from closedloop.loop.events.locate import slip_margin
-from closedloop.loop.events.phases import OUTPACED
 from closedloop.loop.events.substep import save_slip
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
@@ -46,6 +45,7 @@ from closedloop.mechanics.closure.contact_force import (
 )
 from closedloop.mechanics.closure.solve import OK, SINGULAR
 from closedloop.mechanics.friction.answers import LIMIT
+from closedloop.mechanics.limits import OUTPACED
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms, work_size
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import ADDRESSES, Addresses

@@ -11,10 +11,7 @@ from closedloop.loop.events.locate import refine_bracket, slip_margin
 from closedloop.loop.events.phases import (
     AFTER_EVENT,
     AT_EVENT,
-    INSTANT,
     LOCATE_EVENT,
-    MAX_IN_STEP,
-    MAX_MOVES,
     NEED_TERMS,
     PROJECTION,
     REACH_EVENT,
@@ -26,6 +23,7 @@ from closedloop.loop.events.table import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL,
 from closedloop.loop.events.transitions import apply_event, end_stick_or_slip, find_direction
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
+from closedloop.mechanics.limits import INSTANT, MAX_IN_STEP, REFINEMENTS
 from closedloop.simulation.engines.failures import _rubs_without_end
 
 RUBBING = {
@@ -235,8 +233,8 @@ def test_projection_is_the_smallest_move_that_closes(stuck):
     for gap, moves, closes in (
         (1e-3, 0, False),
         (0.0, 1, not stuck),
-        (1e-16, MAX_MOVES, True),
-        (1e-3, MAX_MOVES, True),
+        (1e-16, REFINEMENTS, True),
+        (1e-3, REFINEMENTS, True),
     ):
         off = np.array([gap, 0.0 if closes else 2e-3, 0.0 if closes else -1e-3])
         w.tip.gap, w.tip.p[:], w.v[:], w.q[:] = gap, w.tip.anchor + off, rng.normal(size=4), 0.0
@@ -253,7 +251,7 @@ def test_projection_leaves_a_tip_that_has_no_way_along_the_normal():
     state, constants, w = loop.state, loop.constants, loop.w
     state.mode, w.tip.A[0], w.tip.gap, w.tip.u[0] = PRESSED, 0.0, 1e-6, 1e-3
     q, v = w.q.copy(), w.v.copy()
-    for _ in range(MAX_MOVES + 1):
+    for _ in range(REFINEMENTS + 1):
         assert interpreted(project)(H, w, constants, state) == NEED_TERMS
     assert state.phase != PROJECTION
     np.testing.assert_array_equal([w.q, w.v], [q, v])

@@ -11,23 +11,16 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.contacts import apply_contact_event, log_contacts, resume_with_contacts
 from closedloop.loop.events.phases import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
 from closedloop.loop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
-from closedloop.loop.step.contacts import STICK_SPEED, margin_of, save_contacts
+from closedloop.loop.step.contacts import margin_of, save_contacts
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, OFF, RAY, make_contact_memory
 from closedloop.mechanics.contacts.modes import (
     CAME,
-    CLOSED_GAP,
-    DEEPER,
-    DEEPEST,
-    HOVERING,
     LEFT,
-    ONTO,
-    SINKING,
     SLIPPED,
     STUCK_NOW,
-    SUNK,
     TURNED_ROUND,
     carries_nothing,
     choose_kinds,
@@ -35,7 +28,8 @@ from closedloop.mechanics.contacts.modes import (
     happened_to,
     mode_after,
 )
-from closedloop.mechanics.contacts.time_step import SPAN, TANGENTIAL_IMPACT, TIME_STEP, begin_time_step
+from closedloop.mechanics.contacts.time_step import TANGENTIAL_IMPACT, TIME_STEP, begin_time_step
+from closedloop.mechanics.limits import BEYOND_EDGE, CLOSED_GAP, HOVERING, STICK_SPEED, TIME_STEP_SPAN
 
 NOTHING = 1e-9
 
@@ -55,7 +49,7 @@ def memory():
 def test_a_time_step_where_no_modes_agree(memory):
     """A contact that pressing harder pulls in has no force; the impulse of a step stops it, as its equations say."""
     links, c = memory
-    touching, mu, h = slice(3, 6), 2.0, SPAN
+    touching, mu, h = slice(3, 6), 2.0, TIME_STEP_SPAN
     c.X[touching] = 0.0
     c.X[touching, 3:] = np.linalg.cholesky([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
     write_own_mobilities(c)
@@ -273,7 +267,7 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
     c.located[0], c.problem.rounding, c.direction[1] = 100.0, 1e-9, [0.6, 0.8]
     c.mode[1], c.located[3] = FREE, 1e-9
     for risen, floor, touches_at in (
-        (0.0, 0.0, -SINKING), (0.0, -1e-10, -1e-10 - SINKING), (0.0, -5e-10, -SUNK), (0.0, -SUNK, -SUNK - DEEPER),
+        (0.0, 0.0, -HOVERING), (0.0, -5e-10, -5e-10 - HOVERING),
         (1.0, 0.0, -CLOSED_GAP), (1.0, -5e-10, -5e-10 - CLOSED_GAP),
     ):  # fmt: skip
         c.gaps.cleared[1], c.gaps.floor[1] = risen, floor
@@ -297,7 +291,11 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
     c.inside[1] = 0.25
     assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == 0.25
     c.mode[1], c.friction.pulls[1], c.past_edge[1] = FREE, 0.0, 1.0  # beyond its edge, until it is inside again
-    for gap, inside, left in ((0.0, -0.25, 0.25 + ONTO), (-DEEPEST, 0.25, ONTO - 0.25), (-1.1 * DEEPEST, 0.25, 100.0)):
+    for gap, inside, left in (
+        (0.0, -0.25, 0.25 + HOVERING),
+        (-BEYOND_EDGE, 0.25, HOVERING - 0.25),
+        (-1.1 * BEYOND_EDGE, 0.25, 100.0),
+    ):
         c.located[3], c.inside[1] = gap, inside
         assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(left, rel=1e-6)
 
@@ -330,7 +328,7 @@ def test_a_contact_that_carries_nothing_is_open(memory):
         assert not nothing(links, c, 1)
         flag[1] = 0.0
     c.mode[1], c.F[3], c.gaps.cleared[1], c.gaps.floor[1] = FREE, 0.0, 0.0, 0.0
-    cases = ((0.0, 0, 0, True), (-2 * SINKING, 0, 0, False), (0.0, 1, 0, False), (0.0, 0, 1, False))
+    cases = ((0.0, 0, 0, True), (-2 * HOVERING, 0, 0, False), (0.0, 1, 0, False), (0.0, 0, 1, False))
     for gap, struck, fresh, opened in cases:
         c.located[3], c.event.struck[1], links.fresh = gap, struck, fresh
         assert nothing(links, c, 1) == opened

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.mechanics.contacts.soft import CREEPING
+from closedloop.mechanics.limits import STICK_SPEED
 from closedloop.scenario.load import scenario_of
 from closedloop.simulation.prepare import prepare
 from robot_models import load
@@ -227,7 +227,7 @@ def test_creep_of_soft_feet_is_that_of_the_rise_of_friction():
     gravity = (9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle))
     more = {"velocity": (0, 0, 0), "spin": (0, 0, 0), "gravity": gravity, "integrator": "dop853", "step": 1e-2}
     run = thrown(soft(1e4, 100.0), 0.4, 0.8, **more)
-    assert run.v[-1, 0] == pytest.approx(CREEPING * np.arctanh(np.tan(angle) / 0.4), rel=1e-3)
+    assert run.v[-1, 0] == pytest.approx(STICK_SPEED * np.arctanh(np.tan(angle) / 0.4), rel=1e-3)
 
 
 @pytest.mark.parametrize(("soft", "stiffness"), [(1, 1e5), (4, 1e4)])

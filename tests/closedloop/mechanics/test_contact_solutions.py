@@ -11,7 +11,8 @@ from random_contacts import faults, filled, solve_at, strike_at
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, make_contact_memory
-from closedloop.mechanics.contacts.time_step import SPAN, begin_time_step
+from closedloop.mechanics.contacts.time_step import begin_time_step
+from closedloop.mechanics.limits import TIME_STEP_SPAN
 
 
 def test_contacts_that_are_open_change_nothing_of_the_others():
@@ -178,6 +179,6 @@ def test_a_fast_open_contact_does_not_bound_the_impulses_of_a_wedged_one(beside)
     c.load[:] = np.linalg.solve(c.X[:3], c.a[:3])
     c.step.struck = 0.3  # after an impact that was in vain
     interpreted(begin_time_step)(links, c, 0.3)
-    assert 0.0 < SPAN * c.step.force[0] < 5.0
+    assert 0.0 < TIME_STEP_SPAN * c.step.force[0] < 5.0
     assert not np.any(c.step.force[3:])
     assert c.mode[1] == FREE

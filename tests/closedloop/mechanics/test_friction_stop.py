@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.loop.events.phases import MAX_IN_STEP, OUTPACED
+from closedloop.mechanics.limits import MAX_IN_STEP, OUTPACED
 
 G, MU, SPEED = 9.81, 0.3, 0.25
 STUCK = 2

@@ -7,8 +7,9 @@ from random_contacts import random_bodies
 
 import closedloop as cl
 from closedloop.jit.kernel import entry_kernel
-from closedloop.mechanics.contacts.joint_space import FIRST, IN_CONE, PUSHES, solve_in_joint_space
+from closedloop.mechanics.contacts.joint_space import IN_CONE, PUSHES, solve_in_joint_space
 from closedloop.mechanics.contacts.memory import contacts_at, make_contact_memory
+from closedloop.mechanics.limits import FIRST_RHO
 from validation.speed.scenes import scenario_of
 
 G = 9.81
@@ -19,7 +20,7 @@ VISCOUS = {"friction.kind": "coulomb_viscous", "friction.coefficient": 0.3, "fri
 def solve_at(address):
     """Solve the problem in joint space of a memory of contacts, of which all take part."""
     links, c = contacts_at(address)
-    return 1 if solve_in_joint_space(c.stepping, links.k, links.n, FIRST) else 0
+    return 1 if solve_in_joint_space(c.stepping, links.k, links.n, FIRST_RHO) else 0
 
 
 def test_impulses_keep_cones_and_complementarity():

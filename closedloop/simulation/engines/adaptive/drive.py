@@ -38,14 +38,13 @@ from scipy.integrate import DOP853, Radau
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, SimulationError
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.phases import INSTANT, OUTPACED, SHALLOW
 from closedloop.loop.events.query import BEGIN_STEP, EVENT_VALUE, RECORD
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, State, Work
 from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.contacts.soft import CREEPING
+from closedloop.mechanics.limits import CLOSED_GAP, INSTANT, OUTPACED, STICK_SPEED
 from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
 from closedloop.simulation.engines.adaptive.smooth import Interval, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
@@ -91,7 +90,7 @@ def slips(w: Work, state: State) -> list[Slip]:
             mobility, rows, shared = c.S[i, 1, 1] + c.S[i, 2, 2], c.G[t], float(c.friction.shared[i])
             friction = shared * abs(c.F[3 * i]) or float(np.hypot(*c.F[t]))
             slip = _slip(c.u[t], friction, mobility, rows, rows @ w.qdd + c.drift[t])
-            found.append(slip._replace(speed=max(slip.speed, CREEPING), rises=True) if shared > 0.0 else slip)
+            found.append(slip._replace(speed=max(slip.speed, STICK_SPEED), rises=True) if shared > 0.0 else slip)
     return [slip for slip in found if slip.speed > SETTLED]
 
 
@@ -352,7 +351,7 @@ class AdaptiveRun:
             return at
 
         # After liftoff the gap grows with the cube of time at first, no faster than the error.
-        leaving, closes = max(SHALLOW, 10.0 * self.tolerance), None
+        leaving, closes = max(CLOSED_GAP, 10.0 * self.tolerance), None
         if state.contacts.entry != 0 and state.coupled == 0:
             closes = first_crossing(value("contacts.margin"), length)
             length = length if closes is None else closes
@@ -360,7 +359,7 @@ class AdaptiveRun:
             event = first_crossing(value("search.value"), length)
             return closes if event is None else event
         event = first_crossing(
-            value("search.value"), length, SHALLOW if state.cleared != 0 else leaving, value("tip.rate")
+            value("search.value"), length, CLOSED_GAP if state.cleared != 0 else leaving, value("tip.rate")
         )
         if event is None and value("search.value")(length) > leaving:
             state.cleared = 1

@@ -1,0 +1,172 @@
+"""The limits of contact: every number by which its methods decide, with its unit and the reason for it.
+
+Shares form one scale, from EXACT to SMALL, by which everything is compared. `LIMITS` has all limits by name.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar
+
+T = TypeVar("T", float, int, tuple[int, ...])
+
+
+class Limit(NamedTuple):
+    """A number by which methods of contact decide."""
+
+    value: float | int | tuple[int, ...]
+    unit: str  # "1" of a share or a ratio, "" of a count
+    reason: str
+
+
+LIMITS: dict[str, Limit] = {}
+
+
+def limit(name: str, value: T, unit: str, reason: str) -> T:
+    """Add a limit to `LIMITS`; return its value, which compiled code reads as a constant."""
+    LIMITS[name] = Limit(value, unit, reason)
+    return value
+
+
+# Shares of what is compared.
+EXACT = limit("EXACT", 1e-13, "1", "equations are solved, and energies equal, but for rounding")
+AT_EDGE = limit("AT_EDGE", 1e-12, "1", "what is so near to its limit is at it")
+VANISHING = limit("VANISHING", 1e-11, "1", "a sum that is less, of its terms, is none")
+DEPENDENT = limit(
+    "DEPENDENT", 1e-10, "1", "a row with less beyond the span of others depends on them; a force that is less is none"
+)
+BESIDE_EDGE = limit(
+    "BESIDE_EDGE", 1e-8, "1", "by which share of 1/τ before the end of a slip its derivatives are taken"
+)
+FOUND = limit("FOUND", 1e-9, "1", "equations are solved well enough to go on")
+SLIGHT = limit(
+    "SLIGHT",
+    1e-6,
+    "1",
+    "what is less hardly counts: friction so near to its limit, a tilt, a residual that falls slowly",
+)
+SAME_DIRECTION = limit(
+    "SAME_DIRECTION", 1e-5, "1", "a row that is so near to the span of others has no direction of its own"
+)
+NEAR = limit("NEAR", 1e-4, "1", "near enough where rows hardly differ, and where the tip's mobility is so small")
+SMALL = limit("SMALL", 1e-3, "1", "what is less does not count")
+SOME_ROUNDING = limit(
+    "SOME_ROUNDING", 10.0, "1", "what is outside by up to so many times the force that is rounding is not outside"
+)
+SHAPE_ROUNDING = limit(
+    "SHAPE_ROUNDING", 1e5, "1", "so many times VANISHING may be what a solution is off where shapes touch"
+)
+
+# Speeds.
+RESTING = limit(
+    "RESTING",
+    1e-11,
+    "m/s",
+    "contacts that come together more slowly do not: rounding of a velocity that was set to zero",
+)
+SHAPES_RESTING = limit(
+    "SHAPES_RESTING", 1e-10, "m/s", "the same of shapes, whose rows hardly differ: impulses leave as much"
+)
+STILL = limit("STILL", 1e-9, "m/s", "a slip that is slower has no direction of its own")
+PARTING = limit("PARTING", 1e-8, "m/s", "a contact that parts more slowly does not")
+STICK_SPEED = limit(
+    "STICK_SPEED", 1e-7, "m/s", "a slip that is slower has only begun, or has ended; and what the stabiliser may remove"
+)
+TURNED = limit(
+    "TURNED", 1e-6, "m/s", "a slip that has turned round is none below this; and the step of a difference quotient"
+)
+SLOWEST_REBOUND = limit("SLOWEST_REBOUND", 1e-4, "rad/s or m/s", "a rebound from a stop that is slower is none")
+
+# Lengths.
+CLOSED = limit("CLOSED", 2e-15, "m", "an error that is less is rounding of n·r − d; or a rate, m/s")
+CLOSED_GAP = limit("CLOSED_GAP", 1e-13, "m", "a negative gap that is less is rounding, once a contact has been clear")
+TOUCHING = limit(
+    "TOUCHING",
+    1e-12,
+    "m",
+    "within this gap a contact touches, and a joint is at its stop: rounding of a located touch is 1e-14",
+)
+OFF_SURFACE = limit(
+    "OFF_SURFACE", 1e-10, "m", "a contact that is further off its surface after an event is put onto it"
+)
+HOVERING = limit(
+    "HOVERING", 1e-9, "m", "a contact whose gap is less may be about to close; more than the stabiliser leaves"
+)
+BEYOND_EDGE = limit(
+    "BEYOND_EDGE", 1e-8, "m", "what is less beyond an edge, or below a surface beside it, may still touch"
+)
+LEVER = limit("LEVER", 0.1, "m", "how far from its end an edge is for one that the normal leans")
+LEAST_PULL = limit("LEAST_PULL", 1e-9, "N", "a force that pulls by less is rounding")
+
+# Times.
+INSTANT = limit("INSTANT", 1e-14, "s", "an event is located to this; nearer than that to a row it happens at the row")
+RAPID = limit("RAPID", 1e-12, "s", "events that follow each other within this are at one instant")
+BREAKING_AWAY = limit(
+    "BREAKING_AWAY", 1e-9, "s", "in which a slip that begins takes its direction where the integrator chooses its steps"
+)
+SHORTEST_GROWTH = limit("SHORTEST_GROWTH", 1e-8, "s", "no step is halved further because forces multiply")
+TIME_STEP_SPAN = limit(
+    "TIME_STEP_SPAN",
+    2e-5,
+    "s",
+    "length of a step of impulses among modes; no step is halved further because contacts sink",
+)
+OWN_STEP = limit("OWN_STEP", 1e-3, "s", "discs see an integrator that chooses its steps as if they were so long")
+
+# Steps that are divided.
+FAST = limit("FAST", 12.5, "rad/s", "a joint that turns faster turns by no more than LARGEST_TURN in a part of a step")
+LARGEST_TURN = limit("LARGEST_TURN", 0.0125, "rad", "so rk4 leaves the energy of what tumbles to 1e-9")
+QUARTER = limit(
+    "QUARTER", 0.25, "1", "of both while contacts are closed; of a step, the last of a slip; of slips that turn"
+)
+MOST_GROWTH = limit("MOST_GROWTH", 2.0, "1", "forces that multiply by more, and are HIGH, have a step taken in halves")
+HIGH = limit("HIGH", 30.0, "1", "as a multiple of the load: near Painlevé's paradox forces have no bound")
+MOST_OF = limit("MOST_OF", 0.9, "1", "of what is left until slips end: until then steps are no longer")
+FADED = limit(
+    "FADED", 0.5, "1", "a slip that begins below STICK_SPEED ends if it falls in a step to less than this share"
+)
+TENTH = limit(
+    "TENTH",
+    0.1,
+    "1",
+    "what a step of impulses puts back of a depth, a part of a step changes of a tilt, a round leaves",
+)
+
+# The solver in joint space.
+FIRST_RHO = limit("FIRST_RHO", 10.0, "1", "ρ of the first round, as a multiple of the inverse of a contact's mobility")
+WIDENING = limit("WIDENING", 4.0, "1", "by which ρ grows from round to round, and the bracket of a search")
+STIFF = limit("STIFF", 1e3, "1", "ρ of the last rounds; impulses so many times those that are asked for are none")
+STIFFEST_RHO = limit("STIFFEST_RHO", 1e4, "1", "ρ along the homotopy, and where rounds lessen the residual slowly")
+WEDGED = limit("WEDGED", 1e6, "1", "forces so many times those that are asked for are none: contacts are wedged")
+AHEAD = limit(
+    "AHEAD", 2.0, "1", "contacts may close in a step that are nearer than so many times what the fastest goes in it"
+)
+
+# Shapes.
+PARALLEL = limit("PARALLEL", 0.02, "1", "edges whose directions differ by less, a sine, do not cross")
+LEAN = limit("LEAN", 0.05, "1", "by which the normal of two edges may lean out of their faces, a sine")
+RESOLVED = limit("RESOLVED", 0.8, "1", "by which a tilt may change in a step that resolves it")
+AGAIN = limit("AGAIN", 2.0, "1", "a disc that stands rolls again from so many times the tilt that a step resolves")
+SURELY = limit("SURELY", 8.0, "1", "the same, wherever its lowest point is")
+SHARE_DEEPER = limit(
+    "SHARE_DEEPER",
+    0.005,
+    "1",
+    "how deep another point of a disc's edge may be, of radius and tilt: a polygon of 31 corners",
+)
+BEYOND = limit("BEYOND", 0.95, "1", "the next corner is beyond the lowest point by this share of the angle of the last")
+FAR = limit("FAR", 0.9, "1", "from a corner that is further away, a cosine, a disc goes to its lowest point")
+
+# Counts.
+ITERATIONS = limit("ITERATIONS", 40, "", "of any iteration: what has not converged by then does not")
+REFINEMENTS = limit("REFINEMENTS", 5, "", "of solutions, and moves of a projection: both converge quadratically")
+HALVINGS = limit("HALVINGS", 12, "", "of a step of Newton's method")
+DERIVATIVES = limit("DERIVATIVES", 4, "", "rounds that give a solution its derivatives")
+SWEEPS = limit("SWEEPS", 500, "", "of Gauss and Seidel's method over joints with dry friction")
+STEPS = limit("STEPS", (20, 100), "", "of the homotopy from Anitescu's problem, the more where few do not do")
+MOST_MISSING = limit("MOST_MISSING", 10, "", "problems without solution in the search for the largest restitution")
+MAX_RAPID = limit("MAX_RAPID", 20, "", "events at one instant after which a bounce ends in contact")
+MAX_IN_STEP = limit(
+    "MAX_IN_STEP", 2000, "", "events in a step after which modes are not sought any more: a bounce at e = 0.99 has 900"
+)
+OUTPACED = limit("OUTPACED", 100, "", "events that each row takes off that count")
+MOST_HALVINGS = limit("MOST_HALVINGS", 200, "", "of a step in which forces multiply: where they jump none helps")

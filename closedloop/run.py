@@ -194,11 +194,13 @@ def _wrench(word: str, model: Any) -> Any:
 
 def _refuse_to_halve(scenario: Scenario) -> None:
     """Say why a scenario cannot be run at half its step, before it is run at all."""
+    from closedloop.loop.step.record_row import Row
     from closedloop.simulation.halve import half_step
     from closedloop.simulation.time_step import steps_and_hold
 
     try:
-        steps_and_hold(half_step(scenario), 1)
+        half = half_step(scenario)
+        steps_and_hold(half, half.law.sample_period, Row.count(1))
     except ScenarioError as error:
         raise ScenarioError(*(f"--halve: {fault}" for fault in error.faults)) from None
 

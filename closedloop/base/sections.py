@@ -223,6 +223,12 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+    def __eq__(self, other: object) -> bool:
+        """Whether it says the same: most that do hold equal values, which is found out at once."""
+        return (type(self) is type(other) and vars(self) == vars(other)) or super().__eq__(other)
+
+    __hash__ = BaseModel.__hash__
+
     if not TYPE_CHECKING:  # for which a section is frozen by its settings
 
         def __setattr__(self, name: str, value: Any) -> None:

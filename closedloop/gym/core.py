@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -158,7 +157,7 @@ class Core:
                 "options: the arm, time.step and time.duration of an environment cannot be changed: make another"
             )
         # The cache's table is overwritten for the next scenario of the same path.
-        return problem if self.task.worlds is None or elsewhere else replace(problem, table=problem.table.copy())
+        return problem if self.task.worlds is None or elsewhere else problem.with_table(problem.table.copy())
 
     @property
     def now_width(self) -> int:

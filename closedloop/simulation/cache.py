@@ -1,17 +1,17 @@
-"""A cache of what several scenarios share: robots, paths, reference tables.
+"""What several scenarios share: the parts of a problem that the keys in which they differ do not change.
 
-Of the 3 ms in which a scenario becomes a `Problem` the reference table takes 1.5, the inverse kinematics of its path
-0.5 and the robot 0.2 (4 more if it is read from a user's file), and most keys of a scenario affect none of the three.
-The key of an entry is the text of all that it is computed from, so a cached entry equals a new one to the last bit.
+`Parts` follows each part of a problem to the sections of the scenario that it was made of; all but what is other is
+taken over from the scenario before. `Cache` has, besides, robots, paths and reference tables of earlier scenarios: they
+take most of the 3 ms in which a scenario becomes a `Problem`. The key of an entry is the text of all that it is made
+of. So what is taken over equals what would be made anew to the last bit.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from operator import is_
 from typing import Any, TypeVar, cast
 
 from closedloop.base.sections import Section
@@ -19,51 +19,17 @@ from closedloop.scenario.load import is_users_file
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import members_of_users
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.parts import SECTIONS, Parts, text_of
 from robot_models import RobotModel
 
 T = TypeVar("T")
 
-SECTIONS = dict(Scenario.model_fields)  # looking up that attribute takes longer than reading a section
 # Bytes of one thread's cache: the reference tables of two dozen runs of 8001 rows.
 LIMIT = 32_000_000
 # As many sections are kept with their texts.
 MOST_TEXTS = 500
 # Of so many models, as calls of two prepared problems in turns have them, a thread keeps the caches.
 MOST_CACHES = 2
-
-
-class Key:
-    """A long key that is part of many: its hash is worked out once."""
-
-    __slots__ = ("_hash", "_key")
-
-    def __init__(self, key: Hashable) -> None:
-        self._key, self._hash = key, hash(key)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Key) and self._key == other._key)
-
-
-class Watched:
-    """A scenario that notes which of its sections are read, by what it is given to."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
-        self.read: dict[str, Any] = {}
-
-    def __getattr__(self, name: str) -> Any:
-        if name in SECTIONS:
-            part = self.read[name] = getattr(self._scenario, name)
-            return part
-        return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
-
-    def model_copy(self, *, update: Mapping[str, Any]) -> Scenario:
-        """Return a changed copy of the scenario, which depends on all of it."""
-        self.read.update(vars(self._scenario))
-        return self._scenario.model_copy(update=update)
 
 
 class Cache:
@@ -75,16 +41,25 @@ class Cache:
         Bytes that may be kept; an entry larger than that is kept until the next.
     shared : Cache, optional
         A cache of several threads, for entries that are only read, such as paths.
+
+    Attributes
+    ----------
+    given, whole : Parts
+        What is made of the scenario as it was given, and as its run has it.
+    spare : dict
+        What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Calls`.
+    last : (Scenario, Problem) or None
+        What was prepared last, whose table is still its own.
     """
 
     def __init__(self, limit: int = LIMIT, shared: Cache | None = None) -> None:
         self._limit, self._shared, self._lock = limit, shared, threading.Lock()
         self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
-        self._followed: dict[str, tuple[Any, dict[str, Any], tuple[Any, ...]]] = {}
         self._texts: dict[int, tuple[Section, tuple[Hashable, ...]]] = {}  # by the identity of what is kept
-        self.newest: dict[str, Any] = {}  # what steps the scenario whose numbers were made last, by engine
-        self.last: tuple[Scenario, Problem] | None = None  # what was prepared last, whose table is still its own
+        self.given, self.whole = Parts(), Parts()
+        self.spare: dict[str, Any] = {}
+        self.last: tuple[Scenario, Problem] | None = None
 
     def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
         """Return the entry with this key, made now if it is not there; `size` gives its bytes, about."""
@@ -98,31 +73,13 @@ class Cache:
             self._bytes -= self._entries.popitem(last=False)[1][1]
         return entry
 
-    def follow(self, name: str, scenario: Scenario, make: Callable[[Any], T], *others: Any) -> T:
-        """Return what is made of a scenario and of others: what it was for the last scenario, if that has the same.
-
-        Its sections that `make` has read must be the same objects, and so must be the others. In scenarios that differ
-        from one another in a few keys, those are that none of the keys is of.
-        """
-        found = self._followed.get(name)
-        if found is not None:
-            made, read, before = found
-            parts = vars(scenario)
-            if all(parts[k] is part for k, part in read.items()) and all(map(is_, others, before)):
-                return cast(T, made)
-        watched = Watched(scenario)
-        new = make(watched)
-        self._followed[name] = new, watched.read, others
-        return new
-
     def text(self, section: Section) -> tuple[Hashable, ...]:
-        """Return all that a section says: its type, those of its members that a user may have made, and its text."""
+        """Return `text_of` a section."""
         known = self._texts.get(id(section))
         if known is None or known[0] is not section:
             if len(self._texts) >= MOST_TEXTS:
                 self._texts.clear()
-            types = (type(part) for part in vars(section).values() if isinstance(part, Section))
-            known = self._texts[id(section)] = section, (type(section), *types, section.model_dump_json())
+            known = self._texts[id(section)] = section, text_of(section)
         return known[1]
 
     def texts(self, scenario: Scenario, of: Sequence[str] = (), but: str = "") -> tuple[Hashable, ...]:
@@ -137,7 +94,7 @@ class Cache:
     def clear(self) -> None:
         """Remove all entries of this thread; those shared with others stay."""
         self._entries.clear()
-        self._followed.clear()
+        self.given, self.whole = Parts(), Parts()
         self._bytes, self.last = 0, None
 
     def get_shared(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
@@ -145,16 +102,6 @@ class Cache:
         shared = self._shared or self
         with shared._lock:
             return shared.get(key, make, size)
-
-
-class NoCache(Cache):
-    """What makes everything anew: for what is hardly asked for twice."""
-
-    def get(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
-        """Return what is made."""
-        return make()
-
-    get_shared = get
 
 
 class _Kept(threading.local):

@@ -49,15 +49,13 @@ from closedloop.simulation.engines.proceed import (
     set_events,
     set_rows,
 )
-from closedloop.simulation.engines.scenario_numbers import entries_of
+from closedloop.simulation.engines.scenario_numbers import calls_law, entries_of
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 
 # What calls the loop so many times, each with new terms, as long as nothing else is requested.
 Provide = Callable[[int], int]
 Arrays = tuple[Array, Array, Array, Array]  # the table of what is desired, the tableau, the rows, the events
-# Where the memory of a loop is, among what is spare, that nothing steps any more.
-MEMORY = "memory"
 
 # What a run calls once or twice before and after its loop, interpreted where it is not compiled yet; and with loops.
 USED_ONCE, WITH_LOOPS = (potential_energies, walk, sample_spline), (rows_along, along_path, closed_to)
@@ -201,9 +199,8 @@ class Driver:
             make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = kept and law is None and not isinstance(self.kernel, Interim)
-        self._before = (
-            [(array, array.copy()) for array in arrays_of(loop) if array.flags.writeable] if self.may_be_kept else []
-        )
+        self._robot = problem.robot
+        self._before = unwritten(loop) if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
         arrays = problem.table if table is None else table, problem.integrator.tableau(), rows, self.answers.events
         provide = (self._compiled if engine == COMPILED else self._pinocchios)(problem, arrays, tree)
@@ -254,8 +251,12 @@ class Driver:
         self.again = partial(call, *given, 1)
         return partial(call, *given)
 
+    def fits(self, problem: Problem) -> bool:
+        """Whether these calls may step a problem: it differs in numbers alone from what they stepped before."""
+        return self._robot is problem.robot and problem.fits(self.loop)
+
     def begin(self, problem: Problem, rows: Array) -> None:
-        """Go to the start of a problem, which differs in that alone from what was stepped before."""
+        """Go to the start of a problem that it fits."""
         for array, before in self._before:
             array[...] = before
         self.answers.begin(problem)
@@ -277,6 +278,12 @@ class Driver:
             self.user_law.close()
 
 
+def unwritten(loop: Loop) -> list[tuple[Array, Array]]:
+    """Return the arrays of a loop's memory that runs change, and copies of them."""
+    changing = [each for each in arrays_of(loop) if each.flags.writeable and each is not loop.constants.memory]
+    return [(array, array.copy()) for array in changing]
+
+
 def have_compiled(scenario: Scenario, model: RobotModel) -> None:
     """Have compiled in the background what a run of a scenario will want, before its path is known.
 
@@ -287,7 +294,7 @@ def have_compiled(scenario: Scenario, model: RobotModel) -> None:
     surface = PlacedSurface(scenario.surface, scenario.surface_motion, np.eye(3), np.zeros(3), below_start=False)
     called = [*surface.entries().values(), *([] if surface.fixed_plane else (put_on_surface, normals_on_surface))]
     called += [closed_loops] if model.loops else []
-    called += entries_of(scenario, model).values()
+    called += entries_of(scenario, model, calls_law(scenario, model)).values()
     if scenario.contact or has_stops(scenario, model):
         with suppress(ScenarioError):  # which is said in its turn
             called += entries_of_contacts(scenario)

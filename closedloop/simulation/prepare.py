@@ -5,10 +5,11 @@ Where the tip is to the surface at the start: on it, off it, or refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from threading import get_ident
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +17,11 @@ import robot_models
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.base.sections import Section
 from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps, encoder_draws
 from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.control.reference.desired import Desired, desired
+from closedloop.control.reference.desired import Desired, Motion, desired
 from closedloop.control.reference.force import force_at
 from closedloop.control.reference.on_surface import edge_key
 from closedloop.control.reference.orientation import refuse_narrow
@@ -52,7 +52,7 @@ from closedloop.scenario.arm import (
     start_positions,
     start_posture,
     start_velocities,
-    without_tools,
+    stop_limits,
 )
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.gains import check_transmission
@@ -60,12 +60,20 @@ from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import member_digests, members_of_users
 from closedloop.simulation.all_entries import with_all_entries
-from closedloop.simulation.cache import Cache, Key, NoCache, Watched
-from closedloop.simulation.engines.bind_contacts import placed_contacts
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.scenario_numbers import PackedLaw, pack_compliance, pack_friction, pack_law
+from closedloop.simulation.engines.scenario_numbers import (
+    Layout,
+    PackedLaw,
+    Shape,
+    pack_compliance,
+    pack_friction,
+    pack_law,
+)
 from closedloop.simulation.engines.start_memory import STICK_SPEED
-from closedloop.simulation.loop_calls import MEMORY, have_compiled
+from closedloop.simulation.loop_calls import have_compiled
+from closedloop.simulation.parts import Watched
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
@@ -77,6 +85,8 @@ START_GAP = 1e-3
 # Largest |ė| of a tip in contact at the start, m/s: the rounding of a velocity given to four digits. The stabiliser has
 # to stop it, with 0.14 N for each kilogram of apparent mass at the paper's setting; without one the error would grow.
 START_RATE = 1e-4
+# A tip somewhere, for a surface that is not placed yet.
+ORIGIN = np.zeros(3)
 
 
 def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
@@ -108,11 +118,11 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
 
 
 def placed_surface(
-    scenario: Scenario, robot: Robot, q: Array, v: Array, like: PlacedSurface | None
+    scenario: Scenario, robot: Robot, q: Array, v: Array, there: PlacedSurface
 ) -> tuple[PlacedSurface, Touching, int]:
     """Return the surface, how the tip is to it at the start, and what it does on it.
 
-    `like` is the surface of the same scenario from another start, if that is known.
+    `there` is the same surface for a tip somewhere.
     """
     section = scenario.surface
     (tip, jacobian), depth = robot.known_tip(robot.pinocchios(q)), 0.0
@@ -121,11 +131,7 @@ def placed_surface(
         pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
         with of_users(scenario.compliance, "compliance.kind"):
             depth = scenario.compliance.static_depth(pressed)
-    surface = (
-        PlacedSurface.of(section, scenario.surface_motion, tip, depth, scenario.tool.radius)
-        if like is None
-        else like.below(tip, depth)
-    )
+    surface = there.below(tip, depth)
     if scenario.tool.radius > 0.0 and not surface.fixed_plane and surface.below_start:
         refuse_narrow(surface, np.zeros(1), surface.origin[None], scenario.tool.radius)
     now = surface.touching(tip, jacobian @ v)
@@ -226,22 +232,26 @@ def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
             start(scenario, model)
         except ScenarioError as error:
             faults += error.faults
-    for name, values in lists_per_joint(scenario.law).items():
-        if len(values) != model.n:
-            joints = ", ".join(model.joint_names)
-            faults.append(f"law.{name} has {len(values)} entries: {model.name} has {model.n} joints, {joints}")
+    _refuse(faults + _wrong_lengths(scenario, model))
+
+
+def _wrong_lengths(scenario: Scenario, model: RobotModel) -> list[str]:
+    """Return what is wrong with the lengths of lists of the law."""
+    joints = ", ".join(model.joint_names)
+    return [
+        f"law.{name} has {len(values)} entries: {model.name} has {model.n} joints, {joints}"
+        for name, values in lists_per_joint(scenario.law).items()
+        if len(values) != model.n
+    ]
+
+
+def _refuse(faults: list[str]) -> None:
     if faults:
         raise ScenarioError(*faults)
 
 
-# Memory of a robot, with Pinocchio's model and data, about, bytes.
-ROBOT_BYTES = 200_000
-# Memory of a section as numbers, about, bytes, and of all that is kept for the same problem from another start.
-SECTION_BYTES, SETTLED_BYTES = 2_000, 500_000
-# What follows from the numbers of a problem, wherever it starts.
-SETTLED = (
-    "general", "row_width", "row_states", "record", "sizes",
-)  # fmt: skip
+# Memory of a robot, with Pinocchio's model and data, about, bytes; of a section as numbers.
+ROBOT_BYTES, SECTION_BYTES = 200_000, 2_000
 
 
 def completed(scenario: Scenario, model: RobotModel) -> Scenario:
@@ -268,181 +278,149 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
         stabiliser unstable, a tip that the robot does not have ...
     """
-    problem = problem_of(scenario, model, Cache() if cache is None else cache)
-    if cache is None:
-        problem.of_thread[get_ident()] = problem.settled
+    if cache is not None:
+        return problem_of(scenario, model, cache)
+    own = Cache()
+    problem = problem_of(scenario, model, own, kept=False)
+    problem.of_thread[get_ident()] = own
     return problem
 
 
+@contextmanager
+def borrowed(problem: Problem) -> Iterator[Cache]:
+    """Give what this thread has made of the scenarios of a problem, with other values and from other starts.
+
+    A run within a law of this one's has another meanwhile.
+    """
+    cache = problem.of_thread.pop(get_ident(), None)
+    if cache is None:
+        cache = Cache()
+        cache.get(("model", model_key(problem.scenario)), lambda: problem.bare, lambda model: ROBOT_BYTES)
+    try:
+        yield cache
+    finally:
+        problem.of_thread[get_ident()] = cache
+
+
 def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept: bool = True) -> Problem:
-    """Do as `prepare`, with arguments of the right types; what depends on the start is not `kept`, if so told."""
+    """Do as `prepare`, with arguments of the right types; path and table are not `kept` for others, if so told.
+
+    Every part of it is followed, see `closedloop.simulation.cache.Parts`: made anew where what it depends on is other.
+    """
     if cache.last is not None and cache.last[0] is scenario:
         return cache.last[1]
-    given, cache.last = scenario, None
-    settled = cache.get(
-        ("settled", *cache.texts(scenario, but="start")), lambda: _settled(scenario, model, cache),
-        lambda found: SETTLED_BYTES,
-    )  # fmt: skip
-    problem = _problem(scenario, settled, cache if kept else NoCache())
+    cache.last, first = None, cache.given
+    first.turn_to(scenario)
+    digests = first.follow("digests", member_digests) if members_of_users(scenario) else {}
+    bare: RobotModel = first.follow("model", lambda s: _model(s, cache)) if model is None else model
+    robot: Robot = first.follow("robot", lambda s: _robot(s, bare, cache), bare)
+    arm: Any = first.follow("arm", lambda s: robot.model.without_tools, robot)
+    done = first.follow("completed", lambda s: _completed(s, robot.model), arm)
+    given, scenario = scenario, scenario if done is None else done
+    cache.whole.turn_to(scenario)
+    follow = cache.whole.follow
+    follow("start", lambda s: start_state(s, robot.model), arm)  # what is wrong with it is said first
+    numbers = follow("settled", lambda s: _settled(scenario, robot, arm, cache), robot, arm)
+    problem = Problem.of({
+        **numbers, **_started(scenario, numbers, arm, cache, kept), "scenario": scenario, "member_digests": digests,
+        "bare": bare, "model_given": model, "spare": cache.spare,
+    })  # fmt: skip
     cache.last = (given, problem) if kept else None
     return problem
 
 
-def borrowed(problem: Problem) -> Settled:
-    """Return what is the same of a problem from another start, of this thread: its caller puts it back.
-
-    A run within a law of this one's has another meanwhile.
-    """
-    settled: Settled | None = problem.of_thread.pop(get_ident(), None)
-    if settled is None:
-        settled = problem_of(problem.scenario, without_tools(problem.robot.model), Cache()).settled
-    return settled
+def _completed(scenario: Any, model: RobotModel) -> Scenario | None:
+    """Return the scenario as its run has it, None if that is as it is given."""
+    found = completed(scenario, model)
+    return None if isinstance(found, Watched) else found
 
 
-def started_elsewhere(settled: Settled, scenario: Scenario) -> Problem:
-    """Prepare a scenario that differs in where it starts."""
-    return _problem(scenario, settled, NoCache())
-
-
-def changed(settled: Settled, scenario: Scenario) -> Problem:
-    """Prepare a scenario of the same robot that differs in anything."""
-    cache = Cache() if members_of_users(scenario) else settled.changes
-    return problem_of(scenario, without_tools(settled.numbers["robot"].model), cache)
-
-
-def _problem(scenario: Scenario, settled: Settled, cache: Cache) -> Problem:
-    problem = Problem(**settled.numbers, **_started(scenario, settled, cache))
-    settled.keep(problem)
-    return problem
-
-
-class Settled(NamedTuple):
-    """What of a problem does not depend on where it starts."""
-
-    scenario: Scenario  # as its run has it
-    numbers: dict[str, Any]  # attributes of the `Problem`
-    keys: dict[str, Key | None]  # what surface, contacts, path and law depend on, but for the state
-    known: dict[str, Any]  # what follows from the numbers
-    last: dict[str, Any]  # of the start before: its surface, its law, and the instant from which its PD part acts
-    table: tuple[int, bool, bool]  # numbers that sensors draw beside each row; whether those of force and joints do
-    changes: Cache  # of what scenarios with other values have in common
-
-    def keep(self, problem: Problem) -> None:
-        """Give a problem what is known; what steps the first is for all others, which find out the rest once."""
-        if "general" not in self.known:
-            self.known.update({name: getattr(problem, name) for name in SETTLED})
-        vars(problem).update(self.known)
-
-
-def _settled(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Settled:
+def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[str, Any]:
     """Check what does not depend on where a run starts, and return it as numbers."""
-    digests = cache.follow("digests", scenario, member_digests)
-    bare: RobotModel = cache.follow("model", scenario, load_model) if model is None else model
-    robot: Robot = cache.follow("robot", scenario, lambda s: _robot(s, bare, cache), bare)
-    model, n = robot.model, robot.n
-
-    arm = model.without_tools  # whose masses nothing below depends on
-
-    def follow(name: str, make: Callable[[Any], Any], *others: Any) -> Any:
-        return cache.follow(name, scenario, make, *arm, *others)
-
-    given = scenario
-    scenario = follow("completed", lambda s: completed(s, model))
-    scenario = given if isinstance(scenario, Watched) else scenario
-    follow("lengths", lambda s: refuse_lengths(s, model))
-    follow("start", lambda s: start_state(s, model) and None)  # what is wrong with it is said first
-    follow("combinations", lambda s: refuse_combinations(s, model))
-    have_compiled(scenario, model)
-    joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model))
+    follow, model, n = cache.whole.follow, robot.model, robot.n  # none of these depends on masses of tools
+    follow("lengths", lambda s: _refuse(_wrong_lengths(s, model)), arm)
+    follow("combinations", lambda s: refuse_combinations(s, model), arm)
+    joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model), arm)
     integrator, tolerance = follow("integrator", lambda s: integrator_of(s, joint_friction), joint_friction)
     follow("load friction", lambda s: _refuse_load_friction(s, joint_friction), joint_friction)
-    steps, hold = follow("steps", lambda s: steps_and_hold(s, n))
+    layout, period = (
+        follow("layout", lambda s: Layout.of(s, model), arm),
+        follow("period", lambda s: s.law.sample_period),
+    )
+    steps, hold = follow("steps", lambda s: steps_and_hold(s, period, layout.row_width), period, layout)
     compensation = follow("believed compensation", _believed_compensation)
     follow("sampling", lambda s: _check_compensation(s, compensation), compensation)
-    numbers = {
-        "robot": robot, "integrator": integrator, "tolerance": tolerance, "h": scenario.time.step, "steps": steps,
-        "hold": hold, "nodes": integrator.parts,
-        "friction": follow("friction", lambda s: pack_friction(s.friction, n)),
+    follow("compiled", lambda s: have_compiled(scenario, model), arm, layout)
+    return {
+        "robot": robot, "integrator": integrator, "tolerance": tolerance,
+        "h": follow("step", lambda s: s.time.step), "steps": steps, "hold": hold, "nodes": integrator.parts,
+        "layout": layout,
+        "friction": follow("friction", lambda s: pack_friction(s.friction, n), arm),
         "compensation": follow(
-            "compensation", lambda s: pack_law(compensation, n, model.joint_names), compensation
+            "compensation", lambda s: pack_law(compensation, n, model.joint_names), arm, compensation
         ),
         "joint_friction": follow(
-            "joint_friction", lambda s: pack_friction(joint_friction, n, joints=True), joint_friction
+            "joint_friction", lambda s: pack_friction(joint_friction, n, joints=True), arm, joint_friction
         ),
-        "compliance": follow("compliance", lambda s: pack_compliance(s.compliance, n)),
+        "compliance": follow("compliance", lambda s: pack_compliance(s.compliance, n), arm),
         "sensor": follow("sensor", lambda s: pack_sensor(s.sensor, s.time.step)),
-        "encoder": follow("encoder", lambda s: _encoder(s, model)),
-        "transmission": follow("transmission", lambda s: transmission_constants(s.transmission, model)),
+        "encoder": follow("encoder", lambda s: _encoder(s, model), arm),
+        "transmission": follow("transmission", lambda s: transmission_constants(s.transmission, model), arm),
         "drives": follow("drives", lambda s: np.stack(
-            [torque_limits(s.drives, model), torque_steps(s.drives, model, s.law.sample_period)]
-        )),
+            [torque_limits(s.drives, model), torque_steps(s.drives, model, period)]
+        ), arm, period),
         "stabiliser": follow("stabiliser", lambda s: np.array(stabiliser_gains(s))),
         "project": follow("project", lambda s: s.stabiliser.kind in ("projection", "both") and _is_rigid(s)),
+        "tendons": follow("tendons", lambda s: acting_tendons(s, model), arm),
+        "stops": follow("stops", lambda s: stop_limits(s, model), arm),
+        "ends": follow("ends", lambda s: tuple(robot.tree.ends.tolist()), robot), "has_loops": bool(model.loops),
     }  # fmt: skip
-    keys = {
-        "surface": follow("surface key", lambda s: Key(_surface_key(s, cache))),
-        "contacts": follow("contacts key", lambda s: _contacts_key(s, model, cache)),
-        "path": follow("path key", lambda s: Key(cache.texts(s, of=("robot", "tool", "reference")))),
-    }  # fmt: skip
-    drawn = scenario.sensor.noise > 0.0 or scenario.sensor.jitter > 0.0
-    reads = follow("reads", lambda s: s.reads_encoders)
-    table = (DrawnRow if reads else TableRow).count(n) - Reference.count(n), drawn, reads
-    # What stepped the scenario before may not be wanted again: its memory is taken over.
-    before, cache.newest = cache.newest, {}
-    if before:
-        kind, spare = before.popitem()
-        cache.newest[MEMORY] = spare if kind == MEMORY else spare.loop
-    known: dict[str, Any] = {
-        "spare": cache.newest, "tendons": follow("tendons", lambda s: acting_tendons(s, model)),
-        "member_digests": digests,
-    }  # fmt: skip
-    settled = Settled(scenario, numbers, keys, known, {}, table, Cache())
-    known["settled"] = settled
-    return settled
 
 
-def _started(given: Scenario, settled: Settled, cache: Cache) -> dict[str, Any]:
-    """Return what depends on where a run starts: the other attributes of the `Problem`."""
-    of = settled.numbers
-    robot, friction = of["robot"], of["friction"]
+def _started(scenario: Scenario, of: dict[str, Any], arm: Any, cache: Cache, kept: bool) -> dict[str, Any]:
+    """Return what depends on where a run starts: the other numbers of the `Problem`."""
+    follow, robot, friction = cache.whole.follow, of["robot"], of["friction"]
     model = robot.model
-    scenario, keys, last = settled.scenario, settled.keys, settled.last
-    if scenario.start is not given.start:
-        scenario = scenario.model_copy(update={"start": given.start})
-        scenario = with_all_entries(scenario, model) if model.loop_coordinates else scenario
-    q, v = start_state(scenario, model)
+    q, v = follow("start", lambda s: start_state(s, model), arm)
     if model.loops:
-        q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
-    surface, now, mode = cache.get(
-        ("surface", keys["surface"], q.tobytes(), v.tobytes()),
-        lambda: placed_surface(scenario, robot, q, v, last.get("surface")),
-        lambda placed: SECTION_BYTES,
-    )
-    last["surface"] = surface
+        q, v = follow(
+            "closed start", lambda s: closed_start(robot, q, v, s.start.assemble or s.start.q is None), robot, q, v
+        )
+    there = follow("surface", lambda s: PlacedSurface.of(s.surface, s.surface_motion, ORIGIN, 0.0, s.tool.radius))
+    following = follow if kept else _made_of(scenario)
+    place = following("place", lambda s: _placed(s, robot, q, v, there, of["tolerance"]), robot, q, v, there, arm)
+    surface, now, mode, believed = place
+    on = follow("contact rows", lambda s: contact_rows(s, robot) if s.contact or has_stops(s, model) else None, robot)
+    placed = None if on is None else follow("contacts", lambda s: placed_contacts(s, robot, on, q), robot, on, q)
+    taken = surface if believed is None else believed
+    with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
+        wanted, table = _reference(of, taken, q, cache, kept, following)
+    start = follow("pd_start", lambda s: _pd_start(s, wanted), wanted.tip)
+    law = follow("law", lambda s: _packed_law(s, start, model), start, arm)
+    if mode == PRESSED and friction.member.sticks != "elastic":
+        u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
+        mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
+    called = [of[name] for name in ("compensation", "friction", "joint_friction", "compliance", "sensor", "tendons")]
+    return {
+        "shape": follow("shape", lambda s: Shape.of(law, *called), law, *called),
+        "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
+        "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed, "law": law,
+        "there": there,
+    }  # fmt: skip
+
+
+def _placed(
+    scenario: Scenario, robot: Robot, q: Array, v: Array, there: PlacedSurface, tolerance: float | None
+) -> tuple[PlacedSurface, Touching, int, PlacedSurface | None]:
+    """Return what `placed_surface` does, and the surface that the controller believes in; refuse one too stiff."""
+    surface, now, mode = placed_surface(scenario, robot, q, v, there)
     check_rates(surface, scenario.time.duration)
     believed = believed_surface(scenario, robot, surface, q)
-    if not isinstance(scenario.compliance, Rigid) and of["tolerance"] is None:
+    if not isinstance(scenario.compliance, Rigid) and tolerance is None:
         check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
-    placed = None if keys["contacts"] is None else cache.get(
-        ("contacts", keys["contacts"], q.tobytes()), lambda: placed_contacts(scenario, robot, q),
-        lambda placed: SECTION_BYTES * len(placed.start),
-    )  # fmt: skip
-    with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
-        taken = surface if believed is None else believed
-        wanted, table = reference_table(scenario, settled, taken, q, cache)
-    start = _pd_start(scenario, wanted)
-    if last.get("start") != start:
-        last.update(start=start, law=_packed_law(scenario, start, model))
-    if friction.member.sticks != "elastic" and mode == PRESSED:
-        u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
-        mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
-    return {
-        "scenario": scenario, "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
-        "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed,
-        "law": last["law"],
-    }  # fmt: skip
+    return surface, now, mode, believed
 
 
 def _pd_start(scenario: Scenario, wanted: Desired) -> float:
@@ -474,23 +452,8 @@ def robot_key(scenario: Scenario, cache: Cache) -> Hashable:
 
 def model_key(scenario: Scenario) -> Hashable:
     """Return what the model depends on that `load_model` returns."""
-    beside = (*(scenario.body or ()), *(scenario.mocap or ()))
-    return scenario.robot.model_dump_json(), *(each.model_dump_json() for each in beside)
-
-
-def _surface_key(scenario: Scenario, cache: Cache) -> tuple[Hashable, ...]:
-    """Return what `_surface` depends on, but for the state."""
-    sections: list[Section] = [scenario.surface, scenario.surface_motion, scenario.compliance]
-    if not isinstance(scenario.compliance, Rigid):  # the tip starts as deep as the force presses it
-        sections += [scenario.force_profile, scenario.law]
-    return robot_key(scenario, cache), *map(cache.text, sections)
-
-
-def _contacts_key(scenario: Scenario, model: RobotModel, cache: Cache) -> Key | None:
-    """Return what the places of contacts depend on, but for the state; None if there are none."""
-    if not scenario.contact and not has_stops(scenario, model):
-        return None
-    return Key((robot_key(scenario, cache), cache.texts(scenario, of=("contact",))))
+    robot, beside = scenario.robot, (*(scenario.body or ()), *(scenario.mocap or ()))
+    return robot.model, robot.drive_inertia, repr(robot.lock), *(each.model_dump_json() for each in beside)
 
 
 def _is_rigid(scenario: Scenario) -> bool:
@@ -520,6 +483,10 @@ def _check_compensation(scenario: Scenario, compensation: Compensation) -> None:
 def _robot(scenario: Scenario, model: RobotModel, cache: Cache) -> Robot:
     key = "robot", robot_key(scenario, cache)
     return cache.get(key, lambda: robot_of(scenario, model), lambda robot: ROBOT_BYTES)
+
+
+def _model(scenario: Scenario, cache: Cache) -> RobotModel:
+    return cache.get(("model", model_key(scenario)), lambda: load_model(scenario), lambda model: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:
@@ -556,32 +523,64 @@ def _believed_compensation(scenario: Scenario) -> Compensation:
 BEYOND = 1.001
 
 
-def reference_table(
-    scenario: Scenario, settled: Settled, surface: PlacedSurface, q: Array, cache: Cache
+def _made_of(scenario: Scenario) -> Callable[..., Any]:
+    """Return what makes parts as `Parts.follow` does, but for keeping them: of a start that none follows."""
+    return lambda name, make, *others: make(scenario)
+
+
+def _reference(
+    of: dict[str, Any], surface: PlacedSurface, q: Array, cache: Cache, kept: bool, following: Callable[..., Any]
 ) -> tuple[Desired, Array]:
     """Return what is desired on a surface, and the table of it, with what sensors draw behind each row."""
-    of, (spare, drawn, reads) = settled.numbers, settled.table
-    robot, steps, nodes = of["robot"], of["steps"], of["nodes"]
+    follow, robot, steps, nodes = cache.whole.follow, of["robot"], of["steps"], of["nodes"]
     n = robot.n
-    instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
-    motion = settled.keys["path"], q.tobytes(), _path_key(scenario, surface)
-    tool = unit(scenario.tool.axis, "tool.axis"), scenario.tool.radius
-    wanted = cache.get_shared(
-        ("desired", *motion),
-        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, *tool),
-        lambda made: 3 * made.joints.q.nbytes,
-    )
-    wanted = Desired(wanted.tip, wanted.joints, scenario.force_profile, scenario.law.force)
-    table = cache.get(
-        ("table", *motion, instants.size, float(instants[1]), spare, drawn),
-        lambda: wanted.table(instants, spare=spare),
-        lambda made: made.nbytes,
-    )
-    table[:, Reference.place("force", n)] = force_at(wanted.profile, wanted.force, instants)
-    if drawn:  # else its columns have the zeros that they were made with
-        table[::nodes, TableRow.place("sensor", n)] = draws(scenario.sensor, steps + 1)
-    if reads:
-        table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(scenario.encoder, steps + 1, n)
+
+    def beside(s: Any) -> tuple[bool, bool, Array]:
+        force_at(s.force_profile, s.law.force, np.zeros(1))  # a profile at fault is refused before its path is found
+        instants = follow(
+            "instants", lambda t: (t.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64), nodes, steps
+        )
+        return s.sensor.noise > 0.0 or s.sensor.jitter > 0.0, s.reads_encoders, instants
+
+    drawn, reads, instants = follow("beside the path", beside, nodes, steps)
+
+    def path(s: Any) -> tuple[Motion, tuple[Hashable, ...] | None]:
+        tool = unit(s.tool.axis, "tool.axis"), s.tool.radius
+        duration = 0.0 if surface.fixed_plane else s.time.duration * BEYOND
+
+        def found() -> Motion:
+            return desired(s.reference, robot, surface, q, duration, *tool)
+
+        if not kept:
+            return found(), None
+        key = cache.texts(s, of=("robot", "tool", "reference")), q.tobytes(), _path_key(s, surface)
+        return cache.get_shared(("desired", *key), found, lambda made: 3 * made.joints.q.nbytes), key
+
+    motion, key = following("path", path, robot, surface, q)
+
+    def made(s: Any) -> Array:
+        spare = (DrawnRow if reads else TableRow).count(n) - Reference.count(n)
+        if key is None:
+            return motion.table(instants, spare=spare)
+        step = float(instants[1])
+        return cache.get(
+            ("table", *key, instants.size, step, spare, drawn), lambda: motion.table(instants, spare=spare),
+            lambda table: table.nbytes,
+        )  # fmt: skip
+
+    def force(s: Any) -> Desired:
+        table[:, Reference.place("force", n)] = force_at(s.force_profile, s.law.force, instants)
+        return Desired(motion.tip, motion.joints, s.force_profile, s.law.force)
+
+    def draw(s: Any) -> None:
+        if drawn:  # else its columns have the zeros that they were made with
+            table[::nodes, TableRow.place("sensor", n)] = draws(s.sensor, steps + 1)
+        if reads:
+            table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(s.encoder, steps + 1, n)
+
+    table = following("table", made, motion, instants, drawn, reads)
+    following("draws", draw, table)
+    wanted: Desired = following("force", force, motion, table)
     return wanted, table
 
 

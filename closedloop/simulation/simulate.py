@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import count
-from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ from closedloop.jit.kernel import plain
 from closedloop.loop.events.phases import DONE, TERMS
 from closedloop.loop.events.table import EVENT_COLUMNS, EVENT_WIDTH, event_column
 from closedloop.loop.step.record_row import complete_record, rows_there
-from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.derived import DERIVED, RESERVED, Recorded, check_names, own_columns
 from closedloop.record.columns.record import ALL_COLUMNS, POSITIONS, ColumnsOnDemand
@@ -43,8 +42,8 @@ from closedloop.simulation.engines.law_source import arguments_of, law_digest
 from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.loop_calls import MEMORY, Driver, drive
-from closedloop.simulation.prepare import borrowed, changed, problem_of, started_elsewhere
+from closedloop.simulation.loop_calls import Driver, drive
+from closedloop.simulation.prepare import borrowed, problem_of
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
 from robot_models.errors import shown
@@ -221,18 +220,17 @@ def simulate(
 
 def simulate_changed(
     scenario: Scenario, problem: Problem, law: Law | None, progress: bool | Callable[[int, int], None], engine: str,
-    record: Recorded | None, elsewhere: bool,
+    record: Recorded | None, kept: bool,
 ) -> Run:  # fmt: skip
-    """Simulate a problem, its scenario with other values, or with `elsewhere` another start; see `simulate`."""
+    """Simulate a problem, or its scenario with other values; see `simulate`, and of `kept` `problem_of`."""
     if scenario is problem.scenario:
         return _simulated(scenario, lambda: problem, law, progress, engine, record)
     if scenario.robot.model != problem.scenario.robot.model:
         return simulate(scenario, law=law, progress=progress, engine=engine, record=record)
-    settled, prepared = borrowed(problem), started_elsewhere if elsewhere else changed
-    try:
-        return _simulated(scenario, lambda: prepared(settled, scenario), law, progress, engine, record)
-    finally:
-        problem.of_thread[get_ident()] = settled
+    with borrowed(problem) as cache:
+        return _simulated(
+            scenario, lambda: problem_of(scenario, problem.model_given, cache, kept), law, progress, engine, record
+        )
 
 
 def _simulated(
@@ -303,7 +301,7 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
         arguments_of(law)
     if engine == PINOCCHIO:
         return
-    if scenario.time.integrator in ADAPTIVE:
+    if scenario.time.integrator not in INTEGRATORS:
         raise ScenarioError(
             f"engine = {engine!r}: has no integrator that chooses its steps, as {scenario.time.integrator!r} does; "
             f"use the engine 'pinocchio', or one of {', '.join(map(repr, INTEGRATORS))}"
@@ -364,11 +362,11 @@ def run_loop(
     robot, steps = problem.robot, problem.steps
     rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
     driver: Driver | None = problem.spare.pop(engine, None) if law is None else None
-    if driver is not None:
-        driver.begin(problem, rows)
-    else:
-        memory = problem.spare.pop(MEMORY, None)
+    if driver is None or not driver.fits(problem):
+        memory = driver.loop if driver else None
         driver = Driver(problem, rows, engine, law=law, interim=interim, tree=tree, into=memory, kept=True)
+    else:
+        driver.begin(problem, rows)
     kernel, answers, once, many = driver.kernel, driver.answers, driver.once, driver.many
     loop, (state, _, w) = driver.loop, driver.loop
 

@@ -9,7 +9,6 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.encoder import NO_ENCODER, encoder_kind
-from closedloop.loop.step.record_row import row_width
 from closedloop.mechanics.closure.baumgarte import baumgarte_gains, is_stable, largest_stable_ratio, recommended_ratio
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.mechanics.contacts.soft import is_soft
@@ -21,11 +20,9 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.placed import Touching
 from closedloop.mechanics.surface.surface import largest_mobility
-from closedloop.record.columns.derived import StatesOf, recorded_states
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of
 from closedloop.scenario.time_sections import BaumgarteGains
-from closedloop.simulation.engines.scenario_numbers import arm_columns
 
 # A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
 MOST_NUMBERS = 200_000_000
@@ -176,13 +173,14 @@ def whole_steps(span: float, h: float, key: str) -> int:
     return count
 
 
-def steps_and_hold(scenario: Scenario, n: int) -> tuple[int, int]:
-    """Return the steps of a run of n joints, and for how many of them a torque is held, 0: it is not sampled."""
-    h, duration, period = scenario.time.step, scenario.time.duration, scenario.law.sample_period
+def steps_and_hold(scenario: Scenario, period: float | None, width: int) -> tuple[int, int]:
+    """Return the steps of a run, and for how many of them a torque is held, 0: it is not sampled.
+
+    A row of its record has `width` numbers; `period` is that of the law's samples, s.
+    """
+    h, duration = scenario.time.step, scenario.time.duration
     steps = whole_steps(duration, h, "time.duration")
-    most_rows = MOST_NUMBERS // row_width(
-        n, bool(arm_columns(scenario)), len(scenario.contact or ()), recorded_states(StatesOf.of(scenario, n))
-    )
+    most_rows = MOST_NUMBERS // width
     if steps > most_rows:
         raise ScenarioError(
             f"time.step = {h:g}: {duration:g} s would be {steps:.3g} rows, over the "

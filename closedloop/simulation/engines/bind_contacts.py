@@ -79,8 +79,8 @@ QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 MOST = 16384
 
 
-class ContactPlaces(NamedTuple):
-    """Where the contacts of a scenario are on the links, and at the start."""
+class ContactRows(NamedTuple):
+    """Where the contacts of a scenario are on the links."""
 
     # the rows of each contact: n, t1, t2 of a plane at rest; x, y, z of the frame that carries another surface. They
     # say where the point is, in axes fixed to the link that has the surface.
@@ -89,6 +89,12 @@ class ContactPlaces(NamedTuple):
     # `make_shape_memory`
     shapes: Array
     edges: Array
+
+
+class ContactPlaces(NamedTuple):
+    """Where the contacts of a scenario are on the links, and at the start."""
+
+    rows: ContactRows
     # the gap of each section's contact at the start, m, and how far inside the edge of its surface it is, m
     start: tuple[tuple[float, float], ...]
 
@@ -111,7 +117,7 @@ def entries_of_contacts(scenario: Scenario) -> list[Any]:
     ]
 
 
-def contact_memory(scenario: Scenario, robot: Robot, placed: ContactPlaces) -> ContactMemory:
+def contact_memory(scenario: Scenario, robot: Robot, placed: ContactRows) -> ContactMemory:
     """Return a new memory of a scenario's contacts, the tip's the first of them."""
     sections = scenario.contact or ()
     rows, points = make_loop_memory(robot.tree, placed.bound), len(sections) + 1
@@ -292,7 +298,7 @@ def stops_at_start(memory: ContactMemory, constants: Constants, q: Array, v: Arr
 
 
 def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
-    """Return the rows of each contact, see `ContactPlaces`."""
+    """Return the rows of each contact, see `ContactRows`."""
     poses = link_poses(robot.tree, robot.model.loop_home)
     sides: list[tuple[int, int]] = []
     at_a, at_b, along = [], [], []
@@ -316,7 +322,7 @@ def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
 
 
 def shapes_of(sections: tuple[ContactSection, ...], robot: Robot) -> tuple[Array, Array]:
-    """Return the shapes and the edges of the contacts, see `ContactPlaces`."""
+    """Return the shapes and the edges of the contacts, see `ContactRows`."""
     k = len(sections) + 1
     poses, found, edges = link_poses(robot.tree, robot.model.loop_home), np.zeros((k, SHAPE)), np.zeros((k, EDGE))
     for i, (section, name) in enumerate(zip(sections, names_of(sections), strict=True), 1):
@@ -358,8 +364,8 @@ def placed_on_link(
     return link, axes.T @ rotation, axes.T @ (origin + rotation @ np.array(at) - place)
 
 
-def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces:
-    """Return where the contacts are at q (n,); refuse those that cannot be, or that start inside their planes.
+def contact_rows(scenario: Scenario, robot: Robot) -> ContactRows:
+    """Return where the contacts are on the links; refuse those that cannot be.
 
     Raises
     ------
@@ -386,10 +392,22 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
                 f"contact {name!r}: {section.against!r} moves as a [[mocap]] says: give the contact that motion too, "
                 "in the axes of this frame at the start"
             )
-    bound, shapes = bind_rows(sections, robot), shapes_of(sections, robot)
-    sides = bound.sides.reshape(4, -1)[:, ::3]
-    memory = make_loop_memory(robot.tree, bound)
-    places = start_places(sections, memory, make_shape_memory(robot.n, *shapes).shapes, q)
+    return ContactRows(bind_rows(sections, robot), *shapes_of(sections, robot))
+
+
+def placed_contacts(scenario: Scenario, robot: Robot, on: ContactRows, q: Array) -> ContactPlaces:
+    """Return where the contacts are at q (n,); refuse those that start inside their planes.
+
+    Raises
+    ------
+    ScenarioError
+        One line for the first thing that is wrong.
+    """
+    sections = scenario.contact or ()
+    names = names_of(sections)
+    sides = on.bound.sides.reshape(4, -1)[:, ::3]
+    memory = make_loop_memory(robot.tree, on.bound)
+    places = start_places(sections, memory, make_shape_memory(robot.n, on.shapes, on.edges).shapes, q)
     for i, (name, section, (gap, inside, n)) in enumerate(zip(names, sections, places, strict=True)):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
@@ -404,7 +422,7 @@ def placed_contacts(scenario: Scenario, robot: Robot, q: Array) -> ContactPlaces
                 f"contact {name!r}: the {what} starts {-gap:.4g} m inside the surface{thrown}: "
                 "start it outside, or move the surface with through"
             )
-    return ContactPlaces(bound, *shapes, tuple((gap, inside) for gap, inside, _ in places))
+    return ContactPlaces(on, tuple((gap, inside) for gap, inside, _ in places))
 
 
 def start_places(

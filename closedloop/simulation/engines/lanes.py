@@ -446,7 +446,7 @@ class LaneRuns:
         n, stages = like.robot.n, like.integrator.stages
         self.kind, self.n, self.end = kind, n, like.h * like.steps
         self._loop = loop = like.loop()
-        self._state, self._tableau = loop.state, like.integrator.tableau()
+        self._state, self._tableau, self._one = loop.state, like.integrator.tableau(), loop.constants
         self._h = like.h
         self._work = Work(aligned(Work.count(n, 0, stages, 1, 0)), n, 0, stages, 1, 0)
         self._constants = aligned(loop.constants.memory.size)
@@ -485,7 +485,8 @@ class LaneRuns:
         if lane == 0:
             self._tables.clear()
         loop = self._members[lane].begin(problem) if self.kind.many else None
-        self._constants[:, lane] = (problem.constants() if loop is None else loop.constants).memory
+        constants = problem.constants(self._one) if loop is None else loop.constants
+        self._constants[:, lane] = constants.memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         self._work.tip.frame[..., lane] = problem.frame
         force = problem.table[:, Reference.place("force", n)]

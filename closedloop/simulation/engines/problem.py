@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.base.families import is_users
 from closedloop.base.upwards import called
@@ -36,16 +37,16 @@ from closedloop.record.run import Run
 from closedloop.scenario.overrides import START, Variants, replaced
 from closedloop.simulation.engines.bind_contacts import contact_memory, place_states, rest_states, stops_at_start
 from closedloop.simulation.engines.proceed import proceed_at
-from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, entries_of
+from closedloop.simulation.engines.scenario_numbers import SIZES, ScenarioNumbers, entries_of
 from closedloop.simulation.engines.start_memory import (
     ball_memory,
     external_memory,
     read_encoders,
     write_constants,
-    write_places,
     write_settings,
     write_start,
 )
+from closedloop.simulation.parts import asking
 from robot_models.cached import cached_property
 
 # The members of a placed surface, by the names of its entries.
@@ -83,27 +84,39 @@ class Problem(ScenarioNumbers):
         """
         start = {key: value for key, value in (("start.q", q), ("start.v", v)) if value is not None}
         changes = {**(changes or {}), **start}
-        scenario, elsewhere = self.scenario, changes.keys() <= START
-        if elsewhere and changes:
+        scenario = self.scenario
+        if changes and changes.keys() <= START:
             scenario = replaced(scenario, changes)
         elif changes:
             keys = tuple(changes)
             if keys not in self._variants:
                 self._variants[keys] = Variants(scenario, keys)
             scenario = self._variants[keys].scenario(tuple(changes.values()))
-        return called("run", scenario, self, law, progress, engine, record, elsewhere)
+        kept = START.isdisjoint(changes)  # hardly any start is asked for twice
+        return called("run", scenario, self, law, progress, engine, record, kept)
 
     @cached_property
     def _variants(self) -> dict[tuple[str, ...], Variants]:
         return {}
 
-    # What does not depend on where it starts, see `closedloop.simulation.prepare.Settled`.
-    settled: ClassVar[Any] = None
-
     @cached_property
     def of_thread(self) -> dict[int, Any]:
-        """What `settled` is of each thread that steps the problem from other starts: it has a robot of its own."""
+        """Of each thread what it has made of the scenario with other values and from other starts: a robot of its own.
+
+        See `closedloop.simulation.prepare.borrowed`.
+        """
         return {}
+
+    @classmethod
+    def of(cls, numbers: dict[str, Any]) -> Self:
+        """Return the problem of its attributes, and of what else is known of it."""
+        made = object.__new__(cls)
+        vars(made).update(numbers)
+        return made
+
+    def with_table(self, table: Array) -> Self:
+        """Return the same problem with another table."""
+        return type(self).of({**vars(self), "table": table})
 
     def loop(self, user_law: bool = False, into: Loop | None = None) -> Loop:
         """Return the loop's memory at t = 0; see `make_loop` for `into`."""
@@ -112,31 +125,37 @@ class Problem(ScenarioNumbers):
         return loop
 
     def memory(self, user_law: bool = False, into: Loop | None = None) -> Loop:
-        """Return the loop's memory with all that does not depend on where the run starts; see `begin`."""
-        n, law, compensation = self.robot.n, self.law, self.compensation
-        own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
-        surface, joints = self.friction.states, self.joint_friction.states
+        """Return the loop's memory with all that does not depend on where the run starts; see `begin` and `fits`."""
+        loop, asked = asking(self, Problem._memory, user_law, into)
+        loop.w.keep_alive(asked=asked)
+        return loop
+
+    def fits(self, loop: Loop) -> bool:
+        """Whether `memory` would return one like this: constants and the start are all in which it may differ."""
+        found: bool = loop.w.kept["asked"].stands_for(self)
+        return found
+
+    def _memory(self, user_law: bool, into: Loop | None) -> Loop:
+        """Return the memory without constants, of a problem that notes what is read of it."""
+        (law, compensation, surface, joints), (_, sensor, ring, _), _, sizes = self.shape
+        n, own = self.n, 0 if user_law else law
+        both = 0 if user_law else law + compensation
         motors = 2 * n if self.scenario.transmission.elastic else 0
-        before = both + self.sensor.states + surface + n * joints
-        contacts = contact_memory(self.scenario, self.robot, self.placed) if self.placed else None
-        tip = both + self.sensor.states
+        tip, before = both + sensor, both + sensor + surface + n * joints
+        rows = self.contact_rows
+        contacts = None if rows is None else contact_memory(self.scenario, self.robot, rows)
         extra = (before if contacts is None else place_states(contacts.contacts, tip, before)) + motors
         loop = make_loop(
-            n,
-            **self.sizes,
-            extra=extra,
-            stages=self.integrator.stages,
-            ring=self.sensor.ring,
-            ends=self.robot.tree.ends,
-            into=into,
-        )
+            n, **dict(zip(SIZES, sizes, strict=True)), extra=extra, stages=self.integrator.stages, ring=ring,
+            ends=np.array(self.ends), into=into,
+        )  # fmt: skip
         state = loop.state
         state.law.states, state.law_states = own, both
-        state.friction.states, state.joint_friction.states, state.sensor.states = surface, joints, self.sensor.states
+        state.friction.states, state.joint_friction.states = surface, joints
         write_settings(self, state)
         loop.w.decays.first[:] = self.integrator.first_tableau()
-        if not self.surface.fixed_plane:
-            memory = self.surface.memory()
+        if not self.there.fixed_plane:
+            memory = self.there.memory()
             state.surface.at = memory.address
             loop.w.keep_alive(surface=memory)
         if self.believed is not None:
@@ -148,37 +167,36 @@ class Problem(ScenarioNumbers):
             state.surface.noise = address_of(noise)
             loop.w.keep_alive(noise=noise)
         if self.scenario.tool.radius > 0.0 and self.scenario.has_surface:
-            ball = ball_memory(self.robot, self.surface, self.scenario.tool.radius, state.address)
+            ball = ball_memory(self.robot, self.there, self.scenario.tool.radius, state.address)
             state.ball.at = ball.links.address
             loop.w.keep_alive(ball=ball)
         if self.scenario.external_force:
             external = external_memory(self.scenario, self.robot)
             state.external.at, external.links.loop = external.address, state.address
             loop.w.keep_alive(external=external)
-        if self.robot.model.loops:
+        if self.has_loops:
             loops = step_memory(self.robot)
             state.loops.at, loops.links.loop, state.loops.frames = loops.address, state.address, len(self.robot.moved)
             loop.w.keep_alive(loops=loops)
-        if self.robot.model.loops and state.settings.perceived != 0:
+        if self.has_loops and state.settings.perceived != 0:
             perceived = step_memory(self.robot)
             state.loops.perceived_at, perceived.links.loop = perceived.address, state.address
             loop.w.keep_alive(perceived_loops=perceived)
-        write_constants(self, loop.constants)
         if contacts is not None:
             state.contacts.at, contacts.links.loop = contacts.address, state.address
             points = len(self.scenario.contact or ())
-            contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(points)
+            contacts.links.record_at = self.layout.row_width - self.layout.row_states - ContactRow.count(points)
             contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
             loop.w.keep_alive(contacts=contacts)
         return loop
 
     def begin(self, loop: Loop) -> None:
-        """Write where the run starts into a loop's memory, which is as `memory` returned it."""
+        """Write where the run starts into a loop's memory, which is as `memory` returned it: of this or one like it."""
         state, kept = loop.state, loop.w.kept
+        write_constants(self, loop.constants)
         for name, place in (("surface", self.surface), ("believed", self.believed)):
             if name in kept and place is not None:
                 place_at(kept[name].ask, place.origin)
-        write_places(self, loop.constants)
         write_start(self, state, loop.w)
         if self.placed is not None:
             contacts = kept["contacts"]
@@ -190,17 +208,16 @@ class Problem(ScenarioNumbers):
         if state.settings.encoder != NO_ENCODER and state.phase == STEP_END:
             read_encoders(loop, self.table)
 
-    def constants(self) -> Constants:
-        """Return the constants of the loop's memory, by themselves."""
-        sizes = self.robot.n, *self.sizes.values()
-        constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
+    def constants(self, into: Constants | None = None) -> Constants:
+        """Return the constants of the loop's memory, by themselves; `into` is that of another problem of this form."""
+        sizes = self.robot.n, *self.shape.sizes
+        constants = Constants(np.zeros(Constants.count(*sizes)), *sizes) if into is None else into
         write_constants(self, constants)
-        write_places(self, constants)
         return constants
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:
         """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
-        return self.surface.entries() | entries_of(self.scenario, self.robot.model, user_law)
+        return self.surface.entries() | entries_of(self.scenario, self.robot.model, self.general and not user_law)
 
     def believed_entries(self) -> dict[str, Any]:
         """Return what is called of the surface that the controller believes in, by the keys of [belief]."""

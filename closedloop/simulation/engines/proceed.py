@@ -65,7 +65,7 @@ def addresses_of(
     for array in (*terms, table, tableau, rows, events):
         columns_first = array is H or any(array is other for other in more[:2])  # Eigen's storage order
         assert array.flags.f_contiguous if columns_first else array.flags.c_contiguous
-    sizes = (H.shape[0], *table.shape, *rows.shape, 0)
+    sizes = H.shape[0], 0, 0, 0, 0, 0
     missing = (0,) * (VIEWS - len(terms))
     at = (*map(address_of, terms), *missing, loop.address, 0, address_of(tableau), 0, 0)
     addresses = Addresses(np.array([*at, *sizes], dtype=np.int64))
@@ -76,8 +76,9 @@ def addresses_of(
 
 
 def set_rows(addresses: Addresses, table: Array, rows: Array) -> None:
-    """Store the addresses of the table of what is desired, and of the rows, of the sizes that they were made for."""
+    """Store the addresses and the sizes of the table of what is desired, and of the rows."""
     addresses.table, addresses.rows = address_of(table), address_of(rows)
+    (addresses.instants, addresses.table_width), (addresses.row_count, addresses.row_width) = table.shape, rows.shape
     addresses.keep_alive(table=table, rows=rows)
 
 

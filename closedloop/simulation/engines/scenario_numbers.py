@@ -28,10 +28,12 @@ from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_bl
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
+from closedloop.loop.step.perceived import MOTORS_MEASURED
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, ArmRow, ContactRow, Row, row_width
 from closedloop.loop.step.solve_contact import compliance_entry
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.single import RESTITUTIONS, Restitution
 from closedloop.mechanics.integrators import Scheme
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -40,12 +42,12 @@ from closedloop.mechanics.surface.placed import PlacedSurface, Plane
 from closedloop.mechanics.surface.surface import Compliance
 from closedloop.record.columns.derived import StatesOf, recorded_states, state_columns
 from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
-from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of
+from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of, stop_limits, without_tools
 from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.time_sections import BaumgarteGains
 from closedloop.scenario.user_module import member_digests
-from closedloop.simulation.engines.bind_contacts import ContactPlaces
+from closedloop.simulation.engines.bind_contacts import ContactPlaces, ContactRows
 from robot_models import RobotModel
 from robot_models.cached import cached_property
 
@@ -115,10 +117,13 @@ def calls_law(scenario: Scenario, model: RobotModel) -> bool:
     return needs_general_form(scenario) or has_stops(scenario, model) or undriven
 
 
-def entries_of(scenario: Scenario, model: RobotModel, user_law: bool = False) -> dict[str, Any]:
-    """Return what the loop calls by address of the members of a scenario, by the names that `State` has for it."""
+def entries_of(scenario: Scenario, model: RobotModel, law: bool) -> dict[str, Any]:
+    """Return what the loop calls by address of the members of a scenario, by the names that `State` has for it.
+
+    `law` says whether it calls the scenario's law, see `calls_law`.
+    """
     found: dict[str, Any] = {}
-    if calls_law(scenario, model) and not user_law:
+    if law:
         found["law"] = law_entry(type(scenario.law))
         if not isinstance(scenario.compensation, NoCompensation):
             found["compensation"] = law_entry(type(scenario.compensation))
@@ -170,6 +175,74 @@ def record_layout(
 
 def _moved(place: int | slice, by: int) -> int | slice:
     return slice(place.start + by, place.stop + by) if isinstance(place, slice) else place + by
+
+
+class Layout(NamedTuple):
+    """What the kinds of a scenario's members say of the loop and of its record."""
+
+    general: bool  # whether the law is called by address
+    row_width: int  # numbers in a recorded row
+    row_states: int  # how many of them are states of the law and its compensation, the last
+    record: RecordLayout
+    entries: tuple[tuple[str, Any], ...]  # what the loop calls of the members, see `entries_of`
+    settings: tuple[tuple[str, int], ...]  # of `closedloop.loop.step.memory.Settings`
+
+    @classmethod
+    def of(cls, scenario: Scenario, model: RobotModel) -> Layout:
+        """Return that of a scenario with a robot."""
+        n, sections = len(model.joint_names), scenario.contact or ()
+        states, arm = StatesOf.of(scenario, n), arm_columns(scenario)
+        resists, of_law = any(each.resists for each in sections), recorded_states(states)
+        general = calls_law(scenario, model)
+        return cls(
+            general, row_width(n, bool(arm), len(sections), of_law), of_law,
+            record_layout(states, len(sections), resists, arm, scenario.has_surface),
+            tuple(entries_of(scenario, model, general).items()), tuple(settings_of(scenario, model, arm).items()),
+        )  # fmt: skip
+
+
+def settings_of(scenario: Scenario, model: RobotModel, arm: tuple[str, ...]) -> dict[str, int]:
+    """Return what sections say of the loop beside numbers, by the names of `Settings`; `arm` as of `arm_columns`."""
+    transmission, belief, wrong = scenario.transmission, scenario.belief, scenario.model_error
+    to = {
+        "unilateral": scenario.surface.contact == "unilateral",
+        "impact_law": RATIOS[RESTITUTIONS[scenario.impact.law].ratio_of],
+        "feed_forward": scenario.reference.orientation != "free",
+        "elastic": MOTORS_MEASURED if transmission.on_motors else transmission.elastic,
+        "encoder": reading_kind(scenario), "balls": len(model.balls), "undriven": len(model.undriven),
+        "drives": scenario.drives != _DRIVES, "model_error": wrong != _MODEL_ERROR,
+        "misjudged": belief.differs or wrong.normal != 0.0 or belief.normal_noise > 0.0,
+        "arm_at": Row.count(len(model.joint_names)) if arm else 0,
+    }  # fmt: skip
+    to["perceived"] = any(to[name] for name in ("model_error", "misjudged", "elastic", "encoder"))
+    return {name: int(value) for name, value in to.items()}
+
+
+# The members that have parameters, in the order of `Constants`, and the tendons.
+SIZES = "law", "compensation", "friction", "joint_friction", "compliance", "tendons"
+
+
+class Shape(NamedTuple):
+    """How many numbers there are of what is called."""
+
+    states: tuple[int, int, int, int]  # of the law, its compensation, friction, friction in each joint
+    sensor: tuple[int, int, int, int]  # axes, states, ring, sampled, see `PackedSensor`
+    sticking: tuple[int, int]  # of friction, and of that in joints, see `closedloop.loop.step.memory`
+    sizes: tuple[int, ...]  # how many numbers the parameters are of each of `SIZES`
+
+    @classmethod
+    def of(
+        cls, law: PackedLaw, compensation: PackedLaw, friction: PackedLaw, joints: PackedLaw, compliance: PackedLaw,
+        sensor: PackedSensor, tendons: Array,
+    ) -> Shape:  # fmt: skip
+        """Return that of what is called."""
+        sizes = (
+            law.numbers.size, compensation.numbers.size, friction.numbers.size, joints.numbers.shape[1],
+            compliance.numbers.size, len(tendons),
+        )  # fmt: skip
+        states = law.states, compensation.states, friction.states, joints.states
+        of_sensor = sensor.axes, sensor.states, sensor.ring, int(sensor.sampled)
+        return cls(states, of_sensor, (sticking(friction), sticking(joints)), sizes)
 
 
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
@@ -297,28 +370,54 @@ class ScenarioNumbers:
         return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
 
     @cached_property
+    def layout(self) -> Layout:
+        """What the kinds of the scenario's members say of the loop and of its record."""
+        return Layout.of(self.scenario, self.robot.model)
+
+    @property
+    def contact_rows(self) -> ContactRows | None:
+        """The rows of the contacts of [[contact]] on the links; None without any."""
+        return None if self.placed is None else self.placed.rows
+
+    @cached_property
+    def there(self) -> PlacedSurface:
+        """The surface for a tip somewhere, see `PlacedSurface.below`."""
+        return self.surface
+
+    @property
+    def n(self) -> int:
+        """Joints."""
+        return self.robot.n
+
+    @cached_property
+    def ends(self) -> tuple[int, ...]:
+        """Where the groups of joints end, see `closedloop.mechanics.robot.tree.group_ends`."""
+        return tuple(self.robot.tree.ends.tolist())
+
+    @cached_property
+    def has_loops(self) -> bool:
+        """Whether the robot has loop joints."""
+        return bool(self.robot.model.loops)
+
+    @property
     def general(self) -> bool:
         """Whether the law is called by address."""
-        return calls_law(self.scenario, self.robot.model)
+        return self.layout.general
 
-    @cached_property
+    @property
     def row_width(self) -> int:
         """Numbers in a recorded row."""
-        contacts = len(self.scenario.contact or ())
-        return row_width(self.robot.n, bool(arm_columns(self.scenario)), contacts, self.row_states)
+        return self.layout.row_width
 
-    @cached_property
+    @property
     def row_states(self) -> int:
         """How many of them are states of the law and its compensation, the last."""
-        return recorded_states(StatesOf.of(self.scenario, self.robot.n))
+        return self.layout.row_states
 
-    @cached_property
+    @property
     def record(self) -> RecordLayout:
         """What its record has."""
-        scenario, sections = self.scenario, self.scenario.contact or ()
-        resists = any(section.resists for section in sections)
-        states = StatesOf.of(scenario, self.robot.n)
-        return record_layout(states, len(sections), resists, arm_columns(scenario), scenario.has_surface)
+        return self.layout.record
 
     @cached_property
     def member_digests(self) -> dict[str, str]:
@@ -326,18 +425,30 @@ class ScenarioNumbers:
         return member_digests(self.scenario)
 
     @cached_property
-    def sizes(self) -> dict[str, int]:
-        """How many numbers the parameters of each member are, in the order of `Constants`."""
-        return {
-            "law": self.law.numbers.size, "compensation": self.compensation.numbers.size,
-            "friction": self.friction.numbers.size, "joint_friction": self.joint_friction.numbers.shape[1],
-            "compliance": self.compliance.numbers.size, "tendons": len(self.tendons),
-        }  # fmt: skip
+    def shape(self) -> Shape:
+        """How many numbers there are of what is called."""
+        laws = self.law, self.compensation, self.friction, self.joint_friction
+        return Shape.of(*laws, self.compliance, self.sensor, self.tendons)
 
     @cached_property
     def tendons(self) -> Array:
         """What rubs along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`."""
         return acting_tendons(self.scenario, self.robot.model)
+
+    @cached_property
+    def stops(self) -> tuple[Array, Array]:
+        """Where the joints have hard stops, lower and upper, (n,)."""
+        return stop_limits(self.scenario, self.robot.model)
+
+    @cached_property
+    def bare(self) -> RobotModel:
+        """The robot's model without what the scenario puts on it."""
+        return without_tools(self.robot.model)
+
+    @cached_property
+    def model_given(self) -> RobotModel | None:
+        """The model that was given in place of that which the scenario names."""
+        return self.bare
 
     @cached_property
     def spare(self) -> dict[str, Any]:

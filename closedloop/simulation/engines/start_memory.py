@@ -15,7 +15,6 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.drives import DrivesSection
 from closedloop.control.reference.table import Reference
 from closedloop.control.sensor import start_sensor
 from closedloop.jit.calls import address_of
@@ -26,13 +25,11 @@ from closedloop.loop.events.phases import MEASURED, PROJECTION, STEP_END
 from closedloop.loop.step.external import BEGIN, END, FELT, SHARE
 from closedloop.loop.step.locate import BALL_TIP, BallTip
 from closedloop.loop.step.memory import SPRING_STICK, Constants, Loop, State, Work
-from closedloop.loop.step.perceived import MOTORS_MEASURED, read_joints
-from closedloop.loop.step.record_row import Row
+from closedloop.loop.step.perceived import read_joints
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.rolling import RADIUS, SHAPE, make_shape_memory
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.laws.none import NoFriction
-from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.limits import TOUCHING
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.close import close_state, factor_rows
@@ -41,11 +38,10 @@ from closedloop.mechanics.loops.memory import POSITION, LoopMemory, bound_points
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
-from closedloop.scenario.arm import stop_limits
-from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import placed_on_link
-from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers, arm_columns, reading_kind, sticking
+from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
+from closedloop.simulation.parts import asking
 from robot_models.errors import shown
 
 
@@ -122,18 +118,23 @@ STICK_SPEED = 1e-7
 
 
 def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
-    """Write the constants of a run, but for `write_places`."""
-    robot, impact = problem.robot, problem.scenario.impact
+    """Write the constants of a run, unless they are there: those of a problem that says the same."""
+    there = constants.kept.get("asked")
+    if there is None or not there.stands_for(problem):
+        constants.memory[:] = 0.0
+        constants.keep_alive(asked=asking(problem, _write_constants, constants)[1])
+    write_places(problem, constants)
+
+
+def _write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
+    robot, wrong = problem.robot, problem.scenario.model_error
     constants.h, constants.node = problem.h, problem.h / problem.nodes
+    constants.rest_speed = problem.scenario.impact.rest_speed
     constants.s_v, constants.s_p = problem.stabiliser
     constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
-    constants.lower_stop[:], constants.upper_stop[:] = stop_limits(problem.scenario, robot.model)
-    constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
-    constants.sensor[:], constants.support[:], constants.stick_speed = (
-        problem.sensor.par.memory, robot.support, STICK_SPEED,
-    )  # fmt: skip
-    constants.compensation[:] = problem.compensation.numbers
-    wrong = problem.scenario.model_error
+    constants.support[:], constants.stick_speed = robot.support, STICK_SPEED
+    constants.lower_stop[:], constants.upper_stop[:] = problem.stops
+    constants.sensor[:], constants.compensation[:] = problem.sensor.par.memory, problem.compensation.numbers
     constants.mass_factor, constants.unknown_payload = wrong.masses, wrong.payload
     constants.armature[:] = robot.model.rigid_armature
     constants.undriven[: len(robot.model.undriven)] = robot.model.undriven
@@ -160,39 +161,23 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
 
 
 def write_places(problem: ScenarioNumbers, constants: Constants) -> None:
-    """Write those constants that may be others where a run starts elsewhere."""
+    """Write those constants that may be others where a run starts elsewhere, or that a run changes."""
     constants.offset, constants.law[:] = problem.surface.offset, problem.law.numbers
+    constants.restitution = problem.scenario.impact.restitution
 
 
 def write_settings(problem: ScenarioNumbers, state: State) -> None:
     """Write the settings of a run."""
-    to = state.settings
-    to.steps, to.hold, to.nodes_per_step = problem.steps, problem.hold, problem.nodes
-    to.general, to.project, to.semi_implicit = problem.general, problem.project, problem.integrator.semi_implicit
+    to, law = state.settings, problem.layout
+    for name, value in law.settings:
+        setattr(to, name, value)
+    to.steps, to.hold, to.nodes_per_step, to.general = problem.steps, problem.hold, problem.nodes, law.general
+    to.project, to.semi_implicit = problem.project, problem.integrator.semi_implicit
     to.time_stepping = problem.integrator.time_stepping
-    to.unilateral = problem.scenario.surface.contact == "unilateral"
-    to.impact_law = RATIOS[problem.restitution.ratio_of]
-    state.friction.sticking, state.joint_friction.sticking = (
-        sticking(problem.friction),
-        sticking(problem.joint_friction),
-    )
-    to.feed_forward = problem.scenario.reference.orientation != "free"
-    state.sensor.sampled, state.sensor.axes = problem.sensor.sampled, problem.sensor.axes
-    transmission = problem.scenario.transmission
-    to.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
-    to.encoder = reading_kind(problem.scenario)
-    to.balls, to.undriven = len(problem.robot.model.balls), len(problem.robot.model.undriven)
-    to.drives = problem.scenario.drives != DrivesSection()
-    to.arm_at = Row.count(problem.robot.n) if arm_columns(problem.scenario) else 0
-    states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
-    to.states_at = problem.row_width - states if states > 0 else 0
-    to.model_error = problem.scenario.model_error != ModelErrorSection()
-    to.misjudged = (
-        problem.believed is not None
-        or problem.scenario.model_error.normal != 0.0
-        or problem.scenario.belief.normal_noise > 0.0
-    )
-    to.perceived = to.model_error or to.misjudged or to.elastic or to.encoder
+    state.friction.sticking, state.joint_friction.sticking = problem.shape.sticking
+    state.sensor.axes, state.sensor.states, _, state.sensor.sampled = problem.shape.sensor
+    states = law.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
+    to.states_at = law.row_width - states if states > 0 else 0
 
 
 def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -27,29 +26,25 @@ from closedloop.mechanics.robot.tree import Tree
 from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
 from closedloop.simulation.engines.loops import COMPILED, kernels_of
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import addresses_of
+from closedloop.simulation.engines.proceed import addresses_of, set_events, set_rows
 from closedloop.simulation.ensemble.lane_steps import Lanes, may_step_in_lanes, step_in_lanes
 from closedloop.simulation.ensemble.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
-from closedloop.simulation.loop_calls import Answers, drive
+from closedloop.simulation.loop_calls import Answers, drive, unwritten
 
 # Rows that the window of a member has beside those that it must keep: it moves them once in so many.
 SPARE = 64
 
 
 class _One:
-    """One simulation: what owns the memory that its `Member` has the addresses of."""
+    """One simulation: what owns the memory that its `Member` has the addresses of; the next of its form has it too."""
 
-    def __init__(
-        self, problem: Problem, steps: int, held: bool, own: IntArray, tree: Tree, into: Loop | None = None
-    ) -> None:
-        self.problem, self.loop = problem, problem.loop(into=into)
+    def __init__(self, problem: Problem, steps: int, held: bool, own: IntArray, into: Loop | None = None) -> None:
+        self.loop = problem.memory(into=into)
         problem.connect(self.loop)
+        self._before = unwritten(self.loop)
         self.answers = Answers(problem, self.loop)
-        n, width = problem.robot.n, problem.row_width
-        constants = self.loop.constants
-        lag = max(float(constants.lag), float(np.max(constants.joint_lag, initial=0.0)))
-        keep = max(BATCH, int(lag / problem.h) + 3)
-        window = np.zeros((keep + steps + SPARE, width))
+        n, self._beside = problem.robot.n, steps + SPARE
+        self._window = window = np.zeros((self._beside + BATCH, problem.row_width))
         H, C, scratch = compiled_terms(compiled_work(n), n)
         tableau = np.ascontiguousarray(problem.integrator.tableau())
         self.addresses = addresses_of((H, C), self.loop, problem.table, tableau, window, self.answers.events)
@@ -67,23 +62,45 @@ class _One:
         copied = np.array(
             [(address_of(a), address_of(b), a.size) for a, b in zip(memory, marks, strict=True)], dtype=np.int64
         )
-        self.addresses.row_count = problem.steps + 1  # the window stands for all of them, see `make_room`
         boundary = np.zeros(2 * n + 3)
         own[:] = 0
         self.member = m = Member(own)
-        m.addresses, m.links, m.constants = map(address_of, (self.addresses.memory, tree.links, tree.constants))
-        m.constants_size, m.scratch, m.scratch_size = tree.constants.size, address_of(scratch), scratch.size
-        m.blocks, m.once, m.carrier, m.serial, m.balls = tree.blocks, tree.once, tree.carrier, tree.serial, tree.balls
+        m.addresses, m.scratch, m.scratch_size = address_of(self.addresses.memory), address_of(scratch), scratch.size
         m.copied, m.copied_count, m.boundary = address_of(copied), len(copied), address_of(boundary)
-        m.window, m.room, m.keep = address_of(window), len(window), keep
-        m.begins = MEASURED if self.loop.state.settings.encoder else STEP_END
         m.held, m.steps, m.request = held, steps, TERMS
-        m.lanes = held and may_step_in_lanes(problem, self.loop.state, constants, self.loop.w)
         m.reading = address_of(marks[2][reading - after.start :])
+        m.keep_alive(scratch=scratch, copied=copied, marks=marks, boundary=boundary, H=H, C=C)
+        self._fresh = own.copy()
+
+    def fits(self, problem: Problem) -> bool:
+        """Whether it may be of a problem: it differs in numbers alone from the one before."""
+        return problem.fits(self.loop)
+
+    def begin(self, problem: Problem, tree: Tree) -> None:
+        """Go to the start of a problem that it fits."""
+        self.problem, m = problem, self.member
+        for array, before in self._before:
+            array[...] = before
+        problem.begin(self.loop)
+        self.answers.begin(problem)
+        lag = max(float(self.loop.constants.lag), float(np.max(self.loop.constants.joint_lag, initial=0.0)))
+        keep = max(BATCH, int(lag / problem.h) + 3)  # rows before that a step may read or write
+        if len(self._window) != keep + self._beside:
+            self._window = np.empty((keep + self._beside, problem.row_width))
+        self._window.fill(0.0)
+        set_rows(self.addresses, problem.table, self._window)
+        set_events(self.addresses, self.answers.events)
+        self.addresses.row_count = problem.steps + 1  # the window stands for all of them, see `make_room`
+        m.memory[:] = self._fresh
+        m.window, m.room, m.keep = address_of(self._window), len(self._window), keep
+        m.links, m.constants, m.constants_size = address_of(tree.links), address_of(tree.constants), tree.constants.size
+        m.blocks, m.once, m.carrier, m.serial, m.balls = tree.blocks, tree.once, tree.carrier, tree.serial, tree.balls
+        m.begins = MEASURED if self.loop.state.settings.encoder else STEP_END
+        m.lanes = m.held and may_step_in_lanes(problem, self.loop.state, self.loop.constants, self.loop.w)
         if may_strike_compiled(problem):
             problem.set_restitution(self.loop)
             m.strike = entry_address(strike)
-        m.keep_alive(tree=tree, scratch=scratch, copied=copied, marks=marks, boundary=boundary, window=window, H=H, C=C)
+        m.keep_alive(tree=tree)
 
 
 def _shares(count: int, threads: int) -> list[int]:
@@ -174,11 +191,11 @@ class Ensemble:
                 f"{problem.scenario.name}: its record has {problem.row_width} numbers a row, that of the others "
                 f"{self.rows.shape[1]}: simulations that are stepped side by side must be of the same arm and contacts"
             )
-        problem = problem if own else replace(problem, table=problem.table.copy())
-        before = self._ones[i]
-        self._ones[i] = one = _One(
-            problem, self.steps, self._held, self._members[i], self._tree(problem), before.loop if before else None
-        )
+        problem = problem if own else problem.with_table(problem.table.copy())
+        one = self._ones[i]
+        if one is None or not one.fits(problem):
+            one = self._ones[i] = _One(problem, self.steps, self._held, self._members[i], one.loop if one else None)
+        one.begin(problem, self._tree(problem))
         in_lanes = [step_in_lanes] if one.member.lanes else []
         missing = {*kernels_of(COMPILED), step_members, strike, *in_lanes, *problem.called(one.loop)} - self._ready
         if missing:

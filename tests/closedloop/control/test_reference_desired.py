@@ -7,7 +7,7 @@ import pytest
 from rounding import within
 
 import closedloop as cl
-from closedloop.control.reference.desired import desired
+from closedloop.control.reference.desired import Desired, desired
 from closedloop.scenario.describe import keys
 from closedloop.scenario.load import parse_scenario
 
@@ -31,7 +31,8 @@ INSTANTS = 0.01 * np.arange(241)
 def wanted(reference, scenario="panda_slide", **changes):
     """Return the robot, the plane and what is desired of a shipped scenario with another reference."""
     problem = cl.prepare(cl.load_scenario(scenario, {"reference": reference, "time.duration": 0.01} | changes))
-    made = desired(problem.scenario, problem.robot, problem.surface, problem.q, problem.scenario.force_profile)
+    motion = desired(problem.scenario.reference, problem.robot, problem.surface, problem.q)
+    made = Desired(motion.tip, motion.joints, problem.scenario.force_profile, problem.scenario.law.force)
     return problem.robot, problem.plane, made
 
 

@@ -84,7 +84,7 @@ def test_gap_and_rate_of_an_open_contact_are_those_of_its_rows():
     """Of points on bodies that move, against the ground and against each other, in any posture."""
     problem = cl.prepare(cl.load_scenario("tower"))
     rng = np.random.default_rng(5)
-    whole, open_ones = (make_loop_memory(problem.robot.tree, problem.placed.bound) for _ in range(2))
+    whole, open_ones = (make_loop_memory(problem.robot.tree, problem.placed.rows.bound) for _ in range(2))
     open_ones.rows.clear[:] = -np.inf
     open_ones.rows.G[:] = 7.0
     for _ in range(3):

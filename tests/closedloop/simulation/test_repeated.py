@@ -17,6 +17,7 @@ from closedloop.scenario.load import shipped_scenarios
 from closedloop.simulation import prepare as prepare_module
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.loop_calls import Driver
+from closedloop.simulation.parts import Parts
 from closedloop.simulation.simulate import run_loop
 
 # A soft and rough surface, a sampled law and a sensor with noise; see `closedloop.gym.task`.
@@ -163,8 +164,8 @@ VALUES = (
     {"law.force": 12.0}, {"law.force": 13.0}, {"model_error.payload": 0.3}, {"model_error.payload": 0.0},
     {"tool.mass": 0.2}, {"friction.coefficient": 0.4}, {"compliance.stiffness": 2e4}, {"sensor.noise": 0.1},
     {"sensor.noise": 0.1, "sensor.seed": 4, "start.q": [1.5, 1.1, 0.0, 1.9]}, {"law.kind": "none"}, {"time.step": 5e-4},
-    {"law.stiffness": 500.0, "stabiliser.kind": "baumgarte"}, {"surface.gap": 0.0},
-    {"encoder.velocity_noise": 1e-3}, {},
+    {"time.duration": 0.03, "law.force": 11.0}, {"law.stiffness": 500.0, "stabiliser.kind": "baumgarte"},
+    {"surface.gap": 0.0}, {"encoder.velocity_noise": 1e-3}, {},
 )  # fmt: skip
 
 
@@ -201,7 +202,7 @@ def test_threads_start_one_problem_elsewhere():
 
 def test_what_is_made_of_sections_follows_them():
     """It is made anew where a section that was read is another, or another argument, and nowhere else."""
-    cache, made = Cache(), []
+    parts, made = Parts(), []
     scenario = scenario_with({})
     stronger, longer = scenario.replace({"law.force": 12.0}), scenario.replace({"time.duration": 0.03})
 
@@ -210,7 +211,8 @@ def test_what_is_made_of_sections_follows_them():
         return made[-1]
 
     for each, other in ((scenario, 1), (longer, 1), (stronger, 1), (stronger, 2), (stronger, 2), (scenario, 2)):
-        assert cache.follow("force", each, make, other) == each.law.force
+        parts.turn_to(each)
+        assert parts.follow("force", make, other) == each.law.force
     assert made == [10.0, 12.0, 12.0, 10.0]
 
 
@@ -320,8 +322,8 @@ def test_a_run_keeps_its_numbers():
 def test_the_same_scenario_is_prepared_once(monkeypatch):
     """A second call of the same scenario reuses its problem; after another scenario, or a refused one, it does not."""
     scenario, made = scenario_with({}), []
-    problem_of = prepare_module.Problem
-    monkeypatch.setattr(prepare_module, "Problem", lambda **numbers: made.append(1) or problem_of(**numbers))
+    of = prepare_module.Problem.of
+    monkeypatch.setattr(prepare_module.Problem, "of", lambda numbers: made.append(1) or of(numbers))
     louder = scenario_with({"sensor.noise": 0.1, "law.force": 30.0})
     refused = scenario_with({"compensation.kind": "normal", "law.force": 30.0})
     runs = [outcome(one, "pinocchio") for one in (scenario, scenario, louder, scenario, refused, scenario)]

@@ -212,10 +212,15 @@ def is_turned(c: Contacts, i: int) -> bool:
 
 @kernel
 def slip_of(c: Contacts, i: int) -> tuple[float, float]:
-    """Return the slip of packed contact i, m/s: zero of one that is rounding, and has no direction."""
+    """Return the slip of packed contact i, m/s: zero of one that is rounding, and has no direction.
+
+    Where the integrator chooses its steps none is: slip starts from rest, and its friction must not jump where it has
+    become faster than some speed.
+    """
     j = int(c.stepping.number[i])
     u1, u2 = c.u[3 * j + 1], c.u[3 * j + 2]
-    return (u1, u2) if c.friction.shared[j] > 0.0 or math.hypot(u1, u2) > STILL else (0.0 * u1, 0.0 * u2)
+    counts = c.friction.shared[j] > 0.0 or c.friction.rises != 0.0 or math.hypot(u1, u2) > STILL
+    return (u1, u2) if counts else (0.0 * u1, 0.0 * u2)
 
 
 @kernel

@@ -11,8 +11,9 @@ Where a slip ends within the step, so does the step, with constant forces: the p
 steps τ of other lengths, until the first slip ends just then.
 Soft contacts beside others go on: their friction is then within its limit, F_t with u_t⁺ = 0, and their slips become
 less by e in a step. An integrator that chooses its steps has none that could say where a slip goes: u⁺ is that after
-the time BREAKING_AWAY, in which a slip that has just begun takes its direction. A faster slip is followed through its
-turns: friction is against the slip as it is. That of soft contacts rises with the slip there
+the time BREAKING_AWAY, in which a slip that has just begun takes its direction. Friction is a smooth function of the
+state, within its limit where u⁺ is zero: what lets go and could stick at once does not move. A faster slip is followed
+through its turns: friction is against the slip as it is. That of soft contacts beside others rises with the slip there
 (`closedloop.mechanics.contacts.soft`).
 
 The work is bounded. What is not found by then is left: friction is then against the slip as it is.

@@ -99,7 +99,7 @@ def report_rows(run: Record) -> list[Row]:
 
 
 def _gain_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
-    """Return by how much the energy of what nothing drives grows, in runs that are good too; what is stored comes back."""
+    """Return by how much the energy of what nothing drives grows, in good runs too; what is stored comes back."""
     gained = facts["energy_above_start" if run.scenario.stores_energy else "energy_gained"]
     if gained is None:
         return []

@@ -44,8 +44,7 @@ from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.contacts.turning import BREAKING_AWAY
-from closedloop.mechanics.limits import CLOSED_GAP, INSTANT, OUTPACED, STICK_SPEED
+from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED_GAP, INSTANT, OUTPACED, STICK_SPEED
 from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
 from closedloop.simulation.engines.adaptive.smooth import Interval, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when

@@ -406,7 +406,7 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
             c.u[3 * i + 1],
             c.u[3 * i + 2],
         )
-        if c.mode[i] == PRESSED and speed > STICK_SPEED:
+        if c.mode[i] == PRESSED and speed > (STICK_SPEED if c.friction.rises == 0.0 else STILL):
             c.direction[i, 0], c.direction[i, 1] = c.u[3 * i + 1] / speed, c.u[3 * i + 2] / speed
 
 

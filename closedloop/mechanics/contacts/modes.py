@@ -257,6 +257,7 @@ def remove_motion(links: ContactLinks, c: Contacts, k: int) -> int:
     stopped = stop(links, c)
     for i in range(k if links.shapes != 0 else 0):  # those that part are not pressed in
         parts = c.problem.form[i] == OFF and c.near[i] != 0.0 and c.located[3 * i] <= TOUCHING and c.past_edge[i] == 0.0
+        parts = parts and c.soft[i] == 0.0  # a spring lets itself be pressed in
         stopped = stopped and not (parts and -STICK_SPEED < c.problem.after[3 * i] < -RESTING <= c.before[3 * i])
     for r in range(0 if stopped else 3 * k):
         c.F[r], c.problem.after[r] = 0.0, c.before[r]

@@ -11,8 +11,9 @@ Where a slip ends within the step, so does the step, with constant forces: the p
 steps τ of other lengths, until the first slip ends just then.
 Soft contacts beside others go on: their friction is then within its limit, F_t with u_t⁺ = 0, and their slips become
 less by e in a step. An integrator that chooses its steps has none that could say where a slip goes: u⁺ is that after
-the time BREAKING_AWAY, in which a slip that has just begun takes its direction. A faster slip is followed through its
-turns: friction is against the slip as it is. That of soft contacts rises with the slip there
+the time BREAKING_AWAY, in which a slip that has just begun takes its direction. Friction is a smooth function of the
+state, within its limit where u⁺ is zero: what lets go and could stick at once does not move. A faster slip is followed
+through its turns: friction is against the slip as it is. That of soft contacts beside others rises with the slip there
 (`closedloop.mechanics.contacts.soft`).
 
 The work is bounded. What is not found by then is left: friction is then against the slip as it is.
@@ -71,11 +72,11 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
     c.problem.ends = 0.0  # what the beginning of a step decides counts in all its stages, once `save_contacts` keeps it
     for i in range(k if begins else 0):
         c.friction.next_against[i] = 0.0
+    for i in range(k):
+        c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     # Without the friction that soft contacts share, which is found here, others may pull.
     if (some_pull(c, k) and not some_share(c, k)) or not some_slip_slowly(c, k, h):
         return int(OK)
-    for i in range(k):
-        c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
     c.problem.points = 1.0 if points else 0.0
     for _ in range(ITERATIONS):
         change = turn_slips(links, c, h, begins)
@@ -138,7 +139,7 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
         return bool(c.friction.rises == 0.0 and h * shared_friction(c) * trace > speed)
     if not h * level_of(c, i) * abs(c.F[n]) * trace > speed:
         return False
-    if speed > STILL and not u1 * c.direction[i, 0] + u2 * c.direction[i, 1] > 0.0:
+    if c.friction.rises == 0.0 and speed > STILL and not u1 * c.direction[i, 0] + u2 * c.direction[i, 1] > 0.0:
         return False  # past the end of slip
     # What moves along a line does not turn.
     return bool(S[1, 1] * S[2, 2] - S[1, 2] * S[2, 1] > IMMOBILE * trace * trace)
@@ -148,7 +149,7 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
 def level_of(c: Contacts, i: int) -> float:
     """Return the largest |F_t|/f of contact i, which slides."""
     shared = c.friction.shared[i]
-    return float(shared if shared > 0.0 else math.hypot(c.problem.along[i, 0], c.problem.along[i, 1]))
+    return float(shared if shared > 0.0 else math.hypot(c.scratch.start[3 * i], c.scratch.start[3 * i + 1]))
 
 
 @kernel
@@ -212,10 +213,15 @@ def is_turned(c: Contacts, i: int) -> bool:
 
 @kernel
 def slip_of(c: Contacts, i: int) -> tuple[float, float]:
-    """Return the slip of packed contact i, m/s: zero of one that is rounding, and has no direction."""
+    """Return the slip of packed contact i, m/s: zero of one that is rounding, and has no direction.
+
+    Where the integrator chooses its steps none is: slip starts from rest, and its friction must not jump where it has
+    become faster than some speed.
+    """
     j = int(c.stepping.number[i])
     u1, u2 = c.u[3 * j + 1], c.u[3 * j + 2]
-    return (u1, u2) if c.friction.shared[j] > 0.0 or math.hypot(u1, u2) > STILL else (0.0 * u1, 0.0 * u2)
+    counts = c.friction.shared[j] > 0.0 or c.friction.rises != 0.0 or math.hypot(u1, u2) > STILL
+    return (u1, u2) if counts else (0.0 * u1, 0.0 * u2)
 
 
 @kernel
@@ -273,13 +279,15 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     It stays where a slip that has only begun does not go on: friction is against what pulls. It stays too where slip
     turns by more than a right angle: friction is against the slip until that ends. The beginning of a step decides for
     all its stages: a step that mixed both directions gained energy. Friction that would drive the slip at a later stage
-    is reflected in the line across it, which is continuous.
+    is reflected in the line across it, which is continuous. Where an integrator chooses its steps friction is a smooth
+    function of the slip instead: within its limit where no slip is left, as that of soft contacts beside others is.
     """
     n = 3 * i
     level, f, shared = level_of(c, i), c.F[n], c.friction.shared[i] > 0.0
+    smooth = shared or c.friction.rises != 0.0
     size, speed = math.hypot(x1, x2), math.hypot(c.u[n + 1], c.u[n + 2])
     d1, d2 = (c.u[n + 1] / speed, c.u[n + 2] / speed) if speed > STILL else (c.direction[i, 0], c.direction[i, 1])
-    drives = 0.0 * size if shared else x1 * d1 + x2 * d2
+    drives = 0.0 * size if smooth else x1 * d1 + x2 * d2
     if begins:
         c.friction.next_against[i] = 1.0 if drives > 0.0 else 0.0
     against = c.friction.next_against[i] if begins else c.friction.against[i]
@@ -288,9 +296,9 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     if drives > 0.0:
         x1, x2 = x1 - 2.0 * drives * d1, x2 - 2.0 * drives * d2
     within = size <= level * abs(f)
-    if speed <= STILL and size <= INSIDE * level * abs(f) and not shared:
+    if speed <= STILL and size <= INSIDE * level * abs(f) and not smooth:
         return 0.0
-    share = -1.0 / f if within and shared else -math.copysign(level / size, f)
+    share = -1.0 / f if within and smooth else -math.copysign(level / size, f)
     change = math.hypot(share * x1 - c.problem.along[i, 0], share * x2 - c.problem.along[i, 1])
     c.problem.along[i, 0], c.problem.along[i, 1] = share * x1, share * x2
     return 0.0 * size if shared else float(change / level)  # with f known it is found at once

@@ -40,6 +40,10 @@ def test_friction_of_contacts_takes_the_energy_of_a_slide():
     rows = {row[0]: row[1:] for row in report_rows(run)}
     assert rows["energy unaccounted for"][2] == "of 1.3 J exchanged"
     assert rows["energy lost to friction"][0] == "0.65"
+    assert rows["energy grows by"] == (f"{run.summary()['energy_gained']:.2g}", "J", "of 1.3 J; nothing drives it")
+    belt = {"contact.*.motion": {"kind": "conveyor", "velocity": [0.1, 0.0, 0.0]}, "body.box.position": [0, 0, 0.04]}
+    moved = cl.simulate(parse_scenario(BOX, overrides=belt | {"time.duration": 0.01}))
+    assert "energy grows by" not in {row[0] for row in report_rows(moved)}
 
 
 def test_a_derivative_may_be_with_respect_to_a_key_of_a_table():

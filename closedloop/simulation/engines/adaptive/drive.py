@@ -44,7 +44,7 @@ from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.limits import CLOSED_GAP, INSTANT, OUTPACED, STICK_SPEED
+from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED_GAP, INSTANT, OUTPACED, STICK_SPEED
 from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
 from closedloop.simulation.engines.adaptive.smooth import Interval, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
@@ -68,7 +68,7 @@ DIRECTION_ERROR = 1e-4
 class Slip(NamedTuple):
     """A contact that slides, at the state evaluated last."""
 
-    speed: float  # |u|, m/s; of a soft contact whose friction rises with it, the width of that rise at least
+    speed: float  # |u|, m/s; of contacts of links no less than that at which friction is all against the slip
     turning: float  # λ |u|, m/s²
     gaining: float  # |d|u|/dt|, m/s²
     rows: Array  # (2, n), u = G q̇
@@ -90,8 +90,10 @@ def slips(w: Work, state: State) -> list[Slip]:
             mobility, rows, shared = c.S[i, 1, 1] + c.S[i, 2, 2], c.G[t], float(c.friction.shared[i])
             friction = shared * abs(c.F[3 * i]) or float(np.hypot(*c.F[t]))
             slip = _slip(c.u[t], friction, mobility, rows, rows @ w.qdd + c.drift[t])
-            found.append(slip._replace(speed=max(slip.speed, STICK_SPEED), rises=True) if shared > 0.0 else slip)
-    return [slip for slip in found if slip.speed > SETTLED]
+            # What friction is against is the slip after a time, or it rises with the slip.
+            least = STICK_SPEED if shared > 0.0 else max(SETTLED, BREAKING_AWAY * slip.turning)
+            found.append(slip._replace(speed=max(slip.speed, least), rises=shared > 0.0))
+    return found
 
 
 def _slip(u: Array, friction: float, mobility: float, rows: Array, acceleration: Array) -> Slip:

@@ -317,7 +317,8 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: float = FOUND) -> bool:
     """Write P and u of the a contacts, from P, with the first ρ; return whether they are found.
 
-    Rounds end at the residual `wanted`, or when they no longer lessen it.
+    Rounds end at the residual `wanted`, or when they no longer lessen it. What a round leaves of its equations counts in
+    impulses 1/ρ of that: for a residual of FOUND it may leave ρ times as much.
     """
     stiffness, before = first, math.inf
     for _ in range(ITERATIONS):
@@ -327,7 +328,7 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: fl
         slow, before = s.residual > max(0.5 * before, STIFF * EXACT), s.residual
         if not s.residual < math.inf:
             return False
-        do_round(s, a, n, stiffness, TENTH if wanted == FOUND else SMALL)
+        do_round(s, a, n, stiffness, TENTH * stiffness if wanted == FOUND else SMALL)
         stiffness = min(WIDENING * stiffness, STIFFEST_RHO if slow and wanted == EXACT else STIFF)
     s.residual = residual_of(s, a, n)
     return bool(s.residual <= (NEAR if wanted == FOUND else FOUND))

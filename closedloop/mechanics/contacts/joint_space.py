@@ -317,8 +317,8 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: float = FOUND) -> bool:
     """Write P and u of the a contacts, from P, with the first ρ; return whether they are found.
 
-    Rounds end at the residual `wanted`, or when they no longer lessen it. What a round leaves of its equations counts in
-    impulses 1/ρ of that: for a residual of FOUND it may leave ρ times as much.
+    Rounds end at the residual `wanted`, or when they no longer lessen it. What a round leaves of its equations counts
+    1/ρ of that in impulses: for a residual of FOUND it may leave ρ times as much.
     """
     stiffness, before = first, math.inf
     for _ in range(ITERATIONS):

@@ -33,6 +33,7 @@ def act(lab: Lab, client: Client, said: Said) -> None:
             client.put("status", pack(_status("what the page sent is no request of the lab's: nothing was done", True)))
             return
         client.time = _number(said.get("t"), client.time)
+        lab.history.press = None if said.get("press") is None else (id(client), str(said["press"]))
         action(lab, client, said)
     except ClosedLoopError as error:
         _say(lab, one_line(str(error)), loud=True)

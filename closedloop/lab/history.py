@@ -66,7 +66,7 @@ def save_page(run: Run, command: str, parent: Path | None = None, ghosts: Sequen
 
 
 Changes = dict[str, Any]  # dotted key to value, as `load_scenario` takes them
-# Changes of one key that follow each other so fast, s, are one step of undo: a slider that is dragged.
+# Changes of one key that follow each other so fast, s, are one step of undo.
 TOGETHER = 1.0
 # The file that `closedloop.lab.history.save` writes.
 IN_A_FILE = "scenario.toml"
@@ -99,14 +99,21 @@ class History:
         self._past: list[Changes] = []
         self._future: list[Changes] = []
         self._now, self._last_key, self._last_time = now, "", -TOGETHER
+        self.press: tuple[int, str] | int | None = (
+            None  # which press of the pointer what follows belongs to, None: to none
+        )
+        self._last_press: tuple[int, str] | int | None = None
         self.changes: Changes = {}
 
     def change(self, key: str, value: Any, more: Mapping[str, Any] | None = None) -> Changes:
-        """Change a key, None: back to where it began, and with it `more`, and return all changes."""
-        now = self._now()
-        if key != self._last_key or now - self._last_time > TOGETHER:
+        """Change a key, None: back to where it began, and with it `more`, and return all changes.
+
+        What one press of the pointer does to a key is one step, however slowly a slider is dragged.
+        """
+        now, held = self._now(), self.press is not None and self.press == self._last_press
+        if key != self._last_key or not (held or now - self._last_time <= TOGETHER):
             self._past = [*self._past[-MOST_STEPS:], self.changes]
-        self._last_key, self._last_time, self._future = key, now, []
+        self._last_key, self._last_time, self._last_press, self._future = key, now, self.press, []
         for each, its_value in {key: value, **(more or {})}.items():
             self.changes = with_change(self.changes, each, its_value)
         return self.changes

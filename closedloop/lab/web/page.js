@@ -7,7 +7,12 @@ const state = { time: 0, begin: 0, end: 1, step: 1e-3, playing: false, speed: 1 
 const embedded = $("data").textContent.split("\n").filter(Boolean);
 let socket = null, frames = null, counts = null, still = null, run = null, late = 0, pulled = 0;
 
-function send(message) { if (socket?.readyState === 1) socket.send(JSON.stringify({ ...message, t: state.time })); }
+// What one press of the pointer changes is one step of undo: messages say which it is, until a key is pressed.
+let press = null, presses = 0;
+document.addEventListener("pointerdown", () => { press = ++presses; }, true);
+document.addEventListener("keydown", () => { press = null; }, true);
+
+function send(message) { if (socket?.readyState === 1) socket.send(JSON.stringify({ ...message, t: state.time, press })); }
 
 function change(message) {
   space.moved();

@@ -152,6 +152,20 @@ def test_undo_and_redo_go_through_the_same_scenarios():
     assert history.scenario().law.stiffness == 900.0
 
 
+def test_a_slow_drag_is_one_step_and_two_drags_are_two():
+    """The pointer is held for seconds between changes; a second press, or a key of the keyboard, begins another."""
+    now = [0.0]
+    history = History(cl.load_scenario("wam_slide"), "wam_slide", now=lambda: now[0])
+    for press, force in ((1, 11.0), (1, 12.0), (1, 13.0), (2, 14.0), (None, 15.0), (None, 16.0)):
+        now[0] += 5.0
+        history.press = press
+        history.change("law.force", force)
+    seen = [history.changes["law.force"]]
+    while history.undo():
+        seen.append(history.changes.get("law.force", 10.0))
+    assert seen == [16.0, 15.0, 14.0, 13.0, 10.0]
+
+
 def test_the_command_line_repeats_what_was_changed():
     """Read as the command line reads them, its words give the very scenario, lists and kinds included."""
     base = cl.load_scenario("wam_slide", {"law.force": 11.0})

@@ -43,6 +43,8 @@ from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
 from closedloop.mechanics.friction.answers import ADVANCE_STATES
 from closedloop.mechanics.limits import (
     CLOSED_GAP,
+    DEEP,
+    DEEPENS,
     FAST,
     HIGH,
     HOVERING,
@@ -51,12 +53,12 @@ from closedloop.mechanics.limits import (
     MAX_IN_STEP,
     MOST_GROWTH,
     MOST_HALVINGS,
-    OFF_SURFACE,
+    MOST_TURNS,
     QUARTER,
     RAPID,
     RESTING,
     SHORTEST_GROWTH,
-    TIME_STEP_SPAN,
+    SHORTEST_HALF,
     TOUCHING,
 )
 from closedloop.mechanics.loops.memory import loops_at, tree_at
@@ -159,11 +161,12 @@ def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> in
     if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
         return todo
     ends = todo == BEGIN_SUBSTEP
-    sinks = ends and constants.s_p > 0.0 and closed_depth(links, c) < w.start.depth - OFF_SURFACE
-    turns = not ends and slips_turn(links, c, state.stage)
+    depth = closed_depth(links, c)
+    sinks = ends and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
+    turns = not ends and slips_turn(links, c, state.stage) and state.trial.halvings < MOST_TURNS
     grown = force_over_load(links, c) > max(HIGH, MOST_GROWTH * w.start.force_over_load)
     multiplies = links.stepped == 0 and grown
-    if not ((sinks or turns or multiplies) and w.search.tau > (SHORTEST_GROWTH if multiplies else TIME_STEP_SPAN)):
+    if not ((sinks or turns or multiplies) and w.search.tau > (SHORTEST_GROWTH if multiplies else SHORTEST_HALF)):
         return todo
     state.trial.purpose = NO_TRIAL
     if state.trial.halvings < MOST_HALVINGS:

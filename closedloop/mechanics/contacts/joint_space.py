@@ -28,6 +28,7 @@ from closedloop.mechanics.limits import (
     HALVINGS,
     ITERATIONS,
     NEAR,
+    NEWTON_STEPS,
     SLIGHT,
     SMALL,
     STEPS,
@@ -449,7 +450,7 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, leaves: float = TE
         most = max(most, s.mobility[i])
     left = leaves * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
     square = write_off(s, a, n, stiffness, s.y)
-    for _ in range(ITERATIONS):
+    for _ in range(NEWTON_STEPS):
         if square <= left * left:
             break
         newton_step_of_joints(s, a, n, stiffness)

@@ -32,12 +32,15 @@ from closedloop.mechanics.contacts.unknown_modes import solve_contacts
 from closedloop.mechanics.limits import (
     BEYOND_EDGE,
     CLOSED_GAP,
+    DEEPER,
     FOUND,
     HOVERING,
     PARTING,
     RESTING,
     SHAPE_ROUNDING,
+    SINKING,
     STICK_SPEED,
+    SUNK,
     TOUCHING,
     TURNED,
     VANISHING,
@@ -63,7 +66,7 @@ def open_margin(c: Contacts, i: int) -> float:
         return float(HOVERING - c.inside[i]) if back else math.inf
     if c.gaps.cleared[i] != 0.0:
         return float(c.located[3 * i] - c.gaps.floor[i] + CLOSED_GAP)
-    return float(c.located[3 * i] - (c.gaps.floor[i] - HOVERING))
+    return float(c.located[3 * i] - max(c.gaps.floor[i] - SINKING, min(-SUNK, c.gaps.floor[i] - DEEPER)))
 
 
 @kernel

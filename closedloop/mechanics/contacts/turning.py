@@ -38,7 +38,7 @@ from closedloop.mechanics.contacts.joint_space import (
     start_at_rest,
 )
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts
-from closedloop.mechanics.contacts.mobility import added, write_motion
+from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
@@ -47,11 +47,14 @@ from closedloop.mechanics.limits import (
     BESIDE_EDGE,
     EXACT,
     FIRST_RHO,
+    HIGH,
     HOVERING,
     ITERATIONS,
+    MOST_STALLED,
     PARTING,
     STIFF,
     STILL,
+    TURNS,
     VANISHING,
     WIDENING,
 )
@@ -63,7 +66,8 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
 
     Where forces are not unique those that are shortest have their own directions of friction: hence the repetitions.
     Where a contact that only presses would pull, friction stays against the slip as it is: its mode ends, and friction
-    that is turned round with the force would drive the slip. Shapes wander, not only `points`, and their
+    that is turned round with the force would drive the slip. Nor is it turned where forces would multiply: near
+    Painlevé's paradox they turn the slip faster than the step resolves. Shapes wander, not only `points`, and their
     rows depend on each other; a contact of theirs that has just parted would come back at once, again and again:
     friction is not turned until it has. `ends` says whether a slip ends within the step, `begins` is whether the step
     begins here.
@@ -78,14 +82,17 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
     if (some_pull(c, k) and not some_share(c, k)) or not some_slip_slowly(c, k, h):
         return int(OK)
     c.problem.points = 1.0 if points else 0.0
-    for _ in range(ITERATIONS):
+    last, stalled, most = math.inf, 0, HIGH * force_size(c.rigid)
+    for _ in range(TURNS):
         change = turn_slips(links, c, h, begins)
-        if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k):
+        if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k) or force_size(c.rigid) > most:
             break
         if begins and not points and presses_in(c, k):
             break
-        if change <= VANISHING or not some_slip_slowly(c, k, h):
+        stalled += 1 if change >= last else 0  # where forces are not unique it need not become less
+        if change <= VANISHING or stalled == MOST_STALLED or not some_slip_slowly(c, k, h):
             return int(OK)
+        last = float(change)
     else:
         return int(OK)
     c.problem.ends = c.problem.ends if points else 0.0

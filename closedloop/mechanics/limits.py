@@ -91,6 +91,11 @@ OFF_SURFACE = limit(
 HOVERING = limit(
     "HOVERING", 1e-9, "m", "a contact whose gap is less may be about to close; more than the stabiliser leaves"
 )
+DEEP = limit("DEEP", 4e-10, "m", "a step of rk4 that leaves a closed contact deeper is taken again in halves")
+DEEPENS = limit("DEEPENS", 5e-11, "m", "a step that deepens a contact by no more is not taken again for it")
+SINKING = limit("SINKING", 8e-10, "m", "by which a contact sinks, from where it has parted, until it touches again")
+SUNK = limit("SUNK", 9.8e-10, "m", "the depth at which a contact that has parted touches again at the latest")
+DEEPER = limit("DEEPER", 1e-11, "m", "by which a contact that has parted below SUNK sinks until it touches again")
 BEYOND_EDGE = limit(
     "BEYOND_EDGE", 1e-8, "m", "what is less beyond an edge, or below a surface beside it, may still touch"
 )
@@ -104,12 +109,8 @@ BREAKING_AWAY = limit(
     "BREAKING_AWAY", 1e-9, "s", "in which a slip that begins takes its direction where the integrator chooses its steps"
 )
 SHORTEST_GROWTH = limit("SHORTEST_GROWTH", 1e-8, "s", "no step is halved further because forces multiply")
-TIME_STEP_SPAN = limit(
-    "TIME_STEP_SPAN",
-    2e-5,
-    "s",
-    "length of a step of impulses among modes",
-)
+SHORTEST_HALF = limit("SHORTEST_HALF", 1e-5, "s", "no step is halved further because contacts sink or slips turn")
+TIME_STEP_SPAN = limit("TIME_STEP_SPAN", 2e-5, "s", "length of a step of impulses among modes")
 OWN_STEP = limit("OWN_STEP", 1e-3, "s", "discs see an integrator that chooses its steps as if they were so long")
 
 # Steps that are divided.
@@ -118,15 +119,6 @@ LARGEST_TURN = limit("LARGEST_TURN", 0.0125, "rad", "so rk4 leaves the energy of
 QUARTER = limit(
     "QUARTER", 0.25, "1", "of both while contacts are closed; of a step, the last of a slip; of slips that turn"
 )
-DEEP = limit("DEEP", 4e-10, "m", "a closed contact that a step leaves deeper has it taken again in halves")
-DEEPENS = limit("DEEPENS", 5e-11, "m", "if it has become deeper by more than this in the step")
-SHORTEST_HALF = limit("SHORTEST_HALF", 1e-5, "s", "no step is halved further because contacts sink or slips turn")
-MOST_TURNS = limit("MOST_TURNS", 50, "", "halvings of a step in which slips turn")
-SINKING = limit("SINKING", 8e-10, "m", "by which a contact that has parted sinks before it touches again")
-SUNK = limit("SUNK", 9.8e-10, "m", "the depth at which it does, unless it has parted deeper")
-DEEPER = limit("DEEPER", 1e-11, "m", "and by which it then sinks")
-TURNS = limit("TURNS", 20, "", "solutions in which the friction of slow slips is turned")
-NEWTON_STEPS = limit("NEWTON_STEPS", 30, "", "of Newton's method in a round")
 MOST_GROWTH = limit("MOST_GROWTH", 2.0, "1", "forces that multiply by more, and are HIGH, have a step taken in halves")
 HIGH = limit("HIGH", 30.0, "1", "as a multiple of the load: near Painlevé's paradox forces have no bound")
 MOST_OF = limit("MOST_OF", 0.9, "1", "of what is left until slips end: until then steps are no longer")
@@ -168,9 +160,11 @@ FAR = limit("FAR", 0.9, "1", "from a corner that is further away, a cosine, a di
 # Counts.
 ITERATIONS = limit("ITERATIONS", 40, "", "of any iteration: what has not converged by then does not")
 REFINEMENTS = limit("REFINEMENTS", 5, "", "of solutions, and moves of a projection: both converge quadratically")
+TURNS = limit("TURNS", 20, "", "solutions in which the friction of slow slips is turned")
 MOST_STALLED = limit(
     "MOST_STALLED", 2, "", "times that turning friction of slow slips may change it by no less than before"
 )
+NEWTON_STEPS = limit("NEWTON_STEPS", 30, "", "steps of Newton's method in a round")
 HALVINGS = limit("HALVINGS", 12, "", "of a step of Newton's method")
 DERIVATIVES = limit("DERIVATIVES", 4, "", "rounds that give a solution its derivatives")
 SWEEPS = limit("SWEEPS", 500, "", "of Gauss and Seidel's method over joints with dry friction")
@@ -181,4 +175,5 @@ MAX_IN_STEP = limit(
     "MAX_IN_STEP", 2000, "", "events in a step after which modes are not sought any more: a bounce at e = 0.99 has 900"
 )
 OUTPACED = limit("OUTPACED", 100, "", "events that each row takes off that count")
+MOST_TURNS = limit("MOST_TURNS", 50, "", "halvings of a step in which slips turn")
 MOST_HALVINGS = limit("MOST_HALVINGS", 200, "", "of a step in which forces multiply: where they jump none helps")

@@ -55,7 +55,7 @@ class Asked:
                 return False
         sections = vars(problem.scenario)
         for name, part in self.scenario.read.items():
-            if (now := sections[name]) is not part and not says_the_same(part, now):
+            if (now := sections[name]) is not part and not alike(part, now):
                 return False
         return True
 
@@ -97,7 +97,7 @@ class Parts:
         for name, section in vars(scenario).items():
             if (before := known.get(name, NOTHING)) is not section:
                 known[name] = section
-                if before is not NOTHING and not says_the_same(before, section):
+                if before is not NOTHING and not alike(before, section):
                     self._stale |= self._readers.get(name, set())
 
     def follow(self, name: str, make: Callable[[Any], T], *others: Any) -> T:
@@ -126,29 +126,18 @@ class Parts:
 
 
 def alike(one: Any, other: Any) -> bool:
-    """Whether two objects are the same, or are equal words and numbers, alone or in tuples."""
-    if one is other:
-        return True
-    if type(one) is not type(other):
-        return False
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(map(alike, one, other))
-    if isinstance(one, float):
-        return one.hex() == other.hex()  # 0 is equal to −0
-    return isinstance(one, int | str) and one == other
-
-
-def says_the_same(one: Any, other: Any) -> bool:
-    """Whether two sections, or lists of them, say the same to the bit: 0 is equal to −0, and its text is not."""
+    """Whether two objects are the same, or words, numbers and sections, alone or in tuples, that are so to the bit."""
     if one is other:
         return True
     if type(one) is not type(other):
         return False
     if isinstance(one, Section):
-        return vars(one) == vars(other) and text_of(one) == text_of(other)
+        return vars(one) == vars(other) and text_of(one) == text_of(other)  # 0 is equal to −0, and its text is not
     if isinstance(one, tuple):
-        return len(one) == len(other) and all(map(says_the_same, one, other))
-    return bool(one == other)
+        return len(one) == len(other) and all(map(alike, one, other))
+    if isinstance(one, float):
+        return one.hex() == other.hex()
+    return isinstance(one, int | str) and one == other
 
 
 def text_of(section: Section) -> tuple[Hashable, ...]:

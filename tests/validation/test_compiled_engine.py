@@ -37,9 +37,6 @@ def test_runs_are_those_on_pinocchio(name, overrides):
 def test_every_shipped_scenario_is_the_same_in_both_engines(name):
     """Likewise each scenario that is shipped, friction, other laws and all; the first compiles for a minute."""
     checks = list(compare_runs(name))
-    failed = [check.what for check in checks if not check.passed]
-    if name == "push_block" and failed and all("instants" in what for what in failed):
-        pytest.xfail("in either engine a change of 1e-15 of its start changes its events from 2.169 s on")
     assert all(check.passed for check in checks), checks
 
 

@@ -3,8 +3,9 @@
 The two engines step by the same machine and differ in the rounding of their terms only. What rounding may become is
 measured, not guessed: twins of the Pinocchio run start a few units in the last place beside it, and how far they have
 drifted apart by an instant is how far the compiled run may be. Where rounding decides an event, some twins part and
-others do not, so a run that seems too far away is held against more of them. Where slip sets in on falling friction (Stribeck), they
-part by powers of ten in a few steps: from there on the motion is not determined by double precision, in any engine.
+others do not, so a run that seems too far away is held against more of them. Where slip sets in on falling friction
+(Stribeck), they part by powers of ten in a few steps: from there on the motion is not determined by double precision,
+in any engine.
 """
 
 from __future__ import annotations

@@ -287,6 +287,7 @@ class Here:
         self._encoder = int(state.settings.encoder)
         self._motors = parts_of(problem)["transmission"]
         self._saved = state.memory.copy(), w.memory.copy(), constants.memory.copy()
+        self.held = np.array(w.torque)  # the torque (n,) of an evaluation that holds it, N m
         self._sensor, self._z = sensor, type(w).place("z", *w.sizes)
         node = self.row * problem.nodes
         self._force_nodes = problem.table[node : node + problem.nodes + 1, Reference.place("force", n)]
@@ -320,7 +321,7 @@ class Here:
         Parameters
         ----------
         held : bool
-            Whether the torque is what it was, instead of the law's.
+            Whether the torque is `held`, instead of the law's.
         changes : arrays
             q, v, z, last: added to the state; measured, force (f_des), bias (of the sensor), (1,), N; link: torque on
             the links (n,), N m; torque: added to what is held (n,); compliance: added to its parameters.
@@ -337,6 +338,8 @@ class Here:
             self.contacts.put_back()
         if "z" in changes:
             w.z += changes["z"]
+        if held:
+            w.torque[:] = self.held
         if "torque" in changes:
             w.torque += changes["torque"]
         if "measured" in changes:

@@ -126,7 +126,7 @@ class Reduced:
     def __init__(self, problem: Problem, instant: Instant, free: bool) -> None:
         self.problem, self.instant, self.n = problem, instant, problem.robot.n
         self.here = here = Here(problem, instant, free)
-        here()
+        here.held = here()["torque"]  # which acts from this row on: before it that of the last sample did
         _refuse_limited(here)
         self.state, self.decays = here.loop.state, np.array(here.loop.w.decays.rate)
         self.soft = problem.compliance.member is not Rigid and instant.mode != FREE

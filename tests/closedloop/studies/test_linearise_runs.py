@@ -110,6 +110,25 @@ def test_steps_of_an_arm_at_rest(arm, scheme):
     assert np.max(np.abs(seen)) > 0.1
 
 
+@pytest.mark.parametrize(
+    ("scheme", "held", "delay"),
+    every(4, itertools.product(("rk4", "semi_implicit_euler"), (0, 1, 2), (0.0, 0.002, 0.004))),
+)
+def test_a_loop_that_diverges_does_so_as_its_run(scheme, held, delay):
+    """Over thirty periods in which small steps grow twentyfold and more, by a share of 1e-5: a torque that is held
+    from the first row on is the law's there, also where the loop is linear about the start of the run."""
+    changes = {
+        "law": {"kind": "operational_space", "force": 10.0, "force_integral": 20.0},
+        "compliance": {"kind": "kelvin_voigt", "stiffness": 2e4, "damping": 10.0}, "reference.kind": "hold",
+        "time.duration": 1.2, "time.integrator": scheme, "sensor.delay": delay,
+    }  # fmt: skip
+    if held:
+        changes["law.sample_period"] = 0.001 * held
+    seen, wanted = steps_of_a_bias(lambda bias: cl.load_scenario("soft_table", changes | {"sensor.bias": bias}), 1e-4)
+    np.testing.assert_allclose(seen, wanted, rtol=0, atol=1e-5 * np.max(np.abs(seen)))
+    assert np.max(np.abs(seen[-100:])) > 1.0
+
+
 @pytest.mark.parametrize("scheme", ["rk4", "explicit_euler"])
 @pytest.mark.parametrize("stiffness", [1e3, 1e5])
 def test_bristles_of_a_steady_slip(scheme, stiffness):

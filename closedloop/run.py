@@ -179,7 +179,7 @@ def _contact(name: str) -> Any:
 
 def _wrench(word: str, model: Any) -> Any:
     """Return what works out the wrench JOINT[@FRAME], and its unit."""
-    from closedloop.record.columns.wrenches import check_joint
+    from closedloop.record.columns.derived import check_joint
 
     joint, _, given = word.partition("@")
     frame = given or "joint"

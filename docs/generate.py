@@ -18,7 +18,7 @@ from PIL import Image
 import closedloop
 from closedloop.command.table import COMMANDS, imported, overview
 from closedloop.figures.scene.scene import scene_of
-from closedloop.lab.film_picture import Picture
+from closedloop.lab.animate import Picture
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.derived import DERIVED
 from closedloop.record.columns.record import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS

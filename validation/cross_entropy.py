@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from closedloop.base.arrays import Array
+from closedloop.gym.env import ContactVectorEnv
 from closedloop.gym.task import TASKS, Task
-from closedloop.gym.vector import ContactVectorEnv
 from validation.policy import LinearPolicy
 
 # Cost of an episode that could not be simulated to its end, N²: worse than any that could.

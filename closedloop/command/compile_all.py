@@ -242,8 +242,8 @@ def _path(kernel: str) -> None:
     import numpy as np
 
     from closedloop.jit.calls import entry_address
+    from closedloop.mechanics.surface.along import gradients_on_surface
     from closedloop.mechanics.surface.contact import make_memory, normals_on_surface, put_on_surface, surface_entry
-    from closedloop.mechanics.surface.gradient import gradients_on_surface
     from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 
     memory = make_memory(np.zeros(0), np.zeros(0), (0, 0), np.zeros(3), np.eye(3), (np.inf, np.inf))

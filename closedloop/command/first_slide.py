@@ -28,9 +28,8 @@ from closedloop.mechanics.loops.drives import torque_of_drives
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import contact_frame
-from closedloop.scenario.gains import closed_mobility, gains_fault
 from closedloop.scenario.load import scenario_of
-from closedloop.scenario.modes import unresolved_feedback
+from closedloop.scenario.modes import closed_mobility, gains_fault, unresolved_feedback
 from closedloop.scenario.scenario import Scenario
 from robot_models.coordinates import RATES
 from robot_models.loop_posture import stands_for

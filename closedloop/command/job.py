@@ -161,8 +161,7 @@ def warn_of_hulls(scenario: Scenario, model: Any) -> None:
 def warn_of_gains(scenario: Scenario, model: Any) -> None:
     """Say before anything is simulated that the step does not carry or resolve the gains; contact may: no refusal."""
     from closedloop.scenario.arm import robot_of
-    from closedloop.scenario.gains import gains_fault
-    from closedloop.scenario.modes import unresolved_feedback
+    from closedloop.scenario.modes import gains_fault, unresolved_feedback
 
     try:
         robot = robot_of(scenario, model)

@@ -25,6 +25,6 @@ for _name in (*TASKS, "scenario"):
     gymnasium.register(
         f"closedloop/{_name.capitalize()}-v0",
         entry_point="closedloop.gym.env:ContactEnv",
-        vector_entry_point="closedloop.gym.vector:ContactVectorEnv",
+        vector_entry_point="closedloop.gym.env:ContactVectorEnv",
         kwargs={"task": _name} if _name in TASKS else {},
     )

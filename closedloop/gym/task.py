@@ -29,7 +29,7 @@ class Task:
     overrides : mapping
         Keys of the scenario and values, as `closedloop.load_scenario` takes them.
     actions : mapping
-        See `closedloop.gym.actions.Actions`.
+        See `closedloop.gym.core.Actions`.
     observations : tuple of str
         See `closedloop.gym.terms.PARTS`.
     rewards : mapping

@@ -8,8 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.scene.ground import grid_triangles
-from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, joint_frames, mechanism_of, quaternions, round_down
+from closedloop.figures.scene.scene import (
+    ARROWS,
+    PATH,
+    WANTED,
+    grid_triangles,
+    joint_frames,
+    mechanism_of,
+    quaternions,
+    round_down,
+)
 from closedloop.figures.scene.solids import BEYOND, Shape, robot_shapes, solids_mesh
 from closedloop.gym.core import Core
 from closedloop.simulation.engines.problem import Problem

@@ -16,7 +16,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from closedloop.jit.calls import Entry, address_of_function
-from closedloop.jit.lanewise import LANEWISE
+from closedloop.jit.simd8 import LANEWISE
 
 F = TypeVar("F", bound=Callable[..., Any])
 

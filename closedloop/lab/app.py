@@ -2,7 +2,8 @@
 
 Each kind of work has a thread of its own, and of what comes meanwhile takes the newest (`Newest`): runs, whose curves
 are sent at once; what follows when the slider rests (`closedloop.lab.details`); and maps. A thread for each page takes
-what it says (`closedloop.lab.actions`).
+what it says (`closedloop.lab.actions`). The scenarios that ship are shown as cards, with a picture of the robot at its
+start.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import logging
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +25,56 @@ from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.controls import Control, begin_values
 from closedloop.lab.curves import Panel, beside, panels
-from closedloop.lab.drawn import Message, curves, frames, pack, run_message
-from closedloop.lab.gallery import cards, pictures
+from closedloop.lab.drawn import Message, curves, frames, pack, robot_message, run_message, space_message
 from closedloop.lab.groups import all_controls, rows_in_groups
 from closedloop.lab.history import IN_A_FILE, Changes, History, Pins
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, Server, in_notebook, new_token, proxied
 from closedloop.lab.share import hello, page
 from closedloop.record.run import Run
-from closedloop.scenario.load import load_scenario
+from closedloop.scenario.load import load_scenario, shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.simulate import law_name
+from closedloop.simulation.simulate import law_name, simulate
 from robot_models import RobotModel
+
+# Steps of the run of which a picture is.
+STEPS = 2
+# The first card: an arm above its table that comes down on it. (The paper's slide has its elbow below the table.)
+FIRST_CARD = "wam_touchdown"
+
+
+@lru_cache(maxsize=1)
+def cards() -> list[Message]:
+    """Return name and description of each."""
+    names = sorted(shipped_scenarios(), key=lambda name: name != FIRST_CARD)
+    found = ((name, load_scenario(name).description) for name in names)
+    return [{"name": name, "about": about[:1].upper() + about[1:]} for name, about in found]
+
+
+def pictures() -> Iterator[tuple[str, bytes]]:
+    """Yield each scenario's name and the message of its picture, of those that can be drawn."""
+    for card in cards():
+        data = picture(card["name"])
+        if data:
+            yield card["name"], data
+
+
+@lru_cache(maxsize=64)
+def picture(name: str) -> bytes:
+    """Return the message of a scenario's picture, empty if it cannot be drawn."""
+    scenario = load_scenario(name)
+    step = scenario.time.step
+    try:
+        few = scenario.time.model_copy(update={"duration": STEPS * step})
+        run = simulate(scenario.model_copy(update={"time": few}))
+        scene = scene_of(run)
+        space = space_message(scene, [0])
+    except (ClosedLoopError, ValueError):
+        return b""
+    return pack({"kind": "picture", "name": name, "robot": robot_message(scene), "space": space, "whole": True})
+
 
 logger = logging.getLogger(__name__)
 

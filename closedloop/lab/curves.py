@@ -23,7 +23,7 @@ from closedloop.base.sections import field_units, sizes
 from closedloop.figures.force import friction_bounds
 from closedloop.figures.link_contacts import contacts_drawn
 from closedloop.figures.motion import tip_errors
-from closedloop.figures.scene.ground import Ground
+from closedloop.figures.scene.scene import Ground
 from closedloop.figures.scene.solids import errors_in
 from closedloop.figures.style import length_unit, position_rounding
 from closedloop.mechanics.closure.contact_force import FREE

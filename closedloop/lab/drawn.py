@@ -20,8 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.figures.motion import AT_REST
-from closedloop.figures.scene.ground import thin_out
-from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, OUTSIDE, PATH, TOUCH, WANTED, Scene, quaternions
+from closedloop.figures.scene.scene import (
+    ARROWS,
+    JOINTS,
+    LOOP,
+    OUTSIDE,
+    PATH,
+    TOUCH,
+    WANTED,
+    Scene,
+    quaternions,
+    thin_out,
+)
 from closedloop.figures.scene.solids import COLOUR, OPACITY, Shape
 from closedloop.lab.curves import CELLS, Panel, column_names, column_panel, panels, reduced
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK

@@ -22,9 +22,15 @@ from closedloop.base.optional import needs
 from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
-from closedloop.record.columns.derived import DERIVED, DerivedColumn, columns_by_contact, reactions_of
+from closedloop.record.columns.derived import (
+    DERIVED,
+    DerivedColumn,
+    columns_by_contact,
+    face_wrench,
+    joint_wrench,
+    reactions_of,
+)
 from closedloop.record.columns.record import COLUMNS, SURFACE_COLUMNS, SYMBOLS, Column, ColumnsOnDemand, Record
-from closedloop.record.columns.wrenches import face_wrench, joint_wrench
 from closedloop.record.report.summary import summarise
 from closedloop.record.save import CONVENTIONS, HDF5, attributes, save_run
 from closedloop.scenario.arm import robot_of

@@ -17,7 +17,7 @@ from closedloop.base.errors import one_line
 from closedloop.base.families import NOT_NAMED, Family, how_to_name, users_named
 from closedloop.base.sections import Section, SizeError, field_units, is_left_out
 from closedloop.scenario.scenario import Scenario, families_in
-from closedloop.scenario.tables import plain_section, table_type
+from closedloop.scenario.tables import described_key, plain_section, table_type
 from robot_models.errors import shown as shown_value
 
 if TYPE_CHECKING:
@@ -53,11 +53,6 @@ def section_meant(word: str, known: Collection[str]) -> str | None:
     if other in known:
         return other
     return next(iter(difflib.get_close_matches(word, known, n=1, cutoff=ALIKE)), None)
-
-
-def is_called(word: str, section: str) -> bool:
-    """Whether others call a section so; else the word is a misspelt one."""
-    return bool(_other_words()["sections"].get(_plain(word)) == section)
 
 
 def _plain(word: str) -> str:
@@ -292,7 +287,7 @@ def _known_sections(section: str, data: dict[str, Any]) -> str:
     if near is None:
         other = elsewhere(section)
         return f"did you mean '{other}'?" if other else f"sections are {', '.join(known)}"
-    given = data.get(section) if is_called(section, near) else None
+    given = data.get(section) if _other_words()["sections"].get(_plain(section)) == near else None  # not misspelt
     if isinstance(given, dict) and len(given) == 1 and (key := key_meant(next(iter(given)), _all_keys(near))):
         return f"did you mean '{near}.{key}'?"
     return f"did you mean '{near}'?"
@@ -313,9 +308,6 @@ def _fields(users: tuple[str, ...]) -> dict[str, list[FieldInfo]]:
 
     `users` are the users' classes that have keys of their own (`users_named`): what is remembered depends on them.
     """
-    from closedloop.scenario.scenario import Scenario
-    from closedloop.scenario.tables import table_type
-
     found: dict[str, list[FieldInfo]] = {}
     for section in Scenario.model_fields:
         table = table_type(section)
@@ -326,8 +318,6 @@ def _fields(users: tuple[str, ...]) -> dict[str, list[FieldInfo]]:
 
 
 def _fields_of(key: str) -> list[FieldInfo]:
-    from closedloop.scenario.tables import described_key
-
     return _fields(users_named()).get(described_key(key), [])
 
 

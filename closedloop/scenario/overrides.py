@@ -19,9 +19,8 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Absent
 from closedloop.base.sections import Section
 from closedloop.scenario.load import plain, scenario_of
-from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.scenario import Scenario, StartSection, families
 from closedloop.scenario.tables import table_type
-from closedloop.scenario.time_sections import StartSection
 
 # Where a run starts.
 START = {"start.q", "start.v"}

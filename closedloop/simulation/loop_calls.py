@@ -15,8 +15,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
-from closedloop.control.reference.inverse_kinematics import walk
-from closedloop.control.reference.joint_path import sample_spline
+from closedloop.control.reference.inverse_kinematics import sample_spline, walk
 from closedloop.jit.background import make_ready, start, takes_long
 from closedloop.jit.blocks import arrays_of
 from closedloop.jit.calls import address_of

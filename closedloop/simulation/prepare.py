@@ -17,8 +17,7 @@ import robot_models
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.drives import torque_limits, torque_steps
-from closedloop.control.encoder import check_steps, encoder_draws
+from closedloop.control.drives import torque_limits, torque_steps, transmission_constants
 from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.reference.desired import Desired, Motion, desired
@@ -26,9 +25,8 @@ from closedloop.control.reference.force import force_at
 from closedloop.control.reference.on_surface import edge_key
 from closedloop.control.reference.orientation import refuse_narrow
 from closedloop.control.reference.table import DrawnRow, Reference, TableRow
-from closedloop.control.sensor import draws, pack_sensor
+from closedloop.control.sensor import check_steps, draws, encoder_draws, pack_sensor
 from closedloop.control.stability import check_sampling
-from closedloop.control.transmission import transmission_constants
 from closedloop.jit.parameters import lists_per_joint, pack
 from closedloop.jit.user_code import of_users
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
@@ -55,7 +53,7 @@ from closedloop.scenario.arm import (
     stop_limits,
 )
 from closedloop.scenario.collision import with_collision_shapes
-from closedloop.scenario.gains import check_transmission
+from closedloop.scenario.modes import check_transmission
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import member_digests, members_of_users

@@ -8,7 +8,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.encoder import NO_ENCODER, encoder_kind
+from closedloop.control.sensor import NO_ENCODER, encoder_kind
 from closedloop.mechanics.closure.baumgarte import baumgarte_gains, is_stable, largest_stable_ratio, recommended_ratio
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
 from closedloop.mechanics.contacts.soft import is_soft
@@ -20,9 +20,8 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.placed import Touching
 from closedloop.mechanics.surface.surface import largest_mobility
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.scenario.tables import names_of
-from closedloop.scenario.time_sections import BaumgarteGains
 
 # A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
 MOST_NUMBERS = 200_000_000

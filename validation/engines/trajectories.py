@@ -11,7 +11,7 @@ import numpy as np
 
 import closedloop
 from closedloop import Problem
-from closedloop.scenario.time_sections import BothSection, ProjectionSection
+from closedloop.scenario.scenario import BothSection, ProjectionSection
 from closedloop.simulation.simulate import simulate
 from validation.oracle import Law, Oracle, simulate_slide
 from validation.oracle.slide import Closure

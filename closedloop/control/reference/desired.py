@@ -11,7 +11,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference.follow import follow
 from closedloop.control.reference.force import ForceProfile, force_at
-from closedloop.control.reference.joint_path import JointPath
+from closedloop.control.reference.inverse_kinematics import JointPath
 from closedloop.control.reference.on_surface import refuse_beyond_edge, refuse_without_normal
 from closedloop.control.reference.orientation import orientation_of, refuse_tool_too_large
 from closedloop.control.reference.path import Path, path_on

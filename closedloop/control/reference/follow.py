@@ -30,11 +30,11 @@ from closedloop.control.reference.inverse_kinematics import (
     POSITION,
     RANK_TOLERANCE,
     REACHED,
+    JointPath,
     Way,
     scratch_size,
     walk,
 )
-from closedloop.control.reference.joint_path import JointPath
 from closedloop.control.reference.on_surface import seams
 from closedloop.control.reference.orientation import ASKEW, FREE_ORIENTATION, Orientation
 from closedloop.control.reference.tip_path import Segment, TipPath

@@ -34,4 +34,4 @@ class TableRow(Block, sizes=("n",)):
 class DrawnRow(TableRow, sizes=("n",)):
     """A row of the table of an arm whose encoders are noisy."""
 
-    draws: Annotated[Array, 2 * N]  # see `closedloop.control.encoder.encoder_draws`
+    draws: Annotated[Array, 2 * N]  # see `closedloop.control.sensor.encoder_draws`

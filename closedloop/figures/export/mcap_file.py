@@ -32,8 +32,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.files import made_folder, write_whole
 from closedloop.base.optional import missing_line
 from closedloop.control.laws.none import NoLaw
-from closedloop.figures.scene.ground import thin_out
-from closedloop.figures.scene.scene import quaternions, scene_of
+from closedloop.figures.scene.scene import quaternions, scene_of, thin_out
 from closedloop.mechanics.loops.reactions import named_side, parts_of
 from closedloop.record.columns.derived import loop_positions
 from closedloop.record.run import Run

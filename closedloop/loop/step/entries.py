@@ -2,7 +2,7 @@
 
 What is desired at an instant, from the table that the reference is prepared as.
 
-The motors behind elastic joints: their angles and rates are the last of z, see `closedloop.control.transmission`.
+The motors behind elastic joints: their angles and rates are the last of z, see `closedloop.control.drives`.
 
 Entries: the functions by which the loop calls the plug-ins of a scenario, compiled separately, all of one signature.
 
@@ -18,7 +18,7 @@ from typing import Any
 
 from closedloop.base.arrays import Array
 from closedloop.control.law import Compensation, ControlLaw, LawInput, Perceived
-from closedloop.control.reference.joint_path import cubic
+from closedloop.control.reference.inverse_kinematics import cubic
 from closedloop.jit.calls import Entry, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.parameters import one_joint_block, parameter_block, state_block

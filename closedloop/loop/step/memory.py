@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.control.encoder import EncoderParameters
 from closedloop.control.law import Perceived
 from closedloop.control.reference.table import Reference
-from closedloop.control.sensor import SensorParameters
+from closedloop.control.sensor import EncoderParameters, SensorParameters
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, call_at, integers_at, vector_at
 from closedloop.jit.kernel import kernel_inlined
@@ -269,7 +268,7 @@ class Settings(Block):
     time_stepping: int  # 1 if each step is one problem of impulses, see `closedloop.mechanics.contacts.stepping`
     nodes_per_step: int  # rows of the reference's table to a step
     model_error: int  # 1 if the controller is wrong about the arm
-    encoder: int  # see `closedloop.control.encoder.encoder_kind`
+    encoder: int  # see `closedloop.control.sensor.encoder_kind`
     perceived: int  # 1 if the law sees `Work.perceived`, not the state itself
     misjudged: int  # 1 if the contact frame that it sees is not the true one
     elastic: int  # 1 if the joints are; 2 if the motors are measured
@@ -355,7 +354,7 @@ class State(Block):
 
 
 class Gears(Block, sizes=("n",)):
-    """What is between motors and links, see `closedloop.control.transmission`."""
+    """What is between motors and links, see `closedloop.control.drives`."""
 
     stiffness: Annotated[Array, N]
     damping: Annotated[Array, N]

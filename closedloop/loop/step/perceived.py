@@ -18,10 +18,9 @@ import math
 from typing import Any
 
 from closedloop.base.arrays import Array
-from closedloop.control.encoder import EncoderParameters, read_encoder
 from closedloop.control.law import Perceived
 from closedloop.control.reference.table import DrawnRow
-from closedloop.control.sensor import across
+from closedloop.control.sensor import EncoderParameters, across, read_encoder
 from closedloop.jit.calls import call_at, integers_at, matrix_at, row_of
 from closedloop.jit.kernel import kernel
 from closedloop.loop.step.closed_loops import BIND_PERCEIVED, CLOSE

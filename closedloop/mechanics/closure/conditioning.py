@@ -19,8 +19,7 @@ from typing import Any
 from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.calls import matrix_of, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.jit.lanewise import lanewise
-from closedloop.jit.simd8 import select
+from closedloop.jit.simd8 import lanewise, select
 
 BATCH = 32
 # Above this many joints the rows of the matrices vectorise by themselves, one condition number at a time.

@@ -44,9 +44,7 @@ the ratios and may let ε depend on the speed of approach.
 `impact` is the kernel; `two_phase_impact` checks its input and returns an `Impact`.
 """
 
-from closedloop.mechanics.impact.begin import CUT, MODE_NAMES, RATIOS
-from closedloop.mechanics.impact.phases import energy_lost, impact
-from closedloop.mechanics.impact.single import Impact, two_phase_impact
-from closedloop.mechanics.impact.taylor import ImpactWork
+from closedloop.mechanics.impact.begin import CUT, MODE_NAMES, RATIOS, ImpactWork
+from closedloop.mechanics.impact.single import Impact, energy_lost, impact, two_phase_impact
 
 __all__ = ["CUT", "MODE_NAMES", "RATIOS", "Impact", "ImpactWork", "energy_lost", "impact", "two_phase_impact"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from closedloop.record.report.row_sample import NEAR_SINGULAR, RESIDUAL_TOLERANCE
+from closedloop.record.report.measures import NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.record.report.summary import assumptions, energy_balance, summarise
 from closedloop.record.report.tables import notes, print_report, report_rows
 

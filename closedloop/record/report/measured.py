@@ -1,6 +1,6 @@
 """The values of a run's summary, row by row, in compiled code: for batches, which make no columns.
 
-What a row has to say is `closedloop.record.report.row_sample`; here is how the rows are counted in, one after the
+What a row has to say is `closedloop.record.report.measures`; here is how the rows are counted in, one after the
 other. `closedloop.record.report.run_values` counts in the columns of a `Run`, many rows at a time.
 """
 
@@ -19,9 +19,10 @@ from closedloop.loop.events.table import KINDS, EventRow
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.tree import Tree, tree_potential_energy
-from closedloop.record.report.alternation import Signal, count_signal
-from closedloop.record.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES
-from closedloop.record.report.row_sample import (
+from closedloop.record.report.measures import (
+    JOINT_MEASURES,
+    LEAST_TORQUE,
+    MEASURES,
     MOST_GROWTH,
     NAMES,
     NEAR_SINGULAR,
@@ -32,8 +33,10 @@ from closedloop.record.report.row_sample import (
     Powers,
     Sample,
     Scale,
+    Signal,
     Signals,
     Sums,
+    count_signal,
     sample_row,
 )
 
@@ -97,7 +100,7 @@ def measure_rows(
         The table of what is desired, see `closedloop.loop.step.entries`, and how many of its rows there are to
         each of the record's.
     limits : (4 n,) array
-        See `closedloop.record.report.row_sample.joint_limits`.
+        See `closedloop.record.report.measures.joint_limits`.
     events : (E, EVENT_WIDTH) array
         See `closedloop.loop.events.table`.
     out : (Values.count(n),) array
@@ -184,7 +187,7 @@ def begin_tally(tally: Tally, h: float, largest: float) -> None:
 
 @kernel_inlined
 def count_row(row: Row, n: int, potential: float, wanted: Reference, limits: JointLimits, i: int, tally: Tally) -> None:
-    """Count row i in, all but its condition number; see `closedloop.record.report.row_sample.sample_row`."""
+    """Count row i in, all but its condition number; see `closedloop.record.report.measures.sample_row`."""
     scale, sample = Scale(tally.scale), Sample(tally.sample, n)
     if i == 0:
         scale.start_energy, scale.start_supplied = row.kinetic_energy + potential, row.energy_supplied

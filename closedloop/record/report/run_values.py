@@ -1,6 +1,6 @@
 """The values of a run's summary from its columns, those of the contacts of links among them.
 
-What a row has to say is `closedloop.record.report.row_sample`, interpreted on columns. The largest, the sum, the first
+What a row has to say is `closedloop.record.report.measures`, interpreted on columns. The largest, the sum, the first
 of it over the rows is numpy's here; `closedloop.record.report.measured` has it row by row.
 `tests/closedloop/record/test_measured.py` holds the two equal. Interpreted, the latter would take 3 s for the 8000
 rows of wam_slide, and compiling it 10 s.
@@ -23,9 +23,8 @@ from closedloop.mechanics.contacts.soft import is_soft
 from closedloop.mechanics.integrators import steps_impulses
 from closedloop.record.columns.record import POSITIONS, Record
 from closedloop.record.columns.touching import contact_torques
-from closedloop.record.report.alternation import SPAN, alternation
 from closedloop.record.report.measured import Tally, Values, begin_tally, share_inside, write_values
-from closedloop.record.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
+from closedloop.record.report.measures import SPAN, JointLimits, Sample, Scale, alternation, joint_limits, sample_row
 from closedloop.record.report.verdict import count_limited
 from closedloop.scenario.tables import names_of
 from robot_models.coordinates import in_pinocchios_order, with_rotation_vectors
@@ -45,7 +44,7 @@ class ContactFaults(NamedTuple):
 def lost_to_slips(time: Array, frictions: Array, slips: Array) -> float:
     """Return the energy that sliding friction took at contacts of links, J, from (N,) instants and (N, 2 k) columns.
 
-    It counts with the slip, as `closedloop.record.report.row_sample.friction_power` does at the tip.
+    It counts with the slip, as `closedloop.record.report.measures.friction_power` does at the tip.
     """
     power = np.sum(frictions * slips, axis=1)
     return -float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(time)))

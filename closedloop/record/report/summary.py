@@ -21,8 +21,16 @@ from closedloop.record.clearance import clearance_of
 from closedloop.record.columns.record import Record
 from closedloop.record.report.control_verdict import judge_control, limited_joints, run_signals
 from closedloop.record.report.halved import step_error
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
-from closedloop.record.report.row_sample import NAMES, Scale, assumptions_met, energy_left, torque_power
+from closedloop.record.report.measures import (
+    JOINT_MEASURES,
+    MEASURES,
+    NAMES,
+    Scale,
+    absent_measures,
+    assumptions_met,
+    energy_left,
+    torque_power,
+)
 from closedloop.record.report.run_values import columns_of, contact_faults, run_values
 from closedloop.record.report.verdict import (
     Facts,
@@ -34,8 +42,15 @@ from closedloop.record.report.verdict import (
     outside_by_the_scenario,
 )
 from closedloop.scenario.arm import robot_of
-from closedloop.scenario.gains import Sliding, gains_fault
-from closedloop.scenario.modes import Pressed, unresolved, unresolved_feedback, where_it_slides, where_they_press
+from closedloop.scenario.modes import (
+    Pressed,
+    Sliding,
+    gains_fault,
+    unresolved,
+    unresolved_feedback,
+    where_it_slides,
+    where_they_press,
+)
 from closedloop.scenario.user_module import lacks_members
 
 

@@ -5,7 +5,7 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 
 ========================  ==============================================================================
 ``stopped``               the simulation could not go on
-``gains``                 gains that the step cannot carry (`closedloop.scenario.gains`), and it shows
+``gains``                 gains that the step cannot carry (`closedloop.scenario.modes`), and it shows
 ``energy``                energy unaccounted for
 ``gain``                  energy of what nothing drives that grows
 ``chatter``               force or torque that alternates from row to row, or events without end
@@ -42,10 +42,9 @@ from closedloop.mechanics.loops.drives import torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.record import Record
 from closedloop.record.report.measured import EVENTS_AT, FAILED_AT, WIDTH
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
-from closedloop.record.report.row_sample import NAMES
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, NAMES, absent_measures
 from closedloop.scenario.arm import joint_friction_of, robot_of
-from closedloop.scenario.gains import gains_fault
+from closedloop.scenario.modes import gains_fault
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.joint_dynamics import loop_dynamics
@@ -237,7 +236,7 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     ----------
     facts : Facts
     gains : callable
-        Returns what is wrong with the gains for this step (`closedloop.scenario.gains.gains_fault`); called only if
+        Returns what is wrong with the gains for this step (`closedloop.scenario.modes.gains_fault`); called only if
         something else is wrong.
     """
     problems = []

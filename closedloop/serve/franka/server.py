@@ -18,11 +18,9 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError, OutputError, ScenarioError
 from closedloop.serve.franka import wire
-from closedloop.serve.franka.arm import Arm
-from closedloop.serve.franka.description import JOINTS
-from closedloop.serve.franka.generator import Generator, Impedance
+from closedloop.serve.franka.arm import JOINTS, Arm
+from closedloop.serve.franka.generator import LOST, Generator, Impedance, Reflexes
 from closedloop.serve.franka.gripper import Gripper
-from closedloop.serve.franka.reflexes import LOST, Reflexes
 from closedloop.serve.session import Clock, Interface
 from closedloop.serve.sockets import Client, Gone, Port, Stopped
 

@@ -19,8 +19,7 @@ from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.record_row import ARM_RECORDED, RECORDED
 from closedloop.record.columns.record import SYMBOLS
 from closedloop.record.report.measured import WIDTH
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
-from closedloop.record.report.row_sample import NAMES
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, NAMES
 from closedloop.simulation.batch.worker import Outcome
 
 if TYPE_CHECKING:

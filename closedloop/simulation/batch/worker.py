@@ -31,12 +31,12 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.columns.record import SURFACE_COLUMNS
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
-from closedloop.record.report.row_sample import NAMES, joint_limits
+from closedloop.record.report.measures import NAMES, joint_limits
 from closedloop.record.report.run_values import lost_to_slips
 from closedloop.record.report.verdict import count_limited, forget_absent, verdict_of
-from closedloop.scenario.gains import Sliding
 from closedloop.scenario.modes import (
     Pressed,
+    Sliding,
     feedback_key,
     unresolved,
     unresolved_feedback,

@@ -78,7 +78,7 @@ class Parts(Block):
     tally: int
     values: int
     signals: int
-    limits: int  # see `closedloop.record.report.row_sample.joint_limits`
+    limits: int  # see `closedloop.record.report.measures.joint_limits`
     step: int  # the step, one number, s
 
 

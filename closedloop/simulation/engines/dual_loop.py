@@ -24,7 +24,7 @@ from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.memory import Constants, Loop, State, Work
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.report.measured import CONTROL, Tally, Values
-from closedloop.record.report.row_sample import joint_limits
+from closedloop.record.report.measures import joint_limits
 from closedloop.simulation.engines.compiled import Parts, compiled_work, measure_at, run_at, run_varied_at
 from closedloop.simulation.engines.loops import Pace
 from closedloop.simulation.engines.problem import Problem

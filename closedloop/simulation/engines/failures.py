@@ -44,7 +44,7 @@ from closedloop.mechanics.friction.laws.lugre import LuGre, is_passive, passive_
 from closedloop.mechanics.limits import MAX_IN_STEP, OUTPACED
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.verdict import DIVERGES
-from closedloop.scenario.gains import feedbacks, gains_fault
+from closedloop.scenario.modes import feedbacks, gains_fault
 from closedloop.scenario.scenario import Scenario, families_in
 from closedloop.scenario.tables import patches_of
 from closedloop.simulation.engines.problem import MEMBERS, Problem, contact_members

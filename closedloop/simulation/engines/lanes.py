@@ -50,7 +50,7 @@ from closedloop.record.report.measured import (
     write_control,
     write_values,
 )
-from closedloop.record.report.row_sample import JointLimits, joint_limits
+from closedloop.record.report.measures import JointLimits, joint_limits
 from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.compiled import compiled_terms, compiled_work
@@ -146,7 +146,7 @@ def run_in_lanes(
     sizes : Sizes
         Of the arrays in memory.
     limits : (4 n,) array
-        See `closedloop.record.report.row_sample.joint_limits`.
+        See `closedloop.record.report.measures.joint_limits`.
     """
     n, state, width = tree.n, State(state_numbers), sizes.width
     ends = integers_at(state.addresses.group_ends, state.n)

@@ -12,8 +12,8 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.base.families import is_users
 from closedloop.base.upwards import called
-from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law import LawInput
+from closedloop.control.sensor import NO_ENCODER
 from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.interpreted import twin_address
 from closedloop.jit.user_code import why_member_not_compiled

@@ -19,11 +19,10 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.drives import DrivesSection
-from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.reference.desired import Desired
 from closedloop.control.reference.table import Reference
-from closedloop.control.sensor import PackedSensor, SensorSection
+from closedloop.control.sensor import MEASURED_VELOCITY, NO_ENCODER, PackedSensor, SensorSection, encoder_kind
 from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_block
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
@@ -44,8 +43,7 @@ from closedloop.record.columns.derived import StatesOf, recorded_states, state_c
 from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of, stop_limits, without_tools
 from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
-from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.time_sections import BaumgarteGains
+from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.engines.bind_contacts import ContactPlaces, ContactRows
 from robot_models import RobotModel
@@ -254,7 +252,7 @@ def arm_columns(scenario: Scenario) -> tuple[str, ...]:
 
 
 def reading_kind(scenario: Scenario) -> int:
-    """Return whether the controller reads encoders, see `closedloop.control.encoder.encoder_kind`."""
+    """Return whether the controller reads encoders, see `closedloop.control.sensor.encoder_kind`."""
     kind = encoder_kind(scenario.encoder)
     return MEASURED_VELOCITY if kind == NO_ENCODER and scenario.transmission.on_motors else kind
 
@@ -297,7 +295,7 @@ class ScenarioNumbers:
     drives : (2, n) array
         Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
     transmission : (5, n) array
-        See `closedloop.control.transmission.transmission_constants`.
+        See `closedloop.control.drives.transmission_constants`.
     encoder : (k,) array
         The parameters of the encoders.
     wanted : Desired

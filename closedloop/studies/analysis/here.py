@@ -16,9 +16,8 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
-from closedloop.control.encoder import DIFFERENCE, NO_ENCODER, EncoderParameters
 from closedloop.control.reference.table import Reference
-from closedloop.control.sensor import SensorParameters
+from closedloop.control.sensor import DIFFERENCE, NO_ENCODER, EncoderParameters, SensorParameters
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.impacts import collide

@@ -89,7 +89,7 @@ def test_all_threads_get_the_value_that_was_first():
 def test_environments_are_stepped_and_closed_in_a_fork():
     """The threads that step them are not in the copy, which has its own; both give the same."""
     pytest.importorskip("gymnasium", reason="gymnasium is not installed: the extra 'gym'")
-    from closedloop.gym.vector import ContactVectorEnv
+    from closedloop.gym.env import ContactVectorEnv
 
     envs = ContactVectorEnv(4, "press", threads=2)
     envs.reset(seed=0)

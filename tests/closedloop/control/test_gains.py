@@ -9,7 +9,7 @@ import closedloop as cl
 import robot_models
 from closedloop.mechanics.closure.baumgarte import amplification, linear_step
 from closedloop.mechanics.integrators import INTEGRATORS
-from closedloop.scenario.gains import GROWING, Feedback, feedbacks, gains_fault, growth
+from closedloop.scenario.modes import GROWING, Feedback, feedbacks, gains_fault, growth
 
 H = 0.001
 # Where 1 + z + z²/2 + z³/6 + z⁴/24 is 1 again, z < 0: the limit of RK4 on the real axis.

@@ -5,7 +5,7 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 import closedloop as cl
-from closedloop.control.reference.geodesic import Rolling
+from closedloop.control.reference.on_surface import Rolling
 from closedloop.control.reference.path import PATHS, path_on
 from closedloop.mechanics.surface.motion import MOTIONS
 from closedloop.mechanics.surface.placed import PlacedSurface

@@ -6,9 +6,8 @@ import pytest
 import closedloop as cl
 from closedloop.figures.scene.scene import ARROWS, scene_of
 from closedloop.figures.scene.solids import Ghost
-from closedloop.lab import film_picture
+from closedloop.lab.animate import Picture, nearest_triangles
 from closedloop.lab.curves import main_panel
-from closedloop.lab.film_picture import Picture
 
 
 def picture_of(run, ghosts=()):
@@ -67,7 +66,7 @@ def test_the_nearest_triangle_is_seen_wherever_two_overlap():
     near_left, near_right = (np.column_stack([across, depth]) for depth in ([0.0, 40.0, 0.0], [20.0, 20.0, 20.0]))
     pictures = []
     for order in ([0, 1], [1, 0]):
-        seen = film_picture.nearest_triangles(np.array([near_left, near_right])[order], (40, 40))
+        seen = nearest_triangles(np.array([near_left, near_right])[order], (40, 40))
         pictures.append(np.append(order, -1)[seen])
     assert np.array_equal(*pictures)
     i, j = np.mgrid[:40, :40] + 0.5

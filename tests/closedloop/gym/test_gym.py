@@ -16,8 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 import closedloop as cl
 import closedloop.gym as clgym
-from closedloop.gym.env import ContactEnv
-from closedloop.gym.vector import ContactVectorEnv
+from closedloop.gym.env import ContactEnv, ContactVectorEnv
 from closedloop.loop.step.record_row import Row
 from validation.cross_entropy import Episodes, cross_entropy, learn_to_press
 from validation.policy import LinearPolicy
@@ -120,7 +119,7 @@ def test_a_disabled_autoreset_waits():
 
 EPISODE = """
 import json, numpy as np
-from closedloop.gym.vector import ContactVectorEnv
+from closedloop.gym.env import ContactVectorEnv
 many = ContactVectorEnv(4, "press", threads=3, overrides={"time.duration": 0.1})
 many.reset(seed=5)
 for k in range(8):

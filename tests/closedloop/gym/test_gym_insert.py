@@ -9,8 +9,8 @@ import pytest
 import closedloop as cl
 import closedloop.gym as clgym
 from closedloop.figures.scene.scene import scene_of
+from closedloop.gym.env import ContactVectorEnv
 from closedloop.gym.terms import Range, as_ranges, drawn
-from closedloop.gym.vector import ContactVectorEnv
 from closedloop.gym.view import _surface, shown_forces
 from closedloop.mechanics.contacts.surfaces import surface_of
 

@@ -5,10 +5,9 @@ import pytest
 
 from closedloop.base.errors import ScenarioError
 from closedloop.gym import terms
-from closedloop.gym.actions import Actions
-from closedloop.gym.env import ContactEnv
+from closedloop.gym.core import Actions
+from closedloop.gym.env import ContactEnv, ContactVectorEnv
 from closedloop.gym.terms import PARTS, TRUTH, Now, Observations, Range, as_ranges, drawn
-from closedloop.gym.vector import ContactVectorEnv
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.simulation.ensemble.member import Between

@@ -14,11 +14,10 @@ from closedloop.figures.force import friction_bounds
 from closedloop.figures.scene.scene import LOOP, OUTSIDE, TOUCH, quaternions, scene_of
 from closedloop.figures.scene.solids import Ghost, Joined, Shape
 from closedloop.lab import curves
-from closedloop.lab.animate import CELLS, OWN
+from closedloop.lab.animate import CELLS, OWN, Picture
+from closedloop.lab.app import cards
 from closedloop.lab.curves import Panel, Trace, beside, main_panel, panels, reduced
 from closedloop.lab.drawn import frames, from_text, robot_message, space_message
-from closedloop.lab.film_picture import Picture
-from closedloop.lab.gallery import cards
 from closedloop.lab.share import page_of
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.mechanics.closure.contact_force import FREE

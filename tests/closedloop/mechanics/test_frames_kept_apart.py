@@ -7,7 +7,7 @@ from rounding import within
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
-from closedloop.control.transmission import TransmissionSection, transmission_constants
+from closedloop.control.drives import TransmissionSection, transmission_constants
 from closedloop.mechanics.surface.along import shape_at
 from closedloop.record.columns.touching import Touching
 from closedloop.simulation.prepare import prepare

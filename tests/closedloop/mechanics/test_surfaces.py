@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.closure.solve import solve_closure
+from closedloop.mechanics.surface.along import gradients
 from closedloop.mechanics.surface.geometry import Pose
-from closedloop.mechanics.surface.gradient import gradients
 from closedloop.mechanics.surface.kinds.height_field import HeightField
 from closedloop.mechanics.surface.motion import MOTIONS, Move, begin_move, displace
 from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit

@@ -11,7 +11,6 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.record_row import RECORDED
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.report import run_values as values_module
-from closedloop.record.report.alternation import Signal, alternation, count_signal
 from closedloop.record.report.measured import (
     Tally,
     Values,
@@ -20,16 +19,20 @@ from closedloop.record.report.measured import (
     count_row,
     write_values,
 )
-from closedloop.record.report.measures import LEAST_TORQUE, SETTLED
-from closedloop.record.report.row_sample import (
+from closedloop.record.report.measures import (
+    LEAST_TORQUE,
     MOST_GROWTH,
     NAMES,
     NEAR_SINGULAR,
     ON_THE_WAY,
     RESIDUAL_TOLERANCE,
+    SETTLED,
     JointLimits,
     Scale,
+    Signal,
+    alternation,
     assumptions_met,
+    count_signal,
     energy_left,
     friction_power,
     joint_limits,

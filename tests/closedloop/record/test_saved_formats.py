@@ -9,8 +9,7 @@ import closedloop as cl
 from closedloop.figures.export.mcap_file import write_rosbag2
 from closedloop.figures.export.tables import FORMATS
 from closedloop.record.columns.derived import DERIVED
-from closedloop.record.columns.record import ALL_COLUMNS, SYMBOLS
-from closedloop.record.columns.typed import TypedColumns
+from closedloop.record.columns.record import ALL_COLUMNS, SYMBOLS, TypedColumns
 
 
 @pytest.fixture(scope="module")

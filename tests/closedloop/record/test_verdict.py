@@ -11,8 +11,7 @@ import closedloop as cl
 import robot_models
 from closedloop.command.sweep import main as run_sweeps
 from closedloop.record.report import print_report
-from closedloop.record.report.alternation import alternation
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, alternation
 from closedloop.record.report.summary import joint_measures
 from closedloop.record.report.verdict import (
     Facts,

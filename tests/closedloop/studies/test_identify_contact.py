@@ -11,7 +11,7 @@ import robot_models
 from closedloop.base.errors import ModelError
 from closedloop.command.identify import main
 from closedloop.studies.identify.contact.found import touch_of
-from closedloop.studies.identify.contact.restitution import impacts_of
+from closedloop.studies.identify.contact.identify_contact import impacts_of
 from closedloop.studies.identify.log import LogError
 
 STEP = 0.001

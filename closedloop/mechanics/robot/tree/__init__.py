@@ -7,6 +7,7 @@
 Tests hold it equal to Pinocchio; the simulator's two engines use one each.
 """
 
+from closedloop.mechanics.robot.tree.dynamics import tree_kinematics, tree_terms, tree_turning
 from closedloop.mechanics.robot.tree.energy import (
     energies_of_rows,
     energy_there,
@@ -15,7 +16,6 @@ from closedloop.mechanics.robot.tree.energy import (
 )
 from closedloop.mechanics.robot.tree.layout import LINK_ROWS, Tree, work_size
 from closedloop.mechanics.robot.tree.model import group_ends, tree_of
-from closedloop.mechanics.robot.tree.terms import tree_kinematics, tree_terms, tree_turning
 
 __all__ = [
     "LINK_ROWS", "Tree", "energies_of_rows", "energy_there", "group_ends", "potential_energies", "tree_kinematics",

@@ -34,17 +34,10 @@ FEW_INSTANTS = 50_000
 
 @dataclass(frozen=True)
 class JointPath:
-    """The joint path: at rest before `times[0]`, a cubic Hermite spline over the knots, at rest after the last.
+    """The joint path: at rest before `times[0]`, a cubic Hermite spline over the knots, at rest after the last."""
 
-    Attributes
-    ----------
-    times : (K,) array
-        Knots, s, increasing; an instant at which the velocity jumps is there twice.
-    q, v : (K, n) arrays
-        Joint positions, rad (m), and velocities, rad/s (m/s), at the knots.
-    """
-
-    times: Array
+    times: Array  # (K,): knots, s, increasing; an instant at which the velocity jumps is there twice
+    # q, v (K, n): joint positions, rad (m), and velocities, rad/s (m/s), at the knots
     q: Array
     v: Array
 

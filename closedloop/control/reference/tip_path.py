@@ -97,26 +97,16 @@ INSTANT = 1e-9
 
 @dataclass(frozen=True)
 class Segment:
-    """A smooth motion of the tip between two instants.
+    """A smooth motion of the tip between two instants."""
 
-    Attributes
-    ----------
-    start, stop : float
-        Instants, s.
-    origin : (3,) array
-        Position of the tip at `start`, m, base frame.
-    curve, timing : Curve, Timing
-        The curve from there, and its time scaling.
-    length : float
-        Arc length, m, about: it sets the first spacing of knots of the inverse kinematics.
-    """
-
+    # start, stop: instants, s
     start: float
     stop: float
-    origin: Array
+    origin: Array  # (3,): position of the tip at `start`, m, base frame
+    # curve, timing: the curve from there, and its time scaling
     curve: Curve
     timing: Timing
-    length: float
+    length: float  # arc length, m, about: it sets the first spacing of knots of the inverse kinematics
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Return r, ṙ and r̈ as `TipPath.sample` does, at times t (N,) within the segment, both ends included."""

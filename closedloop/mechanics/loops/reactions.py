@@ -163,39 +163,22 @@ FEW_STATES = 1000
 
 
 class LoopReactions(NamedTuple):
-    """Reactions of a mechanism's loop joints at N instants, and errors of the m rows that they bind.
+    """Reactions of a mechanism's loop joints at N instants, and errors of the m rows that they bind."""
 
-    Attributes
-    ----------
-    labels : tuple of str
-        Of the c parts of the reactions: the loop joint's name, and what, such as "coupler: force along x".
-    units : tuple of str
-        Of each: N, or N m.
-    reactions : (N, c) array
-        On the first side of each joint (`frames[0]`), in the axes of its second frame (`frames[1]`; the base frame if
-        that is "world"): the force, and but for a point and a distance the couple about the joint's point on the second
-        side (`points[1]`). Friction, stops and the drive of a loop joint are part of it. A distance has the push
-        between its points too, of which the force is made: positive pushes them apart. A gear has the torque, N m, or
-        force, N, on each of its joints. Where rows depend on each other they are those of least norm.
-    joints : tuple of str
-        The loop joint of each row.
-    multipliers : (N, m) array
-        Forces of the rows of `loop_rows`, which act on the joints with Gᵀ multipliers.
-    errors : (N, m) array
-        Of the rows, m, or the sine of an angle.
-    rank : (N,) array of int
-        How many rows were independent.
-    unexplained : (N,) array
-        The largest torque that neither the law, friction, the contact nor the loops account for, N m (N).
-    """
-
+    # of the c parts of the reactions: the loop joint's name, and what, such as "coupler: force along x"
     labels: tuple[str, ...]
-    units: tuple[str, ...]
+    units: tuple[str, ...]  # of each: N, or N m
+    # (N, c): on the first side of each joint (`frames[0]`), in the axes of its second frame (`frames[1]`; the base
+    # frame if that is "world"): the force, and but for a point and a distance the couple about the joint's point on the
+    # second side (`points[1]`). Friction, stops and the drive of a loop joint are part of it. A distance has the push
+    # between its points too, of which the force is made: positive pushes them apart. A gear has the torque, N m, or
+    # force, N, on each of its joints. Where rows depend on each other they are those of least norm
     reactions: Array
-    joints: tuple[str, ...]
-    multipliers: Array
-    errors: Array
-    rank: NDArray[np.int64]
+    joints: tuple[str, ...]  # the loop joint of each row
+    multipliers: Array  # (N, m): forces of the rows of `loop_rows`, which act on the joints with Gᵀ multipliers
+    errors: Array  # (N, m): of the rows, m, or the sine of an angle
+    rank: NDArray[np.int64]  # (N,): how many rows were independent
+    # (N,): the largest torque that neither the law, friction, the contact nor the loops account for, N m (N)
     unexplained: Array
 
 

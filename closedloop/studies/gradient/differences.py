@@ -142,23 +142,15 @@ ROUNDING, LOCATED = 16.0 * np.finfo(float).eps, 1e3 * np.finfo(float).eps
 
 @dataclass(frozen=True)
 class Estimate:
-    """Derivatives of M quantities along one direction.
+    """Derivatives of M quantities along one direction."""
 
-    Attributes
-    ----------
-    value, error : (M,) array
-        The derivative, and the estimate of its error.
-    below, above : (M,) array
-        One-sided ones; NaN on a side that there is not.
-    kink : (M,) array of bool
-        Whether they differ.
-    """
-
+    # value, error (M,): the derivative, and the estimate of its error
     value: Array
     error: Array
+    # below, above (M,): one-sided ones; NaN on a side that there is not
     below: Array
     above: Array
-    kink: NDArray[np.bool_]
+    kink: NDArray[np.bool_]  # (M,): whether they differ
 
 
 def two_sided(h: float, at: Array, minus: Array, plus: Array, scatter: Array | None = None) -> Estimate:

@@ -69,27 +69,14 @@ BLOCK = 2000
 
 @dataclass(frozen=True)
 class Terms:
-    """What the torque of a joint is made of, beside the links' inertia.
-
-    Attributes
-    ----------
-    friction : sequence of "viscous", "dry", "offset", "load"
-    drive_inertia : bool
-    coupled : sequence of pairs of joint names
-        The second motor of each pair turns with both joints.
-    stribeck_speed : float or (n,), optional
-        v_s of the Stribeck term of each joint, rad/s; none if left out.
-    slow : float
-        Below this share of a joint's largest speed the sign of its velocity is not relied on.
-    extra : mapping of names to functions
-        Columns of one's own: q, v, a (N, n) to the torque per unit of the parameter, (N, n).
-    """
+    """What the torque of a joint is made of, beside the links' inertia."""
 
     friction: Sequence[str] = FRICTION
     drive_inertia: bool = True
-    coupled: Sequence[tuple[str, str]] = ()
-    stribeck_speed: float | Array | None = None
-    slow: float = 0.01
+    coupled: Sequence[tuple[str, str]] = ()  # the second motor of each pair turns with both joints
+    stribeck_speed: float | Array | None = None  # v_s of the Stribeck term of each joint, rad/s; none if left out
+    slow: float = 0.01  # below this share of a joint's largest speed the sign of its velocity is not relied on
+    # columns of one's own: q, v, a (N, n) to the torque per unit of the parameter, (N, n)
     extra: Mapping[str, Columns] = field(default_factory=dict)
 
 

@@ -63,22 +63,13 @@ IMPACTS, LIKELY, MATTERS = 5, 4.0, 0.02
 
 @dataclass(frozen=True)
 class Impact:
-    """One impact.
+    """One impact."""
 
-    Attributes
-    ----------
-    time : float
-        s.
-    before, after : float
-        Rate of n·r, m/s; negative before.
-    noise : float
-        Standard deviation of each, m/s.
-    """
-
-    time: float
+    time: float  # s
+    # before, after: rate of n·r, m/s; negative before
     before: float
     after: float
-    noise: float
+    noise: float  # standard deviation of each, m/s
 
 
 def impacts_of(time: Array, height: Array) -> list[Impact]:

@@ -118,7 +118,10 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
     try:
         scenario, model, earlier = _open(options.scenario, overrides)
     except ScenarioError as error:
-        raise ScenarioError(*error.faults, *_fault_of_out(options.out)) from None
+        from closedloop.command.results import why_not_writable
+
+        why = why_not_writable(Path(options.out)) if options.out else ""  # of both faults at once; nothing is made
+        raise ScenarioError(*error.faults, *filter(None, [why])) from None
     law = import_law(options.law) if options.law else None
     if law is None and earlier is not None and earlier.law != "scenario":
         raise ScenarioError(
@@ -221,14 +224,6 @@ def _results(job: Job, options: Namespace) -> Results:
         if faults := _faults_of(job.scenario, job.model):
             raise ScenarioError(*faults, str(error)) from None
         raise
-
-
-def _fault_of_out(out: str | None) -> list[str]:
-    """Return why nothing can be written there, where the scenario is at fault already; nothing is made."""
-    from closedloop.command.results import why_not_writable
-
-    why = "" if out is None else why_not_writable(Path(out))
-    return [why] if why else []
 
 
 def _faults_of(scenario: Scenario, model: Any) -> tuple[str, ...]:

@@ -317,10 +317,10 @@ def _compiled(everything: Sequence[Piece], workers: int) -> Iterator[tuple[str, 
     running: dict[Future[tuple[float, float]], tuple[Piece, int]] = {}
     families: list[set[str]] = [set() for _ in range(workers)]  # of what each process has compiled
     with ExitStack() as stack:
-        # Fresh processes: in a copy of this one the locks of libraries' threads could be taken.
-        pools = [
-            stack.enter_context(ProcessPoolExecutor(1, get_context("spawn"), _ignore_ctrl_c)) for _ in range(workers)
-        ]
+        # Fresh processes: in a copy of this one the locks of libraries' threads could be taken. They leave Ctrl-C to
+        # this one, which ends them.
+        how = get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        pools = [stack.enter_context(ProcessPoolExecutor(1, *how)) for _ in range(workers)]
         try:
             while waiting or running:
                 for at in set(range(workers)) - {at for _, at in running.values()}:
@@ -347,11 +347,6 @@ def _strangeness(waiting: dict[int, Piece], families: list[set[str]], at: int, i
     """Return 0 for a piece that shares functions with what a process has compiled, 2 if another has such, else 1."""
     family = waiting[i].family
     return 0 if family in families[at] else 1 + any(family in each for each in families)
-
-
-def _ignore_ctrl_c() -> None:
-    """Leave Ctrl-C to the process that waits, which ends this one."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _compile_piece(i: int) -> tuple[float, float]:

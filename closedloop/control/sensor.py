@@ -94,11 +94,6 @@ class SensorSection(Section):
     )
     seed: Seed = Field(0, description="seed of noise and jitter")
 
-    @property
-    def talks_across(self) -> bool:
-        """Whether a reading depends on the forces along other axes."""
-        return bool(np.any(self.cross_talk))
-
 
 SensorParameters = parameter_block(SensorSection)
 

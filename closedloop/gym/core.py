@@ -261,17 +261,12 @@ class Core:
             self._variants[keys] = Variants(self.scenario, keys)
         scenario, elsewhere = self._variants[keys].scenario(tuple(values.values())), POSTURE in values
         problem = problem_of(scenario, None, self._cache, kept=not elsewhere)
-        if problem.steps != self.instants * self.steps or problem.row_width != self.now_width:
+        if problem.steps != self.instants * self.steps or problem.row_width != self.ensemble.rows.shape[1]:
             raise ScenarioError(
                 "options: the arm, time.step and time.duration of an environment cannot be changed: make another"
             )
         # The cache's table is overwritten for the next scenario of the same path.
         return problem if self.task.worlds is None or elsewhere else problem.with_table(problem.table.copy())
-
-    @property
-    def now_width(self) -> int:
-        """Numbers in a recorded row."""
-        return int(self.ensemble.rows.shape[1])
 
     def start(self, some: Sequence[int]) -> None:
         """Let the episodes of these environments begin."""

@@ -98,16 +98,13 @@ def _bounds(field: FieldInfo) -> tuple[float, float]:
             least = max(least, float(getattr(part, "gt", getattr(part, "ge", -math.inf))))
         elif isinstance(part, annotated_types.Lt | annotated_types.Le):
             most = min(most, float(getattr(part, "lt", getattr(part, "le", math.inf))))
-    for size in sizes(Annotated[field.annotation, *field.metadata, None]):
+    found = list(sizes(Annotated[field.annotation, *field.metadata, None]))
+    for size in found:
         least, most = max(least, -size.most), min(most, size.most)
     # Times, rates and gains have no bound below in their type where it takes a word or a list beside a number.
-    if _is_gain(field) or field_units(field) & {"s", "1/s", "1/s²"}:
+    if any(size.why == "no drive is so stiff" for size in found) or field_units(field) & {"s", "1/s", "1/s²"}:
         least = max(least, 0.0)
     return least, most
-
-
-def _is_gain(field: FieldInfo) -> bool:
-    return any(size.why == "no drive is so stiff" for size in sizes(Annotated[field.annotation, *field.metadata, None]))
 
 
 def _smallest(field: FieldInfo) -> float:

@@ -96,13 +96,9 @@ def attributes(run: Record) -> dict[str, Any]:
         "wall_seconds": run.wall_seconds,
         "not_finite": json.dumps(not_finite(run.columns)),
         "summary": json.dumps(run.summary()),
-    } | _more(run)
-
-
-def _more(run: Record) -> dict[str, str]:
-    """Return the attributes that only some runs have."""
-    more = {ADDED: as_text(run.added)} if run.added else {}
-    return more | ({HALVED: json.dumps(dict(run.halved))} if run.halved is not None else {})
+        **({ADDED: as_text(run.added)} if run.added else {}),
+        **({HALVED: json.dumps(dict(run.halved))} if run.halved is not None else {}),
+    }
 
 
 def _seed(run: Record) -> str:

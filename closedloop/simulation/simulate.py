@@ -266,7 +266,9 @@ def _simulated(
         failure = failure or interrupted(stop, float(run.time[-1]))
     if record and len(run):
         try:
-            run = with_own_columns(run, record)
+            check_names(record, {*dir(run), *RESERVED})
+            values, added = own_columns(run, record)
+            run = replace(run, columns={**run.columns, **values}, added={**run.added, **added})
         except LawError as error:
             if failure is None:
                 raise
@@ -275,13 +277,6 @@ def _simulated(
         failure.run = run
         raise failure
     return run
-
-
-def with_own_columns(run: Run, record: Recorded) -> Run:
-    """Return a run with columns of one's own besides; see `simulate`, and `own_columns` for its errors."""
-    check_names(record, {*dir(run), *RESERVED})
-    values, added = own_columns(run, record)
-    return replace(run, columns={**run.columns, **values}, added={**run.added, **added})
 
 
 def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:

@@ -85,12 +85,11 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
         return {_header(name, run.units(name)): values}
     known = part_labels(run.model.joint_names, run.model.coordinate_names, labels_of(run.scenario.contact or ()))
     entries = known.get(dims[1]) or tuple(map(str, range(1, values.shape[1] + 1)))
-    found = {}
+    found, (first, _, other) = {}, run.units(name).partition(" | ")  # of a turn and a slide, or of a force and a moment
     for k, entry in enumerate(entries):
-        if dims[1] == "coordinate":
-            unit = units_by_kind("rad", run.model.coordinate_types[k])
-        else:
-            unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
+        second = run.model.joint_types[k] == "prismatic" if dims[1] == "joint" else entry.startswith("m")
+        unit = units_by_kind("rad", run.model.coordinate_types[k]) if dims[1] == "coordinate" else first
+        unit = other if other and second else unit
         found[_header(f"{name} {entry}", unit)] = values[:, k]
     return found
 
@@ -102,18 +101,6 @@ def _reactions(run: Run) -> dict[str, NDArray[Any]]:
         return {}
     parts = zip(found.labels, found.units, found.reactions.T, strict=True)
     return {_header(f"reaction {label}", unit): values for label, unit, values in parts}
-
-
-def _of_joint(run: Run, name: str, joint: int) -> str:
-    """Return the unit of a column for one joint, which may turn or slide."""
-    turning, _, sliding = run.units(name).partition(" | ")
-    return sliding if sliding and run.model.joint_types[joint] == "prismatic" else turning
-
-
-def _of_part(units: str, entry: str) -> str:
-    """Return the unit of a part of a column; of a wrench it is that of a force or of a moment."""
-    force, _, moment = units.partition(" | ")
-    return moment if moment and entry.startswith("m") else force
 
 
 def _header(name: str, unit: str) -> str:

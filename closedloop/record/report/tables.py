@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -328,6 +328,7 @@ def print_report(run: Record, width: int | None = None, comparison: bool = False
     """
     from rich import box
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console(width=width, highlight=False)
@@ -349,7 +350,8 @@ def print_report(run: Record, width: int | None = None, comparison: bool = False
         return
     _print_values("how large every error was, at its worst", "value", report_rows(run), console)
     if comparison and run.halved is not None:
-        _print_halved(run.halved, console)
+        title = f"at half the step, {run.halved['step']:g} s, by how much it differs"
+        _print_values(title, "differs by", [tuple(map(escape, row)) for row in halved_rows(run.halved)], console)
     if run.events:
         _print_events(run, console)
     for note in notes(run):
@@ -375,14 +377,6 @@ def _print_verdict(facts: dict[str, Any], console: Console) -> None:
     for problem in problems + control["problems"]:
         when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
-
-
-def _print_halved(halved: Mapping[str, Any], console: Console) -> None:
-    """Print by how much the run at half the step differs."""
-    from rich.markup import escape
-
-    title = f"at half the step, {halved['step']:g} s, by how much it differs"
-    _print_values(title, "differs by", [tuple(map(escape, row)) for row in halved_rows(halved)], console)
 
 
 def _print_values(title: str, what: str, rows: Iterable[Sequence[str]], console: Console) -> None:

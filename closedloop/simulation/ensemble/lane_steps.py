@@ -308,7 +308,7 @@ def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: W
     asked = (
         settings.stages != 1, not settings.semi_implicit, settings.adaptive, settings.project, settings.encoder,
         settings.elastic, settings.drives, settings.arm_at, settings.balls, settings.misjudged,
-        state.sensor.axes > 1, sensor.talks_across, sensor.mass, sensor.jitter,
+        state.sensor.axes > 1, np.any(sensor.cross_talk), sensor.mass, sensor.jitter,
     )  # fmt: skip
     return (
         not jit_disabled()

@@ -281,20 +281,12 @@ def _product(x: Array, y: Array) -> Array:
     return np.einsum("ti,tk->ik", x, y)
 
 
-def correlation(residual: Array, used: Mask, lag: int = 1) -> Array:
-    """Return the correlation of the residuals of each joint with those `lag` windows before, (n,)."""
-    both = used[lag:] & used[:-lag]
-    x, y = residual[lag:] * both, residual[:-lag] * both
-    scale = np.sqrt((x**2).sum(axis=0) * (y**2).sum(axis=0))
-    return (x * y).sum(axis=0) / np.where(scale > 0.0, scale, 1.0)
-
-
 def whiteness(residual: Array, used: Mask) -> Array:
     """Return the probability that white residuals (R, n) are as correlated as these, (n,) (Ljung and Box)."""
-    found = np.ones(residual.shape[1])
-    for j in range(len(found)):
-        pairs = [(int((used[k:, j] & used[:-k, j]).sum()), k) for k in range(1, WHITENESS_LAGS + 1)]
-        rho = [correlation(residual, used, k)[j] for _, k in pairs]
-        statistic = sum(count * r * r for (count, _), r in zip(pairs, rho, strict=True))
-        found[j] = stats.chi2.sf(statistic, WHITENESS_LAGS)
-    return found
+    statistic = np.zeros(residual.shape[1])
+    for lag in range(1, WHITENESS_LAGS + 1):
+        both = used[lag:] & used[:-lag]
+        x, y = residual[lag:] * both, residual[:-lag] * both
+        scale = (x**2).sum(axis=0) * (y**2).sum(axis=0)
+        statistic += both.sum(axis=0) * (x * y).sum(axis=0) ** 2 / np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(stats.chi2.sf(statistic, WHITENESS_LAGS))

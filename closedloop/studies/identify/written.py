@@ -18,7 +18,7 @@ import json
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tomli_w
@@ -52,35 +52,9 @@ class Physical:
     relative_error: Array  # (n,): RMS error of the torque over its RMS, as `Identification.relative_error`
 
 
-def pseudo_inertia(parameters: Array) -> Array:
-    """Return J (4, 4) of ten parameters m, m c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
-    m, hx, hy, hz, xx, xy, yy, xz, yz, zz = parameters
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    J = np.empty((4, 4))
-    J[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    J[:3, 3] = J[3, :3] = hx, hy, hz
-    J[3, 3] = m
-    return J
-
-
-def _of_pseudo_inertia(J: Array) -> Array:
-    inertia = np.trace(J[:3, :3]) * np.eye(3) - J[:3, :3]
-    return np.array([
-        J[3, 3], *J[:3, 3], inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2], inertia[1, 2], inertia[2, 2],
-    ])  # fmt: skip
-
-
-def _body(z: Array) -> Array:
-    """Return the ten parameters of ten logarithms and shears: J = U Uᵀ, U upper triangular."""
-    alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = z
-    e1, e2, e3 = np.exp([d1, d2, d3])
-    U = np.exp(alpha) * np.array([[e1, s12, s13, t1], [0.0, e2, s23, t2], [0.0, 0.0, e3, t3], [0.0, 0.0, 0.0, 1.0]])
-    return _of_pseudo_inertia(U @ U.T)
-
-
-def _logarithms(parameters: Array) -> Array:
-    """Return z of ten parameters; of those that no body has, of the nearest that one has."""
-    values, vectors = linalg.eigh(pseudo_inertia(parameters))
+def _logarithms(inertia: Any) -> Array:
+    """Return z, Pinocchio's `LogCholeskyParameters`, of an inertia; of one that no body has, of the nearest."""
+    values, vectors = linalg.eigh(inertia.toPseudoInertia().toMatrix())
     J = (vectors * np.maximum(values, LEAST)) @ vectors.T
     flip = J[::-1, ::-1]
     U = linalg.cholesky(flip, lower=True)[::-1, ::-1]
@@ -91,6 +65,8 @@ def _logarithms(parameters: Array) -> Array:
 
 def physical(found: Identification) -> Physical:
     """Return the parameters of a robot that can be, nearest to what was identified."""
+    import pinocchio as pin
+
     names, n, base = found.regressor.names, found.robot.n, found.base
     solution, links = found.solution, 10 * found.robot.n
     told = solution.told
@@ -98,8 +74,7 @@ def physical(found: Identification) -> Physical:
     deviation = solution.deviation[told]
     scaled = solution.covariance[np.ix_(told, told)] / deviation / deviation[:, None]
     root = linalg.solve_triangular(linalg.cholesky(scaled, lower=True), np.diag(1.0 / deviation), lower=True)
-    inertias = list(found.robot.pinocchio_model().inertias)[1:]
-    start = np.concatenate([_logarithms(np.asarray(each.toDynamicParameters())) for each in inertias])
+    start = np.concatenate([_logarithms(each) for each in list(found.robot.pinocchio_model().inertias)[1:]])
     rest = np.zeros(len(names) - links)
     armature = dict(
         zip((f"drive_inertia_{joint}" for joint in found.robot.joint_names), found.robot.armature, strict=True)
@@ -116,9 +91,8 @@ def physical(found: Identification) -> Physical:
 
     def parameters(x: Array) -> Array:
         others = x[links:]
-        return np.concatenate(
-            [*(_body(z) for z in x[:links].reshape(n, 10)), np.where(held, others * others, others) * size]
-        )
+        bodies = [pin.LogCholeskyParameters(z).toDynamicParameters() for z in x[:links].reshape(n, 10)]
+        return np.concatenate([*bodies, np.where(held, others * others, others) * size])
 
     def residual(x: Array) -> Array:
         return np.concatenate([root @ (grouping @ parameters(x) - value), np.sqrt(PULL) * (x - x0)])
@@ -181,25 +155,24 @@ def report(found: Identification) -> list[str]:
 def friction_section(found: Identification) -> str:
     """Return the [joint_friction] of a scenario, and its friction of the load; what is not known is 0, and said so."""
     lines = ["# Friction identified from a log; intervals are in report.txt."]
-    rows = {}
-    for key, kind in (("kinetic", "dry"), ("viscous", "viscous")):
+
+    def row(kind: str) -> list[float]:
         if kind not in found.regressor.terms.friction:
-            rows[key] = [0.0] * found.robot.n
-            continue
+            return [0.0] * found.robot.n
         values = found.joints(kind)
-        rows[key] = [0.0 if e.why or e.value < 0.0 else float(f"{e.value:.6g}") for e in values]
         for e in values:
             if e.why or e.value < 0.0:
                 lines.append(f"# {e.name} is 0 here: {e.why or f'{e.value:.3g} was found, which no friction can be'}")
+        return [0.0 if e.why or e.value < 0.0 else float(f"{e.value:.6g}") for e in values]
+
+    rows = {"kinetic": row("dry"), "viscous": row("viscous")}
     if "offset" in found.regressor.terms.friction:
         offsets = ", ".join("?" if e.why else f"{e.value:.4g}" for e in found.joints("offset"))
         lines.append(f"# No law of friction has an offset; found were, N m: {offsets}")
     lines += ["[joint_friction]", 'kind = "coulomb_viscous"', *(f"{key} = {row}" for key, row in rows.items())]
     if LOAD in found.regressor.terms.friction:
-        shares = found.joints(LOAD)
-        lines += [f"# {e.name} is 0 here: {e.why or 'it was found below 0'}" for e in shares if e.why or e.value < 0.0]
-        row = [0.0 if e.why or e.value < 0.0 else float(f"{e.value:.6g}") for e in shares]
-        lines += ["", "[transmission]", f"load_friction = {row}"]
+        shares = row(LOAD)
+        lines += ["", "[transmission]", f"load_friction = {shares}"]
     return "\n".join(lines) + "\n"
 
 

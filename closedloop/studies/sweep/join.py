@@ -32,19 +32,11 @@ from closedloop.studies.sweep.store import FORMAT, Store, check_identity, occupi
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    from pyarrow.parquet import ParquetWriter
 
     from closedloop.studies.sweep.store import Store
 
 
 METADATA = "closedloop_sweep"
-
-
-def open_table(file: BinaryIO, columns: pa.Schema, description: str) -> ParquetWriter:
-    """Return the writer of a table with these columns and so many rows; `description` says what the sweep is."""
-    from pyarrow import parquet
-
-    return parquet.ParquetWriter(file, columns.with_metadata({METADATA: description}), write_page_checksum=True)
 
 
 def description_of(path: Path) -> str:
@@ -226,7 +218,10 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
 
     def write(done: Done) -> None:
         def write_table(file: BinaryIO) -> None:
-            with open_table(file, columns, description) as table:
+            from pyarrow import parquet
+
+            said = columns.with_metadata({METADATA: description})
+            with parquet.ParquetWriter(file, said, write_page_checksum=True) as table:
                 for rows in _rows(store, parts, done.check):
                     table.write_table(rows, row_group_size=2**30)
                     counts.add(rows)

@@ -4,8 +4,6 @@ A scenario may stand without `run`: ``closedloop wam_slide``. The module of a co
 table when the command is asked for, and no other one: each command starts as fast as it does alone.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -8,8 +8,6 @@ Base classes: `ControlLaw`, `Path`, `Integrator`, `SurfaceFriction`, `JointFrict
 `TORQUE`, `INERTIA`, `PERIOD`, `CURVATURE`, and `gain_in`, `stiffness_in`, `viscous_in` with a unit of one's own.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

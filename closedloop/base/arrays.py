@@ -1,7 +1,5 @@
 """The arrays that numbers are in, as types; and results as plain values, which JSON can hold."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

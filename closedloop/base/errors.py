@@ -6,8 +6,6 @@ The command line turns `ScenarioError` and `ModelError` into exit status 2 and
 `SimulationError` into exit status 3.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from robot_models.errors import ClosedLoopError as ClosedLoopError

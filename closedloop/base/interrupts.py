@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM: as exceptions, or deferred while something is being finished."""
 
-from __future__ import annotations
-
 import _signal  # type: ignore[import-not-found]  # what `signal` is made of
 import os
 import signal

@@ -1,7 +1,5 @@
 """Whether an address reaches this computer alone."""
 
-from __future__ import annotations
-
 import ipaddress
 
 

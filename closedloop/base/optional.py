@@ -1,7 +1,5 @@
 """Packages that a run does not need, and the extras of this package that install them."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 from closedloop.base.errors import ScenarioError

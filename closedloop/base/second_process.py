@@ -4,8 +4,6 @@ The second process is a copy of this one (`fork`), so that it has all that was i
 thing, or other threads are running, whose locks the copy would keep, the work is done here when its result is wanted.
 """
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

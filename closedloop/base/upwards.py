@@ -4,8 +4,6 @@ A user looks for functions at the object that he has; the imports of the package
 one table of them. ``closedloop.lab`` is a package, and a function as well.
 """
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Callable

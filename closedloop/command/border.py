@@ -8,8 +8,6 @@ A character that the encoding of standard output lacks is printed as its code. W
 (``| head -1``).
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import locale

@@ -3,8 +3,6 @@
 Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the scenario's run stops before its end.
 """
 
-from __future__ import annotations
-
 from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.command.border import DONE, Parser, as_command
 from closedloop.command.shared_options import parsed, print_outcome

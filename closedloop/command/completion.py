@@ -4,8 +4,6 @@ The script is made by shtab from the parsers of the commands and the schema of a
 one types. It is to be made again after an update.
 """
 
-from __future__ import annotations
-
 import io
 from argparse import ArgumentParser
 from contextlib import redirect_stdout, suppress

@@ -3,8 +3,6 @@
 ``python -m closedloop.run`` puts it first, so that a user's ``numpy.py`` would be imported as numpy.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -1,7 +1,5 @@
 """The command ``closedloop excite --robot NAME|FILE``: a motion within limits that identifies parameters best."""
 
-from __future__ import annotations
-
 from closedloop.base.errors import ModelError, printable
 from closedloop.command.border import DONE, Parser, as_command
 

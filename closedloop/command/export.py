@@ -1,7 +1,5 @@
 """The command ``closedloop export run.nc --to csv``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from closedloop.base.errors import OutputError

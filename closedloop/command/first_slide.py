@@ -9,8 +9,6 @@ Postures are drawn within the joint limits and kept if the tip is away from sing
 and the torques from theirs; each that is kept is simulated, the best first, until the verdict of a run is good.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

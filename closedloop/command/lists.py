@@ -1,7 +1,5 @@
 """Lists: ``closedloop scenarios``, and ``closedloop version``."""
 
-from __future__ import annotations
-
 from closedloop.command.border import DONE, Parser, as_command
 
 

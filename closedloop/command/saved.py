@@ -3,8 +3,6 @@
 Nothing is simulated, and no module of a user is imported: a run with a law of one's own can be looked at anywhere.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The command ``closedloop serve SCENARIO``."""
 
-from __future__ import annotations
-
 import os
 import sys
 import uuid

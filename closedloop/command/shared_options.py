@@ -1,7 +1,5 @@
 """Options that several commands share: --help SECTION and --explain KEY of a scenario, and how figures are drawn."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -5,8 +5,6 @@ A command is one line here. Its module is imported when the command is used, and
 as ``python -m validation.run`` does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple

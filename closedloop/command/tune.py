@@ -3,8 +3,6 @@
 Exit status: 0 done; 2 the input is at fault; 3 no point that was tried meets the constraints.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from closedloop.base.errors import ScenarioError

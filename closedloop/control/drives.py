@@ -33,8 +33,6 @@ it on robots about 2010. Elastic joints: M. Spong, Modeling and control of elast
 Systems, Measurement, and Control 109(4), 1987, with the usual assumption that the motors' gyroscopic torques are small.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal
 

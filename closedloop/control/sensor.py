@@ -21,8 +21,6 @@ between. A controller computes everything from its readings, so H, C, the tip's 
 that it sees are those of q_m and v_m.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import lru_cache

@@ -10,8 +10,6 @@ It converges if every eigenvalue of that recursion lies within the unit circle. 
 sensor too: along n its estimate follows f_c + d − f as the sensor gives it, so K_o is bounded as K_I is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

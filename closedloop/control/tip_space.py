@@ -1,7 +1,5 @@
 """Control in operational space: pseudo-inverses, motion errors, and the joint torque of a tip motion and force."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any
 

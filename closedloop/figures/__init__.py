@@ -19,8 +19,6 @@ for which the run has data. `STYLE` is their style, matplotlib's settings by the
 another width or font.
 """
 
-from __future__ import annotations
-
 from closedloop.figures.errors import closure_error, force_control
 from closedloop.figures.files import draw_figures, images_of, is_papers, save_figure
 from closedloop.figures.force import contact_force, friction_force, impacts

@@ -3,8 +3,6 @@
 `closedloop.figures.style` makes pages; this module is apart because it imports matplotlib.
 """
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import matplotlib as mpl

@@ -9,8 +9,6 @@
 Importing this module registers the environments; it needs ``pip install "closedloop[gym]"``.
 """
 
-from __future__ import annotations
-
 try:
     import gymnasium
 except ImportError:  # the extra is not installed

@@ -3,8 +3,6 @@
 And what an action sets: torques, the desired force, a displacement of the desired tip, or parameters of the law.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

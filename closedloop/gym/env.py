@@ -1,7 +1,5 @@
 """The single environment, and the vector environment: many episodes side by side in compiled code, on all cores."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -5,8 +5,6 @@ numbers, an ending (N,) truths. Terms that ship are zero or negative, so that an
 by it: what it would have cost at most is then due at once (`failed`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What an environment shows: a picture drawn without a display, or the arm in the browser."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ there, inherited from the process that started it and released when it ends.
 With ``CLOSEDLOOP_BACKGROUND_COMPILE=0`` there are no such processes: code is compiled before it is run.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import subprocess

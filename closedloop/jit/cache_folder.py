@@ -10,8 +10,6 @@ name, the marker, the owner, and the name and the end of every file in it are ch
 with anything else in it is kept.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

@@ -14,8 +14,6 @@ memory and calls it, at some 2 ns over an inlined call, and is not compiled agai
 In interpreted code an address is a negative number under which the Python function is registered, or machine code's.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from functools import cache, lru_cache

@@ -5,8 +5,6 @@ makes arrays of dual numbers, and every kernel is replaced by its twin. So memor
 as n floats has n dual numbers in this form, and no formula is written twice.
 """
 
-from __future__ import annotations
-
 import math
 import types
 from collections.abc import Callable, Iterator

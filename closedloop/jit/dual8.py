@@ -16,8 +16,6 @@ bracket have none. Where it has been found, one Newton step gives them:
 Of floats these do nothing; `has_derivatives` says so when compiling, and the whole of it is left out.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 # The derivatives that `along` gives an unknown, so large that what others the function has are below rounding.

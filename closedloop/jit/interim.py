@@ -1,7 +1,5 @@
 """What begins a run before its kernels are compiled: calls that are interpreted as long as that is sooner."""
 
-from __future__ import annotations
-
 import time as clock
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence

@@ -5,8 +5,6 @@ every compiled function is replaced by its twin. Both do IEEE arithmetic in the 
 to the last bit; `math.hypot`, which Python implements itself, is the C library's in the twin, as in compiled code.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import types

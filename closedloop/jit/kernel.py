@@ -8,8 +8,6 @@ calls. numba decides from the text of *one* file whether a cached function is st
 inside a cached `step.py`. So the cache is our own, in a folder named by a digest of all kernel files.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from functools import cache, update_wrapper

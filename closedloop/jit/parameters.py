@@ -5,8 +5,6 @@ class Spring(ControlLaw):
     kd: Annotated[Gain, gain_in("N m s/rad")] = ...                par.kd[j]           one for each joint
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache

@@ -19,8 +19,6 @@ Operations on all lanes of an array are compiled as a loop, and interpreted as o
 Interpreted, `range` is one slice of all lanes, so that the line is done once; the numbers are the same to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, TypeVar

@@ -4,8 +4,6 @@ Both take locks, numba for all of a compilation and LLVM for each call of its li
 taken or released would leave it taken, and the next thread that asks would wait for ever.
 """
 
-from __future__ import annotations
-
 import gc
 import signal
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ What numba says of a user's function that it cannot compile, in one line: place,
 Users' code: the line at which it failed, and a digest of its text.
 """
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 import inspect

@@ -1,7 +1,5 @@
 """What a page may ask of the lab, and what comes of it: a slider is moved, a run is pinned, a file is written."""
 
-from __future__ import annotations
-
 import logging
 import math
 import sys

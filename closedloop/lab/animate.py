@@ -5,8 +5,6 @@ computer or that which the package imageio-ffmpeg carries. What stands still is 
 and what moves is drawn over it.
 """
 
-from __future__ import annotations
-
 import io
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """From the changes of a scenario to a run, or to the one line that says what is wrong with them."""
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ A panel's curves share their times. A reduced panel keeps, of each trace, the le
 of the time shown, so that an overshoot of one row stays visible.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 None of it may delay the next curves, so it waits for a rest, or for a while where the slider goes on moving.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

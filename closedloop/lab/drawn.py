@@ -7,8 +7,6 @@ length of the header, which is JSON, padded to whole words; behind it are the ar
 they begin and how many numbers they have. `web/numbers.js` reads them.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

@@ -1,7 +1,5 @@
 """The controls of a scenario as the page shows them: rows with their spans and values, in groups by what they mean."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any

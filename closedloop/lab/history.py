@@ -5,8 +5,6 @@ history.change("law.force", 12.0)
 history.command()                   # closedloop wam_slide --law.force 12.0
 """
 
-from __future__ import annotations
-
 import shlex
 import time as clock
 from collections.abc import Callable, Mapping, Sequence

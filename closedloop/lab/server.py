@@ -5,8 +5,6 @@ the token alone, a random word in the page's address, ``http://127.0.0.1:8080/?t
 ``/0123...``, as it opens its websocket below its own address, and a cookie would go to servers on other ports as well.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

@@ -1,7 +1,5 @@
 """A run as one page of HTML: the page of the lab without its server, in a file that needs no network; and shown."""
 
-from __future__ import annotations
-
 import html
 import tempfile
 from collections.abc import Sequence

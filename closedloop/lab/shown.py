@@ -1,7 +1,5 @@
 """The lab's page for what another part of the program simulates: it is told what to draw, and moves nothing there."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Any

@@ -8,8 +8,6 @@ coal, negative where they overlap; those from a plane are exact. Looked at is a 
 nearest of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Reading a run that `closedloop.record.save` wrote: what its checksum does not vouch for is refused."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -12,8 +12,6 @@ file without one was changed by another program, which cuts it off; HDF5 opens t
 another file are not read.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

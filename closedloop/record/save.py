@@ -5,8 +5,6 @@ bytes, and the attribute `checksum`, of what a run is made of, which still holds
 file. `closedloop.record.load` reads it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

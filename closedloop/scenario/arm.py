@@ -1,7 +1,5 @@
 """The arm of a scenario: a robot with its tip, gravity, the tool on it and the payload in it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any

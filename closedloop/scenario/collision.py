@@ -11,8 +11,6 @@ With a plane that is all that can touch. With a curved or moving surface balls a
 Two links touch by `pair_of`: balls, corners and edges of the one with the other.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

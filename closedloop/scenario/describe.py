@@ -1,7 +1,5 @@
 """What sections, keys and kinds of a scenario are, in words: for --help and --explain."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ Unknown keys are errors; `kind` picks a variant, or a member of a family of plug
 user's own too where an override or Python names it.
 """
 
-from __future__ import annotations
-
 import difflib
 import os
 from collections.abc import Mapping

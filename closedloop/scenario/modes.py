@@ -23,8 +23,6 @@ contact the free arm is judged. Contact, friction and other postures change the 
 refusal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 

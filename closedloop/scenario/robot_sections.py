@@ -1,7 +1,5 @@
 """The robot of a scenario: [robot], its [tool], free [[body]], [[external_force]], [belief] and [model_error]."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal, Self
 

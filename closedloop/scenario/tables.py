@@ -21,8 +21,6 @@ cells which are cut by the edge of what presses.
 K. L. Johnson, Contact Mechanics, 1985, Sec. 4.3 (the elastic foundation).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from functools import cache

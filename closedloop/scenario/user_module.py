@@ -6,8 +6,6 @@ The module, and what it imports, may be in the current folder. That folder is se
 of an installed one is refused.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

@@ -9,8 +9,6 @@ on: a torque acts from the next instant, one period long and until the next one 
 period after it began to act. While no client is there, time stands still.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct

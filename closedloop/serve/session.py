@@ -4,8 +4,6 @@ An interface is ports, and a loop that serves their clients. Real time has insta
 clock.
 """
 
-from __future__ import annotations
-
 import time
 from typing import ClassVar
 

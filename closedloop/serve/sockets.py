@@ -4,8 +4,6 @@ A client that closes its socket, half of it or all of it, that breaks the connec
 to it, is gone; the next one is served. While a client is there, others are refused.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import struct

@@ -5,8 +5,6 @@ a head, its length with the head and a letter, and a body. A client names the fi
 then gets them at the rate it has requested. docs/ur.md says what is emulated and what is not.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Any

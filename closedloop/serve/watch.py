@@ -3,8 +3,6 @@
 The page only shows: it moves nothing, and what it asks for is another part of the time or another column.
 """
 
-from __future__ import annotations
-
 import sys
 import threading
 import time

@@ -1,7 +1,5 @@
 """What runs that are kept in a file depend on beside what is asked for: robots, classes of users, versions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How far along a range a number is, as a share from 0 to 1; the range may be even in its logarithm."""
 
-from __future__ import annotations
-
 import math
 
 

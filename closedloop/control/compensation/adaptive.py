@@ -16,8 +16,6 @@ Source: J. Craig, P. Hsu, S. Sastry, Adaptive control of mechanical manipulators
 whose regressor is cut down to friction.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field

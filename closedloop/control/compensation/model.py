@@ -9,8 +9,6 @@ u and v are the desired velocities, which carry no noise and do not chatter abou
 Source: the Stribeck curve in the form of Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30(7), 1994.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, ClassVar
 

@@ -1,7 +1,5 @@
 """No compensation of friction."""
 
-from __future__ import annotations
-
 from closedloop.control.law import Compensation
 
 

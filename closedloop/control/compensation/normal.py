@@ -15,8 +15,6 @@ unknown constraint, IEEE Trans. Robotics and Automation, 1993, who take the norm
 tangent from the motion.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, ClassVar
 

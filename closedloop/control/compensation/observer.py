@@ -12,8 +12,6 @@ Sources: K. Ohnishi, M. Shibata, T. Murakami, Motion control for advanced mechat
 Electronics 47(4), 2000.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field

@@ -18,8 +18,6 @@ Control 99(2), 1977; H. Seraji, Adaptive admittance control: an approach to expl
 motion, IEEE ICRA 1994.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field

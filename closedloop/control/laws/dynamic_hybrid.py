@@ -12,8 +12,6 @@ Source: T. Yoshikawa, Dynamic hybrid position/force control of robot manipulator
 calculation of joint driving force, IEEE J. Robotics and Automation 3(5), 1987.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from closedloop.base.arrays import Array

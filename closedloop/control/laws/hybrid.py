@@ -17,8 +17,6 @@ Sources: M. Raibert, J. Craig, J. Dynamic Systems, Measurement and Control 103(2
 position/force control: a correct formulation, Int. J. Robotics Research 11(4), 1992.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import Field

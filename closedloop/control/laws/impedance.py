@@ -16,8 +16,6 @@ Source: N. Hogan, Impedance control: an approach to manipulation, J. Dynamic Sys
 1985.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import Field

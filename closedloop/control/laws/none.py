@@ -1,7 +1,5 @@
 """[law] kind = "none": no torque, so that gravity and what touches the bodies move them."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from pydantic import Field

@@ -13,8 +13,6 @@ Source: O. Khatib, A unified approach for motion and force control of robot mani
 formulation, IEEE J. Robotics and Automation 3(1), 1987. All of C is compensated here, not only its part at the tip.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from closedloop.base.arrays import Array

@@ -11,8 +11,6 @@ The paper has no force sensor. With `force_feedback` or `force_integral`, which 
 `closedloop.control.law.commanded_force` replaces f_des.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """The desired contact force over time, and lists of instants, points and forces in a section."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal
 

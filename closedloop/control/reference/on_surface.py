@@ -28,8 +28,6 @@ is put back onto the surface and the tangents into its plane. Between knots the 
 their r, r' and r'', which is checked midway: where it is off, the point midway becomes a knot.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ A user's path is a class derived from `Path`, with its parameters as typed field
 Those that ship are in `closedloop.control.reference.paths`, one file each, written the same way.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, Literal, Protocol

@@ -3,8 +3,6 @@
 `table[:, Reference.place("force", n)]` is a column of it.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from closedloop.base.arrays import Array

@@ -5,8 +5,6 @@ motion of T seconds to the path parameter s and its derivatives ṡ and s̈; s, 
 at constant speed would be at the same point. So s runs from 0 to T, and ṡ is the speed as a multiple of the mean speed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

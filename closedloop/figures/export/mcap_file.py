@@ -18,8 +18,6 @@ Times count from 0, the start of the run. The scenario's text is attached as sce
 A bag of rosbag2 is a folder with the same messages in an MCAP file, and metadata.yaml.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from importlib.util import find_spec

@@ -12,8 +12,6 @@ are a motor for each joint with a drive, a site `tip`, and keyframes of the run'
 The law, the closure and friction are no part of it: contact in MuJoCo is soft, and its force differs.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Events are written beside it, or into it, likewise.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ Nothing here knows how it is drawn. The lab, the page of `Run.show` and the test
 that the tip touches it has a patch around the paths, or the whole of one that has an edge.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

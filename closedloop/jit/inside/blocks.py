@@ -11,8 +11,6 @@ Kernels count no references, so a compiled function cannot return a view: numba 
 Calls by address in compiled code; see `closedloop.jit.calls`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

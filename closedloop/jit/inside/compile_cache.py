@@ -7,8 +7,6 @@ run goes on. What a compiled function depends on outside of the package are user
 constants.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

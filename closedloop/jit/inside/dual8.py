@@ -3,8 +3,6 @@
 The value, lane 0, is what a float would be to the last bit: the derivatives never enter it.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Callable

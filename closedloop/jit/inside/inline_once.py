@@ -11,8 +11,6 @@ was a third, most of it in Python. The code means the same, but in kernels of th
 it is not tested.
 """
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Callable
 from types import CodeType

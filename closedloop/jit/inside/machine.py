@@ -1,7 +1,5 @@
 """What compiled code depends on beside its source: versions of the compiler, its settings, the processor."""
 
-from __future__ import annotations
-
 import sys
 from functools import lru_cache
 from typing import Any

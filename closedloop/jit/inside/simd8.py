@@ -7,8 +7,6 @@ Both are a register of eight float64. They differ in what each operation does wi
 (`closedloop.jit.inside.dual8`).
 """
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Callable

@@ -4,8 +4,6 @@ numba finds the type of `a * b` by trying all that is known of `*` in turn (stri
 each such expression several times. Of numbers and of arrays of numbers the answer depends on their types alone.
 """
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -31,8 +31,6 @@ RK4) where the least is 0.41, 0.71 and 0.34. Rounding needs no bound of its own:
 h = 1 ms, and by 1/h² more with shorter steps. `closedloop study drift` measures all of this.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -12,8 +12,6 @@ done for all rows together. Measured, for n joints, one row at a time and so, µ
 Computing H anew from the record's q after the run would take 0.36 µs a row of four joints, half of a whole step.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from closedloop.base.arrays import Array, IntArray

@@ -10,8 +10,6 @@ that sticks needs all three; a tip that slides has F_t = −c f − w, with c an
 first line reads (S_nn − S_nt c) f = b_s − a_n + S_nt w and is solved at once, without iteration or delay.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from closedloop.base.arrays import Array, IntArray

@@ -10,8 +10,6 @@ equation is solved by Cholesky of H and the Schur complement A H⁻¹Aᵀ (`clos
 which is faster, detects a singular pose, and separates the stabiliser's share of f. Tests compare the two.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

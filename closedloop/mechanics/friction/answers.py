@@ -3,8 +3,6 @@
 An entry of a law has its numbers from where its loop has them, and calls what `answers` makes of the law.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any

@@ -21,8 +21,6 @@ A semi-implicit Euler step h of it is stable for ω²h² + 4ζωh < 4 (Jury's te
 2ζωh), and that also bounds a step with `advance`, whose bristles before slip move as the tip does.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ contact.advance(np.array([0.01, 0.0]), 1e-3)
 c, w = contact.slide(np.array([0.01, 0.0]))
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -28,8 +28,6 @@ the arrays that they are given.
 The parameters of a section of friction, by name: of the surface, or of each joint.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 

@@ -11,8 +11,6 @@ within the step, d is such that it goes straight to rest. A slip that has only j
 has left of it has no direction, and must decide nothing.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -28,8 +28,6 @@ itself is the parameter and the polynomials end at the second order (`expand_str
 Work is that of the normal impulse, dW = u_n dP_n, and energy the change of kinetic energy, dE = u·dP.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

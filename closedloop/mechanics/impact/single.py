@@ -18,8 +18,6 @@ sign (the phase changes), where it turns round (so that inside a piece it is mon
 end of a series, or at the end of the impact.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal

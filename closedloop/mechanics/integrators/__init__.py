@@ -9,8 +9,6 @@
 One kernel advances them all (`closedloop.loop.step.advance`), so a scheme is numbers only and is not compiled.
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """The start of a mechanism with loops: a posture and a velocity that close them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

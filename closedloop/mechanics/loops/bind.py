@@ -1,7 +1,5 @@
 """What the loop joints of a robot bind, as the rows that the loop reads."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -6,8 +6,6 @@ moved along the loops by what the measure has changed since the last stage, whic
 The loops of a mechanism whose tip follows a path: postures that close them, and motions that keep them so.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -14,8 +14,6 @@ do not, W Wᵀ Q_p, which is what gives power to motions that no drive takes par
 the loops. In a tree all of Q_p is lost.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -10,8 +10,6 @@ Rows that depend on others (a doubled link, a Bennett linkage) are nothing once 
 number is found at each state: no row is regularised.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array, IntArray

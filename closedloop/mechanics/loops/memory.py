@@ -1,7 +1,5 @@
 """The memory of a mechanism's loop joints: what they bind, and their rows at the state asked about last."""
 
-from __future__ import annotations
-
 from typing import Annotated, NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ rows of loops frame k is link −2 − k, and its pose is in the scratch of the 
 rows (`closedloop.mechanics.robot.tree.layout`), so that a row reads either side alike; V is its velocity, m/s.
 """
 
-from __future__ import annotations
-
 from math import inf
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@ changes it by |q̇|² e/s³: with e of rounding, 1e-15 m, by 1e-5 rad/s² at s =
 such a pose the quotient is interpolated between states on both sides of it, closed to rounding, along the velocity.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -6,8 +6,6 @@ second side. The rows have axes of their own (`closedloop.mechanics.loops.bind`)
 What the loop joints of a mechanism carried in a run: their reactions, and how far they were from closed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 

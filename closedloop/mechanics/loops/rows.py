@@ -12,8 +12,6 @@ A loop joint of the paper is a set of them: its R (Eq. 2) has the forces of thes
 Ṙᵀ(vₙ − v₀) + Rᵀ(aₙ − a₀) at q̈ = 0 (Eqs. 3, 5).
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -10,8 +10,6 @@ directions. Both follow from the rows solved for the joints that they determine 
 as G = B [1 R], in the order of elimination, [1 R] L⁻ᵀ spans the rows of Z and [−Rᵀ 1] L what they leave.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

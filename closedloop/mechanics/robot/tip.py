@@ -6,8 +6,6 @@ inside the compiled step, which saves three calls. `Robot.terms` gets the same q
 functions; a test holds the two equal.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 

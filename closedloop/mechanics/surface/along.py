@@ -3,8 +3,6 @@
 And the gradient of φ at points of a motion: where it vanishes or jumps the surface has no normal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -15,8 +15,6 @@ P. do Carmo, Differential Geometry of Curves and Surfaces, Prentice-Hall 1976, Â
 positive: there a ball of radius g does not fit into the hollow.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import Annotated, NamedTuple

@@ -14,8 +14,6 @@ and the functions named here: a file that holds a formula can make no code run. 
 instructions, each of which is the result of one operation on the results before it, with equal parts computed once.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import warnings

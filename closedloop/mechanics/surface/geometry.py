@@ -21,8 +21,6 @@ they are. What rubs on it slips with t·v − t·V, so that along a tangent t th
 − ṫ·V − t·V̇ more.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import numpy as np

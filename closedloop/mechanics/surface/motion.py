@@ -7,8 +7,6 @@ with its parameters as typed fields and the one function `move`. Those that ship
 `closedloop.mechanics.surface.motions`, one file each, written the same way.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, ClassVar
 

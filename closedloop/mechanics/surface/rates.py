@@ -1,7 +1,5 @@
 """Whether a motion of a surface of a user's own moves as it says."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from closedloop.base.arrays import Array

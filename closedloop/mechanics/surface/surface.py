@@ -28,8 +28,6 @@ Those that ship are in `closedloop.mechanics.surface.kinds`, one file each, writ
 surface means for the tip is the same for all of them: `closedloop.mechanics.surface.geometry`.
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from typing import Annotated, Any, ClassVar, Literal

@@ -1,7 +1,5 @@
 """The contacts of the links, and forces from outside, in space: where each is, and the force that it carries."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 

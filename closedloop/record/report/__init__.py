@@ -1,7 +1,5 @@
 """What a run says of itself: its verdict, the paper's five assumptions, and how large every error was."""
 
-from __future__ import annotations
-
 from closedloop.record.report.measures import NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.record.report.summary import assumptions, energy_balance, summarise
 from closedloop.record.report.tables import notes, print_report, report_rows

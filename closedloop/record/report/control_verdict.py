@@ -21,8 +21,6 @@ counts while contact is commanded; with F, the root of the mean square of f_des 
 The later half leaves a run the first for its transients: an approach, the bounces of a touchdown, a break-away.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache

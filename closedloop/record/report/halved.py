@@ -6,8 +6,6 @@ contact force and of the tip's position, for any scheme: apart from rows beside 
 the force jumps at an instant that moves with the step, and which the table of events has.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any

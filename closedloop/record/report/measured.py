@@ -4,8 +4,6 @@ What a row has to say is `closedloop.record.report.measures`; here is how the ro
 other. `closedloop.record.report.run_values` counts in the columns of a `Run`, many rows at a time.
 """
 
-from __future__ import annotations
-
 import math
 from types import new_class
 from typing import Annotated, Any

@@ -14,8 +14,6 @@ Both forms are needed: a batch has one row at a time, of one run or of eight; a 
 loop would take a thousand times as long. `tests/closedloop/record/test_measured.py` holds them equal.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np

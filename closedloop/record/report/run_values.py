@@ -6,8 +6,6 @@ of it over the rows is numpy's here; `closedloop.record.report.measured` has it 
 rows of wam_slide, and compiling it 10 s.
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@
 An assumption is reported as held only if it was checked at every row; the value that decides stands beside it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -23,8 +23,6 @@ An ideal actuator is the paper's assumption, and nothing in the loop is cut unle
 the arm's own limits is right about an arm that is not this one, which is no good run of this one.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

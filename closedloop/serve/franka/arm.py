@@ -5,8 +5,6 @@ it. It needs seven joints joint1 ... joint7, a link link8 (the flange), and an e
 depend on the position, which a URDF of another source does not have: those here leave the joint's own limit as it is.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from xml.etree import ElementTree as ET

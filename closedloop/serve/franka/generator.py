@@ -18,8 +18,6 @@ model of the controller does not explain, τ_J − (H q̈ + C), so positive wher
 they and the wrench at K that they make are filtered by a low pass of first order.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 

@@ -4,8 +4,6 @@ A finger follows a wanted position that moves with the commanded speed, pulled b
 at most that of the command. Where the scenario has no free finger, the width stays, and every motion fails.
 """
 
-from __future__ import annotations
-
 import math
 import socket
 import time

@@ -5,8 +5,6 @@ again if no command comes, since a client may read several before it commands. I
 while a client is connected; between motions the arm holds its place.
 """
 
-from __future__ import annotations
-
 import socket
 import time
 from collections import deque

@@ -4,8 +4,6 @@ Facts from the headers research_interface/robot and research_interface/gripper o
 10 and gripper server version 3. All is little-endian and without padding.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Any, NamedTuple

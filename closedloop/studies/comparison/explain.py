@@ -5,8 +5,6 @@ into account that neighbouring rows of a residual are alike: N is divided by the
 sum of its autocorrelations (Bartlett). Here are hypotheses for joints and for torques, too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

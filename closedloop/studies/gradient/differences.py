@@ -10,8 +10,6 @@ shortened until both are so, and each quantity has the derivative of the table w
 A direction in which other events happen on one side, however short the step, has one-sided derivatives alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

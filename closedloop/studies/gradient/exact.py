@@ -16,8 +16,6 @@ they are. Where a slip ends, or a time step finds the modes of the contacts, the
 derivatives beyond it are less exact (`not_unique`).
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace

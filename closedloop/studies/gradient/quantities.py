@@ -1,7 +1,5 @@
 """What derivatives are taken of, quantities of a run, and with respect to what, numbers of its scenario."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

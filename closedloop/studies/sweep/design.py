@@ -1,7 +1,5 @@
 """The values of the runs of a sweep: its axes, a grid, draws."""
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

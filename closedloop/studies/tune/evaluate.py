@@ -7,8 +7,6 @@ A run whose numbers mean nothing, since it shakes or its step does not resolve t
 ringing loop may look best.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

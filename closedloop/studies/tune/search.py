@@ -5,8 +5,6 @@ derivatives where the worst itself has a kink; or the mean. What ends a search i
 conditions are solved for multipliers, and the part of the gradient that they do not explain is `Found.slope`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

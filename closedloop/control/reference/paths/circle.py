@@ -1,7 +1,5 @@
 """[reference] kind = "circle": x = radius (1 − cos φ) along `direction`, −radius sin φ along n × direction."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """[reference] kind = "figure_eight": x = (width/2) sin φ along `direction`, (height/2) sin 2φ along n × direction."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

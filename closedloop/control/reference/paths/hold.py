@@ -1,7 +1,5 @@
 """[reference] kind = "hold": r(t) = r(0)."""
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.control.reference.path import Path
 from closedloop.control.reference.tip_path import TipPath

@@ -1,7 +1,5 @@
 """[reference] kind = "line": r(t) = r(0) + speed · s(t) · direction, s of `closedloop.control.reference.tip_path`."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

@@ -4,8 +4,6 @@ The total time is divided so that passes and steps have the same peak accelerati
 proportional to length/T²: the time of each segment is proportional to √length.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import numpy as np

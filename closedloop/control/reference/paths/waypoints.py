@@ -1,7 +1,5 @@
 """[reference] kind = "waypoints": r(times[k]) = r(0) + points[k], straight in between."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

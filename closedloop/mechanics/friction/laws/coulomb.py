@@ -8,8 +8,6 @@ Source: C. A. Coulomb, Théorie des machines simples, 1785, and any textbook.
 Parameters: the coefficient μ >= 0 (dry steel on steel about 0.1-0.6), or for a joint the Coulomb torque, N m.
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from pydantic import Field

@@ -9,8 +9,6 @@ as the part w = b u.
 Parameters: μ >= 0, or for a joint the Coulomb torque, N m; b >= 0, N s/m, or for a joint N m s/rad.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic import Field

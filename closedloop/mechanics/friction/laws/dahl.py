@@ -19,8 +19,6 @@ Parameters: μ > 0, or for a joint the Coulomb torque, N m; σ_0 > 0, 1/m (N m/r
 deflection, of the order of 1-50 µm for metals; b >= 0, N s/m (N m s/rad). States: z (d,), m (rad).
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from pydantic import Field

@@ -14,8 +14,6 @@ Parameters: 0 <= μ_k <= μ_s, or for a joint torques, N m; D_v > 0, m/s (rad/s)
 interest; b >= 0, N s/m (N m s/rad).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic import Field

@@ -35,8 +35,6 @@ m/rad); σ_1 >= 0, s/m (N m s/rad); v_d > 0, m/s, infinite as published; b >= 0,
 (d,), m (rad).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@
 No parameters, no states.
 """
 
-from __future__ import annotations
-
 from closedloop.mechanics.friction.law import JointFriction, SurfaceFriction
 
 

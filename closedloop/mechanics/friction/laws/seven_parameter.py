@@ -28,8 +28,6 @@ F_S∞ 0.001-0.1 of the normal force; k_t = (F_C + F_S)/δx with δx 1-50 µm, 1
 t_d, s; F_Sa; x (d,), m (rad).
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from pydantic import Field

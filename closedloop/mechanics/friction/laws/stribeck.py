@@ -12,8 +12,6 @@ Parameters: 0 <= μ_k <= μ_s, or for a joint torques, N m; v_s > 0, m/s (rad/s)
 (N m s/rad).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Kinematic: it prescribes a velocity, and can create energy where slip reverses o
 impact is then cut off at the instant when the energy is back at its value before.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from closedloop.mechanics.impact.single import Restitution

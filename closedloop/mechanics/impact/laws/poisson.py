@@ -3,8 +3,6 @@
 Kinetic: the energy never grows.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from closedloop.mechanics.impact.single import Restitution

@@ -4,8 +4,6 @@ Energetic: the normal impulse and friction each take energy, by themselves. Sour
 collisions with friction, Proc. R. Soc. A 431, 1990.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from closedloop.mechanics.impact.single import Restitution

@@ -17,8 +17,6 @@ Pinocchio's calls for these terms cost half a microsecond each and are made from
 the loop that uses them.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.robot.tree import layout as at

@@ -3,8 +3,6 @@
 Springs of joints and tendons: their forces, as part of C, and their energy; see `robot_models.tendon`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from closedloop.base.arrays import Array

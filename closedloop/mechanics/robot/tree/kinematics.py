@@ -16,8 +16,6 @@ where a revolute joint has no ḋ, and a prismatic one adds nothing to ω and α
 quaternion; with the rates s in the link's axes, ω = ω_p + s and α = α_p + ω_p × s.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -5,8 +5,6 @@ i // 4, and one row of a block holds one number of each of four joints, handled 
 their offset in a block; lanes without a joint hold zeros.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from closedloop.base.arrays import Array, IntArray

@@ -10,8 +10,6 @@ the centre of mass are added to the parent, and with the origin there the link i
 unchanged.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any, NamedTuple
 

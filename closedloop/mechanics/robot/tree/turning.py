@@ -1,7 +1,5 @@
 """Small steps of a posture, of which ball joints turn: a rotation vector is not advanced by adding to it."""
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

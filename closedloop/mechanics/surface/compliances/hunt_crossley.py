@@ -7,8 +7,6 @@ Source: K. H. Hunt, F. R. E. Crossley, Coefficient of restitution interpreted as
 Mechanics 42(2), 1975.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import Field

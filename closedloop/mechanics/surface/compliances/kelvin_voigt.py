@@ -1,7 +1,5 @@
 """[compliance] kind = "kelvin_voigt": a linear spring and a linear damper side by side, f = k δ + d δ̇."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """[compliance] kind = "none": the surface is rigid, as in the paper."""
 
-from __future__ import annotations
-
 from closedloop.mechanics.surface.surface import Compliance
 
 

@@ -1,7 +1,5 @@
 """[surface] kind = "box": a block, touched from outside; its faces, edges and corners by a ball, faces by a point."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, ClassVar
 

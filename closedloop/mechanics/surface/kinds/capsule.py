@@ -1,7 +1,5 @@
 """[surface] kind = "capsule": a round bar with round ends, touched from outside."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, ClassVar
 

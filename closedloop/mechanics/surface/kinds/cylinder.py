@@ -1,7 +1,5 @@
 """[surface] kind = "cylinder": a round bar, or the inside of a pipe."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any
 

@@ -3,8 +3,6 @@
 Its φ is no distance: |∇φ| differs from 1 off the pole and off the surface.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import Field

@@ -3,8 +3,6 @@
 The spline goes through the heights, and is mirrored at the edge of the grid, which is the edge of the surface too.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import numpy as np

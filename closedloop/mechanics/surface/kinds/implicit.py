@@ -1,7 +1,5 @@
 """[surface] kind = "implicit": φ(x, y, z) = 0 with φ a formula, whose derivatives are exact (`second_order`)."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import numpy as np

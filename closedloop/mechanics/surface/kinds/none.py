@@ -1,7 +1,5 @@
 """[surface] kind = "none": the tip touches nothing."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """[surface] kind = "plane": n·p = d in the base frame, the paper's surface (Eq. 11)."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import Field

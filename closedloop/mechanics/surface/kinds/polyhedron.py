@@ -10,8 +10,6 @@ radius s cos α/sin² α, which is 1.4 s at 90 degrees.
 Source: S. Boyd and L. Vandenberghe, Convex Optimization, 2004, section 3.1.5 (the log-sum-exp function).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """[surface] kind = "sphere": |p − c| = R, touched from outside or from inside (a bowl)."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """[surface_motion] kind = "belt": material that runs along a surface, which stays where it is."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic import Field

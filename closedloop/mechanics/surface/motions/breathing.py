@@ -1,7 +1,5 @@
 """[surface_motion] kind = "breathing": to and fro along a direction, A (1 − cos 2πft)/2 from where it starts."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """[surface_motion] kind = "conveyor": at constant velocity, with its shape and its edges; `belt` leaves them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """[surface_motion] kind = "none": the surface is at rest, as in the paper."""
 
-from __future__ import annotations
-
 from closedloop.mechanics.surface.motion import SurfaceMotion
 
 

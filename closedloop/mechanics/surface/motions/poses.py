@@ -8,8 +8,6 @@ with zero velocity and acceleration at both ends, so that both have four continu
 Source: G. S. Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2, 2012, section 10.8 (SO(3)).
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Annotated, Any, Self

@@ -1,7 +1,5 @@
 """[surface_motion] kind = "transfer": from one pose to another, at rest before and after, by a cycloid."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Self
 

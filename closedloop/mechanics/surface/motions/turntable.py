@@ -1,7 +1,5 @@
 """[surface_motion] kind = "turntable": turning at constant speed about a fixed axis."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""The arrays that numbers are in, as types; and results as plain values, which JSON can hold."""
+"""The arrays that numbers are in, as types; numbers in texts and ranges; results as plain values, which JSON can hold."""
 
 import math
 from collections.abc import Mapping
@@ -11,6 +11,24 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+
+def number_of(text: str) -> float | None:
+    """Return the number that a text is, None if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def number_at(low: float, high: float, log: bool, share: float) -> float:
+    """Return the number at a share of the way from `low` to `high`, which may be even in its logarithm."""
+    return float(low * (high / low) ** share if log else low + (high - low) * share)
+
+
+def share_of(low: float, high: float, log: bool, number: float) -> float:
+    """Return the share of the way from `low` to `high` at which a number is."""
+    return math.log(number / low) / math.log(high / low) if log else (number - low) / (high - low)
 
 
 def plain(value: Any) -> Any:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.signal import detrend
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, number_at, share_of
 from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError
 from closedloop.base.second_process import Beside, possible
 from closedloop.mechanics.surface.compliances.none import Rigid
@@ -29,7 +29,6 @@ from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.assembly import instant_of, loop_at, of_fixed_steps
 from closedloop.studies.analysis.here import Here, Instant, refuse_outside, run_on
 from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
-from closedloop.studies.shares import number_at, share_of
 from robot_models import RobotModel
 
 # A key's value: a number, or a list with a number for each joint.

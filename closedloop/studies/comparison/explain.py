@@ -93,25 +93,24 @@ def explain(residual: Array, hypotheses: Sequence[Hypothesis], size: float = 0.0
 
 def _fitted(residual: Array, hypotheses: Sequence[Hypothesis]) -> tuple[Array, Array]:
     """Return all coefficients, and half of their 95 % intervals."""
+    A, sizes, value, left = _solved(residual, hypotheses)
+    variance = float(left @ left) / max(len(left) - A.shape[1], 1) * alike_rows(left)
+    covariance = np.linalg.pinv(A.T @ A, rcond=DEPENDENT)
+    return value / sizes, 1.96 * np.sqrt(variance * np.diag(covariance)) / sizes
+
+
+def _solved(residual: Array, hypotheses: Sequence[Hypothesis]) -> tuple[Array, Array, Array, Array]:
+    """Return columns of length one (N, k), their lengths, their coefficients (k,), and what they leave (N,)."""
     A = np.concatenate([h.columns for h in hypotheses], axis=1)
     sizes = np.linalg.norm(A, axis=0)
     sizes[sizes == 0.0] = 1.0
-    value, *_ = np.linalg.lstsq(A / sizes, residual, rcond=DEPENDENT)
-    left = residual - (A / sizes) @ value
-    variance = float(left @ left) / max(len(left) - A.shape[1], 1) * alike_rows(left)
-    covariance = np.linalg.pinv((A / sizes).T @ (A / sizes), rcond=DEPENDENT)
-    return value / sizes, 1.96 * np.sqrt(variance * np.diag(covariance)) / sizes
+    value = np.linalg.lstsq(A / sizes, residual, rcond=DEPENDENT)[0]
+    return A / sizes, sizes, value, residual - (A / sizes) @ value
 
 
 def _left(residual: Array, hypotheses: Sequence[Hypothesis]) -> float:
     """Return the sum of squares that hypotheses leave."""
-    A = np.concatenate([h.columns for h in hypotheses], axis=1)
-    sizes = np.linalg.norm(A, axis=0)
-    A = A[:, sizes > 0.0] / sizes[sizes > 0.0]
-    if not A.shape[1]:
-        return float(residual @ residual)
-    value, *_ = np.linalg.lstsq(A, residual, rcond=DEPENDENT)
-    left = residual - A @ value
+    left = _solved(residual, hypotheses)[3]
     return float(left @ left)
 
 

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, number_of
 from closedloop.base.errors import ScenarioError
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.derived import DERIVED, columns_by_contact
@@ -234,12 +234,8 @@ def _column(name: str, column: str, instant: str | None, run: Run, whole: bool) 
         return Output(name, lambda made: getattr(made, column), units, column)
     row = -1
     if instant != END:
-        try:
-            t = float(instant)
-        except ValueError:
-            t = math.nan
-        end = float(run.time[-1])
-        if not 0.0 <= t <= end * (1.0 + 1e-12):
+        t, end = number_of(instant), float(run.time[-1])
+        if t is None or not 0.0 <= t <= end * (1.0 + 1e-12):
             raise ScenarioError(f"of: {name}: must be an instant of the run, {column}@0 to {column}@{end:g}, or @{END}")
         row = int(np.argmin(np.abs(run.time - t)))
     return Output(name, lambda made: getattr(made, column)[row], units, column)

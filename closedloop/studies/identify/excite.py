@@ -224,15 +224,8 @@ class _Series:
         ranges = np.where(bounded, 0.5 * (robot.position_upper - robot.position_lower), RANGE)
         speeds = np.asarray(robot.velocity_limit, dtype=np.float64)
         speeds = np.where(np.isfinite(speeds) & (speeds > 0.0), speeds, SPEED)
-        given = speeds / RISE if acceleration is None else np.asarray(acceleration, dtype=np.float64)
-        if (
-            np.ndim(given) > 1
-            or np.size(given) not in (1, n)
-            or not np.all(given > 0.0)
-            or not np.isfinite(given).all()
-        ):
-            raise ModelError(f"acceleration is {acceleration!r}: must be positive, one number or {n}")
-        self.limits = share * ranges, share * speeds, np.broadcast_to(given, n)
+        given = speeds / RISE if acceleration is None else _positive("acceleration", acceleration, n)
+        self.limits = share * ranges, share * speeds, given
         self.n, self.size = n, 2 * n * harmonics
         self.order = np.arange(1, harmonics + 1)
         self.w = 2.0 * np.pi / duration * self.order
@@ -280,7 +273,12 @@ def _noise(robot: RobotModel, noise: ArrayLike | None) -> Array:
     if noise is None:
         effort = np.asarray(robot.effort_limit, dtype=np.float64)
         return np.where(np.isfinite(effort) & (effort > 0.0), NOISE * effort, NO_EFFORT)
-    given = np.asarray(noise, dtype=np.float64)
-    if given.ndim > 1 or given.size not in (1, robot.n) or not np.all(given > 0.0) or not np.isfinite(given).all():
-        raise ModelError(f"noise is {noise!r}: must be positive, one number or {robot.n}")
-    return np.broadcast_to(given, robot.n).astype(np.float64)
+    return _positive("noise", noise, robot.n)
+
+
+def _positive(name: str, value: ArrayLike, n: int) -> Array:
+    """Return an argument for each joint, (n,)."""
+    given = np.asarray(value, dtype=np.float64)
+    if given.ndim > 1 or given.size not in (1, n) or not np.all(given > 0.0) or not np.isfinite(given).all():
+        raise ModelError(f"{name} is {value!r}: must be positive, one number or {n}")
+    return np.broadcast_to(given, n).astype(np.float64)

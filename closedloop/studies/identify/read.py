@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, number_of
 from closedloop.base.files import kind_of, reason_of
 from closedloop.base.optional import missing_line, needs
 from closedloop.figures.export.mcap_file import DEFINITIONS
@@ -312,18 +312,10 @@ def table_of(path: Path) -> dict[str, Array]:
     names = [name for name in read.column_names if name.strip()]  # a comma at the end of each line makes one without
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise LogError(f"{path}: has several columns {twice[0]!r}: each must have a name of its own")
-    if names and all(map(_is_number, names)):
+    if names and all(number_of(name) is not None for name in names):
         raise LogError(f"{path}: its first line has numbers: it must have the names of the columns")
     columns = ((name, _numbers(read[name])) for name in names)
     return {name: values for name, values in columns if values is not None}
-
-
-def _is_number(name: str) -> bool:
-    try:
-        float(name)
-    except ValueError:
-        return False
-    return True
 
 
 def _numbers(column: Any) -> Array | None:

@@ -11,11 +11,11 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import number_at, number_of
 from closedloop.base.errors import ScenarioError
 from closedloop.scenario.messages import takes_whole_numbers
 from closedloop.scenario.overrides import toml_value
 from closedloop.simulation.batch.table import key_type
-from closedloop.studies.shares import number_at
 from robot_models.cached import cached_property
 
 FORMS = "5:15:11 (from, to, how many), log:1e-4:1e-2:20, or 5,10,15"
@@ -91,7 +91,7 @@ def parse_axis(text: str, drawn: bool = False) -> Axis:
         raise ScenarioError(f"--over {text}: has no values; they are {FORMS}")
     parts = spec.split(":")
     log = parts[0] == "log"
-    numbers = [_number(part) for part in parts[log:]]
+    numbers = [number_of(part) for part in parts[log:]]
     if len(parts) > 1 and None not in numbers:
         return _range(text, key, spec, [x for x in numbers if x is not None], log, drawn)
     if log or (len(parts) in (3, 4) and not spec.startswith(("[", '"', "'"))):
@@ -162,13 +162,6 @@ def _listed(spec: str, text: str) -> tuple[Any, ...]:
     if any(words) and not all(words[:-1]):  # one comma more at the end is none
         raise ScenarioError(f"--over {text}: has a comma too many: a value is missing")
     return tuple(toml_value(word) for word in words if word)
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 GRID, RANDOM, LATIN = "grid", "random", "latin"

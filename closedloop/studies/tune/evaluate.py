@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, number_at, number_of, share_of
 from closedloop.base.errors import ClosedLoopError, OutputError, ScenarioError
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.frame import difference
@@ -37,7 +37,6 @@ from closedloop.simulation.prepare import load_model
 from closedloop.studies.analysis.assembly import linearise
 from closedloop.studies.gradient.quantities import Keys, indexed
 from closedloop.studies.identity import NAMES, identity_of
-from closedloop.studies.shares import number_at, share_of
 
 _ENTRY = re.compile(r"(.+?)\[(\d+)\]")
 _LIMIT = re.compile(r"\s*([\w@.]+)\s*(<=|>=)\s*(\S+)\s*")
@@ -138,13 +137,15 @@ def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequenc
     return list(found.values())
 
 
+def _number(text: str) -> float:
+    found = number_of(text)
+    return math.nan if found is None else found
+
+
 def limit_of(text: str) -> Limit:
     """Read a constraint from ``NAME<=NUMBER`` or ``NAME>=NUMBER``."""
     match = _LIMIT.fullmatch(text)
-    try:
-        number = float(match[3]) if match else math.nan
-    except ValueError:
-        number = math.nan
+    number = _number(match[3]) if match else math.nan
     if match is None or not math.isfinite(number):
         raise ScenarioError(f"subject to {text!r}: must be a value and its limit, such as 'peak_contact_force<=12'")
     return Limit(match[1], match[2] == "<=", number)
@@ -217,7 +218,7 @@ class Runs:
                     "such as modulus_margin@3"
                 )
             margin, _, instant = name.partition(AT)
-            if margin in MARGINS and not _is_number(instant):
+            if margin in MARGINS and not math.isfinite(_number(instant)):
                 raise ScenarioError(f"tune: {name}: say at which instant the margin is taken, such as {margin}@3")
         lost = set(over) & {each.key for each in self.some}
         if lost:
@@ -362,10 +363,3 @@ class Runs:
             "vary": [(each.name, each.low, each.high, each.log) for each in self.some],
             "names": self.names, "over": self.variations,
         }  # fmt: skip
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False

@@ -269,13 +269,11 @@ def tune(
         raise ScenarioError("tune: minimise: names no value, such as rms_force_error")
     some, limits = varied(scenario, vary, log), [limit_of(text) for text in subject_to]
     with ExitStack() as open_until_done:
-        report: Callable[[int], None] = _silent
+        report = progress if callable(progress) else lambda done: None
         if progress is True:
             from closedloop.base.progress import counter
 
             report = open_until_done.enter_context(counter(f"tuning {scenario.name}"))
-        elif progress:
-            report = progress
         runs = Runs(
             scenario, some, weights, limits, over or {}, Path(kept) if kept is not None else None, report, workers
         )  # fmt: skip
@@ -312,7 +310,3 @@ def _tuning(scenario: Scenario, runs: Runs, search: Search, found: Found, robust
         found.value, before, {name: now[:, i] for i, name in enumerate(runs.names)},
         {name: as_it_was[:, i] for i, name in enumerate(runs.names)}, found, sensitivity, runs.done,
     )  # fmt: skip
-
-
-def _silent(done: int) -> None:
-    """Report nothing."""

@@ -1,4 +1,4 @@
-"""The arrays that numbers are in, as types; numbers in texts and ranges; results as plain values, which JSON can hold."""
+"""The arrays that numbers are in, as types; numbers in texts and ranges; results as plain values, as in JSON."""
 
 import math
 from collections.abc import Mapping

@@ -21,8 +21,7 @@ another width or font.
 
 from closedloop.figures.errors import closure_error, force_control
 from closedloop.figures.files import draw_figures, images_of, is_papers, save_figure
-from closedloop.figures.force import contact_force, friction_force, impacts
-from closedloop.figures.link_contacts import link_contacts
+from closedloop.figures.force import contact_force, friction_force, impacts, link_contacts
 from closedloop.figures.motion import bodies, columns, joints, tip_position, tool
 from closedloop.figures.style import STYLE, contact_handles, styled
 

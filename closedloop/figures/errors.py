@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.force import FLAT, draw_measured
-from closedloop.figures.link_contacts import draw_forces, link_contacts
+from closedloop.figures.force import FLAT, draw_forces, draw_measured, link_contacts
 from closedloop.figures.motion import (
     AT_REST,
     ROUNDING,

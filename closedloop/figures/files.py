@@ -13,8 +13,7 @@ import numpy as np
 from closedloop.base.files import write_whole
 from closedloop.base.second_process import Beside
 from closedloop.figures.errors import closure_error, force_control, shows_bodies
-from closedloop.figures.force import contact_force, friction_force, has_friction, has_impacts, impacts
-from closedloop.figures.link_contacts import link_contacts
+from closedloop.figures.force import contact_force, friction_force, has_friction, has_impacts, impacts, link_contacts
 from closedloop.figures.motion import bodies, has_bodies, has_joints, has_tool, joints, rests, tip_position, tool
 from closedloop.figures.style import COLOURS, styled, tip_is_idle
 from closedloop.record.report.control_verdict import unknown_text

@@ -18,8 +18,7 @@ from pydantic.fields import FieldInfo
 
 from closedloop.base.arrays import Array
 from closedloop.base.sections import field_units, sizes
-from closedloop.figures.force import friction_bounds
-from closedloop.figures.link_contacts import contacts_drawn
+from closedloop.figures.force import contacts_drawn, friction_bounds
 from closedloop.figures.motion import tip_errors
 from closedloop.figures.scene.scene import Ground
 from closedloop.figures.scene.solids import errors_in

@@ -34,11 +34,11 @@ from closedloop.mechanics.friction.law import JointFriction
 from closedloop.mechanics.limits import RESTING, TOUCHING
 from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.along import check_rates
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.placed import PlacedSurface, Touching, unit
-from closedloop.mechanics.surface.rates import check_rates
 from closedloop.mechanics.surface.surface import Surface, largest_mobility
 from closedloop.scenario.arm import (
     acting_tendons,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.figures.link_contacts import Drawn, contacts_drawn
+from closedloop.figures.force import Drawn, contacts_drawn
 from closedloop.figures.motion import frame_of
 from closedloop.figures.scene.solids import Ghost, Joined, Shape, reactions_in, robot_in, robot_shapes, solids_mesh
 from closedloop.mechanics.closure.contact_force import FREE

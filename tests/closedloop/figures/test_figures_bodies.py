@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import closedloop as cl
 from closedloop.figures import draw_figures
-from closedloop.figures.link_contacts import link_contacts, spans_of
+from closedloop.figures.force import link_contacts, spans_of
 from closedloop.figures.motion import bodies, turned
 from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.style import MANY, MOST_CURVES, OTHERS
